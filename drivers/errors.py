@@ -1,0 +1,54 @@
+"""What can go wrong on a fieldbus, by whose fault it is.
+
+    DriverError
+    ├── AddressError(ValueError)        the configuration names an address that this driver cannot mean
+    ├── EncodingError(ValueError)       a value does not fit the tag's type, range or scale
+    ├── WriteForbidden(PermissionError) the tag is not in the closed write map; nothing was sent
+    ├── WriteUnverified                 the device confirmed the write but reads back something else
+    ├── LinkDown(ConnectionError)       no connection: refused, reset, unreachable, closed
+    ├── ReplyTimeout(TimeoutError)      no valid reply within the deadline
+    ├── ReplyMismatch                   a reply that does not answer the request (unit, function, count, length, echo)
+    └── DeviceException(code)           the device refused, and says why
+
+`connect` and `write` raise these; `read` turns them into samples of bad quality.
+"""
+
+
+class DriverError(Exception):
+    """Base of everything that a driver raises."""
+
+
+class AddressError(DriverError, ValueError):
+    """The address is not in this driver's notation; the message says what would be."""
+
+
+class EncodingError(DriverError, ValueError):
+    """The value cannot be represented in the tag's type, range or scale."""
+
+
+class WriteForbidden(DriverError, PermissionError):
+    """The tag is outside the closed write map. Nothing was sent."""
+
+
+class WriteUnverified(DriverError):
+    """The device confirmed the write, but reading back gave something else."""
+
+
+class LinkDown(DriverError, ConnectionError):
+    """There is no connection: refused, reset, unreachable or closed."""
+
+
+class ReplyTimeout(DriverError, TimeoutError):
+    """No valid reply arrived within the deadline."""
+
+
+class ReplyMismatch(DriverError):
+    """A reply arrived that does not answer the request."""
+
+
+class DeviceException(DriverError):
+    """The device refused the request; `code` is its own exception code."""
+
+    def __init__(self, code: int, sentence: str) -> None:
+        super().__init__(sentence)
+        self.code = code

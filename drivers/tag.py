@@ -1,0 +1,118 @@
+"""The dictionary that everybody may read: what a signal is, and what one reading of it is."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+
+Value = bool | int | float | str
+
+
+class Quality(IntEnum):
+    """OPC UA status codes (OPC 10000-4, 7.39 and OPC 10000-6, A.2); the two top bits give the severity."""
+
+    GOOD = 0x00000000
+    UNCERTAIN = 0x40000000
+    LAST_USABLE = 0x40900000
+    SENSOR_NOT_ACCURATE = 0x40930000
+    BAD = 0x80000000
+    COMMUNICATION_ERROR = 0x80050000
+    DECODING_ERROR = 0x80070000
+    TIMEOUT = 0x800A0000
+    NO_COMMUNICATION = 0x80310000
+    WAITING_FOR_INITIAL_DATA = 0x80320000
+    OUT_OF_RANGE = 0x803C0000
+    CONFIGURATION_ERROR = 0x80890000
+    NOT_CONNECTED = 0x808A0000
+    DEVICE_FAILURE = 0x808B0000
+    SENSOR_FAILURE = 0x808C0000
+    OUT_OF_SERVICE = 0x808D0000
+    NO_DATA = 0x809B0000
+
+    @property
+    def is_good(self) -> bool:
+        """True only for severity "good"; an uncertain value is not good."""
+        return self >> 30 == 0
+
+    @property
+    def is_bad(self) -> bool:
+        """True for severity "bad": the value must not be used."""
+        return self >> 30 >= 2
+
+
+class DType(StrEnum):
+    """How a value lies in registers or bytes."""
+
+    BOOL = "bool"
+    INT8 = "int8"
+    UINT8 = "uint8"
+    INT16 = "int16"
+    UINT16 = "uint16"
+    INT32 = "int32"
+    UINT32 = "uint32"
+    INT64 = "int64"
+    UINT64 = "uint64"
+    FLOAT32 = "float32"
+    FLOAT64 = "float64"
+    BCD16 = "bcd16"
+    BCD32 = "bcd32"
+    STRING = "string"
+
+
+class Order(StrEnum):
+    """Byte order inside a register (AB or BA) and register order (high word first or last).
+
+    ABCD is big-endian throughout (the Modbus convention), DCBA little-endian throughout, CDAB swaps words, BADC swaps
+    bytes. A 64-bit value follows the same rule over four registers.
+    """
+
+    ABCD = "ABCD"
+    CDAB = "CDAB"
+    BADC = "BADC"
+    DCBA = "DCBA"
+
+
+@dataclass(frozen=True, slots=True)
+class Tag:
+    """One signal of the plant: where it lies in the device and what its number means.
+
+    `address` is the driver's own notation (`holding:100`, `coil:3`, `0x2001:1`). Engineering value = raw * scale +
+    offset, in `unit`; `low`..`high` is the plausible range in engineering units (outside it: OUT_OF_RANGE).
+    `sentinel` is the raw number by which the device says "not available". `deadband` (engineering units) is the change
+    that is worth reporting, `max_rate` (units/s) the fastest believable one. `frozen_after` (s): a reading that has not
+    moved a bit for longer is SENSOR_NOT_ACCURATE; 0 turns the check off, as a signal at rest may be constant. `bit`
+    picks one bit of a register, `length` is a string's length in bytes, `labels` names an enumeration's values.
+    """
+
+    name: str
+    address: str
+    dtype: DType = DType.UINT16
+    order: Order = Order.ABCD
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    bit: int | None = None
+    length: int = 0
+    sentinel: int | None = None
+    deadband: float = 0.0
+    max_rate: float | None = None
+    frozen_after: float = 0.0
+    writable: bool = False
+    labels: Mapping[int, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One reading. A failed read is a sample too: value None, a bad quality and the reason.
+
+    `time` is the moment the reply was complete, `sent` the moment the request left (both seconds UTC of the clock that
+    the driver was given): the device looked at its memory somewhere in [sent, time], and nothing narrower is known.
+    """
+
+    tag: str
+    value: Value | None
+    quality: Quality
+    time: float
+    sent: float | None = None
+    reason: str = ""

@@ -1,0 +1,128 @@
+"""A stochastic hybrid automaton as a description: locations, flows, edges. No current state lives in here."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import inf
+from typing import Literal
+
+Entry = Literal["parameter", "resample", "none"]
+"""What entering a location does: draw the mode parameter m (X stays continuous), draw X (the thesis), or nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """A probability law: `kind` is a key of `distributions.LAWS`, `params` its parameters by name."""
+
+    kind: str
+    params: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """A signal that moves a driven flow's target by gain * (signal - reference), degC per unit of the signal."""
+
+    signal: str
+    gain: float
+    reference: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """How the temperature moves inside a location: `kind` is a key of `flows.FLOWS`, `params` its constants by name.
+
+    `k` in 1/s, `t0` in s, `noise` in degC/sqrt(s). `inputs` only for `driven`.
+    """
+
+    kind: str
+    params: Mapping[str, float] = field(default_factory=dict)
+    inputs: tuple[Input, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Location:
+    """One mode of the plant. `distribution` is the law of the mode parameter m (or of X on entry, for `resample`).
+
+    What m means depends on the flow: the target temperature (exponential, driven; degC), the drift (linear; degC/s),
+    the factor of 1/(t0+u) (logarithmic; degC); nothing for constant.
+    """
+
+    name: str
+    flow: Flow
+    distribution: Distribution | None = None
+    entry: Entry = "parameter"
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """A move from `source` to `target` on `symbol`. `guard` is kept as the artefact wrote it."""
+
+    source: str
+    symbol: str
+    target: str
+    guard: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SHA:
+    """Locations, edges and the location where a trace starts.
+
+    `max_rate` (degC/s) saturates every drift on both sides; `low`..`high` (degC) clamps the temperature, and clamps are
+    counted by whoever simulates. Raises ValueError, naming the part, when a name is doubled or an edge leads nowhere.
+    """
+
+    name: str
+    locations: tuple[Location, ...]
+    edges: tuple[Edge, ...]
+    initial: str
+    max_rate: float = inf
+    low: float = 0.0
+    high: float = 150.0
+
+    def __post_init__(self) -> None:
+        names = [location.name for location in self.locations]
+        doubled = sorted({name for name in names if names.count(name) > 1})
+        if doubled:
+            raise ValueError(f"SHA {self.name!r}: location {doubled[0]!r} is defined {names.count(doubled[0])} times")
+        known = set(names)
+        if self.initial not in known:
+            raise ValueError(f"SHA {self.name!r}: the initial location {self.initial!r} is not among its locations")
+        for edge in self.edges:
+            for end in (edge.source, edge.target):
+                if end not in known:
+                    raise ValueError(
+                        f"SHA {self.name!r}: edge {edge.source} -{edge.symbol}-> {edge.target} names the location "
+                        f"{end!r}, which is not defined"
+                    )
+        if not self.max_rate > 0 or not self.low < self.high:
+            raise ValueError(f"SHA {self.name!r}: max_rate must be positive and low below high")
+
+    @property
+    def by_name(self) -> dict[str, Location]:
+        """The locations by their names (made anew at each call: keep it outside loops)."""
+        return {location.name: location for location in self.locations}
+
+
+def nondeterminism(sha: SHA) -> list[str]:
+    """One sentence for each (location, symbol) that has several different targets; empty when deterministic."""
+    targets: dict[tuple[str, str], set[str]] = {}
+    for edge in sha.edges:
+        targets.setdefault((edge.source, edge.symbol), set()).add(edge.target)
+    return [
+        f"location {source!r} has {len(ends)} targets on {symbol!r}: {', '.join(sorted(ends))}"
+        for (source, symbol), ends in sorted(targets.items())
+        if len(ends) > 1
+    ]
+
+
+def transitions(sha: SHA) -> dict[tuple[str, str], str]:
+    """(source, symbol) -> target. Raises ValueError with the first conflict when the automaton is not deterministic."""
+    conflicts = nondeterminism(sha)
+    if conflicts:
+        raise ValueError(f"SHA {sha.name!r} is not deterministic: {conflicts[0]}")
+    guarded = next((edge for edge in sha.edges if edge.guard), None)
+    if guarded is not None:
+        raise ValueError(
+            f"SHA {sha.name!r}: edge {guarded.source} -{guarded.symbol}-> {guarded.target} has the guard "
+            f"{guarded.guard!r}; guards are kept but not executed yet"
+        )
+    return {(edge.source, edge.symbol): edge.target for edge in sha.edges}

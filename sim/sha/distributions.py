@@ -1,0 +1,112 @@
+"""The laws: normal for mode parameters; exponential, Weibull and log-normal for sojourn times; one table, no hierarchy.
+
+A quantile function is all that sampling needs; the rest of a sojourn that has lasted u seconds is sampled by it too,
+from S(u + t) / S(u) = v.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import exp, gamma, isfinite
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import log_ndtr, ndtri_exp
+
+from sim.sha.automaton import Distribution
+from sim.sha.trace import Array
+
+Params = Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """One kind of law. `log_survival(params, t)` = ln P(T > t); `exceeded(params, s)` is its inverse in t."""
+
+    params: tuple[str, ...]
+    positive: tuple[str, ...]
+    mean: Callable[[Params], float]
+    variance: Callable[[Params], float]
+    log_survival: Callable[[Params, Array], Array]
+    exceeded: Callable[[Params, Array], Array]
+
+
+def _log_survival_weibull(p: Params, t: Array) -> Array:
+    return -((np.maximum(t, 0.0) / p["scale"]) ** p["shape"])
+
+
+def _log_survival_lognormal(p: Params, t: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        return log_ndtr(-(np.log(np.maximum(t, 0.0)) - p["mu"]) / p["sigma"])
+
+
+LAWS: dict[str, Law] = {
+    "normal": Law(
+        ("mu", "sigma"),
+        (),
+        lambda p: p["mu"],
+        lambda p: p["sigma"] ** 2,
+        lambda p, t: log_ndtr(-(t - p["mu"]) / p["sigma"]),
+        lambda p, s: p["mu"] - p["sigma"] * ndtri_exp(s),
+    ),
+    "exponential": Law(
+        ("mean",),
+        ("mean",),
+        lambda p: p["mean"],
+        lambda p: p["mean"] ** 2,
+        lambda p, t: -np.maximum(t, 0.0) / p["mean"],
+        lambda p, s: -p["mean"] * s,
+    ),
+    "weibull": Law(
+        ("shape", "scale"),
+        ("shape", "scale"),
+        lambda p: p["scale"] * gamma(1 + 1 / p["shape"]),
+        lambda p: p["scale"] ** 2 * (gamma(1 + 2 / p["shape"]) - gamma(1 + 1 / p["shape"]) ** 2),
+        _log_survival_weibull,
+        lambda p, s: p["scale"] * (-s) ** (1 / p["shape"]),
+    ),
+    "lognormal": Law(
+        ("mu", "sigma"),
+        ("sigma",),
+        lambda p: exp(p["mu"] + p["sigma"] ** 2 / 2),
+        lambda p: (exp(p["sigma"] ** 2) - 1) * exp(2 * p["mu"] + p["sigma"] ** 2),
+        _log_survival_lognormal,
+        lambda p, s: np.exp(p["mu"] - p["sigma"] * ndtri_exp(s)),
+    ),
+}
+
+
+def check_distribution(law: Distribution) -> None:
+    """Raises ValueError, saying what would be right, for an unknown kind or unusable parameters."""
+    kind = LAWS.get(law.kind)
+    if kind is None:
+        raise ValueError(f"unknown distribution {law.kind!r}: known are {', '.join(LAWS)}")
+    if set(law.params) != set(kind.params):
+        raise ValueError(f"distribution {law.kind!r} takes {', '.join(kind.params)}; got {', '.join(law.params)}")
+    for name, value in law.params.items():
+        if not isfinite(value) or (name in kind.positive and value <= 0) or (name == "sigma" and value < 0):
+            raise ValueError(f"distribution {law.kind!r}: {name}={value} is out of range")
+
+
+def mean(law: Distribution) -> float:
+    """The law's mean, in the unit of its variable."""
+    return LAWS[law.kind].mean(law.params)
+
+
+def variance(law: Distribution) -> float:
+    """The law's variance."""
+    return LAWS[law.kind].variance(law.params)
+
+
+def draw(law: Distribution, runs: int, rng: np.random.Generator) -> Array:
+    """`runs` independent draws."""
+    if law.kind == "normal":
+        return rng.normal(law.params["mu"], law.params["sigma"], runs)
+    return np.asarray(LAWS[law.kind].exceeded(law.params, -rng.exponential(size=runs)))
+
+
+def draw_remaining(law: Distribution, age: ArrayLike, runs: int, rng: np.random.Generator) -> Array:
+    """`runs` draws of the time still to stay, given that `age` seconds have passed: law of T - age given T > age."""
+    kind = LAWS[law.kind]
+    ages = np.broadcast_to(np.asarray(age, dtype=float), (runs,))
+    survived = kind.log_survival(law.params, ages)
+    return np.asarray(np.maximum(kind.exceeded(law.params, survived - rng.exponential(size=runs)) - ages, 0.0))

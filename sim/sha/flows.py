@@ -1,0 +1,139 @@
+"""The flows: how the temperature moves inside a location, as an exact step in closed form with no event inside.
+
+Every flow without saturation is affine in the temperature and in the mode parameter: over a step of `dt` seconds,
+
+    X(t+dt) = decay * X(t) + pull * (m + offset) + noise,    noise ~ N(0, variance)
+
+where offset = sum of gain * (signal - reference) over the flow's inputs (0 except for `driven`). One table row gives
+the three coefficients and the saturated mean map; simulator, filter and learner use these and nothing else.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sim.sha.automaton import Flow
+from sim.sha.trace import Array
+
+Coefficients = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class FlowKind:
+    """One kind of flow: the names of its constants, its affine step and its step under a saturated rate.
+
+    `coefficients(params, age, dt)` -> (decay, pull, variance), all broadcast over `age` (s since entry) and `dt` (s).
+    `saturated(params, x, target, age, dt, rate)` -> the mean after `dt` when |drift| is limited to `rate` (degC/s);
+    `target` is m + offset.
+    """
+
+    params: tuple[str, ...]
+    coefficients: Callable[[Mapping[str, float], Array, Array], Coefficients]
+    saturated: Callable[[Mapping[str, float], Array, Array, Array, Array, float], Array]
+
+
+def _drift_free(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
+    return np.ones_like(dt), np.zeros_like(dt), params["noise"] ** 2 * dt
+
+
+def _unmoved(_params: Mapping[str, float], x: Array, _target: Array, _age: Array, dt: Array, _rate: float) -> Array:
+    return x + np.zeros_like(dt)
+
+
+def _linear(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
+    return np.ones_like(dt), dt, params["noise"] ** 2 * dt
+
+
+def _linear_saturated(
+    _params: Mapping[str, float], x: Array, target: Array, _age: Array, dt: Array, rate: float
+) -> Array:
+    return x + np.clip(target, -rate, rate) * dt
+
+
+def _relaxing(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
+    k = params["k"]
+    pull = -np.expm1(-k * dt)
+    return 1.0 - pull, pull, params["noise"] ** 2 * -np.expm1(-2.0 * k * dt) / (2.0 * k)
+
+
+def _relaxing_saturated(
+    params: Mapping[str, float], x: Array, target: Array, _age: Array, dt: Array, rate: float
+) -> Array:
+    """Runs at the limit until k|m - x| has fallen to it, then relaxes."""
+    k = params["k"]
+    distance = target - x
+    free = np.maximum(np.abs(distance) - rate / k, 0.0) / rate
+    ramp = np.minimum(dt, free)
+    reached = x + np.sign(distance) * rate * ramp
+    return target + (reached - target) * np.exp(-k * (dt - ramp))
+
+
+def _logarithmic(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
+    return np.ones_like(dt), np.log1p(dt / (params["t0"] + age)), params["noise"] ** 2 * dt
+
+
+def _logarithmic_saturated(
+    params: Mapping[str, float], x: Array, target: Array, age: Array, dt: Array, rate: float
+) -> Array:
+    """The drift a/(t0+u) falls with u: at the limit first, logarithmic once |a|/(t0+u) is below it."""
+    start = params["t0"] + age
+    ramp = np.minimum(dt, np.maximum(np.abs(target) / rate - start, 0.0))
+    return x + np.sign(target) * rate * ramp + target * np.log1p((dt - ramp) / (start + ramp))
+
+
+FLOWS: dict[str, FlowKind] = {
+    "constant": FlowKind(("noise",), _drift_free, _unmoved),
+    "linear": FlowKind(("noise",), _linear, _linear_saturated),
+    "exponential": FlowKind(("k", "noise"), _relaxing, _relaxing_saturated),
+    "driven": FlowKind(("k", "noise"), _relaxing, _relaxing_saturated),
+    "logarithmic": FlowKind(("t0", "noise"), _logarithmic, _logarithmic_saturated),
+}
+
+
+def check_flow(flow: Flow) -> None:
+    """Raises ValueError, saying what would be right, for an unknown kind or unusable constants."""
+    kind = FLOWS.get(flow.kind)
+    if kind is None:
+        raise ValueError(f"unknown flow {flow.kind!r}: known are {', '.join(FLOWS)}")
+    if set(flow.params) != set(kind.params):
+        raise ValueError(
+            f"flow {flow.kind!r} takes the constants {', '.join(kind.params)}; got {', '.join(flow.params)}"
+        )
+    for name, value in flow.params.items():
+        if not isfinite(value) or value < 0 or (value == 0 and name != "noise"):
+            raise ValueError(
+                f"flow {flow.kind!r}: {name} must be {'at least 0' if name == 'noise' else 'positive'}, got {value}"
+            )
+    if bool(flow.inputs) != (flow.kind == "driven"):
+        raise ValueError("a driven flow needs inputs, every other kind takes none")
+
+
+def coefficients(flow: Flow, age: ArrayLike, dt: ArrayLike) -> Coefficients:
+    """(decay, pull, variance) of an unsaturated step, broadcast over `age` and `dt` in seconds."""
+    ages, steps = np.broadcast_arrays(np.asarray(age, dtype=float), np.asarray(dt, dtype=float))
+    return FLOWS[flow.kind].coefficients(flow.params, ages, steps)
+
+
+def mean_step(flow: Flow, x: ArrayLike, target: ArrayLike, age: ArrayLike, dt: ArrayLike, max_rate: float) -> Array:
+    """The mean temperature (degC) after `dt` seconds from `x`; `target` is m + offset; arguments broadcast."""
+    xs, targets, ages, steps = np.broadcast_arrays(
+        np.asarray(x, dtype=float),
+        np.asarray(target, dtype=float),
+        np.asarray(age, dtype=float),
+        np.asarray(dt, dtype=float),
+    )
+    if isfinite(max_rate):
+        return FLOWS[flow.kind].saturated(flow.params, xs, targets, ages, steps, max_rate)
+    decay, pull, _ = FLOWS[flow.kind].coefficients(flow.params, ages, steps)
+    return np.asarray(decay * xs + pull * targets)
+
+
+def offset(flow: Flow, signals: Mapping[str, ArrayLike]) -> Array:
+    """What the flow's inputs add to its target (degC): sum of gain * (signal - reference); 0.0 without inputs."""
+    total = np.asarray(0.0)
+    for given in flow.inputs:
+        total = total + given.gain * (np.asarray(signals[given.signal], dtype=float) - given.reference)
+    return total

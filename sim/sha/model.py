@@ -1,0 +1,55 @@
+"""A model: the automaton with all that is needed to run it on a plant: alphabet, noise, sojourn laws, origin."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from sim.sha.automaton import SHA, Distribution
+from sim.sha.events import Alphabet
+
+
+@dataclass(frozen=True, slots=True)
+class Stay:
+    """How long the plant stays in a location and where it goes next, when the events to come are not known.
+
+    `law` is the sojourn time's law in seconds, `to` the probability of each next location (they sum to 1; moves that
+    take no time are folded into one). `inputs` gives (mean, sigma) of each input signal while in the location.
+    """
+
+    law: Distribution
+    to: Mapping[str, float]
+    inputs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where a model comes from. `data_hash` is the SHA-256 over the training traces' content.
+
+    `synthetic` says that no plant made those traces, `parent` is the version that this one was derived from.
+    """
+
+    method: str
+    data_hash: str = ""
+    traces: tuple[str, ...] = ()
+    synthetic: bool = False
+    settings: Mapping[str, str | float | int | bool] = field(default_factory=dict)
+    scores: Mapping[str, float] = field(default_factory=dict)
+    parent: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """`sha` run on `temperature` (the signal's name), fed by events of `alphabet`.
+
+    `sensor_sigma` is the sensor's standard deviation (degC), `initial` the law of a trace's first temperature,
+    `semi_markov` the stay of each location by its name, `calibration` the factor by which the forecast's standard
+    deviation at each horizon (s) must be multiplied to cover what it says (learned on held-out cycles).
+    """
+
+    sha: SHA
+    alphabet: Alphabet
+    temperature: str
+    sensor_sigma: float
+    initial: Distribution | None = None
+    semi_markov: Mapping[str, Stay] = field(default_factory=dict)
+    calibration: Mapping[float, float] = field(default_factory=dict)
+    provenance: Provenance = field(default_factory=lambda: Provenance(method="by hand"))

@@ -1,0 +1,64 @@
+"""Measured or simulated behaviour: samples on a clock, and the events that an encoder saw in them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+UNKNOWN = "unknown"
+"""The encoder's own symbol: from here on the plant's state is not known. It is never a hold and never "stopped"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A discrete change at `time` (absolute seconds)."""
+
+    time: float
+    symbol: str
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """n rows on one clock: `times` (n,) in absolute seconds, never decreasing; `signals` name -> (n,) floats.
+
+    Booleans are 0.0 and 1.0. NaN says "no new reading in this row", nothing more; `bad` name -> (n,) marks readings
+    whose quality was bad (their value is NaN too). `events` are empty until encoded. `origin` says where the rows come
+    from (file, scenario and seed) and `synthetic` that no plant produced them. Raises ValueError on shapes that do not
+    match and on times that go back.
+    """
+
+    name: str
+    times: Array
+    signals: Mapping[str, Array]
+    events: tuple[Event, ...] = ()
+    bad: Mapping[str, Mask] = field(default_factory=dict)
+    origin: str = ""
+    synthetic: bool = False
+
+    def __post_init__(self) -> None:
+        rows = self.times.shape
+        for name, column in (*self.signals.items(), *self.bad.items()):
+            if column.shape != rows:
+                raise ValueError(f"trace {self.name!r}: signal {name!r} has shape {column.shape}, its clock {rows}")
+        if self.times.size and not np.all(np.isfinite(self.times)):
+            raise ValueError(f"trace {self.name!r}: its clock has values that are no numbers")
+        if np.any(np.diff(self.times) < 0):
+            row = int(np.argmax(np.diff(self.times) < 0)) + 1
+            raise ValueError(f"trace {self.name!r}: the clock goes back at row {row}")
+
+    def between(self, start: float, end: float) -> "Trace":
+        """The rows and events with start <= time < end."""
+        rows = slice(*np.searchsorted(self.times, [start, end]))
+        return Trace(
+            name=self.name,
+            times=self.times[rows],
+            signals={name: column[rows] for name, column in self.signals.items()},
+            events=tuple(event for event in self.events if start <= event.time < end),
+            bad={name: column[rows] for name, column in self.bad.items()},
+            origin=self.origin,
+            synthetic=self.synthetic,
+        )
