@@ -1,0 +1,1 @@
+"""A decanter simulated by physics. It writes synthetic traces and is never the model under test."""
