@@ -50,7 +50,7 @@ class Writes(Protocol):
     async def write(self, values: Sequence[tuple[Tag, Value]]) -> None:
         """Write all values as one block, once on the wire, and verify by reading back.
 
-        Raises WriteForbidden or EncodingError (nothing was sent), LinkDown, ReplyTimeout, ReplyMismatch,
+        Raises WriteForbidden, EncodingError or AddressError (nothing was sent), LinkDown, ReplyTimeout, ReplyMismatch,
         DeviceException or WriteUnverified. Never retries: whether to write again is the caller's decision.
         """
         ...
@@ -62,6 +62,15 @@ class Streams(Protocol):
 
     def stream(self, tags: Sequence[Tag]) -> AsyncIterator[Sample]:
         """Yield samples as they arrive, until `close`; silence beyond a deadline arrives as a sample of bad quality."""
+        ...
+
+
+@runtime_checkable
+class Explains(Protocol):
+    """A driver that can say beforehand how it would read."""
+
+    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+        """The plan in sentences: tags that cannot be read and why, each request, the worst-case cycle time."""
         ...
 
 

@@ -208,6 +208,36 @@ def _sample_times(duration: float, period: float, jitter: float, rng: np.random.
     return np.asarray(times[times <= duration])
 
 
+def _run(
+    plant: Plant,
+    weather: Weather,
+    state: _State,
+    phases: Sequence[Phase],
+    times: Array,
+    start: float,
+    step: float,
+    rng: np.random.Generator,
+) -> Array:
+    """(n, signals) the readings at `times` (s from the start); `state` is moved on."""
+    ends = np.cumsum([phase.seconds for phase in phases]).tolist()
+    rows, now, current = np.empty((times.size, len(SIGNALS))), 0.0, 0
+    for index, target in enumerate(times.tolist()):
+        while True:
+            while current < len(ends) - 1 and now >= ends[current]:
+                current += 1
+            phase, hall = phases[current], weather.ambient((start + now) % 86400)
+            slurry = weather.slurry + 0.1 * (hall - weather.mean)
+            dt = min(step, target - now)
+            if dt <= 0:
+                break
+            _mechanical_step(plant, state, phase, dt, rng)
+            _thermal_step(plant, state, hall, slurry if phase.pump and phase.running else None, dt)
+            _sense(plant, state, dt)
+            now += dt
+        rows[index] = _row(plant, state, phase, hall, slurry, rng)
+    return rows
+
+
 def simulate_decanter(
     phases: Sequence[Phase],
     *,
@@ -231,25 +261,11 @@ def simulate_decanter(
         raise ValueError("a decanter needs at least one phase, a positive period and a positive step")
     plant, weather = plant or Plant(), weather or Weather()
     rng = np.random.default_rng(seed)
-    ends = np.cumsum([phase.seconds for phase in phases])
-    times = _sample_times(float(ends[-1]), period, jitter, rng)
-    warm = weather.ambient(start % 86400) if bearing is None else bearing
-    housing = warm if bearing is None else 0.6 * warm + 0.4 * weather.ambient(start % 86400)
-    state = _State(warm, warm - 0.3, warm, housing, warm, warm - 0.3)
-    rows, now = np.empty((times.size, len(SIGNALS))), 0.0
-    for index, target in enumerate(times):
-        while True:
-            phase = phases[min(int(np.searchsorted(ends, now, side="right")), len(phases) - 1)]
-            hall = weather.ambient((start + now) % 86400)
-            slurry = weather.slurry + 0.1 * (hall - weather.mean)
-            dt = min(step, target - now)
-            if dt <= 0:
-                break
-            _mechanical_step(plant, state, phase, dt, rng)
-            _thermal_step(plant, state, hall, slurry if phase.pump and phase.running else None, dt)
-            _sense(plant, state, dt)
-            now += dt
-        rows[index] = _row(plant, state, phase, hall, slurry, rng)
+    times = _sample_times(sum(phase.seconds for phase in phases), period, jitter, rng)
+    hall = weather.ambient(start % 86400)
+    warm = hall if bearing is None else bearing
+    state = _State(warm, warm - 0.3, warm, 0.6 * warm + 0.4 * hall, warm, warm - 0.3)
+    rows = _run(plant, weather, state, phases, times, start, step, rng)
     return Trace(
         name=name,
         times=start + times,

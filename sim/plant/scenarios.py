@@ -5,7 +5,8 @@ They are synthetic: no plant made them. What is known of the thesis's traces and
 warms from 18 to 29 degC at a stable load; cd17 is longer, with several load changes.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -136,3 +137,20 @@ def production(
     return simulate_decanter(
         phases, seed=seed, name=name, period=period, jitter=0.02, start=EPOCH - EPOCH % 86400, plant=plant, step=2.0
     )
+
+
+def history_and_day(seed: int = 0) -> tuple[list[Trace], Trace]:
+    """What a gateway at a plant would have: three days of production every 10 s, and the first hour of another day.
+
+    That hour begins three minutes before the drum starts, has one row every 2 s, and shares no seed with the history.
+    """
+    days = production(3, seed=2 * seed + 1, name="history")
+    first = float(days.times[0])
+    cuts = [first + 86400.0 * day for day in range(4)]
+    history = [
+        replace(days.between(start, end), name=f"history_day{number}")
+        for number, (start, end) in enumerate(pairwise(cuts), start=1)
+    ]
+    day = production(1, seed=2 * seed + 102, period=2.0, name="new_day")
+    start = float(day.times[np.argmax(day.signals["MarciaDecanter"] > 0)])
+    return history, day.between(start - 180.0, start + 3600.0)

@@ -1,5 +1,6 @@
 """A stochastic hybrid automaton as a description: locations, flows, edges. No current state lives in here."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
@@ -30,7 +31,8 @@ class Input:
 class Flow:
     """How the temperature moves inside a location: `kind` is a key of `flows.FLOWS`, `params` its constants by name.
 
-    `k` in 1/s, `t0` in s, `noise` in degC/sqrt(s). `inputs` only for `driven`.
+    `k` in 1/s, `t0` in s, `noise` in degC/sqrt(s). `inputs` only for `driven`. Any flow may fix its mode parameter by
+    a constant `m` (in m's unit, see Location), where the location's entry does not draw it.
     """
 
     kind: str
@@ -79,11 +81,10 @@ class SHA:
     high: float = 150.0
 
     def __post_init__(self) -> None:
-        names = [location.name for location in self.locations]
-        doubled = sorted({name for name in names if names.count(name) > 1})
-        if doubled:
-            raise ValueError(f"SHA {self.name!r}: location {doubled[0]!r} is defined {names.count(doubled[0])} times")
-        known = set(names)
+        known = Counter(location.name for location in self.locations)
+        for name, times in known.items():
+            if times > 1:
+                raise ValueError(f"SHA {self.name!r}: location {name!r} is defined {times} times")
         if self.initial not in known:
             raise ValueError(f"SHA {self.name!r}: the initial location {self.initial!r} is not among its locations")
         for edge in self.edges:

@@ -30,6 +30,16 @@ class Law:
     exceeded: Callable[[Params, Array], Array]
 
 
+def _log_survival_normal(p: Params, t: Array) -> Array:
+    if p["sigma"] == 0:
+        return np.where(t < p["mu"], 0.0, -np.inf)
+    return log_ndtr(-(t - p["mu"]) / p["sigma"])
+
+
+def _exceeded_normal(p: Params, s: Array) -> Array:
+    return p["mu"] - p["sigma"] * ndtri_exp(s) if p["sigma"] else np.full_like(s, p["mu"])
+
+
 def _log_survival_weibull(p: Params, t: Array) -> Array:
     return -((np.maximum(t, 0.0) / p["scale"]) ** p["shape"])
 
@@ -45,8 +55,8 @@ LAWS: dict[str, Law] = {
         (),
         lambda p: p["mu"],
         lambda p: p["sigma"] ** 2,
-        lambda p, t: log_ndtr(-(t - p["mu"]) / p["sigma"]),
-        lambda p, s: p["mu"] - p["sigma"] * ndtri_exp(s),
+        _log_survival_normal,
+        _exceeded_normal,
     ),
     "exponential": Law(
         ("mean",),

@@ -10,7 +10,7 @@ the three coefficients and the saturated mean map; simulator, filter and learner
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,17 +20,22 @@ from sim.sha.trace import Array
 
 Coefficients = tuple[Array, Array, Array]
 
+FIXED = "m"
+"""The one constant that every flow may have besides its own: a mode parameter that no entry draws."""
+
 
 @dataclass(frozen=True, slots=True)
 class FlowKind:
-    """One kind of flow: the names of its constants, its affine step and its step under a saturated rate.
+    """One kind of flow: the names of its constants, its drift, its affine step and its step under a saturated rate.
 
+    `drift(params, x, target, age)` -> degC/s at one instant; it never grows in size while the target stays.
     `coefficients(params, age, dt)` -> (decay, pull, variance), all broadcast over `age` (s since entry) and `dt` (s).
     `saturated(params, x, target, age, dt, rate)` -> the mean after `dt` when |drift| is limited to `rate` (degC/s);
     `target` is m + offset.
     """
 
     params: tuple[str, ...]
+    drift: Callable[[Mapping[str, float], Array, Array, Array], Array]
     coefficients: Callable[[Mapping[str, float], Array, Array], Coefficients]
     saturated: Callable[[Mapping[str, float], Array, Array, Array, Array, float], Array]
 
@@ -85,12 +90,18 @@ def _logarithmic_saturated(
 
 
 FLOWS: dict[str, FlowKind] = {
-    "constant": FlowKind(("noise",), _drift_free, _unmoved),
-    "linear": FlowKind(("noise",), _linear, _linear_saturated),
-    "exponential": FlowKind(("k", "noise"), _relaxing, _relaxing_saturated),
-    "driven": FlowKind(("k", "noise"), _relaxing, _relaxing_saturated),
-    "logarithmic": FlowKind(("t0", "noise"), _logarithmic, _logarithmic_saturated),
+    "constant": FlowKind(("noise",), lambda p, x, m, u: np.zeros_like(x), _drift_free, _unmoved),
+    "linear": FlowKind(("noise",), lambda p, x, m, u: m, _linear, _linear_saturated),
+    "exponential": FlowKind(("k", "noise"), lambda p, x, m, u: p["k"] * (m - x), _relaxing, _relaxing_saturated),
+    "driven": FlowKind(("k", "noise"), lambda p, x, m, u: p["k"] * (m - x), _relaxing, _relaxing_saturated),
+    "logarithmic": FlowKind(
+        ("t0", "noise"), lambda p, x, m, u: m / (p["t0"] + u), _logarithmic, _logarithmic_saturated
+    ),
 }
+
+
+RELAXING = ("exponential", "driven")
+"""The flows whose m is a temperature (degC), and whose drift depends on x: they move towards m."""
 
 
 def check_flow(flow: Flow) -> None:
@@ -98,17 +109,23 @@ def check_flow(flow: Flow) -> None:
     kind = FLOWS.get(flow.kind)
     if kind is None:
         raise ValueError(f"unknown flow {flow.kind!r}: known are {', '.join(FLOWS)}")
-    if set(flow.params) != set(kind.params):
+    if set(flow.params) - {FIXED} != set(kind.params):
         raise ValueError(
-            f"flow {flow.kind!r} takes the constants {', '.join(kind.params)}; got {', '.join(flow.params)}"
+            f"flow {flow.kind!r} takes the constants {', '.join(kind.params)} (and {FIXED}, where nothing draws it); "
+            f"got {', '.join(flow.params) or 'none'}"
         )
     for name, value in flow.params.items():
-        if not isfinite(value) or value < 0 or (value == 0 and name != "noise"):
-            raise ValueError(
-                f"flow {flow.kind!r}: {name} must be {'at least 0' if name == 'noise' else 'positive'}, got {value}"
-            )
+        ranges = {"noise": (value >= 0, "at least 0 and finite"), FIXED: (True, "finite")}
+        inside, right = ranges.get(name, (value > 0, "positive and finite"))
+        if not isfinite(value) or not inside:
+            raise ValueError(f"flow {flow.kind!r}: {name} must be {right}, got {value}")
     if bool(flow.inputs) != (flow.kind == "driven"):
         raise ValueError("a driven flow needs inputs, every other kind takes none")
+    for given in flow.inputs:
+        if not isfinite(given.gain) or not isfinite(given.reference):
+            raise ValueError(
+                f"input {given.signal!r}: gain {given.gain} and reference {given.reference} must be finite"
+            )
 
 
 def coefficients(flow: Flow, age: ArrayLike, dt: ArrayLike) -> Coefficients:
@@ -126,9 +143,22 @@ def mean_step(flow: Flow, x: ArrayLike, target: ArrayLike, age: ArrayLike, dt: A
         np.asarray(dt, dtype=float),
     )
     if isfinite(max_rate):
-        return FLOWS[flow.kind].saturated(flow.params, xs, targets, ages, steps, max_rate)
+        return np.asarray(FLOWS[flow.kind].saturated(flow.params, xs, targets, ages, steps, max_rate))
     decay, pull, _ = FLOWS[flow.kind].coefficients(flow.params, ages, steps)
     return np.asarray(decay * xs + pull * targets)
+
+
+def drift(flow: Flow, x: ArrayLike, target: ArrayLike, age: ArrayLike) -> Array:
+    """dX/dt (degC/s) without a rate limit at the temperature `x`, `age` seconds after entry; arguments broadcast."""
+    xs, targets, ages = np.broadcast_arrays(
+        np.asarray(x, dtype=float), np.asarray(target, dtype=float), np.asarray(age, dtype=float)
+    )
+    return np.asarray(FLOWS[flow.kind].drift(flow.params, xs, targets, ages))
+
+
+def free_distance(flow: Flow, max_rate: float) -> float:
+    """|target - x| (degC) up to which no part of a step is limited; inf where the drift does not depend on x."""
+    return max_rate / flow.params["k"] if flow.kind in RELAXING else inf
 
 
 def offset(flow: Flow, signals: Mapping[str, ArrayLike]) -> Array:

@@ -1,0 +1,277 @@
+"""Registers to values and back: type, byte and word order, bit, scale, sentinel, range, labels (pure).
+
+A reading never raises: what the device sent is data, and data that means nothing has a quality and a reason. A value
+to be written that does not fit raises EncodingError before anything is sent.
+"""
+
+import math
+import struct
+import sys
+from collections.abc import Callable, Mapping, Sequence
+
+from drivers.errors import AddressError, EncodingError
+from drivers.tag import DType, Order, Quality, Tag, Value
+
+Reading = tuple[Value | None, Quality, str]
+
+_SWAPPED_BYTES = frozenset({Order.BADC, Order.DCBA})
+_SWAPPED_WORDS = frozenset({Order.CDAB, Order.DCBA})
+# dtype -> bits, signed. An 8-bit number fills the low byte of one register.
+_INTEGERS: dict[DType, tuple[int, bool]] = {
+    DType.INT8: (8, True),
+    DType.UINT8: (8, False),
+    DType.INT16: (16, True),
+    DType.UINT16: (16, False),
+    DType.INT32: (32, True),
+    DType.UINT32: (32, False),
+    DType.INT64: (64, True),
+    DType.UINT64: (64, False),
+}
+_FLOATS: dict[DType, str] = {DType.FLOAT32: ">f", DType.FLOAT64: ">d"}
+_BCD_DIGITS: dict[DType, int] = {DType.BCD16: 4, DType.BCD32: 8}
+_REGISTERS: dict[DType, int] = ({DType.BOOL: 1, DType.FLOAT32: 2, DType.FLOAT64: 4, DType.BCD16: 1, DType.BCD32: 2}) | {
+    dtype: max(1, bits // 16) for dtype, (bits, _) in _INTEGERS.items()
+}
+_BIT_HOLDERS = frozenset({DType.BOOL, DType.UINT16, DType.INT16})
+# A limit is met by the value nearest to it: float32 rounds by up to 2**-24 of the value, scaling by less.
+_LIMIT_SLACK = 2.0**-23
+_LARGEST = sys.float_info.max
+
+
+def registers_needed(tag: Tag) -> int:
+    """How many 16-bit registers the tag covers (1..). Raises AddressError for a bit or a length that cannot be."""
+    if tag.bit is not None:
+        if tag.dtype not in _BIT_HOLDERS:
+            raise AddressError(f"{tag.name}: one bit is of dtype bool, not {tag.dtype}")
+        if not 0 <= tag.bit <= 15:
+            raise AddressError(f"{tag.name}: bit {tag.bit} is not in a register, which has bits 0 to 15")
+    if tag.scale == 0.0 or not (math.isfinite(tag.scale) and math.isfinite(tag.offset)):
+        raise AddressError(f"{tag.name}: scale {tag.scale} and offset {tag.offset} must be finite, and scale not 0")
+    if tag.dtype is DType.STRING:
+        if tag.length < 1:
+            raise AddressError(f"{tag.name}: a string needs its length in bytes (length = 1 or more)")
+        return (tag.length + 1) // 2
+    return _REGISTERS[tag.dtype]
+
+
+def decode(tag: Tag, registers: Sequence[int]) -> Reading:
+    """Give the tag's engineering value, its quality and, unless good, the reason.
+
+    `registers` are exactly the tag's own (0..65535 each; a coil or discrete input is one of 0 or 1). An integer type
+    with scale 1 and offset 0 gives int, any other number float. OUT_OF_RANGE keeps the value; NO_DATA (sentinel),
+    SENSOR_FAILURE (NaN, infinite) and DECODING_ERROR (not a code of this type) give None.
+    """
+    needed = registers_needed(tag)
+    if len(registers) != needed:
+        return None, Quality.DECODING_ERROR, f"{len(registers)} registers for a {tag.dtype}, which has {needed}"
+    payload = _in_order(tag, registers)
+    if tag.dtype is DType.STRING:
+        return _text(payload[: tag.length]), Quality.GOOD, ""
+    if tag.bit is not None or tag.dtype is DType.BOOL:
+        return _boolean(tag, int.from_bytes(payload, "big"))
+    return _number(tag, payload)
+
+
+def judge(tag: Tag, value: Value) -> tuple[Quality, str]:
+    """Give the quality of an engineering value by the tag's range and labels: GOOD or OUT_OF_RANGE, with the reason."""
+    if isinstance(value, bool | str):
+        return Quality.GOOD, ""
+    if (limit := _broken_limit(tag, value)) is not None:
+        return Quality.OUT_OF_RANGE, f"{value:.6g} {tag.unit}".rstrip() + f" is {limit}"
+    if tag.labels and value not in tag.labels:
+        return Quality.OUT_OF_RANGE, f"{value} is not one of the labelled values {_list(tag.labels)}"
+    return Quality.GOOD, ""
+
+
+def encode(tag: Tag, value: Value) -> list[int]:
+    """Give the registers that hold the engineering value, rounded to the tag's resolution.
+
+    A labelled value may be given by its label. Raises EncodingError for a wrong type, a value out of the type's or the
+    tag's range, NaN or infinity, a number that would read as "not available", and one bit of a register.
+    """
+    registers_needed(tag)
+    if tag.bit is not None:
+        raise EncodingError(f"{tag.name}: one bit of a register cannot be written without touching the other fifteen")
+    if tag.dtype is DType.STRING:
+        payload = _text_bytes(tag, value)
+    elif tag.dtype is DType.BOOL:
+        payload = _boolean_bytes(tag, value)
+    else:
+        payload = _number_bytes(tag, value)
+    return _from_order(tag, payload)
+
+
+# ---------------------------------------------------------------- order
+
+
+def _in_order(tag: Tag, registers: Sequence[int]) -> bytes:
+    """The registers' bytes, most significant first; text and single registers know no word order."""
+    words = reversed(registers) if _swaps_words(tag) else registers
+    return struct.pack(f"{_endian(tag)}{len(registers)}H", *words)
+
+
+def _from_order(tag: Tag, payload: bytes) -> list[int]:
+    words = struct.unpack(f"{_endian(tag)}{len(payload) // 2}H", payload)
+    return list(reversed(words)) if _swaps_words(tag) else list(words)
+
+
+def _endian(tag: Tag) -> str:
+    return "<" if tag.order in _SWAPPED_BYTES else ">"
+
+
+def _swaps_words(tag: Tag) -> bool:
+    return tag.order in _SWAPPED_WORDS and tag.dtype is not DType.STRING
+
+
+# ---------------------------------------------------------------- text and bits
+
+
+def _text(payload: bytes) -> str:
+    return payload.split(b"\0", 1)[0].decode("latin-1").rstrip(" ")
+
+
+def _text_bytes(tag: Tag, value: Value) -> bytes:
+    if not isinstance(value, str):
+        raise EncodingError(f"{tag.name}: {value!r} is not text")
+    try:
+        text = value.encode("latin-1")
+    except UnicodeEncodeError as error:
+        raise EncodingError(f"{tag.name}: {value[error.start]!r} is not a Latin-1 character") from None
+    if len(text) > tag.length:
+        raise EncodingError(f"{tag.name}: {len(text)} characters do not fit in {tag.length}")
+    if b"\0" in text:
+        raise EncodingError(f"{tag.name}: a NUL character would cut the text short")
+    return text.ljust(2 * registers_needed(tag), b"\0")
+
+
+def _boolean(tag: Tag, register: int) -> Reading:
+    if tag.sentinel is not None and register == tag.sentinel:
+        return None, Quality.NO_DATA, _not_available(tag)
+    return bool(register >> tag.bit & 1 if tag.bit is not None else register), Quality.GOOD, ""
+
+
+def _boolean_bytes(tag: Tag, value: Value) -> bytes:
+    if isinstance(value, str) or value not in (0, 1):
+        raise EncodingError(f"{tag.name}: {value!r} is not a bool")
+    return struct.pack(">H", int(value))
+
+
+# ---------------------------------------------------------------- numbers
+
+
+def _number(tag: Tag, payload: bytes) -> Reading:
+    raw, reason = _RAW[tag.dtype](tag, payload)
+    if raw is None:
+        return None, Quality.DECODING_ERROR, reason
+    if _is_sentinel(tag, raw):
+        return None, Quality.NO_DATA, _not_available(tag)
+    if not math.isfinite(raw):
+        return None, Quality.SENSOR_FAILURE, f"the device sent {raw}"
+    value = raw if tag.scale == 1.0 and tag.offset == 0.0 else raw * tag.scale + tag.offset
+    if not math.isfinite(value):
+        return None, Quality.DECODING_ERROR, f"{raw} times scale {tag.scale} is beyond any number"
+    return value, *judge(tag, value)
+
+
+def _number_bytes(tag: Tag, value: Value) -> bytes:
+    number = _plain_number(tag, value)
+    if (limit := _broken_limit(tag, number)) is not None:
+        raise EncodingError(f"{tag.name}: {number:.6g} {tag.unit}".rstrip() + f" is {limit}")
+    if tag.labels and number not in tag.labels:
+        raise EncodingError(f"{tag.name}: {value!r} is not one of the labelled values {_list(tag.labels)}")
+    plain = tag.scale == 1.0 and tag.offset == 0.0
+    raw = number if plain else (number - tag.offset) / tag.scale
+    if abs(raw) > _LARGEST:
+        raise EncodingError(f"{tag.name}: {value!r} is beyond any number that a device holds")
+    payload = _float_bytes(tag, float(raw)) if tag.dtype in _FLOATS else _integer_bytes(tag, round(raw))
+    stored, _ = _RAW[tag.dtype](tag, payload)
+    if stored is not None and _is_sentinel(tag, stored):
+        raise EncodingError(f'{tag.name}: {value!r} is stored as {tag.sentinel}, which says "not available"')
+    return payload
+
+
+def _plain_number(tag: Tag, value: Value) -> int | float:
+    if isinstance(value, str) and value in tag.labels.values():
+        return next(number for number, label in tag.labels.items() if label == value)
+    if isinstance(value, bool | str):
+        raise EncodingError(f"{tag.name}: {value!r} is not a number, which a {tag.dtype} needs")
+    if abs(value) <= _LARGEST:
+        return value
+    raise EncodingError(f"{tag.name}: it must be a finite number, not {value!r}")
+
+
+def _float_bytes(tag: Tag, raw: float) -> bytes:
+    try:
+        return struct.pack(_FLOATS[tag.dtype], raw)
+    except OverflowError:
+        raise EncodingError(f"{tag.name}: {raw:.6g} is beyond a {tag.dtype}") from None
+
+
+def _integer_bytes(tag: Tag, raw: int) -> bytes:
+    low, high = _raw_range(tag.dtype)
+    if not low <= raw <= high:
+        raise EncodingError(f"{tag.name}: it would be stored as {raw}, and a {tag.dtype} holds {low} to {high}")
+    if tag.dtype in _BCD_DIGITS:
+        return int(str(raw), 16).to_bytes(_BCD_DIGITS[tag.dtype] // 2, "big")
+    bits, _ = _INTEGERS[tag.dtype]
+    return (raw % (1 << bits)).to_bytes(max(2, bits // 8), "big")
+
+
+def _raw_range(dtype: DType) -> tuple[int, int]:
+    if dtype in _BCD_DIGITS:
+        return 0, 10 ** _BCD_DIGITS[dtype] - 1
+    bits, signed = _INTEGERS[dtype]
+    return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
+
+
+def _raw_integer(tag: Tag, payload: bytes) -> tuple[int | float | None, str]:
+    bits, signed = _INTEGERS[tag.dtype]
+    return int.from_bytes(payload[-1:] if bits == 8 else payload, "big", signed=signed), ""
+
+
+def _raw_float(tag: Tag, payload: bytes) -> tuple[int | float | None, str]:
+    (number,) = struct.unpack(_FLOATS[tag.dtype], payload)
+    return float(number), ""
+
+
+def _raw_bcd(tag: Tag, payload: bytes) -> tuple[int | float | None, str]:
+    digits = payload.hex()
+    if digits.isdecimal():
+        return int(digits), ""
+    # A pattern that is no number can still be the device's sign for "not available" (0xFFFF).
+    pattern = int(digits, 16)
+    return (pattern, "") if pattern == tag.sentinel else (None, f"0x{digits} is not binary-coded decimal")
+
+
+_RAW: dict[DType, Callable[[Tag, bytes], tuple[int | float | None, str]]] = {
+    **dict.fromkeys(_INTEGERS, _raw_integer),
+    **dict.fromkeys(_FLOATS, _raw_float),
+    **dict.fromkeys(_BCD_DIGITS, _raw_bcd),
+}
+
+
+def _is_sentinel(tag: Tag, raw: int | float) -> bool:
+    """True for the number itself and, as manuals print -32768 as 0x8000, for its unsigned pattern."""
+    if tag.sentinel is None:
+        return False
+    if tag.dtype in _INTEGERS and isinstance(raw, int):
+        bits, signed = _INTEGERS[tag.dtype]
+        return raw == tag.sentinel or (signed and raw < 0 and raw + 2**bits == tag.sentinel)
+    return raw == tag.sentinel
+
+
+def _broken_limit(tag: Tag, value: int | float) -> str | None:
+    slack = _LIMIT_SLACK * max(abs(tag.low or 0.0), abs(tag.high or 0.0))
+    if tag.low is not None and value < tag.low - slack:
+        return f"below the lowest plausible value {tag.low:g}"
+    if tag.high is not None and value > tag.high + slack:
+        return f"above the highest plausible value {tag.high:g}"
+    return None
+
+
+def _not_available(tag: Tag) -> str:
+    return f'the device says "not available" ({tag.sentinel})'
+
+
+def _list(labels: Mapping[int, str]) -> str:
+    return ", ".join(f"{number} ({label})" for number, label in labels.items())

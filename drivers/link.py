@@ -1,0 +1,222 @@
+"""One owner for one connection: connect within a deadline, back off, notice a dead peer, reopen.
+
+It knows no protocol: it is given `connect` and `disconnect`, and is told how each exchange went. Times are seconds.
+"""
+
+import asyncio
+import random
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from drivers.errors import DriverError, LinkDown
+
+C = TypeVar("C")
+
+
+@dataclass(frozen=True, slots=True)
+class Backoff:
+    """Pause before the next attempt: `first`, doubling up to `cap`, each times 1 - jitter .. 1 + jitter.
+
+    The default cap keeps the promise of a reconnection within 1 s of the peer's return: cap * (1 + jitter) and one
+    connect deadline of 0.3 s are 0.9 s together.
+    """
+
+    first: float = 0.2
+    cap: float = 0.5
+    jitter: float = 0.2
+
+    def delay(self, failures: int, rng: random.Random) -> float:
+        """The pause after `failures` (1..) failed attempts in a row."""
+        plain = min(self.cap, self.first * 2.0 ** min(failures - 1, 30))
+        return plain * (1.0 + self.jitter * rng.uniform(-1.0, 1.0))
+
+    @property
+    def longest(self) -> float:
+        """No pause is longer."""
+        return self.cap * (1.0 + self.jitter)
+
+
+@dataclass(frozen=True, slots=True)
+class DeadPeer:
+    """When a silent peer is given up: so many failed exchanges in a row, or so long asked without a valid reply."""
+
+    max_failures: int = 3
+    max_silence: float = 2.0
+
+
+class Link(Generic[C]):
+    """Keeps one connection up between `open` and `close`, by one task of its own.
+
+    `connect` makes a connection or raises DriverError or OSError; it is cancelled at `connect_deadline`. `disconnect`
+    lets one go, at once. The user of the link takes `connection`, and reports each exchange over it with `answered`,
+    `failed` or `lost`; reports about a connection that was already replaced are ignored.
+    """
+
+    def __init__(
+        self,
+        connect: Callable[[], Awaitable[C]],
+        disconnect: Callable[[C], None],
+        *,
+        connect_deadline: float,
+        backoff: Backoff,
+        dead_peer: DeadPeer,
+        seed: int,
+    ) -> None:
+        self._connect = connect
+        self._disconnect = disconnect
+        self._connect_deadline = connect_deadline
+        self._backoff = backoff
+        self._dead_peer = dead_peer
+        # Jitter keeps clients of one device apart; nobody needs to be unable to guess it.
+        self._rng = random.Random(seed)  # noqa: S311
+        self._task: asyncio.Task[None] | None = None
+        self._wake = asyncio.Event()
+        self._tried = asyncio.Event()
+        self._connection: C | None = None
+        self._proven = False
+        self._failures = 0
+        self._silence = 0.0
+        self._attempts_in_a_row = 0
+        self._tried_at = 0.0
+        self._reason = "not opened"
+        self._counts = {"attempts": 0, "connects": 0, "losses": 0, "dead_peers": 0}
+
+    # ------------------------------------------------------------ for the owner
+
+    async def open(self) -> None:
+        """Start and wait for the first attempt. Raises LinkDown if it failed; the link goes on trying."""
+        if self._task is None:
+            self._tried.clear()
+            self._attempts_in_a_row = 0
+            self._task = asyncio.create_task(self._supervise(), name="link supervisor")
+        await self._tried.wait()
+        if self._connection is None:
+            raise LinkDown(self._reason)
+
+    async def close(self) -> None:
+        """Stop trying and let the connection go. May be called twice, and before `open`."""
+        task, self._task = self._task, None
+        if task is not None:
+            task.cancel()
+            await asyncio.wait({task})
+        self._drop("closed")
+        self._tried.set()
+
+    def wake(self) -> None:
+        """Try at once instead of waiting for the end of the pause."""
+        self._wake.set()
+
+    # ------------------------------------------------------------ for the user
+
+    @property
+    def connection(self) -> C | None:
+        """The connection, or None while there is none."""
+        return self._connection
+
+    @property
+    def proven(self) -> bool:
+        """True while the present connection has given a valid reply and no exchange since has failed the rule."""
+        return self._connection is not None and self._proven
+
+    @property
+    def reason(self) -> str:
+        """Why there is no connection, in words; empty while there is one."""
+        return self._reason
+
+    @property
+    def connects(self) -> int:
+        """How many connections have been made: it tells one from the next."""
+        return self._counts["connects"]
+
+    def patience(self, deadline: float) -> float:
+        """How long to wait for this reply: the deadline, or less where the rule's silence ends before it."""
+        return max(0.0, min(deadline, self._dead_peer.max_silence - self._silence))
+
+    def answered(self, connection: C) -> None:
+        """A valid reply has come over this connection."""
+        if connection is self._connection:
+            self._proven = True
+            self._failures = self._attempts_in_a_row = 0
+            self._silence = 0.0
+
+    def failed(self, connection: C, waited: float, reason: str) -> None:
+        """An exchange gave no valid reply after `waited` seconds; by the dead-peer rule this may end the connection."""
+        if connection is not self._connection:
+            return
+        self._failures += 1
+        self._silence += waited
+        rule = self._dead_peer
+        if self._failures >= rule.max_failures or self._silence >= rule.max_silence - 1e-3:
+            self._counts["dead_peers"] += 1
+            count = "1 exchange" if self._failures == 1 else f"{self._failures} exchanges in a row"
+            self._drop(f"the peer is dead: {count} without a valid reply, {self._silence:.2f} s waited ({reason})")
+
+    def lost(self, connection: C, reason: str) -> None:
+        """This connection is gone or no longer usable."""
+        if connection is self._connection:
+            self._drop(reason)
+
+    def statistics(self) -> Mapping[str, float]:
+        """Counters: connection attempts, connections made, losses, and how many of those were dead peers."""
+        return dict(self._counts)
+
+    # ------------------------------------------------------------ the one task
+
+    async def _supervise(self) -> None:
+        # `close` forgets the task before it cancels it: a cancellation that arrives in the very step in which a
+        # connection is made is swallowed by asyncio.wait_for of Python 3.11.
+        while self._task is not None:
+            if self._connection is not None:
+                await self._wake.wait()
+            elif self._attempts_in_a_row:
+                await self._pause(self._tried_at + self._backoff.delay(self._attempts_in_a_row, self._rng))
+                await self._attempt()
+            else:
+                await self._attempt()
+            self._wake.clear()
+            self._tried.set()
+
+    async def _attempt(self) -> None:
+        self._counts["attempts"] += 1
+        self._attempts_in_a_row += 1
+        try:
+            async with asyncio.timeout(self._connect_deadline):
+                connection = await self._connect()
+        except TimeoutError:
+            self._reason = f"no connection within {self._connect_deadline:g} s"
+        except (DriverError, OSError) as error:
+            self._reason = str(error)
+        else:
+            self._take(connection)
+        self._tried_at = asyncio.get_running_loop().time()
+
+    def _take(self, connection: C) -> None:
+        self._connection = connection
+        self._counts["connects"] += 1
+        self._proven = False
+        self._failures = 0
+        self._silence = 0.0
+        self._reason = ""
+
+    async def _pause(self, until: float) -> None:
+        """Wait for the loop's time or for `wake`: what a silent connection has lasted is not waited again."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout_at(until):
+                await self._wake.wait()
+
+    def _drop(self, reason: str) -> None:
+        """Let the connection go and wake the supervisor, which tries again.
+
+        After a connection that had worked it tries at once. One that never gave a valid reply was a failed attempt like
+        any other, or a peer that accepts and closes would be called in a tight loop.
+        """
+        connection, self._connection = self._connection, None
+        self._reason = reason
+        if connection is None:
+            return
+        self._counts["losses"] += 1
+        self._proven = False
+        self._disconnect(connection)
+        self._wake.set()

@@ -1,0 +1,113 @@
+"""Does this reply answer that request? Modbus TCP frames checked byte by byte, before any library decodes them (pure).
+
+pymodbus accepts any number of registers, any function and any echo; what is refused here never reaches it. Clauses are
+those of the MODBUS Application Protocol V1.1b3 and of MODBUS Messaging on TCP/IP V1.0b.
+"""
+
+import struct
+from dataclasses import dataclass
+
+from drivers.errors import DeviceException, ReplyMismatch
+from drivers.tag import Quality
+
+_SHORTEST, _LONGEST = 3, 254  # the length field: unit, function and at least one byte; a PDU has at most 253 bytes
+_TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input", 15: "coil", 16: "holding"}
+_REGISTERS, _WRITES = frozenset({3, 4}), frozenset({15, 16})
+
+# V1.1b3 section 7: what the device says, and what that makes of a reading.
+EXCEPTIONS: dict[int, tuple[str, Quality]] = {
+    1: ("illegal function: the device does not offer this table or operation", Quality.CONFIGURATION_ERROR),
+    2: ("illegal data address: an address of the request does not exist", Quality.CONFIGURATION_ERROR),
+    3: (
+        "illegal data value: the device does not take a request of this length or content",
+        Quality.CONFIGURATION_ERROR,
+    ),
+    4: ("server device failure: the device failed while it answered", Quality.DEVICE_FAILURE),
+    5: ("acknowledge: the device has accepted and needs longer", Quality.NO_DATA),
+    6: ("server device busy: ask again later", Quality.NO_DATA),
+    8: ("memory parity error", Quality.DEVICE_FAILURE),
+    10: ("gateway path unavailable: the gateway has no way to this unit", Quality.NO_COMMUNICATION),
+    11: ("gateway target device failed to respond: the unit behind the gateway is silent", Quality.NO_COMMUNICATION),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a request asked for, read from its own bytes."""
+
+    transaction: int
+    unit: int
+    function: int
+    address: int
+    count: int
+
+    def __str__(self) -> str:
+        return f"{_TABLES[self.function]}:{self.address} count {self.count}"
+
+
+def asked(request: bytes) -> Asked:
+    """Read a request of function 1 to 4, 15 or 16."""
+    transaction, _, _, unit, function, address, count = struct.unpack(">HHHBBHH", request[:12])
+    return Asked(transaction, unit, function, address, count)
+
+
+def split_frames(stream: bytes) -> tuple[list[bytes], bytes]:
+    """Cut a received stream into whole frames and the incomplete rest.
+
+    Raises ReplyMismatch if a header cannot be one (protocol id, length): from there on nothing can be told apart.
+    """
+    frames: list[bytes] = []
+    while len(stream) >= 6:
+        _, protocol, length = struct.unpack(">HHH", stream[:6])
+        if protocol != 0 or not _SHORTEST <= length <= _LONGEST:
+            raise ReplyMismatch(f"what arrives is not Modbus TCP (protocol id {protocol}, length {length})")
+        if len(stream) < 6 + length:
+            break
+        frames.append(stream[: 6 + length])
+        stream = stream[6 + length :]
+    return frames, stream
+
+
+def check_reply(request: Asked, reply: bytes) -> None:
+    """Pass if the frame answers the request in unit, function, length and count or echo.
+
+    The transaction id has been compared before: a reply to another request is no mismatch, it is merely late. Raises
+    ReplyMismatch, or DeviceException if the device refuses.
+    """
+    unit, function, body = reply[6], reply[7], reply[8:]
+    if unit != request.unit:
+        raise ReplyMismatch(f"{request}: the reply is from unit {unit} and unit {request.unit} was asked")
+    if function == request.function | 0x80:
+        raise _refusal(request, body)
+    if function != request.function:
+        raise ReplyMismatch(f"{request}: the reply is of function {function} and {request.function} was asked")
+    if function in _WRITES:
+        _check_echo(request, body)
+    else:
+        _check_count(request, body)
+
+
+def _refusal(request: Asked, body: bytes) -> DeviceException | ReplyMismatch:
+    if len(body) != 1:
+        return ReplyMismatch(f"{request}: an exception reply has 1 byte, not {len(body)}")
+    sentence, _ = EXCEPTIONS.get(body[0], ("a code that the standard does not know", Quality.BAD))
+    return DeviceException(body[0], f"{request}: exception {body[0]}, {sentence}")
+
+
+def _check_count(request: Asked, body: bytes) -> None:
+    expected = 2 * request.count if request.function in _REGISTERS else (request.count + 7) // 8
+    if body[0] != expected or len(body) - 1 != expected:
+        raise ReplyMismatch(
+            f"{request}: {expected} bytes were asked, the reply announces {body[0]} and has {len(body) - 1}"
+        )
+
+
+def _check_echo(request: Asked, body: bytes) -> None:
+    expected = struct.pack(">HH", request.address, request.count)
+    if body != expected:
+        raise ReplyMismatch(f"{request}: the device confirms {body.hex()} instead of {expected.hex()}")
+
+
+def quality_of(code: int) -> Quality:
+    """What a device exception makes of a reading."""
+    return EXCEPTIONS.get(code, ("", Quality.BAD))[1]

@@ -1,0 +1,210 @@
+"""One TCP connection to a Modbus device: pymodbus 3.16.1 behind our own verification of every received byte.
+
+pymodbus builds the requests, numbers them, moves the bytes and decodes the replies. It hands every received byte to
+`trace_packet` first; there the stream is cut into frames, and only a frame that answers the outstanding request goes
+on to the library. That hook, `trace_connect` and the transport behind `client.ctx` are all that is used beyond its
+everyday interface; tests/drivers/test_pymodbus_contract.py fails if they change.
+"""
+
+import asyncio
+import socket
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from pymodbus.client import AsyncModbusTcpClient
+from pymodbus.exceptions import ModbusException
+from pymodbus.pdu import ModbusPDU
+from pymodbus.pdu.bit_message import ReadCoilsRequest, ReadDiscreteInputsRequest, WriteMultipleCoilsRequest
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadInputRegistersRequest,
+    WriteMultipleRegistersRequest,
+)
+
+from drivers.driver import Clock
+from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.modbus_address import Area
+from drivers.modbus_verify import Asked, asked, check_reply, split_frames
+
+# More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line.
+_FLOOD = 65536
+# pymodbus times nothing here: every exchange and every connect has a deadline of ours, and it must not fire first.
+_NEVER = 3600.0
+
+_READS: dict[Area, type[ModbusPDU]] = {
+    Area.COIL: ReadCoilsRequest,
+    Area.DISCRETE: ReadDiscreteInputsRequest,
+    Area.INPUT: ReadInputRegistersRequest,
+    Area.HOLDING: ReadHoldingRegistersRequest,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The registers (or bits as 0 and 1) of one reply, with the moments of sending and of complete reception."""
+
+    words: tuple[int, ...]
+    sent: float
+    received: float
+
+
+def read_request(area: Area, start: int, count: int, unit: int) -> ModbusPDU:
+    """The request that reads `count` addresses of a table."""
+    return _READS[area](address=start, count=count, dev_id=unit)
+
+
+def write_request(area: Area, start: int, words: Sequence[int], unit: int) -> ModbusPDU:
+    """The one request (function 16, for coils 15) that writes all words."""
+    if area is Area.COIL:
+        return WriteMultipleCoilsRequest(address=start, bits=[bool(word) for word in words], dev_id=unit)
+    return WriteMultipleRegistersRequest(address=start, registers=list(words), dev_id=unit)
+
+
+class Wire:
+    """A connection, from `connect` to `abandon`, for one exchange at a time. `on_lost` hears why it broke."""
+
+    def __init__(self, host: str, port: int, *, clock: Clock, on_lost: Callable[[str], None]) -> None:
+        self._clock = clock
+        self._on_lost = on_lost
+        self._client = AsyncModbusTcpClient(
+            host,
+            port=port,
+            retries=0,
+            reconnect_delay=0,
+            timeout=_NEVER,
+            trace_packet=self._inspect,
+            trace_connect=self._connection_changed,
+        )
+        self._client.ctx.max_buffer_size = 2 * _FLOOD
+        self._request: Asked | None = None
+        self._verdict: asyncio.Future[DriverError] | None = None
+        self._sent = self._received = 0.0
+        self._stream = b""
+        self._seen = 0
+        self.foreign = 0
+
+    async def connect(self) -> None:
+        """Connect; the caller sets the deadline by cancelling. Raises LinkDown with the system's own reason."""
+        parameters = self._client.comm_params
+        try:
+            # Not client.connect(): that one answers False and keeps the reason to itself.
+            await self._client.ctx.call_create()
+        except (OSError, UnicodeError) as error:  # UnicodeError: a host name that DNS cannot even be asked for
+            self._client.close()
+            reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+            raise LinkDown(f"{parameters.host}:{parameters.port} does not connect: {reason}") from error
+        except asyncio.CancelledError:
+            self._client.close()
+            raise
+
+    @property
+    def alive(self) -> bool:
+        """False once the connection is gone. True says nothing about the peer."""
+        return bool(self._client.connected)
+
+    def abandon(self) -> None:
+        """Close at once. What an unanswered request left in the send buffer is discarded, not delivered late."""
+        transport = self._client.ctx.transport
+        if isinstance(transport, asyncio.Transport):
+            raw = transport.get_extra_info("socket")
+            if self._request is not None and raw is not None:
+                raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            transport.abort()
+        self._client.close()
+
+    async def ask(self, request: ModbusPDU, deadline: float) -> Reply:
+        """Send the request once and wait up to `deadline` seconds for the reply that answers it.
+
+        Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the connection breaks or cannot be
+        understood any more (then `alive` is False).
+        """
+        verdict = self._verdict = asyncio.get_running_loop().create_future()
+        foreign, self._request = self.foreign, None
+        try:
+            exchange = asyncio.ensure_future(self._client.execute(False, request))
+        except ModbusException as error:
+            raise LinkDown(f"the connection is closed ({error.string})") from error
+        try:
+            await asyncio.wait({exchange, verdict}, timeout=deadline, return_when=asyncio.FIRST_COMPLETED)
+            if verdict.done():
+                raise verdict.result()
+            if not exchange.done():
+                others = self.foreign - foreign
+                dropped = f" ({others} with another transaction id dropped)" if others else ""
+                raise ReplyTimeout(f"{self._request}: no reply within {deadline:.3g} s{dropped}")
+            return self._reply(exchange.result())
+        finally:
+            self._verdict = None
+            exchange.cancel()
+
+    def _reply(self, pdu: ModbusPDU) -> Reply:
+        count = self._request.count if self._request else 0
+        words = tuple(int(word) for word in (pdu.registers or pdu.bits)[:count])
+        self._request = None
+        return Reply(words, self._sent, self._received)
+
+    # ------------------------------------------------------------ called by pymodbus
+
+    def _inspect(self, sending: bool, data: bytes) -> bytes:
+        """Note what is sent; of what is received let through only the frame that was waited for.
+
+        On reception `data` is pymodbus's whole buffer, which it empties before each send and from which it then cuts
+        as many bytes as it was given back here. The stream is framed apart from that, so that a late reply whose first
+        half came before a new request and whose second half comes after is still recognised.
+        """
+        if sending:
+            self._request, self._sent, self._seen = asked(data), self._clock(), 0
+            return data
+        self._stream += data[self._seen :]
+        passed = self._passed()
+        self._seen = len(data) - len(passed)
+        if self._seen > _FLOOD:
+            self._break("the peer floods the line with frames that nobody asked for")
+        return passed
+
+    def _passed(self) -> bytes:
+        try:
+            frames, self._stream = split_frames(self._stream)
+        except ReplyMismatch as error:
+            self._break(str(error))
+            return b""
+        passed = b""
+        for frame in frames:
+            request = self._request
+            if passed or request is None or not self._is_awaited(request, frame):
+                self.foreign += 1
+            else:
+                passed = self._checked(request, frame)
+        return passed
+
+    def _is_awaited(self, request: Asked, frame: bytes) -> bool:
+        waiting = self._verdict is not None and not self._verdict.done()
+        return waiting and request.transaction == int.from_bytes(frame[:2], "big")
+
+    def _checked(self, request: Asked, frame: bytes) -> bytes:
+        """The frame if it answers the request; otherwise the exchange ends with what is wrong."""
+        self._received = self._clock()
+        try:
+            check_reply(request, frame)
+        except (ReplyMismatch, DeviceException) as error:
+            self._request = None
+            self._fail(error)
+            return b""
+        return frame
+
+    def _connection_changed(self, connected: bool) -> None:
+        if connected:
+            return
+        where = " in the middle of a reply" if self._stream else ""
+        self._fail(LinkDown(f"the peer closed the connection{where}"))
+        self._on_lost(f"the peer closed the connection{where}")
+
+    def _break(self, reason: str) -> None:
+        self.abandon()
+        self._fail(LinkDown(reason))
+        self._on_lost(reason)
+
+    def _fail(self, error: DriverError) -> None:
+        if self._verdict is not None and not self._verdict.done():
+            self._verdict.set_result(error)

@@ -1,0 +1,20 @@
+"""`decanter emulate`: the software PLC, as a process of its own."""
+
+import os
+import sys
+
+import click
+
+
+@click.command(
+    context_settings={"ignore_unknown_options": True, "help_option_names": []},
+    add_help_option=False,
+)
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+def emulate(arguments: tuple[str, ...]) -> None:
+    """Start the software PLC; all arguments are its own (try `decanter emulate --help`).
+
+    This process becomes the PLC's, so that signals and exit codes are the PLC's too.
+    """
+    sys.stdout.flush()
+    os.execv(sys.executable, [sys.executable, "-m", "sim.plc", *arguments])

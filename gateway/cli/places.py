@@ -1,0 +1,17 @@
+"""Where the shipped data lie: the `config` folder of a checkout, or its copy inside an installed package."""
+
+from pathlib import Path
+
+
+def config_dir() -> Path:
+    """The folder with plant.toml, devices/, traces/ and models/."""
+    packaged = Path(__file__).parent.parent / "_config"
+    return packaged if packaged.is_dir() else Path(__file__).parent.parent.parent / "config"
+
+
+def shipped(kind: str, name: str) -> Path:
+    """The file called `name` (a path, or a bare name such as `skab`) of `config/<kind>/`; a path that exists wins."""
+    given = Path(name)
+    if given.exists() or given.suffix:
+        return given
+    return config_dir() / kind / f"{name}.toml"

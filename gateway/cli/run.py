@@ -1,0 +1,148 @@
+"""`decanter run` and `decanter check`: the gateway at the plant, and what is wrong with its configuration."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gateway.cli.output import Exit, emit, fail, sentences, table
+from gateway.cli.places import config_dir
+
+if TYPE_CHECKING:
+    from gateway.clock import PlantClock
+    from gateway.config import Config
+
+
+def _config_option(command: Any) -> Any:
+    return click.option(
+        "--config",
+        "path",
+        type=click.Path(path_type=Path),
+        default=lambda: config_dir() / "plant.toml",
+        show_default="config/plant.toml",
+        help="The gateway's configuration (TOML).",
+    )(command)
+
+
+@click.command()
+@_config_option
+@click.option("--host", help="Instead of device.host.")
+@click.option("--port", type=click.IntRange(1, 65535), help="Instead of device.port.")
+@click.option(
+    "--clock",
+    "clock_text",
+    metavar="EPOCH,MONOTONIC,SPEED",
+    help="The clock of a replay, as the software PLC announces it.",
+)
+@click.option(
+    "--status", type=click.Path(path_type=Path), help="Rewrite this file with the present state (one line of JSON)."
+)
+@click.option("--quiet", is_flag=True, help="Log to the file only.")
+def run(
+    path: Path, host: str | None, port: int | None, clock_text: str | None, status: Path | None, quiet: bool
+) -> None:
+    """Run the gateway until it is told to stop (SIGTERM or Ctrl-C)."""
+    clock = _clock(clock_text) if clock_text else None
+    speed = clock.speed if clock else None
+    with sentences():
+        from gateway.app import serve
+
+        config = load(path, host, port, speed)
+        last = serve(config, clock=clock, status_path=status, console=not quiet)
+    if last["historian"]["failure"]:
+        fail(f"records could not be stored: {last['historian']['failure']}", Exit.CHECK_FAILED)
+
+
+@click.command()
+@_config_option
+@click.option("--host", help="Instead of device.host.")
+@click.option("--port", type=click.IntRange(1, 65535), help="Instead of device.port.")
+@click.option("--connect", is_flag=True, help="Also read every tag of the PLC once.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
+def check(path: Path, host: str | None, port: int | None, connect: bool, as_json: bool) -> None:
+    """Check a configuration, its register map and its model; with --connect the PLC too."""
+    with sentences():
+        from gateway.startup import load_model
+
+        config = load(path, host, port, None)
+        loaded = load_model(config)
+    facts = {
+        "configuration": str(path),
+        "register map": str(config.map.path),
+        "tags": len(config.map.tags),
+        "driver": config.map.driver,
+        "device": f"{config.device.host}:{config.device.port}",
+        "model": f"{loaded.model.sha.name} {loaded.hash[:12]}"
+        if loaded
+        else "none: threshold alarm and historian only",
+        "write-back": config.writeback.mode,
+        "historian": str(config.historian.path),
+    }
+    rows = _read_once(config) if connect else []
+    bad = [row for row in rows if row["quality"] != "GOOD"]
+    data = {"ok": not bad, **facts, "readings": rows}
+
+    def show() -> None:
+        table("configuration is in order", ("what", "value"), [[name, value] for name, value in facts.items()])
+        if rows:
+            columns = list(rows[0])
+            table(f"{len(rows) - len(bad)} of {len(rows)} tags good", columns, [list(row.values()) for row in rows])
+
+    emit(data, show, as_json_line=as_json)
+    if rows and len(bad) == len(rows):
+        fail(f"no tag could be read: {bad[0]['reason']}", _connection_code(bad))
+    if bad:
+        fail(f"{len(bad)} tags are not good, {bad[0]['tag']} the first: {bad[0]['reason']}", Exit.CHECK_FAILED)
+
+
+def load(path: Path, host: str | None, port: int | None, speed: float | None) -> "Config":
+    """The configuration with what the command line replaces. Raises ConfigError (a ValueError)."""
+    from gateway.config import load_config
+
+    given = {"device.host": host, "device.port": port, "clock.speed": speed}
+    return load_config(path, {key: value for key, value in given.items() if value is not None})
+
+
+def _clock(text: str) -> "PlantClock":
+    from gateway.clock import PlantClock
+
+    try:
+        epoch, start, speed = (float(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r}: give three numbers, EPOCH,MONOTONIC,SPEED", param_hint="--clock") from None
+    if not speed > 0:
+        raise click.BadParameter(f"the speed must be positive, got {speed:g}", param_hint="--clock")
+    return PlantClock(epoch, start, speed)
+
+
+def _read_once(config: "Config") -> list[dict[str, Any]]:
+    import asyncio
+
+    from drivers.errors import DriverError
+    from gateway.clock import plant_clock
+    from gateway.startup import make_driver
+
+    driver = make_driver(config, plant_clock())
+
+    async def read() -> list[dict[str, Any]]:
+        try:
+            await driver.open()
+            samples = await driver.read(config.map.tags)
+        finally:
+            await driver.close()
+        return [
+            {"tag": s.tag, "value": s.value, "unit": tag.unit, "quality": s.quality.name, "reason": s.reason}
+            for tag, s in zip(config.map.tags, samples, strict=True)
+        ]
+
+    try:
+        return asyncio.run(read())
+    except DriverError as error:
+        fail(f"{config.device.host}:{config.device.port}: {error}", Exit.CANNOT_CONNECT)
+
+
+def _connection_code(bad: list[dict[str, Any]]) -> Exit:
+    qualities = {row["quality"] for row in bad}
+    if qualities & {"NOT_CONNECTED", "COMMUNICATION_ERROR"}:
+        return Exit.CANNOT_CONNECT
+    return Exit.TIMEOUT if "TIMEOUT" in qualities else Exit.DEVICE_EXCEPTION

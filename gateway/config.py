@@ -1,0 +1,234 @@
+"""The gateway's configuration: one TOML file, checked whole before anything starts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from gateway.checked import ConfigError, Section, checked, read_toml
+from gateway.devices import DeviceMap, load_device
+
+FilePath = Annotated[Path, Field(strict=False)]
+Names = Annotated[tuple[str, ...], Field(strict=False)]
+Seconds = Annotated[tuple[float, ...], Field(strict=False)]
+
+MAX_ARMED_MINUTES = 480.0
+
+
+class DeviceSection(Section):
+    """Where the device is, and the file of its register map."""
+
+    file: FilePath = Field(description="the path of the register map, relative to this file")
+    host: str = Field("127.0.0.1", min_length=1, description="the PLC's address or name")
+    port: int = Field(502, ge=1, le=65535, description="a TCP port from 1 to 65535")
+    timeout: float = Field(0.5, gt=0, le=60, description="the deadline of one request in seconds, at most 60")
+    heartbeat_period: float = Field(0.0, ge=0, description="the longest time in real seconds between two heartbeats")
+
+
+class ScanSection(Section):
+    """How often the device is read."""
+
+    period: float = Field(1.0, ge=0.01, le=3600, description="the seconds between two scans, 0.01 to 3600")
+
+
+class ModelSection(Section):
+    """The model (a directory of artefacts or one JSON file) and the tag that holds its temperature."""
+
+    path: FilePath | None = Field(None, description="a model directory or a model's JSON file, relative to this file")
+    temperature: str = Field("TCuscinettiRiduttore", description="the tag of the temperature to be predicted")
+
+
+class WritebackSection(Section):
+    """Whether anything is written to the PLC: `off`, `shadow` (computed and logged), `armed` (written)."""
+
+    mode: Literal["off", "shadow", "armed"] = Field("off", description="'off', 'shadow' or 'armed'")
+    armed_by: str = Field("", description="the name of the person who arms")
+    reason: str = Field("", description="why the gateway is armed")
+    minutes: float | None = Field(
+        None, gt=0, le=MAX_ARMED_MINUTES, description=f"for how many minutes, at most {MAX_ARMED_MINUTES:g}"
+    )
+    horizon: float | None = Field(None, gt=0, description="one of forecast.horizons, in seconds")
+
+    @model_validator(mode="after")
+    def _armed_is_signed(self) -> "WritebackSection":
+        if self.mode == "armed":
+            missing = [name for name in ("armed_by", "reason", "minutes") if not getattr(self, name)]
+            if missing:
+                raise ValueError(
+                    f"mode 'armed' also needs {', '.join(missing)}; give a name, a reason and the minutes (at most "
+                    f"{MAX_ARMED_MINUTES:g}), or set mode to 'shadow'"
+                )
+        return self
+
+
+class AlarmSection(Section):
+    """The independent threshold alarm, and when the model's own findings are worth an alarm."""
+
+    limit: float = Field(80.0, description="the alarm limit in degC")
+    deadband: float = Field(2.0, ge=0, description="degC below the limit at which the alarm returns")
+    on_delay: float = Field(0.0, ge=0, description="seconds above the limit before the alarm is raised")
+    off_delay: float = Field(10.0, ge=0, description="seconds below the limit before the alarm returns")
+    tags: Names = Field((), description="the tags of the temperatures to watch")
+    p_limit: float = Field(0.5, gt=0, le=1, description="the probability of passing the limit that is worth an alarm")
+    anomaly: float = Field(3.0, gt=0, description="the anomaly score worth an alarm (3: once in a thousand windows)")
+
+
+class HistorianSection(Section):
+    """The embedded historian."""
+
+    path: FilePath = Field(Path("../out/historian.sqlite"), description="the path of the database file")
+    retention_days: float = Field(90.0, gt=0, description="the days after which measurements are deleted")
+    max_mb: float = Field(4096.0, ge=1, description="the largest size of the file in megabytes, at least 1")
+    max_interval: float = Field(5.0, gt=0, description="seconds after which an unchanged value is stored again")
+
+
+class LogSection(Section):
+    """Structured log: JSON lines to a file."""
+
+    path: FilePath | None = Field(None, description="the path of the log file")
+    level: Literal["debug", "info", "warning", "error"] = Field("info", description="debug, info, warning or error")
+
+
+class ForecastSection(Section):
+    """The fan of what may come: horizons, number of simulated runs, and how often it is made."""
+
+    horizons: Seconds = Field((60.0, 300.0, 900.0), min_length=1, description="ascending seconds, such as [60, 900]")
+    runs: int = Field(500, ge=20, le=100_000, description="the number of runs, 20 to 100000")
+    period: float = Field(10.0, gt=0, description="the plant seconds between two forecasts")
+    seed: int = Field(0, ge=0, description="a whole number from 0")
+
+    @field_validator("horizons")
+    @classmethod
+    def _ascending(cls, horizons: tuple[float, ...]) -> tuple[float, ...]:
+        if any(later <= earlier for earlier, later in zip((0.0, *horizons), horizons, strict=False)):
+            raise ValueError(f"{list(horizons)} must be positive and ascending; give seconds such as [60, 300, 900]")
+        return horizons
+
+
+class ClockSection(Section):
+    """Plant seconds per real second: other than 1 only for replays against a software PLC on this machine."""
+
+    speed: float = Field(1.0, gt=0, le=10_000, description="plant seconds per real second, 1 for a real plant")
+
+
+class _PlantFile(Section):
+    device: DeviceSection = Field(description="a [device] table with file and host")
+    scan: ScanSection = Field(default_factory=ScanSection, description="a [scan] table")
+    model: ModelSection = Field(default_factory=ModelSection, description="a [model] table")
+    writeback: WritebackSection = Field(default_factory=WritebackSection, description="a [writeback] table")
+    alarms: AlarmSection = Field(default_factory=AlarmSection, description="an [alarms] table")
+    historian: HistorianSection = Field(default_factory=HistorianSection, description="a [historian] table")
+    log: LogSection = Field(default_factory=LogSection, description="a [log] table")
+    forecast: ForecastSection = Field(default_factory=ForecastSection, description="a [forecast] table")
+    clock: ClockSection = Field(default_factory=ClockSection, description="a [clock] table")
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """A checked configuration; every path in it is complete. `stamp` is the file's time of change (s)."""
+
+    path: Path
+    stamp: float
+    device: DeviceSection
+    scan: ScanSection
+    model: ModelSection
+    writeback: WritebackSection
+    alarms: AlarmSection
+    historian: HistorianSection
+    log: LogSection
+    forecast: ForecastSection
+    clock: ClockSection
+    map: DeviceMap
+
+    @property
+    def watched(self) -> tuple[str, ...]:
+        """The tags of the temperatures under the threshold alarm."""
+        return self.alarms.tags or (self.model.temperature,)
+
+    @property
+    def block_horizon(self) -> float:
+        """The horizon (s) of the forecast in the block: the configured one, or the longest."""
+        return self.writeback.horizon or self.forecast.horizons[-1]
+
+
+def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Config:
+    """The configuration in `path`, with the register map that it names.
+
+    `overrides` replaces single keys before the check, written `section.key` ({"device.port": 15020}); relative paths
+    in the file are relative to the file, in overrides to the working directory. Raises ConfigError with all that is
+    wrong, one sentence each: file, key, reason, what would be right.
+    """
+    data = _overridden(read_toml(path), overrides or {})
+    content = checked(_PlantFile, data, path)
+    home = path.parent
+    device_file = home / content.device.file
+    device_map = load_device(device_file)
+    problems = _problems(content, device_map, home)
+    if problems:
+        raise ConfigError([f"{path}: {problem}" for problem in problems])
+    historian = content.historian.model_copy(update={"path": home / content.historian.path})
+    log = content.log.model_copy(update={"path": content.log.path and home / content.log.path})
+    model = content.model.model_copy(update={"path": content.model.path and home / content.model.path})
+    device = content.device.model_copy(update={"file": device_file})
+    return Config(
+        path=path,
+        stamp=path.stat().st_mtime,
+        device=device,
+        scan=content.scan,
+        model=model,
+        writeback=content.writeback,
+        alarms=content.alarms,
+        historian=historian,
+        log=log,
+        forecast=content.forecast,
+        clock=content.clock,
+        map=device_map,
+    )
+
+
+def _overridden(data: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    merged = {key: dict(value) if isinstance(value, dict) else value for key, value in data.items()}
+    for key, value in overrides.items():
+        section, _, name = key.partition(".")
+        table = merged.setdefault(section, {})
+        if isinstance(table, dict):
+            table[name] = str(value.absolute()) if isinstance(value, Path) else value
+    return merged
+
+
+def _problems(content: _PlantFile, device: DeviceMap, home: Path) -> list[str]:
+    """What no single key shows: tags that the map lacks, a model that is not there, a speed for a real plant."""
+    tags = {tag.name for tag in device.tags}
+    named = [("model.temperature", content.model.temperature), *(("alarms.tags", tag) for tag in content.alarms.tags)]
+    problems = [
+        f"{key}: {tag!r} is not a tag of {device.path}; give one of its names" for key, tag in named if tag not in tags
+    ]
+    if content.model.path is not None and not (home / content.model.path).exists():
+        problems.append(
+            f"model.path: there is nothing at {home / content.model.path}; give a model directory or JSON file, or "
+            f"leave the key out to run without a model"
+        )
+    if content.writeback.mode != "off" and device.writeback is None:
+        problems.append(f"writeback.mode: {device.path} has no [writeback] table; add one or set mode to 'off'")
+    horizon = content.writeback.horizon
+    if horizon is not None and horizon not in content.forecast.horizons:
+        known = ", ".join(f"{value:g}" for value in content.forecast.horizons)
+        problems.append(f"writeback.horizon: {horizon:g} is not among forecast.horizons; give one of {known}")
+    if content.clock.speed != 1.0 and not _loopback(content.device.host):
+        problems.append(
+            f"clock.speed: {content.clock.speed:g} is only for a software PLC on this machine, and device.host is "
+            f"{content.device.host!r}; set speed to 1"
+        )
+    return problems
+
+
+def _loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False

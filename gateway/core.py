@@ -1,0 +1,246 @@
+"""One scan through the whole gateway: threshold alarm, model, block, records; and what a restart goes on from."""
+
+from structlog.typing import FilteringBoundLogger
+
+from drivers.driver import Driver
+from gateway import records
+from gateway.alarms import Alarm, acknowledge, step, to_plain, word
+from gateway.block import Validity, validity
+from gateway.clock import Clock
+from gateway.config import Config
+from gateway.historian import open_historian
+from gateway.outlook import Outlook, block_values
+from gateway.predict import ZONES, Prediction, Predictor
+from gateway.scan import Scan
+from gateway.startup import LoadedModel, load_model, loaded, make_conditions, make_driver, make_writer, restored_alarms
+from gateway.status import Link, Tally
+from gateway.writeback import Attempt
+from sim.sha.forecast import Forecast
+
+SAVE_SECONDS = 10.0
+_HOUR = 3600.0
+
+
+class Gateway:
+    """All parts, opened (the driver not yet): one scan after another goes through `take`.
+
+    Raises ConfigError or HistorianError when something cannot be opened; nothing is left open then.
+    """
+
+    def __init__(self, config: Config, clock: Clock, log: FilteringBoundLogger, driver: Driver | None = None) -> None:
+        self.config, self.clock, self.log = config, clock, log
+        self.loaded: LoadedModel | None = load_model(config)
+        self.driver = driver or make_driver(config, clock)
+        self.historian, numbers = open_historian(config.historian.path, config.map.tags, max_mb=config.historian.max_mb)
+        opened = False
+        try:
+            self._open(numbers)
+            opened = True
+        finally:
+            if not opened:
+                self.historian.close()
+
+    def _open(self, numbers: dict[str, int]) -> None:
+        config, now = self.config, self.clock.now()
+        self.predictor, self.outlook = self._new_model()
+        watched = self.predictor.inputs if self.predictor else config.watched
+        self.conditions = make_conditions(config, watched)
+        self.alarms = restored_alarms(self.conditions, self.historian, now, self.log)
+        self.writer = make_writer(config, self.clock, self.driver, self.historian, self.log)
+        heartbeat = config.map.heartbeat
+        left_out = frozenset({heartbeat} if heartbeat else ())
+        self.keeper = records.Keeper(config.map.by_name, numbers, config.historian.max_interval, left_out)
+        refusals = config.map.by_name.get("LastRefusal")
+        self.refusals = refusals.labels if refusals else {}
+        self.link, self.tally = Link(), Tally()
+        self.prediction: Prediction | None = None
+        self.last: Scan | None = None
+        self.attempt: Attempt | None = None
+        self.phase = "starting"
+        self._acknowledged: int | None = None
+        self._saved = self._cleaned = now
+        self._restore(now)
+        name = self.loaded.hash if self.loaded else ""
+        run = (now, config.model.temperature, name, config.scan.period, config.historian.max_interval)
+        self.historian.put("runs", [run])
+
+    def _new_model(self) -> tuple[Predictor | None, Outlook | None]:
+        if self.loaded is None:
+            return None, None
+        config = self.config
+        predictor = Predictor(self.loaded.model, config.model.temperature)
+        return predictor, Outlook(predictor, config.forecast, config.alarms.limit, config.scan.period)
+
+    # ---------------------------------------------------------------- one scan
+
+    async def take(self, scan: Scan) -> None:
+        """Do all that a scan brings: the threshold alarm first, then the model, then the block, then the records."""
+        self.last = scan
+        self.tally.scans, self.tally.missed = self.tally.scans + 1, self.tally.missed + scan.missed
+        self._watch_link(scan)
+        self._acknowledge(scan)
+        self._alarm({f"over limit {name}": scan.good(name) for name in self.config.watched}, scan.time)
+        self.historian.put("scans", [records.scan_row(scan)])
+        self.historian.put("samples", self.keeper.rows(scan))
+        made = self._predict(scan)
+        self._alarm(self._findings(scan, made), scan.time)
+        await self._write_back(scan, made)
+        if scan.time - self._saved >= SAVE_SECONDS:
+            self.save(scan.time)
+
+    def _watch_link(self, scan: Scan) -> None:
+        good = any(sample.quality.is_good for sample in scan.samples.values())
+        change = self.link.heard(scan.time, good=good)
+        if change == "lost":
+            reason = next((s.reason for s in scan.samples.values() if s.reason), "")
+            self.log.warning("no good reading any more", time=scan.time, reason=reason)
+        elif change == "back":
+            self.log.info("good readings arrive", time=scan.time, outages=self.link.count)
+
+    def _predict(self, scan: Scan) -> Forecast | None:
+        """Move the model on; the newest forecast that may be used, if any."""
+        predictor, outlook = self.predictor, self.outlook
+        if predictor is None or outlook is None:
+            return None
+        prediction = self.prediction = predictor.step(scan)
+        self.historian.put("predictions", [records.prediction_row(prediction)])
+        self.historian.put("events", records.event_rows(prediction))
+        for event in prediction.events:
+            self.tally.recent.append((event.time, event.symbol, prediction.location))
+            self.log.debug("event", symbol=event.symbol, time=event.time, location=prediction.location)
+        self.tally.events += len(prediction.events)
+        outlook.settle(scan.time, prediction.measured)
+        if prediction.reset:
+            outlook.void()
+        finished = outlook.collect()
+        if finished is not None:
+            self.historian.put("forecasts", records.forecast_rows(finished.forecast, finished.measured))
+        outlook.begin(scan.time, known=prediction.known and prediction.inputs_good, measured=prediction.measured)
+        return outlook.fresh(scan.time) if prediction.known else None
+
+    def _findings(self, scan: Scan, made: Forecast | None) -> dict[str, float | None]:
+        """What the alarms beside the threshold look at; None where it is not known."""
+        p = self.prediction if self.predictor else None
+        if p is None:
+            bad = any(scan.good(name) is None for name in self.config.watched)
+            return {"inputs bad": float(bad)}
+        limit = None if made is None else block_values(made, self.config.block_horizon, scan.time)["p_limit"]
+        return {
+            "predicted over limit": limit,
+            "anomaly": p.anomaly if p.known and p.inputs_good else None,
+            "inputs bad": float(p.worst),
+        }
+
+    def _alarm(self, values: dict[str, float | None], now: float) -> None:
+        for name, value in values.items():
+            before = self.alarms[name]
+            self.alarms[name] = step(self.conditions[name], before, value, now)
+            self._note(before, self.alarms[name], value, now)
+
+    def _acknowledge(self, scan: Scan) -> None:
+        bits = scan.good("AcknowledgeBits")
+        if bits is None:
+            self._acknowledged = None
+            return
+        before = dict(self.alarms)
+        self.alarms = acknowledge(self.conditions, before, self._acknowledged, int(bits), scan.time, "PLC")
+        self._acknowledged = int(bits)
+        for name, alarm in self.alarms.items():
+            self._note(before[name], alarm, None, scan.time)
+
+    def _note(self, before: Alarm, after: Alarm, value: float | None, now: float) -> None:
+        if after.state is before.state:
+            return
+        self.historian.save("alarms", now, {name: to_plain(alarm) for name, alarm in self.alarms.items()})
+        self.historian.put("alarms", [records.alarm_row(after, value, now)])
+        response = self.conditions[after.condition].response if after.active else ""
+        self.log.warning("alarm", condition=after.condition, state=after.state.value, value=value, response=response)
+
+    # ---------------------------------------------------------------- the block
+
+    async def _write_back(self, scan: Scan, made: Forecast | None) -> None:
+        writer = self.writer
+        if writer is None:
+            return
+        writer.heard(scan, self.refusals)
+        if writer.expired(scan.time):
+            await self.withdraw("the arming is over", scan)
+            writer.disarm()
+        p = self.prediction if self.predictor else None
+        state = Validity.NONE
+        if p is not None:
+            state = validity(inputs=p.inputs_good, location=p.known, forecast=made is not None, model=True)
+        self._record(await writer.offer(scan, self._values(scan, p, made), state))
+
+    def _values(self, scan: Scan, p: Prediction | None, made: Forecast | None) -> dict[str, float | None]:
+        """The block's fields; a number that is not known is left out, and the block says so."""
+        values: dict[str, float | None] = {"alarms": float(word(self.conditions, self.alarms)), "zone": 0.0}
+        if p is None or self.loaded is None:
+            bad = any(scan.good(name) is None for name in self.config.watched)
+            return values | {"input_quality": 2.0 if bad else 0.0}
+        values |= {
+            "input_quality": float(p.worst),
+            "age": p.age,
+            "location": float(p.location_index) if p.known else None,
+            "temperature_now": p.mean,
+            "band_low": p.low,
+            "band_high": p.high,
+            "zone": float(ZONES.index(p.zone)),
+            "anomaly": p.anomaly,
+            "model_hash": float(int(self.loaded.hash[-4:], 16)),
+        }
+        return values | (block_values(made, self.config.block_horizon, scan.time) if made else {})
+
+    def _record(self, attempt: Attempt | None) -> None:
+        if attempt is None:
+            return
+        before, self.attempt = self.attempt, attempt
+        self.historian.put("writes", [records.write_row(attempt)])
+        if attempt.latency_ms is not None:
+            self.tally.latencies.append(attempt.latency_ms)
+        if before is None or (before.verdict, before.reason) != (attempt.verdict, attempt.reason):
+            say = self.log.info if attempt.verdict in ("written", "shadow") else self.log.warning
+            say("write-back", verdict=attempt.verdict, reason=attempt.reason, sequence=attempt.block.sequence)
+
+    async def withdraw(self, why: str, scan: Scan | None = None) -> None:
+        """Tell the PLC once, if armed and permitted, that nothing of ours is to be used any more."""
+        scan = scan or self.last
+        if self.writer is None or scan is None or not self.writer.armed:
+            return
+        attempt = await self.writer.withdraw(scan, word(self.conditions, self.alarms))
+        self._record(attempt)
+        verdict = attempt.verdict if attempt else "off"
+        by = self.writer.arming.by if self.writer.arming else ""
+        self.historian.put("audit", [(self.clock.now(), f"validity 0: {verdict}", by, why)])
+
+    # ---------------------------------------------------------------- state
+
+    def save(self, now: float) -> None:
+        """Keep what a restart goes on from, and have old measurements deleted once an hour."""
+        self._saved = now
+        snapshot = self.predictor.snapshot() if self.predictor else None
+        if snapshot is not None and self.loaded is not None and self.outlook is not None:
+            self.historian.save("belief", now, {"model": self.loaded.hash, **snapshot})
+            self.historian.save("bands", now, {"model": self.loaded.hash, "horizons": self.outlook.snapshot()})
+        if now - self._cleaned >= _HOUR:
+            self._cleaned = now
+            self.historian.forget_before(now - self.config.historian.retention_days * 86_400.0)
+
+    def _restore(self, now: float) -> None:
+        predictor, outlook = self.predictor, self.outlook
+        belief, bands = (loaded(self.historian, key, self.log) for key in ("belief", "bands"))
+        if predictor is None or outlook is None or self.loaded is None:
+            return
+        try:
+            if belief is not None and belief[1]["model"] == self.loaded.hash and predictor.restore(belief[1], now):
+                self.log.info("goes on from the saved belief", age=now - belief[0])
+            if bands is not None and bands[1]["model"] == self.loaded.hash:
+                outlook.restore(bands[1]["horizons"])
+        except (KeyError, TypeError, ValueError) as error:
+            self.log.warning("the saved state cannot be used; the model begins anew", reason=repr(error))
+            self.predictor, self.outlook = self._new_model()
+
+    def begin_anew(self) -> None:
+        """After a failure: nothing of the model's state is trusted."""
+        self.predictor, self.outlook = self._new_model()
+        self.prediction = None

@@ -1,0 +1,161 @@
+"""What the demonstration runs on: a model learned from one part of the data, the other part as the PLC's trace."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sim.sha.events import Alphabet, Switch
+from sim.sha.model import Model
+from sim.sha.trace import Trace
+
+LEARN_SHARE = 0.6
+"""Of a recorded trace, the share that the model is learned from; the PLC replays the rest."""
+LEAST_SCAN_S = 0.02
+"""Real seconds that a scan may take at least: below it, two cores cannot carry the PLC and the gateway."""
+MOST_SPEED = 100.0
+PLANT_LIMIT = 80.0
+"""degC: the alarm limit of the plant's bearings."""
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """All files of one demonstration in `folder`, and the figures that its processes need.
+
+    `limit` (degC) is the alarm limit, `speed` plant seconds per real second, `period` the scan's in plant seconds.
+    """
+
+    folder: Path
+    trace: Trace
+    model: Model
+    device: Path
+    plant: Path
+    replay: Path
+    limit: float
+    speed: float
+    period: float
+    notes: tuple[str, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Real seconds that the replay takes."""
+        return float(self.trace.times[-1] - self.trace.times[0]) / self.speed
+
+
+def split(traces: Sequence[Trace], share: float = LEARN_SHARE) -> tuple[list[Trace], Trace]:
+    """The traces up to `share` of all their rows, and the longest piece of what comes after.
+
+    Traces count in the order given; the one in which the share ends is cut there. Raises ValueError when a part would
+    be empty.
+    """
+    budget = share * sum(trace.times.size for trace in traces)
+    before: list[Trace] = []
+    after: list[Trace] = []
+    for trace in traces:
+        rows = trace.times.size
+        if rows <= budget:
+            before.append(trace)
+        elif budget >= 1:
+            cut = float(trace.times[int(budget)])
+            before.append(trace.between(-np.inf, cut))
+            after.append(trace.between(cut, np.inf))
+        else:
+            after.append(trace)
+        budget -= rows
+    after = [trace for trace in after if trace.times.size > 1]
+    if not before or not after:
+        raise ValueError("the trace is too short to learn from one part of it and to replay the other")
+    return before, max(after, key=lambda trace: trace.times.size)
+
+
+def limit_for(training: Sequence[Trace], temperature: str, asked: float | None) -> tuple[float, str]:
+    """The alarm limit (degC) and a sentence when it is not the plant's own."""
+    if asked is not None:
+        return asked, ""
+    hottest = max(float(np.nanmax(trace.signals[temperature])) for trace in training if temperature in trace.signals)
+    if hottest < PLANT_LIMIT:
+        return PLANT_LIMIT, ""
+    limit = round(hottest * 1.05, 1)
+    return limit, (
+        f"the part that was learned from reaches {hottest:.1f} degC, above the bearing limit of {PLANT_LIMIT:g} degC: "
+        f"the limit of this run is {limit:g} degC (give --limit to choose)"
+    )
+
+
+def pace(trace: Trace, seconds: float) -> tuple[float, float]:
+    """(speed, scan period in plant seconds) for a replay of about `seconds` real seconds."""
+    duration = float(trace.times[-1] - trace.times[0])
+    steps = np.diff(trace.times)
+    sampling = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 1.0
+    speed = float(np.clip(duration / seconds, 1.0, MOST_SPEED))
+    return speed, max(round(sampling, 2), round(speed * LEAST_SCAN_S, 2), 0.1)
+
+
+def write_device(trace: Trace, alphabet: Alphabet, units: Mapping[str, str], template: Path, out: Path) -> Path:
+    """A register map for the signals of a foreign trace, with the service registers and the block of `template`.
+
+    Switches and two-valued signals become bits, everything else 32-bit floats with the low word first.
+    """
+    text = template.read_text(encoding="utf-8")
+    head, _, rest = text.partition("[[tags]]")
+    service = rest.index('name = "PlcHeartbeat"')
+    tail = "[[tags]]\n" + rest[service:]
+    switches = {channel.signal for channel in alphabet.channels if isinstance(channel, Switch)}
+    tags, register = [], 1000
+    for name, column in trace.signals.items():
+        seen = column[np.isfinite(column)]
+        if not seen.size:
+            continue
+        two_valued = name in switches or set(np.unique(seen)) <= {0.0, 1.0}
+        kind = 'dtype = "bool"\nbit = 0' if two_valued else 'dtype = "float32"\norder = "CDAB"'
+        unit = json.dumps(units.get(name, ""), ensure_ascii=False)
+        tags.append(f'[[tags]]\nname = {json.dumps(name)}\naddress = "holding:{register}"\n{kind}\nunit = {unit}\n')
+        register += 1 if two_valued else 2
+    out.write_text(head + "\n".join(tags) + "\n" + tail, encoding="utf-8")
+    return out
+
+
+def write_plant(setting_folder: Path, device: Path, temperature: str, limit: float, period: float) -> Path:
+    """The gateway's configuration for the demonstration: armed on loopback, everything in one folder."""
+    path = setting_folder / "plant.toml"
+    path.write_text(
+        f"""# Written by `decanter demo`: a gateway against a software PLC on this machine.
+[device]
+file = {json.dumps(str(device.absolute()))}
+host = "127.0.0.1"
+timeout = 0.3
+heartbeat_period = 0.1
+
+[scan]
+period = {period:g}
+
+[model]
+path = "model"
+temperature = {json.dumps(temperature)}
+
+[writeback]
+mode = "armed"
+armed_by = "decanter demo"
+reason = "demonstration against the software PLC on loopback"
+minutes = 480
+
+[alarms]
+limit = {limit:g}
+
+[historian]
+path = "historian.sqlite"
+
+[log]
+path = "gateway.log.jsonl"
+
+[forecast]
+horizons = [60, 300, 900]
+period = {max(10.0, 5 * period):g}
+""",
+        encoding="utf-8",
+    )
+    return path

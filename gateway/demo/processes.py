@@ -1,0 +1,126 @@
+"""The two processes of the demonstration: started, spoken to, stopped; never left behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from gateway.demo.prepare import Setting
+
+READY_S = 20.0
+"""Real seconds within which a process must be up."""
+
+
+class DemoError(RuntimeError):
+    """A process of the demonstration did not do what it had to; the message says which, and where its words are."""
+
+
+def _environment() -> dict[str, str]:
+    return os.environ | {"PYTHONUNBUFFERED": "1"}
+
+
+class Plc:
+    """The software PLC as a process: commands go to its standard input, answers come as lines of JSON."""
+
+    def __init__(self, process: "subprocess.Popen[str]", ready: Mapping[str, Any]) -> None:
+        self.process, self.ready = process, ready
+
+    @property
+    def pipes(self) -> tuple[IO[str], IO[str]]:
+        """Standard input and output. Raises DemoError when the process has none."""
+        if self.process.stdin is None or self.process.stdout is None:
+            raise DemoError("the software PLC was started without pipes")
+        return self.process.stdin, self.process.stdout
+
+    def command(self, command: str, **arguments: object) -> dict[str, Any]:
+        """Send one command and return the answer. Raises DemoError when it is refused or the process is gone."""
+        put, get = self.pipes
+        try:
+            put.write(json.dumps({"command": command, **arguments}) + "\n")
+            put.flush()
+        except BrokenPipeError:
+            raise DemoError(f"the software PLC is gone (exit code {self.process.poll()})") from None
+        for line in get:
+            answer: dict[str, Any] = json.loads(line)
+            if answer.get("event") == "reply" and answer.get("command") == command:
+                if not answer.get("ok"):
+                    raise DemoError(f"the software PLC refused {command!r}: {answer.get('error')}")
+                return answer
+        raise DemoError(f"the software PLC ended before it answered {command!r}")
+
+
+@contextmanager
+def software_plc(setting: Setting, recording: Path) -> Iterator[Plc]:
+    """Start the PLC with its replay held; terminated on leaving. Raises DemoError when it does not come up."""
+    epoch = float(setting.trace.times[0])
+    arguments = ["--map", setting.device, "--trace", setting.replay, "--record", recording, "--stdin", "--hold"]
+    arguments += ["--speed", repr(setting.speed), "--epoch", repr(epoch)]
+    log = setting.folder / "plc.log"
+    with log.open("w", encoding="utf-8") as complaints:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "sim.plc", *map(str, arguments)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=complaints,
+            text=True,
+            env=_environment(),
+        )
+        try:
+            plc = Plc(process, {})
+            line = plc.pipes[1].readline()
+            if not line:
+                raise DemoError(f"the software PLC did not start; {log} says why")
+            plc.ready = json.loads(line)
+            yield plc
+        finally:
+            stop(process)
+
+
+@contextmanager
+def gateway(setting: Setting, ready: Mapping[str, Any], status: Path) -> Iterator["subprocess.Popen[bytes]"]:
+    """Start the gateway on the PLC's clock; asked to stop on leaving."""
+    clock = f"{ready['epoch']!r},{ready['monotonic']!r},{ready['speed']!r}"
+    arguments = [
+        "run",
+        "--config",
+        setting.plant,
+        "--port",
+        ready["port"],
+        "--clock",
+        clock,
+        "--status",
+        status,
+        "--quiet",
+    ]
+    with (setting.folder / "gateway.out").open("wb") as words:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "gateway.cli.main", *map(str, arguments)],
+            stdin=subprocess.DEVNULL,
+            stdout=words,
+            stderr=subprocess.STDOUT,
+            env=_environment(),
+        )
+        try:
+            yield process
+        finally:
+            stop(process)
+
+
+def stop(process: "subprocess.Popen[Any]", patience_s: float = 10.0) -> int:
+    """Ask a process to end, insist after `patience_s`; returns its exit code."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+    code = process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            pipe.close()
+    return code

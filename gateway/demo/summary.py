@@ -1,0 +1,169 @@
+"""What came out of a demonstration: errors, forecasts against persistence, write-back, outage, judge, picture."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.tag import Quality
+from gateway.demo.prepare import Setting
+from gateway.demo.processes import DemoError
+from gateway.history import events, history, matured, to_trace
+from gateway.quality import STALE_PERIODS
+from gateway.score import Scorecard, scorecard
+from sim.sha.trace import Array
+
+AHEAD_S = 300.0
+"""The horizon (s) that the picture shows."""
+
+
+def judge(setting: Setting, recording: Path, historian: Path) -> dict[str, Any]:
+    """The verdict of the PLC's recording on every reading that the gateway held for good. Raises DemoError.
+
+    A good value may be as old as the gateway's rule allows (three periods), and no older.
+    """
+    trace = to_trace(historian)
+    path = setting.folder / "samples.jsonl"
+    with path.open("w", encoding="utf-8") as lines:
+        for name, column in trace.signals.items():
+            for time, value in zip(trace.times[np.isfinite(column)], column[np.isfinite(column)], strict=True):
+                row = {"tag": name, "value": value, "quality": int(Quality.GOOD), "time": time, "sent": time}
+                lines.write(json.dumps(row) + "\n")
+    tolerance = (STALE_PERIODS + 1) * setting.period
+    command = [sys.executable, "-m", "sim.plc.verdict", str(recording), str(path), "--tolerance", repr(tolerance)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if not done.stdout:
+        raise DemoError(f"the recording could not be judged: {done.stderr.strip()}")
+    verdict: dict[str, Any] = json.loads(done.stdout)
+    return verdict
+
+
+def outage(verdict: Mapping[str, Any], historian: Path, speed: float, temperature: str) -> dict[str, float | None]:
+    """Real seconds from the fault to the first reading that was not good, and from its end to the first good one."""
+    begun = [row["time"] for row in verdict["events"] if row["event"] == "fault began"]
+    ended = [row["time"] for row in verdict["events"] if row["event"] == "fault ended"]
+    if not begun or not ended:
+        return {"detected_s": None, "recovered_s": None}
+    seen = history(historian)
+    good = np.isfinite(seen.measured)
+    return {
+        "detected_s": _first(seen.times[~good], begun[0], speed),
+        "recovered_s": _first(seen.times[good], ended[0], speed),
+    }
+
+
+def _first(times: Array, after: float, speed: float) -> float | None:
+    later = times[times >= after]
+    return float(later[0] - after) / speed if later.size else None
+
+
+def result(setting: Setting, recording: Path, historian: Path, picture: Path) -> dict[str, Any]:
+    """The demonstration's figures as one object; errors in degC."""
+    card = scorecard(historian)
+    verdict = judge(setting, recording, historian)
+    return {
+        "synthetic": setting.trace.synthetic,
+        "trace": setting.trace.name,
+        "model": setting.model.sha.name,
+        "rows": int(setting.trace.times.size),
+        "speed": setting.speed,
+        "events": card.events,
+        "samples": card.samples,
+        "errors": {
+            "free_run": {"rmse": card.free_run.rmse, "mae": card.free_run.mae},
+            "one_step": {"rmse": card.one_step.rmse, "mae": card.one_step.mae},
+        },
+        "forecast": _forecasts(card),
+        "writeback": {
+            "accepted": verdict["blocks_accepted"],
+            "refused": verdict["blocks_refused"],
+            "latency_ms": {"p50": card.writes.p50, "p99": card.writes.p99},
+        },
+        "outage": outage(verdict, historian, setting.speed, setting.model.temperature),
+        "wrong_good": verdict["wrong_good"],
+        "judged": verdict["judged"],
+        "notes": list(setting.notes),
+        "picture": str(picture),
+        "log": str(setting.folder / "gateway.log.jsonl"),
+    }
+
+
+def _forecasts(card: Scorecard) -> dict[str, dict[str, float]]:
+    return {
+        f"{one.horizon:g}": {
+            "mae": one.mae,
+            "persistence_mae": one.persistence_mae,
+            "crps": one.crps,
+            "coverage90": one.coverage90,
+            "count": one.count,
+        }
+        for one in card.forecasts
+    }
+
+
+def sentences(data: Mapping[str, Any]) -> list[str]:
+    """What the figures say, honestly: where persistence wins, it is said."""
+    said = []
+    for horizon, one in data["forecast"].items():
+        if not one["count"]:
+            said.append(f"{float(horizon) / 60:g} min ahead: no forecast matured within the replay")
+            continue
+        wins = "the model is better" if one["mae"] < one["persistence_mae"] else "PERSISTENCE IS BETTER"
+        said.append(
+            f"{float(horizon) / 60:g} min ahead: mean error {one['mae']:.3f} °C, "
+            f"persistence {one['persistence_mae']:.3f} °C ({wins}); the 90 % band held {100 * one['coverage90']:.0f} % of {one['count']} readings"
+        )
+    return said
+
+
+def draw_result(setting: Setting, historian: Path, path: Path) -> Path:
+    """The picture of the run: measured, predicted with band, free run, forecast made five minutes before, events."""
+    from sim.validation.plots import Curve, Picture, draw
+
+    seen, temperature = history(historian), setting.model.temperature
+    measured, known = np.isfinite(seen.measured), np.isfinite(seen.mean)
+    free = np.isfinite(seen.free_run)
+    trace = to_trace(historian)
+    ahead = matured(historian).get(AHEAD_S)
+    picture = Picture(
+        f"decanter demo: {temperature}, {setting.trace.name}",
+        Curve("measured", seen.times[measured], seen.measured[measured]),
+        predicted=Curve("predicted, 90 % band", seen.times[known], seen.mean[known], seen.low[known], seen.high[known]),
+        open_loop=Curve("free run", seen.times[free], seen.free_run[free]),
+        ahead=None
+        if ahead is None
+        else Curve(
+            "forecast 5 min before, 90 % band",
+            ahead.times + AHEAD_S,
+            ahead.quantiles[:, ahead.levels.index(0.5)],
+            ahead.quantiles[:, ahead.levels.index(0.05)],
+            ahead.quantiles[:, ahead.levels.index(0.95)],
+        ),
+        inputs=[
+            Curve(channel.signal, trace.times[there], trace.signals[channel.signal][there])
+            for channel in setting.model.alphabet.channels
+            if channel.signal in trace.signals
+            and (there := np.isfinite(trace.signals[channel.signal])).any()
+            and set(np.unique(trace.signals[channel.signal][there])) - {0.0, 1.0}
+        ],
+        events=events(historian),
+        outages=_outages(seen.times, measured),
+        limit=setting.limit,
+        note="SYNTHETIC: not measured on a plant" if setting.trace.synthetic else setting.trace.origin,
+    )
+    return draw(picture, path)
+
+
+def _outages(times: Array, good: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> list[tuple[float, float]]:
+    """Stretches without a good reading of the temperature, as (start, end)."""
+    if not times.size:
+        return []
+    edges = np.flatnonzero(np.diff(np.concatenate([[1], good.astype(int), [1]])))
+    return [
+        (float(times[start]), float(times[min(end, times.size - 1)]))
+        for start, end in zip(edges[::2], edges[1::2], strict=True)
+    ]

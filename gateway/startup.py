@@ -1,0 +1,168 @@
+"""Opening what the gateway is made of: model, driver, historian, alarms, arming; fails loudly and precisely."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import structlog
+
+from drivers.driver import Driver, Writes, open_driver
+from drivers.errors import DriverError
+from gateway.alarms import Alarm, Condition, from_plain, new_alarm
+from gateway.checked import ConfigError
+from gateway.clock import Clock
+from gateway.config import Config
+from gateway.historian import Historian
+from gateway.predict import Predictor
+from gateway.quality import STALE_PERIODS
+from gateway.writeback import Arming, Writer
+from sim.artefacts.model_json import model_hash
+from sim.artefacts.store import read_model
+from sim.sha.model import Model
+
+_HERE = frozenset({"soft"})
+"""Drivers without an address: everything that they need stands in the device's own file."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedModel:
+    """A model and the SHA-256 of its content."""
+
+    model: Model
+    hash: str
+
+
+def load_model(config: Config) -> LoadedModel | None:
+    """The configured model; None without one. Raises ConfigError when it cannot be read or does not fit the plant."""
+    path = config.model.path
+    if path is None:
+        return None
+    try:
+        model = read_model(path)
+        predictor = Predictor(model, config.model.temperature)
+    except (OSError, ValueError) as error:
+        raise ConfigError([f"{config.path}: model.path: {error}"]) from None
+    problems = []
+    if model.temperature != config.model.temperature:
+        problems.append(
+            f"model.temperature: is {config.model.temperature!r}, and the model at {path} predicts "
+            f"{model.temperature!r}; set it to that, or give a model of {config.model.temperature!r}"
+        )
+    problems += [
+        f"model.path: the model reads {name!r}, no tag of {config.map.path}; add the tag or give another model"
+        for name in predictor.missing(config.map.by_name)
+    ]
+    if problems:
+        raise ConfigError([f"{config.path}: {problem}" for problem in problems])
+    return LoadedModel(model, model_hash(model))
+
+
+def make_driver(config: Config, clock: Clock) -> Driver:
+    """The device's driver, not yet opened, able to write the block and nothing else. Raises ConfigError."""
+    settings: dict[str, Any] = dict(config.map.settings)
+    if config.map.driver not in _HERE:
+        settings |= {"host": config.device.host, "port": config.device.port, "timeout": config.device.timeout}
+    armed = config.writeback.mode == "armed" and config.map.writeback is not None
+    write_map = config.map.writeback.words if armed and config.map.writeback else ()
+    try:
+        return open_driver(config.map.driver, settings, clock=clock.now, write_map=write_map)
+    except DriverError as error:
+        raise ConfigError([f"{config.map.path}: device: {error}"]) from None
+
+
+def make_conditions(config: Config, inputs: tuple[str, ...]) -> dict[str, Condition]:
+    """The alarms by name; their bits are those of the block's alarm word."""
+    a, period = config.alarms, config.scan.period
+    tags = config.map.by_name
+    conditions = [
+        Condition(
+            f"over limit {name}",
+            name,
+            bit=0,
+            limit=a.limit,
+            deadband=a.deadband,
+            on_delay=a.on_delay,
+            off_delay=a.off_delay,
+            priority=1,
+            response=f"{name} is above {a.limit:g} {tags[name].unit}: reduce the load and check the lubrication",
+        )
+        for name in config.watched
+    ]
+    if config.model.path is not None:
+        conditions += [
+            Condition("predicted over limit", config.model.temperature, 1, a.p_limit, a.p_limit / 2, 0.0, a.off_delay),
+            Condition("anomaly", config.model.temperature, 2, a.anomaly, a.anomaly / 3, 0.0, a.off_delay, 3),
+        ]
+    bad = Condition("inputs bad", ", ".join(inputs), 4, 0.5, 0.0, STALE_PERIODS * period, 0.0)
+    return {condition.name: condition for condition in (*conditions, bad)}
+
+
+def restored_alarms(
+    conditions: Mapping[str, Condition], historian: Historian, now: float, log: structlog.typing.FilteringBoundLogger
+) -> dict[str, Alarm]:
+    """The alarms as they were when the gateway last ran; what cannot be read begins as normal, and is logged."""
+    saved = loaded(historian, "alarms", log) or (now, {})
+    alarms = {name: new_alarm(condition, now) for name, condition in conditions.items()}
+    for name, plain in saved[1].items():
+        if name in conditions:
+            try:
+                alarms[name] = from_plain(conditions[name], plain)
+            except (KeyError, TypeError, ValueError) as error:
+                log.warning("a saved alarm cannot be read and begins as normal", alarm=name, reason=str(error))
+    return alarms
+
+
+def loaded(
+    historian: Historian, key: str, log: structlog.typing.FilteringBoundLogger
+) -> tuple[float, dict[str, Any]] | None:
+    """A saved state of the historian, or None, logged, where it cannot be read."""
+    try:
+        found = historian.load(key)
+    except ValueError as error:
+        log.warning("a saved state cannot be read and is not used", state=key, reason=str(error))
+        return None
+    return found if found is not None and isinstance(found[1], dict) else None
+
+
+def make_writer(
+    config: Config, clock: Clock, driver: Driver, historian: Historian, log: structlog.typing.FilteringBoundLogger
+) -> Writer | None:
+    """The writer in its mode; armed only while the arming's time lasts, and only once its audit record is stored.
+
+    The time counts from when this arming was first used: a restart does not begin it anew. An arming is another one
+    when its name, reason, minutes or the configuration file's time of change differ. Raises ConfigError for a driver
+    that cannot write.
+    """
+    section, layout, now = config.writeback, config.map.writeback, clock.now()
+    if layout is None or section.mode == "off":
+        return None
+    writer = Writer(layout, clock, "shadow")
+    if section.mode == "shadow":
+        return writer
+    if not isinstance(driver, Writes):
+        raise ConfigError(
+            [f"{config.map.path}: device.driver: {config.map.driver!r} cannot write; set writeback.mode to 'shadow'"]
+        )
+    arming = _arming(config, historian, now, log)
+    if now >= arming.until:
+        log.warning("the arming is over; save the configuration anew to arm again", by=arming.by, until=arming.until)
+        historian.put("audit", [(now, "arming is over, shadow", arming.by, arming.reason)])
+        return writer
+    historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])
+    if not historian.flush():
+        log.error("not armed, as the audit record cannot be stored", reason=historian.failure)
+        return writer
+    writer.mode, writer.driver, writer.arming = "armed", driver, arming
+    log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
+    return writer
+
+
+def _arming(config: Config, historian: Historian, now: float, log: structlog.typing.FilteringBoundLogger) -> Arming:
+    section = config.writeback
+    fresh = Arming(section.armed_by, section.reason, now + 60.0 * (section.minutes or 0.0))
+    key = {"by": section.armed_by, "reason": section.reason, "minutes": section.minutes, "stamp": config.stamp}
+    saved = loaded(historian, "arming", log)
+    if saved is not None and saved[1].get("key") == key and isinstance(saved[1].get("until"), float):
+        return Arming(fresh.by, fresh.reason, min(saved[1]["until"], fresh.until))
+    historian.save("arming", now, {"key": key, **asdict(fresh)})
+    return fresh

@@ -1,0 +1,63 @@
+"""Files of a model: read whole, replaced at one moment, refused in one sentence."""
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+
+class ArtefactError(ValueError):
+    """A file cannot be used or written. The message names file, line or key, the reason and what would be right."""
+
+
+def at(file: str | Path, line: int | None, sentence: str) -> ArtefactError:
+    """The error `file:line: sentence`."""
+    return ArtefactError(f"{file}: {sentence}" if line is None else f"{file}:{line}: {sentence}")
+
+
+def read_text(path: Path) -> str:
+    """The file's text (UTF-8, with or without a byte-order mark). Raises ArtefactError when it cannot be read."""
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise at(path, None, "there is no such file; give the path of an existing one") from None
+    except UnicodeDecodeError as error:
+        raise at(path, None, f"byte {error.start} is not UTF-8; save the file as UTF-8") from None
+    except OSError as error:
+        raise at(path, None, f"cannot be read ({error.strerror}); make it a file that this user can read") from None
+
+
+def refused(path: Path, error: OSError) -> ArtefactError:
+    """The sentence for a file or directory that the system does not let us write."""
+    return at(
+        path, None, f"cannot be written ({error.strerror}); make room there, or choose a directory where you may write"
+    )
+
+
+def write_durably(path: Path, content: str) -> None:
+    """Writes a new file and waits until it is on the disk. Raises OSError."""
+    with path.open("wb") as stream:
+        stream.write(content.encode("utf-8"))
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def replace_durably(path: Path, content: str) -> None:
+    """Puts `content` in place of what `path` held, at one moment: a reader sees the old or the new. Raises OSError."""
+    beside = path.with_name(f".{path.name}.new")
+    try:
+        write_durably(beside, content)
+        beside.replace(path)
+    except OSError:
+        with suppress(OSError):
+            beside.unlink()
+        raise
+    sync_directory(path.parent)
+
+
+def sync_directory(directory: Path) -> None:
+    """Waits until the directory's own entries (names) are on the disk. Raises OSError."""
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,141 @@
+"""From a model to its artefacts, which public tools and the thesis's readers find, and which read back whole."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TypeVar
+
+from sim.artefacts.bundle import Artefacts
+from sim.artefacts.dot import INIT, Source, SourceLocation
+from sim.artefacts.files import ArtefactError
+from sim.artefacts.flow_file import FlowFile, parse_equation
+from sim.artefacts.flow_kinds import equation_text, quoted
+from sim.artefacts.histogram import Histogram
+from sim.artefacts.report import Report, ReportedLaw, ReportedLocation
+from sim.sha import distributions
+from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
+from sim.sha.events import Alphabet, Bins
+from sim.sha.flows import FIXED
+from sim.sha.model import Model
+
+RawValues = Mapping[str, Sequence[float]]
+"""The parameter values that the learner saw, by location."""
+
+K = TypeVar("K")
+Key = tuple[str, tuple[tuple[str, float], ...]]
+"""A law's kind and parameters, by which equal laws are one."""
+
+
+def to_artefacts(model: Model, values: RawValues | None = None) -> Artefacts:
+    """Source, report, histogram and flow file of a model; base name is the automaton's.
+
+    Equal equations share a number, equal laws a name `D_i` (and their raw values). Raises ArtefactError for names that
+    the formats cannot hold.
+    """
+    sha = model.sha
+    equations = _numbered(equation_text(location.flow, model.temperature) for location in sha.locations)
+    laws = _numbered(_key(location.distribution) for location in sha.locations if location.distribution)
+    source = _source(sha, equations, laws, model.temperature)
+    report = Report(
+        events=tuple(_events(model.alphabet)),
+        distributions=tuple(_reported_laws(sha, laws)),
+        performance=(("SAMPLED TRACES", str(len(model.provenance.traces))),),
+        locations=tuple(_line(location) for location in sha.locations),
+        limits={"low": float(sha.low), "high": float(sha.high), "max_rate": float(sha.max_rate)},
+    )
+    flows = FlowFile({number: parse_equation(text) for text, number in equations.items()})
+    return Artefacts(sha.name, source, report, _histogram(sha, laws, values or {}), flows)
+
+
+def _numbered(keys: Iterator[K]) -> dict[K, int]:
+    """Each different key with its number, in the order of appearance."""
+    numbers: dict[K, int] = {}
+    for key in keys:
+        numbers.setdefault(key, len(numbers))
+    return numbers
+
+
+def _key(law: Distribution) -> Key:
+    return law.kind, tuple(sorted(law.params.items()))
+
+
+def _source(sha: SHA, equations: Mapping[str, int], laws: Mapping[Key, int], state: str) -> Source:
+    """The automaton's own `__init__`, or one more node with an edge without event to the initial location."""
+    names = {location.name for location in sha.locations}
+    if INIT in names and sha.initial != INIT:
+        raise ArtefactError(f"a location is called {INIT!r}, which marks the start in this format; rename it")
+    nodes = [
+        SourceLocation(
+            _plain_name(location.name),
+            equations[equation_text(location.flow, state)],
+            f"D_{laws[_key(location.distribution)]}" if location.distribution else None,
+        )
+        for location in sha.locations
+    ]
+    edges = list(sha.edges)
+    if INIT not in names:
+        nodes.append(SourceLocation(INIT))
+        edges.append(Edge(INIT, "", sha.initial))
+    return Source(tuple(nodes), tuple(edges))
+
+
+def _plain_name(name: str) -> str:
+    if not name or name != name.strip() or name[0] in "-|" or any(sign in name for sign in ":\n\r\\"):
+        raise ArtefactError(
+            f"{name!r} cannot name a location or an event in a report; use letters, digits, _ and blanks"
+        )
+    return name
+
+
+def _reported_laws(sha: SHA, laws: Mapping[Key, int]) -> Iterator[ReportedLaw]:
+    known = {
+        laws[_key(location.distribution)]: location.distribution for location in sha.locations if location.distribution
+    }
+    return (ReportedLaw(f"D_{number}", float(distributions.mean(law))) for number, law in sorted(known.items()))
+
+
+def _line(location: Location) -> ReportedLocation:
+    values: dict[str, float | str] = {}
+    calls = {"flow": (location.flow.kind, _constants(location.flow))}
+    law = location.distribution
+    if law is not None:
+        values = {"mu": float(distributions.mean(law)), "sigma": float(distributions.variance(law)) ** 0.5}
+        if law.kind == "normal":
+            values = {name: float(law.params[name]) for name in ("mu", "sigma")}
+        else:
+            calls["law"] = (law.kind, {name: float(value) for name, value in sorted(law.params.items())})
+    return ReportedLocation(location.name, values | {"entry": location.entry}, calls)
+
+
+def _constants(flow: Flow) -> dict[str, float]:
+    """The flow's constants in the thesis's spelling (`alpha` for a fixed linear drift), then the inputs."""
+    spelling = {FIXED: "alpha"} if flow.kind == "linear" else {}
+    constants = {spelling.get(name, name): float(value) for name, value in sorted(flow.params.items())}
+    for given in flow.inputs:
+        constants[f"{quoted(given.signal)}.gain"] = float(given.gain)
+        constants[f"{quoted(given.signal)}.reference"] = float(given.reference)
+    return constants
+
+
+def _events(alphabet: Alphabet) -> Iterator[tuple[str, str]]:
+    """The symbols with what they mean, in the words of the public reports."""
+    for channel in alphabet.channels:
+        if isinstance(channel, Bins):
+            for index, symbol in enumerate(channel.symbols):
+                low = f"{channel.thresholds[index - 1]:g}<=" if index else ""
+                high = f"<{channel.thresholds[index]:g}" if index < len(channel.thresholds) else ""
+                yield _plain_name(symbol), f"{low}{channel.signal}{high}"
+        else:
+            yield _plain_name(channel.rising), f"{channel.signal} 0->1"
+            yield _plain_name(channel.falling), f"{channel.signal} 1->0"
+
+
+def _histogram(sha: SHA, laws: Mapping[Key, int], values: RawValues) -> Histogram:
+    """One run: every law in order, with the raw values of its locations. Raises ArtefactError for unknown ones."""
+    unknown = sorted(set(values) - {location.name for location in sha.locations})
+    if unknown:
+        raise ArtefactError(f"raw values are given for location {unknown[0]!r}, which the automaton does not have")
+    run: dict[str, tuple[float, ...]] = {f"D_{number}": () for number in sorted(laws.values())}
+    for location in sha.locations:
+        if location.distribution is not None:
+            name = f"D_{laws[_key(location.distribution)]}"
+            run[name] += tuple(float(value) for value in values.get(location.name, ()))
+    return Histogram((run,) if run else ())

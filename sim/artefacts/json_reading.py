@@ -1,0 +1,123 @@
+"""A parsed JSON document with its file and key path, so that what is wrong is told by where it stands."""
+
+import json
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+from typing import Any, TypeVar
+
+from sim.artefacts.files import ArtefactError, at
+
+T = TypeVar("T")
+
+INFINITE = {"inf": inf, "-inf": -inf}
+"""JSON has no infinity: it is written as a text. NaN is never allowed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A value of the document at `path` (like `locations[2].flow.k`). Every method raises ArtefactError."""
+
+    value: Any
+    file: str | Path
+    path: str = ""
+
+    def error(self, sentence: str) -> ArtefactError:
+        """The error `file: key path: sentence`."""
+        return at(self.file, None, f"{self.path or 'the document'}: {sentence}")
+
+    def get(self, key: str) -> "Node":
+        """The value of a key that must be there."""
+        table = self._of_type(dict, "an object {...}")
+        if key not in table:
+            raise self.error(f"the key {key!r} is missing; it has {', '.join(map(repr, table)) or 'no keys'}")
+        return Node(table[key], self.file, f"{self.path}.{key}" if self.path else key)
+
+    def only(self, keys: Collection[str]) -> "Node":
+        """Itself, if it is an object with no other keys than these."""
+        unknown = [key for key in self._of_type(dict, "an object {...}") if key not in keys]
+        if unknown:
+            raise self.error(f"the key {unknown[0]!r} is unknown; known are {', '.join(keys)}")
+        return self
+
+    def number(self) -> float:
+        """A finite number, or the texts "inf" and "-inf"."""
+        if isinstance(self.value, str) and self.value in INFINITE:
+            return INFINITE[self.value]
+        if isinstance(self.value, bool) or not isinstance(self.value, int | float):
+            raise self.error(f'a number is needed (or "inf"), but this is {_shown(self.value)}')
+        try:
+            return float(self.value)
+        except OverflowError:
+            raise self.error("the number is too large; a 64-bit float is needed") from None
+
+    def text(self) -> str:
+        """A text."""
+        return str(self._of_type(str, 'a text "..."'))
+
+    def flag(self) -> bool:
+        """true or false."""
+        return bool(self._of_type(bool, "true or false"))
+
+    def integer(self) -> int:
+        """A whole number."""
+        if isinstance(self.value, bool):
+            raise self.error(f"a whole number is needed, but this is {_shown(self.value)}")
+        return int(self._of_type(int, "a whole number"))
+
+    def each(self) -> Iterator["Node"]:
+        """The elements of a list."""
+        elements = self._of_type(list, "a list [...]")
+        return (Node(element, self.file, f"{self.path}[{index}]") for index, element in enumerate(elements))
+
+    def table(self, read: Callable[["Node"], T]) -> dict[str, T]:
+        """An object with keys of its own, each value read by `read`."""
+        return {key: read(self.get(key)) for key in self._of_type(dict, "an object {...}")}
+
+    def optional(self, read: Callable[["Node"], T]) -> T | None:
+        """None for null, else the value read by `read`."""
+        return None if self.value is None else read(self)
+
+    def _of_type(self, wanted: type, description: str) -> Any:
+        if not isinstance(self.value, wanted):
+            raise self.error(f"{description} is needed, but this is {_shown(self.value)}")
+        return self.value
+
+
+def _shown(value: object) -> str:
+    if value is None:
+        return "null"
+    text = json.dumps(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def parse_json(text: str, file: str | Path) -> Node:
+    """The document. Raises ArtefactError with line and column, also for NaN, Infinity and a key given twice."""
+    try:
+        return Node(json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique), file)
+    except json.JSONDecodeError as error:
+        sentence = f"is no JSON ({error.msg} at column {error.colno}); correct that place"
+        raise at(file, error.lineno, sentence) from None
+    except (ValueError, RecursionError) as error:
+        raise at(file, None, f"is no JSON that can be used ({error}); correct that place") from None
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f'{name} is no JSON number; write "inf" or "-inf" as texts, and never a NaN')
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> Mapping[str, Any]:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        doubled = next(key for index, (key, _) in enumerate(pairs) if key in dict(pairs[:index]))
+        raise ValueError(f"the key {doubled!r} is given twice in one object")
+    return table
+
+
+def written_number(value: float) -> float | str:
+    """The number as JSON has it; -0.0 becomes 0.0, as equal models must have one text. ArtefactError for NaN."""
+    number = float(value) + 0.0
+    if number != number:
+        raise ArtefactError("a NaN cannot be written into a model; every number of a model must be known")
+    return number if abs(number) != inf else ("inf" if number > 0 else "-inf")

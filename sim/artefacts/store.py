@@ -1,0 +1,182 @@
+"""A versioned store of models in a directory: every version is whole or not there, and one of them is current.
+
+    STORE/store.json          says that this is a store
+    STORE/versions/0001-1f2e3d4c/   number and start of the model's hash; a model directory with its manifest
+    STORE/current             the name of the promoted version
+    STORE/.lock               held while a version is written or promoted
+
+A version is written under a name that begins with a dot and renamed when all of it is on the disk; `current` is
+replaced by a rename. A kill at any moment leaves at most such a dotted directory, which the next save removes.
+"""
+
+import fcntl
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from sim.artefacts.files import at, read_text, refused, replace_durably, sync_directory
+from sim.artefacts.from_model import RawValues
+from sim.artefacts.json_reading import parse_json
+from sim.artefacts.model_directory import (
+    MANIFEST,
+    MODEL_FILE,
+    check_hashes,
+    directory_files,
+    manifest_text,
+    read_model_directory,
+    write_files,
+)
+from sim.artefacts.model_json import model_hash, read_model_file
+from sim.sha.model import Model
+
+STORE_FILE = "store.json"
+CURRENT = "current"
+VERSIONS = "versions"
+STORE_TEXT = json.dumps({"format": "decanter-model-store", "version": 1}) + "\n"
+
+
+def save(store: Path, model: Model, histogram: RawValues | None = None, *, created: float, parent: str = "") -> str:
+    """Writes the model with all its artefacts as a new version and returns the version's name; promotes nothing.
+
+    `histogram` has the raw parameter values by location, `created` the time in seconds UTC, `parent` the version that
+    this one was derived from (by default the one in the model's provenance). Raises ArtefactError.
+    """
+    files = directory_files(model, histogram)
+    facts: dict[str, str | float] = {"created": created, "parent": parent or model.provenance.parent}
+    files[MANIFEST] = manifest_text(model, files, facts)
+    try:
+        _refuse_strange(store)
+        store.mkdir(parents=True, exist_ok=True)
+        with _locked(store):
+            _prepare(store)
+            _remove_leftovers(store)
+            version = f"{_last_number(store) + 1:04d}-{model_hash(model)[:8]}"
+            _write_version(store / VERSIONS, version, files)
+    except OSError as error:
+        raise refused(store, error) from None
+    return version
+
+
+def _write_version(directory: Path, version: str, files: Mapping[str, str]) -> None:
+    """All files under a dotted name, then one rename. Raises OSError, and leaves nothing behind then."""
+    unfinished = directory / f".{version}"
+    try:
+        unfinished.mkdir()
+        write_files(unfinished, files)
+        unfinished.rename(directory / version)
+    except OSError:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        raise
+    sync_directory(directory)
+
+
+def versions(store: Path) -> tuple[str, ...]:
+    """The versions of a store, oldest first; none for a new one. Raises ArtefactError when it is no store."""
+    _check_store(store)
+    names = [path.name for path in (store / VERSIONS).iterdir() if re.fullmatch(r"\d{4,}-[0-9a-f]{8}", path.name)]
+    return tuple(sorted(names, key=_number))
+
+
+def current(store: Path) -> str:
+    """The promoted version. Raises ArtefactError when there is none."""
+    known = versions(store)
+    file = store / CURRENT
+    if not file.is_file():
+        raise at(store, None, f"no version is promoted; promote one of: {', '.join(known) or 'none yet, save a model'}")
+    name = read_text(file).strip()
+    if name not in known:
+        raise at(file, None, f"names the version {name!r}, which is not there; promote one of: {', '.join(known)}")
+    return name
+
+
+def load(store: Path, version: str | None = None) -> Model:
+    """The model of a version (by default the current one), its files' hashes checked. Raises ArtefactError."""
+    directory = version_directory(store, version)
+    check_hashes(directory)
+    return read_model_file(directory / MODEL_FILE)
+
+
+def version_directory(store: Path, version: str | None = None) -> Path:
+    """Where the files of a version lie (by default of the current one). Raises ArtefactError."""
+    name = current(store) if version is None else version
+    if name not in versions(store):
+        raise at(store, None, f"there is no version {name!r}; there are: {', '.join(versions(store)) or 'none'}")
+    return store / VERSIONS / name
+
+
+def promote(store: Path, version: str) -> None:
+    """Makes a version the current one, if its files are as they were written. Raises ArtefactError."""
+    load(store, version)
+    try:
+        with _locked(store):
+            replace_durably(store / CURRENT, version + "\n")
+    except OSError as error:
+        raise refused(store, error) from None
+
+
+def read_model(path: Path) -> Model:
+    """The model at `path`: a JSON file, a model directory, or a store (its current version). Raises ArtefactError."""
+    if path.is_dir():
+        if (path / STORE_FILE).is_file():
+            return load(path)
+        if (path / MODEL_FILE).is_file():
+            return read_model_directory(path)
+        present = ", ".join(sorted(entry.name for entry in path.iterdir())[:5]) or "nothing"
+        raise at(path, None, f"has neither {MODEL_FILE} nor {STORE_FILE} (it has {present}); give a model or a store")
+    return read_model_file(path)
+
+
+def _prepare(store: Path) -> None:
+    """Makes the directory of versions and the file that says that this is a store. Raises OSError."""
+    (store / VERSIONS).mkdir(exist_ok=True)
+    if not (store / STORE_FILE).exists():
+        replace_durably(store / STORE_FILE, STORE_TEXT)
+    _check_store(store)
+
+
+def _refuse_strange(store: Path) -> None:
+    """Raises ArtefactError for a directory that is used for something else."""
+    if not store.is_dir() or (store / STORE_FILE).exists():
+        return
+    strange = sorted(path.name for path in store.iterdir() if path.name != VERSIONS and not path.name.startswith("."))
+    if strange:
+        raise at(store, None, f"is no store (it has {strange[0]}); give a new directory or an empty one")
+
+
+def _check_store(store: Path) -> None:
+    file = store / STORE_FILE
+    if not file.is_file():
+        raise at(store, None, f"is no model store (no {STORE_FILE} in it); save a model there first, or give another")
+    document = parse_json(read_text(file), file)
+    if document.get("version").integer() != 1:
+        raise document.get("version").error("this version of the store is unknown; this program reads version 1")
+
+
+@contextmanager
+def _locked(store: Path) -> Iterator[None]:
+    """One writer at a time; the system releases the lock when a process dies. Raises OSError."""
+    handle = os.open(store / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _remove_leftovers(store: Path) -> None:
+    """Removes what killed writers left. Only under the lock: nobody else is writing."""
+    for path in (store / VERSIONS).iterdir():
+        if path.name.startswith("."):
+            shutil.rmtree(path)
+
+
+def _last_number(store: Path) -> int:
+    return max((_number(name) for name in versions(store)), default=0)
+
+
+def _number(name: str) -> int:
+    return int(name.partition("-")[0])

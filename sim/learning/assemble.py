@@ -1,0 +1,201 @@
+"""The learned automaton: fitted locations, borrowed ones for what was never seen, honest ones for what is unknown."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.learning.candidates import Ground, process_groups
+from sim.learning.free_run import Fit, Shape, loads, steps
+from sim.learning.noise import Noise
+from sim.learning.runs import Indices, Runs
+from sim.learning.shape import with_parameters
+from sim.learning.structure import contexts, name_of, nearest
+from sim.sha.automaton import SHA, Distribution, Flow, Location
+from sim.sha.recursion import linear_recursion
+from sim.sha.trace import Array
+
+LEAST_DOUBT = 5.0
+"""degC added (in quadrature) to the sigma of a target that is borrowed, at least."""
+HARDLY = 20.0
+"""degC: a location whose target is not known better than this (half the prior's spread) counts as not seen."""
+FIRST_SCATTER = 1.0
+"""degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""
+DRIFT_SPAN = 300.0
+"""The changes over so many seconds set the noise of locations in which nothing is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class LocationFit:
+    """What was learned about one location: `source` is `fitted`, `borrowed from X` or `unknown`.
+
+    `readings` end a step there, `seconds` and `stays` were spent there. `mu`, `sigma` (degC) and `k` (1/s) are the
+    model's; `mu_error` (degC), `k_error` (relative) and `gain_errors` are standard errors; `gains` by signal, degC per
+    unit. NaN where there is none.
+    """
+
+    name: str
+    source: str
+    readings: int
+    seconds: float
+    stays: int
+    mu: float
+    mu_error: float
+    sigma: float
+    k: float
+    k_error: float
+    gains: Mapping[str, float]
+    gain_errors: Mapping[str, float]
+
+
+def drift_noise(runs: Runs) -> float:
+    """The random walk, degC/sqrt(s), whose changes over 300 s are as large as the readings' own (or over a shorter
+    time, when no run lasts so long)."""
+    time, reading = (column[np.isfinite(runs.reading)] for column in (runs.time, runs.reading))
+    run = runs.run[np.isfinite(runs.reading)]
+    squares: list[float] = []
+    for number in np.unique(run):
+        mine = run == number
+        at, value = time[mine], reading[mine]
+        span = min(DRIFT_SPAN, float(at[-1] - at[0]))
+        later = np.minimum(np.searchsorted(at, at + span), at.size - 1)
+        whole = at[later] - at >= span
+        if span > 0:
+            squares += ((value[later] - value)[whole] ** 2 / (at[later] - at)[whole]).tolist()
+    return float(max(np.sqrt(np.mean(squares)) if squares else 0.0, 1e-3))
+
+
+def well_seen(sha: SHA, shape: Shape, fit: Fit, base: Ground) -> Ground:
+    """`base` with only those seen locations whose target the data tell to within HARDLY (the best one at least)."""
+    error = {
+        location.name: float(fit.errors_at_rates[shape.target[place]])
+        for place, location in enumerate(sha.locations)
+        if location.name in base.seen
+    }
+    best = min(error, key=lambda name: error[name])
+    return replace(base, seen=tuple(name for name in base.seen if name == best or error[name] < HARDLY))
+
+
+def learned_sha(name: str, sha: SHA, shape: Shape, fit: Fit, noise: Noise, runs: Runs, base: Ground) -> SHA:
+    """`sha` with all parameters, and every location that `base` has not seen filled in.
+
+    A seen location's m scatters by the fitted sigma (drawn towards 1 degC as if one stay had said so) and by what is
+    not known of its mean. A known location without data takes flow and mean of its nearest seen neighbour; its sigma
+    is doubled, and the scatter of all seen means (5 degC at least) is added. Locations in which a channel is unknown
+    keep the temperature, with the noise of `drift_noise`.
+    """
+    groups, drift = process_groups(base.alphabet), drift_noise(runs)
+    seen: dict[str, Location] = {}
+    for place, location in enumerate(with_parameters(sha, shape, fit).locations):
+        if location.name not in base.seen:
+            continue
+        column = shape.target[place]
+        stays = np.unique(runs.stay[(runs.place == place) & ~runs.first]).size
+        scatter = np.sqrt((stays * noise.scatter[place] ** 2 + FIRST_SCATTER**2) / (stays + 1))
+        sigma = float(np.hypot(scatter, fit.errors_at_rates[column]))
+        params = {**location.flow.params, "noise": float(noise.process[groups[place]])}
+        law = Distribution("normal", {"mu": float(fit.linear[column]), "sigma": sigma})
+        seen[location.name] = replace(location, flow=replace(location.flow, params=params), distribution=law)
+    return replace(sha, name=name, locations=tuple(_filled(each.name, seen, base, drift) for each in sha.locations))
+
+
+def _filled(name: str, seen: Mapping[str, Location], base: Ground, drift: float) -> Location:
+    if name in seen:
+        return seen[name]
+    if None in contexts(base.alphabet)[name]:
+        return Location(name, Flow("constant", {"noise": drift}), entry="none")
+    lender = seen[lender_of(name, base)]
+    laws = {each: location.distribution.params for each, location in seen.items() if location.distribution is not None}
+    doubt = max(float(np.std([law["mu"] for law in laws.values()])), LEAST_DOUBT)
+    law = laws[lender.name]
+    widened = Distribution("normal", {"mu": law["mu"], "sigma": float(np.hypot(2.0 * law["sigma"], doubt))})
+    return Location(name, lender.flow, widened)
+
+
+def lender_of(name: str, base: Ground) -> str:
+    """The seen location whose parameters an unseen one borrows."""
+    known = contexts(base.alphabet)
+    return name_of(nearest(known[name], [known[each] for each in base.seen], base.alphabet), base.alphabet)
+
+
+def source_of(name: str, base: Ground) -> str:
+    """`fitted`, `borrowed from X` or `unknown`."""
+    if name in base.seen:
+        return "fitted"
+    return "unknown" if None in contexts(base.alphabet)[name] else f"borrowed from {lender_of(name, base)}"
+
+
+def location_fits(sha: SHA, shape: Shape, fit: Fit, runs: Runs, base: Ground) -> tuple[LocationFit, ...]:
+    """The table of locations, in the automaton's order."""
+    return tuple(_location_fit(location, place, shape, fit, runs, base) for place, location in enumerate(sha.locations))
+
+
+def _location_fit(location: Location, place: int, shape: Shape, fit: Fit, runs: Runs, base: Ground) -> LocationFit:
+    rows = (runs.place == place) & ~runs.first
+    law = location.distribution.params if location.distribution is not None else {}
+    target, rate = int(shape.target[place]), int(shape.rate[place])
+    columns = {base.signals[number]: int(column) for number, column in enumerate(shape.gain[place]) if column >= 0}
+    own, nan = location.name in base.seen, float("nan")
+    return LocationFit(
+        name=location.name,
+        source=source_of(location.name, base),
+        readings=int(np.isfinite(runs.reading[rows]).sum()),
+        seconds=float(runs.dt[rows].sum()),
+        stays=int(np.unique(runs.stay[rows]).size),
+        mu=law.get("mu", nan),
+        mu_error=float(fit.errors[target]) if own else nan,
+        sigma=law.get("sigma", nan),
+        k=location.flow.params.get("k", nan),
+        k_error=float(fit.errors[fit.linear.size + rate]) if own else nan,
+        gains={given.signal: given.gain for given in location.flow.inputs},
+        gain_errors={signal: float(fit.errors[column]) for signal, column in columns.items() if own},
+    )
+
+
+def stay_values(
+    runs: Runs, sha: SHA, shape: Shape, fit: Fit, noise: Noise, base: Ground
+) -> dict[str, tuple[float, ...]]:
+    """The m of each stay by least squares (its temperature at the start free), by location: the histogram's values.
+
+    Only stays that tell their m to within twice the location's sigma are there; a location without any gives its mean.
+    """
+    value, error, place = _stay_parameters(runs, shape, fit, noise, process_groups(base.alphabet)[runs.place])
+    found: dict[str, tuple[float, ...]] = {}
+    for number, location in enumerate(sha.locations):
+        law = location.distribution
+        if location.name not in base.seen or law is None:
+            continue
+        told = (place == number) & (error <= 2.0 * law.params["sigma"])
+        found[location.name] = tuple(value[told].tolist()) or (law.params["mu"],)
+    return found
+
+
+def _stay_parameters(runs: Runs, shape: Shape, fit: Fit, noise: Noise, group: Indices) -> tuple[Array, Array, Array]:
+    """(m, its standard error, location) of each stay: X = decayed start + pulled m + pushed inputs, two unknowns."""
+    decay, pull = steps(runs, shape, np.log(fit.rates))
+    begins = (np.diff(runs.stay, prepend=-1) != 0) | runs.first
+    inside = np.where(begins, 0.0, decay)
+    start = linear_recursion(inside, np.where(runs.first, 1.0, np.where(begins, decay, 0.0)), 0.0)
+    mode = linear_recursion(inside, pull, 0.0)
+    gains = loads(runs, shape) @ np.where(np.isin(np.arange(fit.linear.size), shape.target), 0.0, fit.linear)
+    pushed = linear_recursion(inside, pull * gains, 0.0)
+    use = np.isfinite(runs.reading) & ~runs.first
+    stay, rest = np.cumsum(begins)[use] - 1, (runs.reading - pushed)[use]
+    size = int(begins.sum())
+    ss, sm, mm, sy, my = (
+        np.bincount(stay, a * b, size)
+        for a, b in (
+            (start[use], start[use]),
+            (start[use], mode[use]),
+            (mode[use], mode[use]),
+            (start[use], rest),
+            (mode[use], rest),
+        )
+    )
+    seconds = np.add.reduceat(runs.dt, np.flatnonzero(begins))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        told = mm - sm**2 / ss
+        value = (my - sm * sy / ss) / told
+        error = np.sqrt((noise.sensor**2 + noise.process[group[begins]] ** 2 * seconds) / told)
+    good = np.isfinite(value) & (told > 1e-9 * mm)
+    return value, np.where(good, error, np.inf), runs.place[begins]

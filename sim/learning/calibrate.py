@@ -1,0 +1,147 @@
+"""By how much a model's bands must be widened, learned from forecasts of what the model was not fitted to."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import exp, inf, log
+
+import numpy as np
+
+from sim.learning.data import resolution, without_spikes
+from sim.sha.belief import Belief, observe, on_event, start, with_inputs
+from sim.sha.forecast import LEVELS, forecast
+from sim.sha.model import Model
+from sim.sha.trace import UNKNOWN, Array, Event, Trace
+from sim.sha.tracker import Tracker, compiled
+
+HORIZONS = (60.0, 300.0, 900.0)
+ORIGINS = 100
+"""Forecasts that are made in all, spread evenly over the time that may be used."""
+RUNS = 128
+MOST_ROWS = 20_000
+"""Rows filtered in all; more are thinned evenly, the forecasts' outcomes are not."""
+SURE, UNSURE = 4.0, 1.25
+"""A factor of 1.25 counts for four independent forecasts: the model does not know how wrong its own flows may be."""
+LEAST, MOST = 0.5, 5.0
+"""Bounds of a factor: what lies outside is a model that does not fit, which a band cannot mend."""
+_Z90 = 1.6448536269514722
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """What was seen at one `horizon` (s): `forecasts`, worth so many `independent` ones (they overlap), the share
+    `covered` by the 90 % band as the model gave it, and the `factor` that comes of it."""
+
+    horizon: float
+    forecasts: int
+    independent: float
+    covered: float
+    factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """One forecast for one horizon: when it was due, and its error in units of the band (z; 1.645 is its edge)."""
+
+    horizon: float
+    due: float
+    z: float
+
+
+def score_forecasts(
+    model: Model, traces: Sequence[Trace], since: Sequence[float], rng: np.random.Generator
+) -> list[Scored]:
+    """Forecasts with unknown events from moments at or after `since` (one per trace, absolute s), scored.
+
+    The belief is filtered over each whole trace, as it would be on the plant; isolated spikes are no outcomes.
+    """
+    tracker = compiled(replace(model, calibration={}))
+    usable = [max(float(trace.times[-1]) - first, 0.0) for trace, first in zip(traces, since, strict=True)]
+    every = max(sum(usable) / ORIGINS, 1e-9)
+    stride = max(sum(trace.times.size for trace in traces) // MOST_ROWS, 1)
+    scored: list[Scored] = []
+    for trace, first in zip(traces, since, strict=True):
+        scored += _scored(tracker, trace, first, every, stride, rng)
+    return scored
+
+
+def _scored(
+    tracker: Tracker, trace: Trace, first: float, every: float, stride: int, rng: np.random.Generator
+) -> list[Scored]:
+    raw = trace.signals[tracker.model.temperature]
+    reading = without_spikes(raw, resolution(raw))
+    there = np.isfinite(reading)
+    outcomes = (trace.times[there], reading[there])
+    rows = np.arange(0, trace.times.size, stride)
+    inputs = {name: trace.signals[name][rows].tolist() for name in sorted(tracker.inputs) if name in trace.signals}
+    events, upcoming = [*trace.events, Event(inf, UNKNOWN)], 0
+    belief = start(tracker, min(float(trace.times[0]), events[0].time))
+    following, found = max(first, float(trace.times[0]) + every / 2), list[Scored]()
+    for row, (time, value) in enumerate(zip(trace.times[rows].tolist(), raw[rows].tolist(), strict=True)):
+        while events[upcoming].time <= time:
+            belief = on_event(tracker, belief, events[upcoming])
+            upcoming += 1
+        belief = with_inputs(tracker, belief, time, {name: column[row] for name, column in inputs.items()})
+        belief = observe(tracker, belief, time, value)
+        if time >= following and belief.seen:
+            found += _score(tracker, belief, outcomes, rng)
+            following = max(following + every, time)
+    return found
+
+
+def _score(tracker: Tracker, belief: Belief, outcomes: tuple[Array, Array], rng: np.random.Generator) -> list[Scored]:
+    gap = tracker.model.alphabet.gap
+    known = {horizon: _outcome(outcomes, belief.time + horizon, gap) for horizon in HORIZONS}
+    asked = [horizon for horizon, value in known.items() if value is not None]
+    if not asked:
+        return []
+    fan = forecast(tracker, belief, asked, rng, runs=RUNS)
+    low, median, high = (fan.quantiles[LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
+    found = []
+    for column, horizon in enumerate(asked):
+        error = (known[horizon] or 0.0) - median[column]
+        edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
+        found.append(Scored(horizon, belief.time + horizon, float(_Z90 * abs(error) / max(edge, 1e-9))))
+    return found
+
+
+def _outcome(outcomes: tuple[Array, Array], due: float, gap: float) -> float | None:
+    """The temperature at `due`, interpolated between readings at most `gap` seconds apart; None without them."""
+    times, values = outcomes
+    after = int(np.searchsorted(times, due))
+    if after == 0 or after == times.size or times[after] - times[after - 1] > gap:
+        return None
+    return float(np.interp(due, times[after - 1 : after + 1], values[after - 1 : after + 1]))
+
+
+def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
+    """The factor of each horizon, from the 90 % quantile of z.
+
+    Forecasts whose spans overlap err together: n of them that span T seconds count as T / horizon. The quantile is
+    taken a little above 90 % (split-conformal: 0.9 (1 + 1/n)), and the factor is drawn towards 1.25 on the scale
+    of logarithms as if four independent forecasts had said so.
+    """
+    table = []
+    for horizon in HORIZONS:
+        mine = sorted((one for one in scored if one.horizon == horizon), key=lambda one: one.due)
+        if not mine:
+            continue
+        due, z = np.array([one.due for one in mine]), np.array([one.z for one in mine])
+        independent = 1.0 + float(np.minimum(np.diff(due), horizon).sum()) / horizon
+        level = min(0.9 * (1.0 + 1.0 / independent), 0.97)
+        seen = min(max(float(np.quantile(z, level)) / _Z90, LEAST), MOST)
+        factor = exp((independent * log(seen) + SURE * log(UNSURE)) / (independent + SURE))
+        table.append(Coverage(horizon, len(mine), independent, float(np.mean(z <= _Z90)), factor))
+    return tuple(table)
+
+
+def calibrate(
+    model: Model, traces: Sequence[Trace], rng: np.random.Generator, since: Sequence[float] | None = None
+) -> Mapping[float, float]:
+    """Horizon (s) -> factor of the forecast's standard deviation, from encoded traces that `model` was not fitted to.
+
+    Only forecasts from `since` on count (absolute s, one per trace; default: from the start). Horizons that no trace
+    is long enough for are left out.
+    """
+    begins = [-inf] * len(traces) if since is None else since
+    first = [max(begin, float(trace.times[0])) for trace, begin in zip(traces, begins, strict=True)]
+    return {one.horizon: one.factor for one in coverage_of(score_forecasts(model, traces, first, rng))}

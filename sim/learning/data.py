@@ -1,0 +1,65 @@
+"""Training traces put in an order of their own: identity by content, copies counted once, spikes set aside."""
+
+from collections.abc import Sequence
+from hashlib import sha256
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from sim.sha.trace import Array, Trace
+
+SPIKE_WINDOW = 5
+SPIKE_LIMIT = 6.0
+
+
+def content_hash(trace: Trace) -> str:
+    """SHA-256 over the trace's rows and events (not over its name: a copy under another name is the same data)."""
+    digest = sha256(np.ascontiguousarray(trace.times).tobytes())
+    for name in sorted(trace.signals):
+        digest.update(f"\0{name}\0".encode())
+        digest.update(np.ascontiguousarray(trace.signals[name]).tobytes())
+    for event in trace.events:
+        digest.update(f"\0{event.time!r}\0{event.symbol}".encode())
+    return digest.hexdigest()
+
+
+def in_order(traces: Sequence[Trace]) -> tuple[tuple[Trace, ...], str]:
+    """(traces sorted by name and content with copies left out, SHA-256 over them all).
+
+    The result does not depend on the order in which the traces come, so neither does what is learned from them.
+    """
+    named = sorted(((trace.name, content_hash(trace), trace) for trace in traces), key=lambda item: item[:2])
+    unique: dict[str, Trace] = {}
+    for _, digest, trace in named:
+        unique.setdefault(digest, trace)
+    return tuple(unique.values()), sha256("".join(sorted(unique)).encode()).hexdigest()
+
+
+def resolution(readings: Array) -> float:
+    """The sensor's step: the smallest difference between two different readings (0 when all are equal).
+
+    A sensor that is not rounded gives a value near 0, which then bounds nothing.
+    """
+    values = np.unique(readings[np.isfinite(readings)])
+    gaps = np.diff(values)
+    # Rounded decimals differ by a few units in the last place, which is no step of a sensor.
+    real = gaps[gaps > 1e-4]
+    return float(real.min()) if real.size else 0.0
+
+
+def without_spikes(readings: Array, step: float) -> Array:
+    """The readings with isolated spikes as NaN.
+
+    A spike is a reading further from the median of itself and two neighbours on each side than six robust standard
+    deviations of that difference (Hampel's rule with one scale for the whole trace, and never less than the sensor's
+    `step` and the usual change from one reading to the next). A lasting jump is kept: the median follows it.
+    """
+    there = np.flatnonzero(np.isfinite(readings))
+    if there.size < SPIKE_WINDOW:
+        return readings
+    values = readings[there]
+    off = np.abs(values - median_filter(values, size=SPIKE_WINDOW, mode="nearest"))
+    scale = max(1.4826 * float(np.median(off)), float(np.median(np.abs(np.diff(values)))), step, 1e-3)
+    cleaned = readings.copy()
+    cleaned[there[off > SPIKE_LIMIT * scale]] = np.nan
+    return cleaned

@@ -1,0 +1,120 @@
+"""Which of several structures to believe: the held-out likelihood of their free runs decides, by cross-validation."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.learning.free_run import HUBER, Fit, Shape, fit_free_run, predict
+from sim.learning.runs import Runs, pieces
+from sim.sha.trace import Array
+
+FOLDS = 5
+PIECES = 10
+"""Runs that a cross-validation has at least; long ones are halved for it."""
+LEAST = 20
+"""Readings that a cross-validation needs in all: fewer, and the simplest candidate is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """How one candidate predicts what it was not fitted to: `error` (N,) in degC, and the `run` (N,) of each."""
+
+    error: Array
+    run: NDArray[np.intp]
+
+    @property
+    def likelihood(self) -> Array:
+        """(R,) the mean log-likelihood per reading of each run: Huber's density, at the scale that suits all errors.
+
+        The scale is not the training folds': a candidate would be judged by its opinion of itself.
+        """
+        return np.bincount(self.run, _log_huber(self.error, huber_scale(self.error))) / self.readings
+
+    @property
+    def readings(self) -> NDArray[np.intp]:
+        """(R,) how many readings each run has."""
+        return np.bincount(self.run)
+
+    @property
+    def score(self) -> float:
+        """Mean log-likelihood per reading."""
+        return float(np.average(self.likelihood, weights=self.readings))
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square free-run error, degC."""
+        return float(np.sqrt(np.mean(self.error**2)))
+
+    @property
+    def mae(self) -> float:
+        """Mean absolute free-run error, degC."""
+        return float(np.mean(np.abs(self.error)))
+
+
+def folds(runs: Runs) -> Runs | None:
+    """The runs of a cross-validation, long ones halved until there are PIECES; None if there are too few data."""
+    cut = pieces(runs, PIECES)
+    enough = np.count_nonzero(np.isfinite(cut.reading)) >= LEAST and np.unique(cut.run).size >= 2
+    return cut if enough else None
+
+
+def cross_validate(runs: Runs, shape: Shape, begin: Array) -> HeldOut:
+    """Fits `shape` to all folds but one and scores its free runs on that one, for each; `begin` (r,) are first rates.
+
+    Run i goes to fold i modulo FOLDS, so every fold spans the whole time. The start temperature of a held-out run is
+    its own (fitted to it), as in training: the comparison is about the flows, and all candidates are treated alike.
+    """
+    order = np.cumsum(runs.first) - 1
+    mean = np.full(len(runs), np.nan)
+    for held in range(min(FOLDS, int(order[-1]) + 1)):
+        mine = order % FOLDS == held
+        fit = fit_free_run(runs.where(~mine), shape, begin=begin)
+        mean[mine] = predict(runs.where(mine), shape, fit.linear, fit.rates, fit.sigma)
+    rows = np.flatnonzero(np.isfinite(runs.reading))
+    return HeldOut((runs.reading - mean)[rows], np.unique(order[rows], return_inverse=True)[1])
+
+
+def huber_scale(error: Array) -> float:
+    """The scale of greatest likelihood under Huber's density (degC): where the mean of z * min(z, 1.345) is 1."""
+    size = np.abs(error)
+    scale = max(float(np.sqrt(np.mean(size**2))), 1e-6)
+    for _ in range(50):
+        z = size / scale
+        scale *= max(float(np.sqrt(np.mean(z * np.minimum(z, HUBER)))), 1e-3)
+    return max(scale, 1e-6)
+
+
+def _log_huber(error: Array, sigma: float) -> Array:
+    """Log of Huber's density, up to its constant: Gaussian to 1.345 sigma, exponential beyond."""
+    z = np.abs(error) / sigma
+    return np.asarray(-np.log(sigma) - np.where(z < HUBER, 0.5 * z * z, HUBER * z - 0.5 * HUBER**2))
+
+
+def choose(scores: Sequence[HeldOut], size: Sequence[int]) -> int:
+    """The simplest candidate that the held-out likelihood does not tell from the best one.
+
+    Candidates are compared on the same held-out runs; one that is worse than the best by no more than one standard
+    error of the mean difference is as good (the one-standard-error rule, Breiman et al. 1984). Among those the one
+    with the fewest parameters (`size`) is taken, then the one with the higher score.
+    """
+    best = max(range(len(scores)), key=lambda number: scores[number].score)
+    equal = [number for number in range(len(scores)) if _not_worse(scores[number], scores[best])]
+    return min(equal, key=lambda number: (size[number], -scores[number].score))
+
+
+def _not_worse(one: HeldOut, best: HeldOut) -> bool:
+    weight = best.readings / best.readings.sum()
+    gap = best.likelihood - one.likelihood
+    mean = float(weight @ gap)
+    if gap.size < 2:
+        return mean <= 0
+    error = float(np.sqrt(np.sum(weight**2 * (gap - mean) ** 2) * gap.size / (gap.size - 1)))
+    return mean <= error
+
+
+def training_errors(runs: Runs, fit: Fit) -> tuple[float, float]:
+    """(rmse, mae) of the free run on the readings that it was fitted to, degC."""
+    error = (runs.reading - fit.mean)[np.isfinite(runs.reading)]
+    return float(np.sqrt(np.mean(error**2))), float(np.mean(np.abs(error)))

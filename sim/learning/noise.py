@@ -1,0 +1,314 @@
+"""How noisy the plant is: sensor, process and scatter of the mode parameters, so that forecasts at every horizon fit.
+
+The means are given (free-run fit). The exact Kalman filter on (X, m) is run over the readings, and its predictions are
+scored one step ahead and at 60, 300 and 900 s (events and inputs known): a composite likelihood with equal weights
+(Varin, Reid & Firth 2011). One-step likelihood alone would choose the noise by what happens between two readings, and
+the bands at 15 minutes would be whatever comes out of it. Errors beyond three standard deviations count linearly.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import log, sqrt
+
+import numpy as np
+from scipy.optimize import minimize
+
+from sim.learning.data import resolution
+from sim.learning.free_run import RATES, Fit, Shape, loads
+from sim.learning.runs import Indices, Runs, sampled
+from sim.sha.automaton import Flow
+from sim.sha.flows import FLOWS, coefficients
+from sim.sha.trace import Array, Mask
+
+HORIZONS = (60.0, 300.0, 900.0)
+CHUNK = 150
+ORIGINS = 400
+STEP = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """`sensor` (degC); `process` (G,), degC/sqrt(s), by group of locations; `scatter` (L,), the sigma of each m.
+
+    `score` is the mean log-likelihood per reading of the one-step predictions and of those at each of HORIZONS.
+    """
+
+    sensor: float
+    process: Array
+    scatter: Array
+    score: Mapping[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """Every knot's affine step: X' = decay X + pull (m - mu) + drift, variance = density * process^2."""
+
+    decay: Array
+    pull: Array
+    drift: Array
+    density: Array
+    place: Indices
+    group: Indices
+    stay: Indices
+    time: Array
+    reading: Array
+    run: Indices
+
+
+@dataclass(frozen=True, slots=True)
+class _Ahead:
+    """Predictions from K origins: mean = decay X + own (m - mu) + drift; variance weights of the noises after it."""
+
+    horizon: float
+    origin: Indices
+    outcome: Array
+    decay: Array
+    own: Array
+    drift: Array
+    process: Array
+    scatter: Array
+
+
+def _steps(runs: Runs, shape: Shape, fit: Fit, groups: Indices) -> _Steps:
+    n = len(runs)
+    decay, pull, density = np.ones(n), np.zeros(n), np.zeros(n)
+    for place in np.unique(runs.place):
+        kind, rows = shape.kinds[place], runs.place == place
+        params = dict.fromkeys(FLOWS[kind].params, 1.0)
+        if kind in RATES:
+            params[RATES[kind]] = float(fit.rates[shape.rate[place]])
+        decay[rows], pull[rows], density[rows] = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
+    return _Steps(
+        decay,
+        pull,
+        pull * (loads(runs, shape) @ fit.linear),
+        density,
+        runs.place,
+        groups[runs.place],
+        runs.stay,
+        runs.time,
+        runs.reading,
+        runs.run,
+    )
+
+
+def _chunks(steps: _Steps) -> Indices:
+    """(J, C) knot numbers of the chunks, filtered side by side; -1 beyond a chunk's end. Each begins at a reading."""
+    columns: list[Indices] = []
+    first = np.flatnonzero(np.diff(steps.run, prepend=-1) != 0)
+    for low, high in zip(first, [*first[1:], steps.run.size], strict=True):
+        begin = int(low)
+        while begin < high - 1:
+            end = min(begin + CHUNK, int(high))
+            there = np.flatnonzero(np.isfinite(steps.reading[begin:end]))
+            if there.size < 2:
+                break
+            end = begin + int(there[-1]) + 1
+            columns.append(np.arange(begin, end))
+            begin = end - 1
+    columns.sort(key=lambda column: (-column.size, column[0]))
+    table = np.full((columns[0].size if columns else 0, len(columns)), -1, dtype=np.intp)
+    for number, column in enumerate(columns):
+        table[: column.size, number] = column
+    return table
+
+
+State = tuple[Array, Array, Array, Array, Array]
+"""Means of X and m - mu, then xx, xm, mm of their covariance, each (C, Q)."""
+
+
+def _filtered(steps: _Steps, table: Indices, sensor: Array, process: Array, scatter: Array) -> tuple[Array, Array]:
+    """(log-likelihoods (n, Q), states (5, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ..."""
+    n, width = steps.run.size, sensor.size
+    scores, states = np.full((n, width), np.nan), np.full((5, n, width), np.nan)
+    x = np.repeat(steps.reading[table[0]][:, None], width, axis=1)
+    nothing = np.zeros_like(x)
+    state: State = (x, nothing, nothing + sensor**2, nothing, nothing)
+    for row in range(1, table.shape[0]):
+        knots = table[row][table[row] >= 0]
+        fresh = (steps.stay[knots] != steps.stay[knots - 1]) | (row == 1)
+        state = _predicted(steps, knots, fresh, [part[: knots.size] for part in state], process, scatter)
+        error = steps.reading[knots][:, None] - state[0]
+        scores[knots] = _log_score(error, state[2] + sensor**2)
+        state = _updated(state, np.nan_to_num(error), np.isfinite(error), sensor)
+        for part, value in zip(states, state, strict=True):
+            part[knots] = value
+    return scores, states
+
+
+def _predicted(
+    steps: _Steps, knots: Indices, fresh: Mask, state: Sequence[Array], process: Array, scatter: Array
+) -> State:
+    x, m, xx, xm, mm = state
+    at = fresh[:, None]
+    m, xm, mm = np.where(at, 0.0, m), np.where(at, 0.0, xm), np.where(at, scatter[steps.place[knots]] ** 2, mm)
+    a, p = steps.decay[knots][:, None], steps.pull[knots][:, None]
+    added = steps.density[knots][:, None] * process[steps.group[knots]] ** 2
+    return (
+        a * x + p * m + steps.drift[knots][:, None],
+        m,
+        a * a * xx + 2 * a * p * xm + p * p * mm + added,
+        a * xm + p * mm,
+        mm,
+    )
+
+
+def _updated(state: State, error: Array, there: Mask, sensor: Array) -> State:
+    x, m, xx, xm, mm = state
+    variance = xx + sensor**2
+    gain, turn = np.where(there, xx / variance, 0.0), np.where(there, xm / variance, 0.0)
+    return x + gain * error, m + turn * error, (1 - gain) * xx, (1 - gain) * xm, mm - turn * xm
+
+
+def _log_score(error: Array, variance: Array) -> Array:
+    z = np.abs(error) / np.sqrt(variance)
+    return np.asarray(-0.5 * np.log(2 * np.pi * variance) - np.where(z < 3, 0.5 * z * z, 3 * z - 4.5))
+
+
+def _aims(steps: _Steps, horizon: float) -> tuple[Indices, Indices]:
+    """Up to ORIGINS pairs (origin, outcome) of readings of one run, `horizon` to 1.2 times as far apart."""
+    there = np.flatnonzero(np.isfinite(steps.reading))
+    found: list[Indices] = []
+    for run in np.unique(steps.run[there]):
+        mine = there[steps.run[there] == run]
+        place = np.searchsorted(steps.time[mine], steps.time[mine] + horizon)
+        inside = place < mine.size
+        found.append(np.column_stack([mine[inside], mine[place[inside]]]))
+    pairs = np.concatenate(found)
+    ahead = steps.time[pairs[:, 1]] - steps.time[pairs[:, 0]]
+    pairs = pairs[ahead <= 1.2 * horizon]
+    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), ORIGINS)).astype(np.intp))
+    return pairs[chosen, 0], pairs[chosen, 1]
+
+
+def _ahead(steps: _Steps, horizon: float, groups: int, places: int) -> _Ahead | None:
+    """The predictions over `horizon`, or None when no two readings are so far apart."""
+    origin, end = _aims(steps, horizon)
+    if not origin.size:
+        return None
+    size = origin.size
+    decay, own, drift, fresh = np.ones(size), np.zeros(size), np.zeros(size), np.zeros(size)
+    process, scatter = np.zeros((size, groups)), np.zeros((size, places))
+    at, still = origin.copy(), np.ones(size, dtype=bool)
+    for _ in range(int((end - origin).max())):
+        go = np.flatnonzero(at < end)
+        here = at[go] + 1
+        a, p = steps.decay[here], steps.pull[here]
+        left = steps.stay[here] != steps.stay[at[go]]
+        gone = go[left & ~still[go]]
+        scatter[gone, steps.place[at[gone]]] += fresh[gone] ** 2
+        fresh[go[left]] = 0.0
+        still[go[left]] = False
+        decay[go] *= a
+        own[go] = a * own[go] + np.where(still[go], p, 0.0)
+        fresh[go] = a * fresh[go] + np.where(still[go], 0.0, p)
+        drift[go] = a * drift[go] + steps.drift[here]
+        process[go] *= a[:, None] ** 2
+        process[go, steps.group[here]] += steps.density[here]
+        scatter[go] *= a[:, None] ** 2
+        at[go] = here
+    scatter[np.arange(size), steps.place[end]] += fresh**2
+    return _Ahead(horizon, origin, steps.reading[end], decay, own, drift, process, scatter)
+
+
+def _ahead_score(ahead: _Ahead, states: Array, sensor: Array, process: Array, scatter: Array) -> Array:
+    """(Q,) the mean log-likelihood of the predictions from origins with a state."""
+    x, m, xx, xm, mm = (part[ahead.origin] for part in states)
+    a, own = ahead.decay[:, None], ahead.own[:, None]
+    mean = a * x + own * m + ahead.drift[:, None]
+    variance = a * a * xx + 2 * a * own * xm + own * own * mm
+    variance = variance + ahead.process @ process**2 + ahead.scatter @ scatter**2 + sensor**2
+    return np.asarray(np.nanmean(_log_score(ahead.outcome[:, None] - mean, variance), axis=0))
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """What the likelihood needs, and the floors and counts of its parameters."""
+
+    steps: _Steps
+    table: Indices
+    aheads: tuple[_Ahead, ...]
+    groups: int
+    seen: Indices
+    places: int
+    floor: float
+
+    def unpack(self, theta: Array) -> tuple[Array, Array, Array]:
+        """(sensor (Q,), process (G, Q), scatter (L, Q)) from theta (P, Q) of logarithms."""
+        values = np.exp(theta)
+        scatter = np.zeros((self.places, theta.shape[1]))
+        scatter[self.seen] = values[1 + self.groups :]
+        return values[0], values[1 : 1 + self.groups], scatter
+
+    def scores(self, theta: Array) -> list[Array]:
+        """(Q,) the mean log-likelihood one step ahead, then at each horizon."""
+        sensor, process, scatter = self.unpack(theta)
+        one, states = _filtered(self.steps, self.table, sensor, process, scatter)
+        later = [_ahead_score(ahead, states, sensor, process, scatter) for ahead in self.aheads]
+        return [np.nanmean(one, axis=0), *later]
+
+    def loss(self, theta: Array, weight: float) -> Array:
+        """(Q,) minus the composite log-likelihood and the log-prior.
+
+        The scatters are shrunk towards their common geometric mean (factor 1.6): a location that was entered three
+        times says little about its own.
+        """
+        logs = theta[1 + self.groups :]
+        shrink = np.sum((logs - logs.mean(axis=0)) ** 2, axis=0) / (2 * 0.5**2)
+        vague = np.sum((theta - self.start()[:, None]) ** 2, axis=0) / (2 * 3.0**2)
+        return np.asarray(shrink + vague - weight * np.sum(self.scores(theta), axis=0))
+
+    def start(self) -> Array:
+        """Where the search begins and the vague prior lies: 0.005 degC/sqrt(s) and 2 degC, sensor by differences."""
+        reading = self.steps.reading[np.isfinite(self.steps.reading)]
+        rough = 1.4826 * float(np.median(np.abs(np.diff(reading, 2)))) / sqrt(6.0) if reading.size > 2 else 0.0
+        logs = [log(max(rough, self.floor) * 1.01), *[log(0.005)] * self.groups, *[log(2.0)] * self.seen.size]
+        return np.array(logs)
+
+    def bounds(self) -> list[tuple[float, float]]:
+        """Of the logarithms: no sensor is better than its rounding, no plant without noise."""
+        sensor = (log(self.floor), log(max(50.0, 2 * self.floor)))
+        return [sensor, *[(log(1e-4), log(1.0))] * self.groups, *[(log(0.05), log(60.0))] * self.seen.size]
+
+
+def fit_noise(runs: Runs, shape: Shape, fit: Fit, groups: Indices, *, budget: int = 2500, floor: float = 1e-3) -> Noise:
+    """The noise of greatest composite likelihood, the means given by `fit`.
+
+    `groups` (L,) numbers the locations that share one process noise. `floor` is the least sensor sigma (degC); the
+    sensor's own rounding, step/sqrt(12), is taken where that is more. Rows are sampled to about `budget` knots.
+    """
+    few = sampled(runs, budget)
+    steps = _steps(few, shape, fit, groups)
+    count = int(groups.max()) + 1
+    aheads = [_ahead(steps, horizon, count, groups.size) for horizon in HORIZONS]
+    task = _Task(
+        steps=steps,
+        table=_chunks(steps),
+        aheads=tuple(ahead for ahead in aheads if ahead is not None),
+        groups=count,
+        seen=np.flatnonzero(shape.target >= 0),
+        places=groups.size,
+        floor=max(floor, resolution(runs.reading) / sqrt(12.0)),
+    )
+    # As many independent looks as the data have stretches of 300 s, spread over one step and the horizons.
+    weight = max(float(few.dt.sum()) / 300.0, 10.0)
+    found = minimize(
+        _value_and_slope,
+        task.start(),
+        args=(task, weight),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=task.bounds(),
+        options={"maxiter": 60, "ftol": 1e-7},
+    )
+    sensor, process, scatter = task.unpack(np.asarray(found.x)[:, None])
+    horizons = [0.0, *(ahead.horizon for ahead in task.aheads)]
+    score = {h: float(value[0]) for h, value in zip(horizons, task.scores(np.asarray(found.x)[:, None]), strict=True)}
+    return Noise(float(sensor[0]), process[:, 0], scatter[:, 0], score)
+
+
+def _value_and_slope(theta: Array, task: _Task, weight: float) -> tuple[float, Array]:
+    """The loss and its gradient by forward differences, all perturbations in one pass of the filter."""
+    trials = theta[:, None] + STEP * np.eye(theta.size, theta.size + 1, 1)
+    values = task.loss(trials, weight)
+    return float(values[0]), (values[1:] - values[0]) / STEP

@@ -1,0 +1,283 @@
+"""Traces cut into free runs: exact steps from reading to reading, with location, inputs and stay, as flat arrays."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.learning.data import resolution, without_spikes
+from sim.learning.structure import LearningError
+from sim.sha.automaton import SHA, transitions
+from sim.sha.events import Alphabet, Switch
+from sim.sha.trace import UNKNOWN, Array, Mask, Trace
+
+Indices = NDArray[np.intp]
+
+WINDOWS = 20
+"""Into which `sampled` cuts what is too long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """n knots of several free runs, one after the other; a knot ends the step of `dt` seconds that leads to it.
+
+    Every array is (n,), `inputs` (n, q). A run's first knot has a reading and no step (`dt` 0). `place` is the index of
+    the location in which the step was made, `age` the seconds since it was entered, at the step's start; `inputs` are
+    the input signals held over the step (NaN while a signal was never read). `reading` is the temperature at the knot
+    (degC) or NaN. `stay` counts the uninterrupted stays in a location, `trace` and `run` say where a knot comes from.
+    """
+
+    time: Array
+    dt: Array
+    age: Array
+    place: Indices
+    inputs: Array
+    reading: Array
+    stay: Indices
+    run: Indices
+    trace: Indices
+
+    def __len__(self) -> int:
+        return self.time.size
+
+    @property
+    def first(self) -> Mask:
+        """(n,) whether a knot begins a run."""
+        return np.asarray(np.diff(self.run, prepend=-1) != 0)
+
+    def where(self, keep: Mask) -> "Runs":
+        """The knots of whole runs, or of parts of runs cut by `pieces`; runs and stays keep their numbers."""
+        return Runs(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
+
+
+@dataclass(frozen=True, slots=True)
+class _Path:
+    """A trace's way through the locations: `place[i]` and `entered[i]` hold after `i` events; where knowledge ended."""
+
+    times: Array
+    place: Indices
+    entered: Array
+    broken: Array
+    started: Array
+
+
+def _path(trace: Trace, sha: SHA, rising: str | None) -> _Path:
+    moves = transitions(sha)
+    index = {location.name: place for place, location in enumerate(sha.locations)}
+    here, since = sha.initial, float(trace.times[0])
+    places, entered, broken, started = [index[here]], [since], [], []
+    for number, event in enumerate(trace.events):
+        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
+        if target is None:
+            raise LearningError(
+                f"trace {trace.name!r}: event {number} ({event.symbol!r}) has no edge from location {here!r}, so the "
+                f"trace cannot be followed through SHA {sha.name!r}"
+            )
+        if event.symbol == UNKNOWN:
+            broken.append(event.time)
+        elif event.symbol == rising:
+            started.append(event.time)
+        if target != here:
+            here, since = target, event.time
+        places.append(index[here])
+        entered.append(since)
+    times = np.array([event.time for event in trace.events], dtype=float)
+    return _Path(times, np.array(places, dtype=np.intp), np.array(entered), np.array(broken), np.array(started))
+
+
+def _held(column: Array) -> Array:
+    """Each reading held until the next; NaN before the first."""
+    last = np.maximum.accumulate(np.where(np.isnan(column), -1, np.arange(column.size)))
+    return np.where(last < 0, np.nan, column[last])
+
+
+def _cycle_starts(started: Array, begins: Array, least: float) -> Array:
+    """The start-ups at which a new run begins: those at least `least` seconds after the run before them began."""
+    chosen: list[float] = []
+    for moment in started.tolist():
+        place = int(np.searchsorted(begins, moment, side="right")) - 1
+        before = max(float(begins[place]) if place >= 0 else -np.inf, chosen[-1] if chosen else -np.inf)
+        if moment - before >= least:
+            chosen.append(moment)
+    return np.array(chosen)
+
+
+def _cut(time: Array, moments: Array) -> Mask:
+    """(n,) whether a moment lies in (time of the knot before, time of the knot]; never at the first knot."""
+    passed = np.searchsorted(moments, time, side="right")
+    return np.diff(passed, prepend=passed[:1]) > 0
+
+
+def _of_trace(trace: Trace, path: _Path, signals: Sequence[str], modelled: Mask, reading: Array, cycle: float) -> Runs:
+    extra = np.setdiff1d(path.times, trace.times)
+    extra = extra[(extra > trace.times[0]) & (extra < trace.times[-1])]
+    time = np.concatenate([trace.times, extra])
+    order = np.argsort(time, kind="stable")
+    time = time[order]
+    nothing = np.full(extra.size, np.nan)
+    begin = np.concatenate([time[:1], time[:-1]])
+    done = np.searchsorted(path.times, begin, side="right")
+    place = path.place[done]
+    columns = [_held(np.concatenate([trace.signals[name], nothing])[order]) for name in signals]
+    inputs = np.column_stack(columns) if columns else np.empty((time.size, 0))
+    cut = _cut(time, path.broken) | ~modelled[place]
+    cut[0] = True
+    cut |= _cut(time, _cycle_starts(path.started, time[cut], cycle))
+    stay = np.cumsum(cut | (np.diff(path.entered[done], prepend=-np.inf) != 0)) - 1
+    return Runs(
+        time=time,
+        dt=np.where(cut, 0.0, time - begin),
+        age=begin - path.entered[done],
+        place=place,
+        inputs=np.concatenate([inputs[:1], inputs[:-1]]),
+        reading=np.concatenate([reading, nothing])[order],
+        stay=stay,
+        run=np.cumsum(cut) - 1,
+        trace=np.zeros(time.size, dtype=np.intp),
+    )
+
+
+def _trimmed(runs: Runs) -> Runs:
+    """Each run from its first reading to its last one; runs with fewer than two readings are left out."""
+    there = np.isfinite(runs.reading)
+    upto = np.cumsum(there)
+    count = np.bincount(runs.run, weights=there, minlength=int(runs.run[-1]) + 1 if len(runs) else 1)
+    before = np.concatenate([[0.0], np.cumsum(count)])[runs.run]
+    total = count[runs.run]
+    seen = upto - before
+    last = (seen < total) | ((seen == total) & there)
+    kept = runs.where((total >= 2) & (seen >= 1) & last)
+    return replace(kept, dt=np.where(kept.first, 0.0, kept.dt))
+
+
+def _joined(parts: Sequence[Runs]) -> Runs:
+    """Several traces' runs as one, with runs and stays numbered through."""
+    shifted: list[Runs] = []
+    run = stay = 0
+    for number, part in enumerate(parts):
+        if not len(part):
+            continue
+        runs, stays = part.run - part.run[0] + run, part.stay - part.stay[0] + stay
+        shifted.append(replace(part, run=runs, stay=stays, trace=np.full(len(part), number)))
+        run, stay = int(runs[-1]) + 1, int(stays[-1]) + 1
+    if not shifted:
+        raise LearningError(
+            "no stretch of the traces has two temperature readings in a known location, so nothing can be fitted"
+        )
+    return Runs(**{each.name: np.concatenate([getattr(part, each.name) for part in shifted]) for each in fields(Runs)})
+
+
+def first_switch(alphabet: Alphabet) -> Switch | None:
+    """The alphabet's first two-valued channel: the plant runs or rests, and its rising edge begins a cycle."""
+    return next((channel for channel in alphabet.channels if isinstance(channel, Switch)), None)
+
+
+def free_runs(
+    traces: Sequence[Trace],
+    sha: SHA,
+    temperature: str,
+    *,
+    signals: Sequence[str] = (),
+    modelled: Mask | None = None,
+    rising: str | None = None,
+    cycle: float = 3600.0,
+) -> Runs:
+    """All free runs of the traces through `sha`, each from its first temperature reading to its last.
+
+    A run ends where the trace ends, where the state becomes unknown, and where the location is not `modelled` (L,)
+    (default: all but the initial one, if other locations exist). It also ends at an event `rising`, a start-up, once it
+    has lasted `cycle` seconds: that is where one cycle ends and the next one's start temperature begins. Isolated
+    spikes of the temperature count as no reading. `signals` are the inputs to be held over the steps; a trace that
+    lacks one has it never read.
+
+    Raises LearningError when an event has no edge or no run is left, ValueError when `sha` is not deterministic.
+    """
+    if modelled is None:
+        modelled = np.array([location.name != sha.initial or len(sha.locations) == 1 for location in sha.locations])
+    parts = []
+    for trace in traces:
+        reading = trace.signals.get(temperature, np.empty(0))
+        if not np.isfinite(reading).any():
+            continue
+        cleaned = without_spikes(reading, resolution(reading))
+        known = replace(trace, signals={**_missing(trace, signals), **trace.signals})
+        parts.append(_trimmed(_of_trace(known, _path(known, sha, rising), signals, modelled, cleaned, cycle)))
+    return _joined(parts)
+
+
+def _missing(trace: Trace, signals: Sequence[str]) -> dict[str, Array]:
+    return {name: np.full(trace.times.shape, np.nan) for name in signals if name not in trace.signals}
+
+
+def thinned(runs: Runs, budget: int) -> Runs:
+    """The same runs with about `budget` knots at most: exact steps are merged, inputs averaged over the merged step.
+
+    The last reading of each window of equal length stays, and so does every change of location; so time, stays and
+    locations are exact, and what is lost is the scatter of the inputs inside a window (of second order in rate x
+    window). Knots without a reading inside a stay are merged as well.
+    """
+    ends = np.append((np.diff(runs.stay) != 0) | runs.first[1:], True)
+    there = np.isfinite(runs.reading)
+    must = runs.first | ends
+    room = max(budget - int(must.sum()), budget // 4)
+    window = float(runs.dt.sum()) / room if np.count_nonzero(there) > room else 0.0
+    keep = must | there
+    if window > 0:
+        start = runs.time[runs.first][np.cumsum(runs.first) - 1]
+        cell = np.floor((runs.time - start) / window)
+        readings = np.flatnonzero(there)
+        moved = (np.diff(cell[readings]) != 0) | (np.diff(runs.run[readings]) != 0)
+        keep = must.copy()
+        keep[readings[np.append(moved, True)]] = True
+    return _merged(runs, keep)
+
+
+def sampled(runs: Runs, budget: int) -> Runs:
+    """`thinned`, and where changes of location alone are too many, windows spread evenly over the whole time.
+
+    There are twenty windows, each a run of its own; what lies between them is left out.
+    """
+    few = thinned(runs, budget)
+    if len(few) <= 1.5 * budget:
+        return few
+    count = WINDOWS * max(len(few) // budget, 1)
+    window = np.arange(len(few)) * count // len(few)
+    kept = np.unique(np.linspace(0, int(window[-1]), WINDOWS).astype(np.intp))
+    part = few.where(np.isin(window, kept))
+    mark = part.run * (int(window[-1]) + 1) + window[np.isin(window, kept)]
+    return _trimmed(replace(part, run=np.cumsum(np.diff(mark, prepend=mark[:1]) != 0)))
+
+
+def _merged(runs: Runs, keep: Mask) -> Runs:
+    """Steps merged up to each kept knot; the first of the merged steps gives the age."""
+    ends = np.flatnonzero(keep)
+    begins = np.concatenate([[0], ends[:-1] + 1])
+    dt = np.add.reduceat(runs.dt, begins)
+    weight = np.where(np.isnan(runs.inputs), 0.0, runs.dt[:, None])
+    share = np.add.reduceat(weight, begins, axis=0)
+    mass = np.add.reduceat(weight * np.nan_to_num(runs.inputs), begins, axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        inputs = np.where(share > 0, mass / share, runs.inputs[ends])
+    kept = runs.where(keep)
+    return replace(kept, dt=dt, inputs=inputs, age=runs.age[begins])
+
+
+def pieces(runs: Runs, least: int) -> Runs:
+    """The same knots with the longest runs halved until there are `least` of them, as far as they are long enough.
+
+    A piece begins at a reading and has at least ten of them; its first knot has no step.
+    """
+    there = np.isfinite(runs.reading)
+    bounds = [*np.flatnonzero(runs.first).tolist(), len(runs)]
+    while len(bounds) - 1 < least:
+        sizes = np.add.reduceat(there, bounds[:-1])
+        longest = int(np.argmax(sizes))
+        if sizes[longest] < 20:
+            break
+        low, high = bounds[longest : longest + 2]
+        half = int(np.searchsorted(np.cumsum(there[low:high]), sizes[longest] // 2 + 1))
+        bounds.insert(longest + 1, low + half)
+    first = np.zeros(len(runs), dtype=bool)
+    first[bounds[:-1]] = True
+    return replace(runs, run=np.cumsum(first) - 1, dt=np.where(first, 0.0, runs.dt))

@@ -1,0 +1,211 @@
+"""How long stays last and where they lead, learned from traces: what a forecast assumes of events to come.
+
+A stay that the trace's end or an UNKNOWN cuts off is censored: it lasted at least so long. Moves that take no time are
+folded into one. What follows an UNKNOWN until the next event says how long a gap lasted, not how the plant behaves, and
+is left out.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import exp, inf, log
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import log_ndtr
+
+from sim.sha.automaton import SHA, Distribution
+from sim.sha.model import Model, Stay
+from sim.sha.trace import UNKNOWN, Array, Mask, Trace
+from sim.sha.tracker import Tracker, compiled, next_location
+
+LEAST_ENDED = 12
+"""Ended stays below which a location's sojourn law is exponential: two parameters are not to be had from so few."""
+
+PRIOR_STAYS = 0.5
+"""The ended stays that the mean stay of all locations counts for in each one: a mean is never 0 and never infinite."""
+
+PRIOR_MOVES = 0.5
+"""The moves that each possible next location counts for before any is seen (Krichevsky & Trofimov 1981)."""
+
+SHORTEST = 1e-3
+"""Seconds; a stay is not taken to be shorter, a clock in milliseconds cannot tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sojourn:
+    """One stay of positive length in a trace: `start`..`end` (absolute s); `to` is None when it was cut off.
+
+    `gap` marks a stay that begins with an UNKNOWN.
+    """
+
+    location: str
+    start: float
+    end: float
+    to: str | None
+    gap: bool = False
+
+
+def sojourns(model: Model | Tracker, trace: Trace) -> tuple[Sojourn, ...]:
+    """The stays of an encoded trace in order, as its events lead through the automaton, from its first row to its last.
+
+    Events without an edge follow the tracker's policy. Raises ValueError when the trace has no rows.
+    """
+    tracker = compiled(model)
+    if not trace.times.size:
+        raise ValueError(f"trace {trace.name!r} has no rows")
+    here, since, gap = tracker.model.sha.initial, float(trace.times[0]), False
+    stays: list[Sojourn] = []
+    for event in trace.events:
+        target, _ = next_location(tracker, here, event.symbol)
+        if target is None:
+            continue
+        lost = event.symbol == UNKNOWN
+        if event.time > since:
+            stays.append(Sojourn(here, since, event.time, None if lost else target, gap))
+            since, gap = event.time, lost
+        else:
+            stays = _folded(stays, since, None if lost else target)
+            gap = lost
+        here = target
+    end = float(trace.times[-1])
+    return (*stays, Sojourn(here, since, end, None, gap)) if end > since else tuple(stays)
+
+
+def _folded(stays: list[Sojourn], time: float, to: str | None) -> list[Sojourn]:
+    """The stays when the plant moves on at the instant at which the newest of them ended."""
+    if not stays or stays[-1].end != time:
+        return stays
+    last = stays[-1]
+    cut = last.to is None and to is not None
+    return [*stays[:-1], Sojourn(last.location, last.start, last.end, None if cut else to, last.gap)]
+
+
+def fit_law(lengths: Sequence[float], ended: Sequence[bool], typical: float) -> Distribution:
+    """The sojourn law by maximum likelihood and corrected AIC: exponential, Weibull or log-normal; times in seconds.
+
+    `ended` says which stays were seen to end; the others are right-censored. `typical` is the mean to assume where
+    nothing is known. Raises ValueError on lengths that do not match, are negative or not finite, and unless
+    `typical` is positive.
+    """
+    times, seen = np.asarray(lengths, dtype=float), np.asarray(ended, dtype=bool)
+    if times.shape != seen.shape or not np.all((times >= 0) & (times < inf)) or not 0 < typical < inf:
+        raise ValueError("stays need as many ends as lengths, lengths of 0 s or more and a typical length above 0 s")
+    times = np.maximum(times, SHORTEST)
+    count = float(seen.sum())
+    mean = (float(times.sum()) + PRIOR_STAYS * typical) / (count + PRIOR_STAYS)
+    simple = Distribution("exponential", {"mean": mean})
+    if count < LEAST_ENDED:
+        return simple
+    best, lowest = simple, 2.0 * (count * log(mean) + float(times.sum()) / mean) + 2.0 + 4.0 / (count - 2.0)
+    for law, loss in (_fit_weibull(times, seen), _fit_lognormal(times, seen)):
+        criterion = 2.0 * loss + 4.0 + 12.0 / (count - 3.0)
+        if criterion < lowest:
+            best, lowest = law, criterion
+    return best
+
+
+def _fit_weibull(times: Array, seen: Mask) -> tuple[Distribution, float]:
+    """The law and minus its log-likelihood; the scale follows from the shape, which lies between 0.2 and 20."""
+    logs, count = np.log(times), float(seen.sum())
+    centre = float(logs[seen].mean())
+
+    def scaled(shape: float) -> float:
+        return float(np.log(np.exp(shape * (logs - centre)).sum() / count))
+
+    def loss(point: Array) -> float:
+        shape = exp(float(point[0]))
+        return count * (scaled(shape) - log(shape) + 1.0 + centre)
+
+    found = minimize(loss, [0.0], method="L-BFGS-B", bounds=[(log(0.2), log(20.0))])
+    shape = exp(float(found.x[0]))
+    scale = exp(centre + scaled(shape) / shape)
+    return Distribution("weibull", {"shape": shape, "scale": scale}), float(found.fun)
+
+
+def _fit_lognormal(times: Array, seen: Mask) -> tuple[Distribution, float]:
+    """The law and minus its log-likelihood; sigma (of ln t) lies between 0.05 and 5."""
+    logs = np.log(times)
+    done, cut = logs[seen], logs[~seen]
+
+    def loss(point: Array) -> float:
+        mu, sigma = float(point[0]), exp(float(point[1]))
+        density = 0.5 * ((done - mu) / sigma) ** 2 + log(sigma) + 0.5 * log(2.0 * np.pi) + done
+        return float(density.sum() - log_ndtr(-(cut - mu) / sigma).sum())
+
+    first = [float(done.mean()), log(min(max(float(done.std()), 0.05), 5.0))]
+    found = minimize(loss, first, method="L-BFGS-B", bounds=[(None, None), (log(0.05), log(5.0))])
+    law = Distribution("lognormal", {"mu": float(found.x[0]), "sigma": exp(float(found.x[1]))})
+    return law, float(found.fun)
+
+
+def fit_stays(model: Model | Tracker, traces: Sequence[Trace]) -> dict[str, Stay]:
+    """`Model.semi_markov` from encoded traces: law, next locations and inputs of each location that was stayed in.
+
+    The next location's probabilities are counts plus a half for every location to which an edge leads and in which the
+    traces stay at some time; a location that is never left gets no stay. The result does not depend on the traces'
+    order. Raises ValueError when the model cannot be run or a trace has no rows.
+    """
+    tracker = compiled(model)
+    found: dict[str, list[tuple[Sojourn, Trace]]] = {}
+    for trace in traces:
+        for stay in sojourns(tracker, trace):
+            if not stay.gap:
+                found.setdefault(stay.location, []).append((stay, trace))
+    lengths = [stay.end - stay.start for stays in found.values() for stay, _ in stays]
+    ends = sum(stay.to is not None for stays in found.values() for stay, _ in stays)
+    typical = max(float(np.sum(np.sort(lengths))) / max(ends, 1), SHORTEST) if lengths else 1.0
+    fitted = {}
+    for location in sorted(found):
+        to = _next(tracker.model.sha, location, [stay for stay, _ in found[location]], set(found))
+        if to:
+            stays = sorted(found[location], key=lambda item: (item[0].end - item[0].start, item[1].name, item[0].start))
+            law = fit_law([s.end - s.start for s, _ in stays], [s.to is not None for s, _ in stays], typical)
+            fitted[location] = Stay(law, to, _inputs(tracker, location, stays))
+    return fitted
+
+
+def _next(sha: SHA, location: str, stays: Sequence[Sojourn], stayed: set[str]) -> Mapping[str, float]:
+    counts = Counter(stay.to for stay in stays if stay.to is not None)
+    possible = {
+        edge.target
+        for edge in sha.edges
+        if edge.source == location != edge.target and edge.symbol != UNKNOWN and edge.target in stayed
+    }
+    targets = sorted(possible | set(counts))
+    total = sum(counts.values()) + PRIOR_MOVES * len(targets)
+    return {target: (counts[target] + PRIOR_MOVES) / total for target in targets}
+
+
+def _inputs(
+    tracker: Tracker, location: str, stays: Sequence[tuple[Sojourn, Trace]]
+) -> Mapping[str, tuple[float, float]]:
+    """Mean and standard deviation, from stay to stay, of each input's time average over a stay.
+
+    Both are weighted by the stays' lengths. With a single stay the deviation is that inside it.
+    """
+    moments = {}
+    for given in tracker.modes[location].location.flow.inputs:
+        rows = [_average(trace, given.signal, stay) for stay, trace in stays if given.signal in trace.signals]
+        known = np.array([row for row in rows if np.isfinite(row[0])])
+        if len(known):
+            mean = float(np.average(known[:, 0], weights=known[:, 2]))
+            between = float(np.average((known[:, 0] - mean) ** 2, weights=known[:, 2]))
+            moments[given.signal] = (mean, float(np.sqrt(between if len(known) > 1 else known[0, 1])))
+    return moments
+
+
+def _average(trace: Trace, signal: str, stay: Sojourn) -> tuple[float, float, float]:
+    """(mean, variance, seconds) of the signal over the stay, each reading held until the next; NaN without readings."""
+    column = trace.signals[signal]
+    read = np.flatnonzero(np.isfinite(column))
+    times, values = trace.times[read], column[read]
+    first, last = np.searchsorted(times, [stay.start, stay.end], side="right")
+    rows = slice(max(int(first) - 1, 0), int(last))
+    values, begins = values[rows], np.maximum(times[rows], stay.start)
+    lasts = np.diff(begins, append=stay.end)
+    whole = float(lasts.sum())
+    if not whole > 0:
+        return float("nan"), float("nan"), 0.0
+    mean = float((values * lasts).sum() / whole)
+    return mean, float(((values - mean) ** 2 * lasts).sum() / whole), whole

@@ -1,0 +1,136 @@
+"""From an automaton to the fitter's parameter vector and back: what is free, shared, believed before."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sim.learning.free_run import RATES, Fit, Shape
+from sim.sha import distributions
+from sim.sha.automaton import SHA, Distribution, Flow, Input, Location
+from sim.sha.trace import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Weak beliefs before the data: normal laws of m, of the gains and of log(rate).
+
+    `temperature` (centre, spread) in degC for targets; drifts (degC/s) and logarithmic factors (degC) are centred at 0
+    with `drift` and `factor`. `gain` is the spread of a gain by its signal, degC per unit. `tau` is the central time
+    constant in seconds (1/k, or t0) and `tau_spread` the spread of its logarithm.
+    """
+
+    temperature: tuple[float, float]
+    gain: Mapping[str, float] = field(default_factory=dict)
+    tau: float = 900.0
+    tau_spread: float = 1.5
+    drift: float = 0.05
+    factor: float = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """What the numbers of a Shape stand for: location or group of each rate, each m, each gain (with its signal)."""
+
+    rates: tuple[str, ...]
+    targets: tuple[str, ...]
+    gains: tuple[tuple[str, str], ...]
+
+
+def shape_of(
+    sha: SHA,
+    free: Sequence[str],
+    signals: Sequence[str],
+    prior: Prior,
+    *,
+    rates: Mapping[str, str] | None = None,
+    gains: Mapping[str, str] | None = None,
+) -> tuple[Shape, Names]:
+    """The parameter vector of the `free` locations of `sha`, whose flows give the structure.
+
+    `rates` and `gains` map a location to the group whose rate or gains it shares (default: its own). The linear
+    parameters are the m of the free locations in the order of `sha`, then the gains. Locations that are not free count
+    as constant. Raises ValueError when an input is not among `signals`.
+    """
+    chosen = [location for location in sha.locations if location.name in set(free)]
+    targets = [location.name for location in chosen if location.flow.kind != "constant"]
+    group_of_rate = {each.name: (rates or {}).get(each.name, each.name) for each in chosen if each.flow.kind in RATES}
+    group_of_gain = {
+        (each.name, given.signal): ((gains or {}).get(each.name, each.name), given.signal)
+        for each in chosen
+        for given in each.flow.inputs
+    }
+    names = Names(
+        tuple(dict.fromkeys(group_of_rate.values())), tuple(targets), tuple(dict.fromkeys(group_of_gain.values()))
+    )
+    unknown = [signal for _, signal in names.gains if signal not in signals]
+    if unknown:
+        raise ValueError(f"SHA {sha.name!r} is driven by {unknown[0]!r}, which is not among the inputs to be fitted")
+    size = len(sha.locations)
+    gain = np.full((size, len(signals)), -1, dtype=np.intp)
+    at = np.zeros((size, len(signals)))
+    for place, location in enumerate(sha.locations):
+        for given in location.flow.inputs if location in chosen else ():
+            number = signals.index(given.signal)
+            gain[place, number] = len(targets) + names.gains.index(group_of_gain[location.name, given.signal])
+            at[place, number] = given.reference
+    centre, spread = _beliefs(sha, names, prior)
+    shape = Shape(
+        kinds=tuple(each.flow.kind if each in chosen else "constant" for each in sha.locations),
+        rate=_places(sha, group_of_rate, names.rates),
+        target=_places(sha, {name: name for name in targets}, names.targets),
+        gain=gain,
+        reference=at,
+        centre=centre,
+        spread=spread,
+        rate_centre=np.array([_rate_centre(sha, group_of_rate, group, prior) for group in names.rates]),
+        rate_spread=np.full(len(names.rates), prior.tau_spread),
+    )
+    return shape, names
+
+
+def _places(sha: SHA, groups: Mapping[str, str], order: Sequence[str]) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    known = [order.index(groups[each.name]) if each.name in groups else -1 for each in sha.locations]
+    return np.array(known, dtype=np.intp)
+
+
+def _rate_centre(sha: SHA, groups: Mapping[str, str], group: str, prior: Prior) -> float:
+    kind = next(each.flow.kind for each in sha.locations if groups.get(each.name) == group)
+    return float(np.log(prior.tau if RATES[kind] == "t0" else 1.0 / prior.tau))
+
+
+def _beliefs(sha: SHA, names: Names, prior: Prior) -> tuple[Array, Array]:
+    laws = {"linear": (0.0, prior.drift), "logarithmic": (0.0, prior.factor)}
+    by_name = sha.by_name
+    pairs = [laws.get(by_name[name].flow.kind, prior.temperature) for name in names.targets]
+    pairs += [(0.0, prior.gain.get(signal, 1.0)) for _, signal in names.gains]
+    return np.array([centre for centre, _ in pairs]), np.array([spread for _, spread in pairs])
+
+
+def with_parameters(sha: SHA, shape: Shape, fit: Fit) -> SHA:
+    """`sha` with the fitted m (mean of each location's law), rates and gains; noise and sigma stay what they are."""
+    return replace(
+        sha,
+        locations=tuple(_fitted(location, place, shape, fit) for place, location in enumerate(sha.locations)),
+    )
+
+
+def _fitted(location: Location, place: int, shape: Shape, fit: Fit) -> Location:
+    if shape.kinds[place] != location.flow.kind or shape.target[place] < 0:
+        return location
+    flow, params = location.flow, dict(location.flow.params)
+    if shape.rate[place] >= 0:
+        params[RATES[flow.kind]] = float(fit.rates[shape.rate[place]])
+    columns = [column for column in shape.gain[place] if column >= 0]
+    inputs = tuple(
+        Input(given.signal, float(fit.linear[column]), given.reference)
+        for given, column in zip(flow.inputs, columns, strict=True)
+    )
+    law = location.distribution
+    sigma = float(np.sqrt(distributions.variance(law))) if law is not None else 0.0
+    mean = float(fit.linear[shape.target[place]])
+    return replace(
+        location,
+        flow=Flow(flow.kind, params, inputs),
+        distribution=Distribution("normal", {"mu": mean, "sigma": sigma}),
+    )

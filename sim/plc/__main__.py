@@ -1,0 +1,236 @@
+"""`python -m sim.plc`: the software PLC as a process; its first line on stdout says where it listens."""
+
+import asyncio
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sim.plc.checks import InputError, read_text, read_toml
+from sim.plc.clock import PlantClock
+from sim.plc.control import describe as commands_table
+from sim.plc.control import listen_on_loopback, listen_to_stdin, say
+from sim.plc.faults import Fault, parse_fault
+from sim.plc.faults import describe as faults_table
+from sim.plc.program import Plc, Settings
+from sim.plc.recorder import Recorder, record_nothing
+from sim.plc.registers import Place, parse_address, read_map
+from sim.plc.replay import Replay, read_trace
+from sim.plc.server import ModbusServer
+
+UNUSABLE_INPUT = 2
+CANNOT_LISTEN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The command line."""
+
+    map_path: Path
+    trace: Path | None
+    host: str
+    port: int
+    speed: float
+    epoch: float | None
+    monotonic: float | None
+    offset: float
+    loop: bool
+    hold: bool
+    cycle: float
+    faults: Path | None
+    record: Path | None
+    seed: int
+    permit: bool
+    unknown_unit: str
+    max_clients: int
+    max_registers: int | None
+    writable: tuple[str, ...]
+    stdin: bool
+    control_port: int | None
+
+
+def complain(sentence: str) -> None:
+    """One line on stderr."""
+    click.echo(f"plc: {sentence}", err=True)
+
+
+def _explain(context: click.Context, _: click.Parameter, wanted: bool) -> None:
+    """List the faults and the commands instead of running."""
+    if wanted:
+        click.echo(f"{faults_table()}\n\n{commands_table()}")
+        context.exit()
+
+
+@click.command(context_settings={"show_default": True})
+@click.option("--map", "map_path", type=click.Path(path_type=Path), required=True, help="Register map (TOML).")
+@click.option("--trace", type=click.Path(path_type=Path), help="Trace to replay (wide CSV, first column time).")
+@click.option("--host", default="127.0.0.1", help="Address to listen on.")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="TCP port; 0 takes a free one.")
+@click.option("--speed", type=float, default=1.0, help="Plant seconds per second.")
+@click.option("--epoch", type=float, help="Plant time (s UTC) at --monotonic.  [default: the wall clock now]")
+@click.option("--monotonic", type=float, help="Moment of the epoch on CLOCK_MONOTONIC.  [default: now]")
+@click.option("--offset", type=float, default=0.0, help="Start at this position of the trace (s from its first row).")
+@click.option("--loop", is_flag=True, help="Begin again at the end of the trace.")
+@click.option("--hold", is_flag=True, help="Hold the replay until the command 'start'.")
+@click.option("--cycle", type=click.FloatRange(0.001, 1.0), default=0.02, help="The program's cycle (s).")
+@click.option("--faults", type=click.Path(path_type=Path), help="Schedule of faults (.toml: [[fault]]; .json: a list).")
+@click.option("--record", type=click.Path(path_type=Path), help="Append the recording to this file (JSONL).")
+@click.option("--seed", type=int, default=0, help="Seed of everything that is drawn.")
+@click.option("--permit/--no-permit", default=True, help="The gateway's write permit at the start.")
+@click.option("--unknown-unit", type=click.Choice(["silent", "exception"]), default="silent", help="A strange unit id.")
+@click.option("--max-clients", type=click.IntRange(1), default=16, help="Further connections are closed at once.")
+@click.option("--max-registers", type=click.IntRange(1, 125), help="Registers of one request.  [default: the map's]")
+@click.option("--writable", multiple=True, metavar="TABLE:N[-M]", help="Test registers that a client may write.")
+@click.option("--stdin", is_flag=True, help="Take commands on stdin; its end stops the PLC.")
+@click.option(
+    "--control-port", type=click.IntRange(0, 65535), help="Take commands on this loopback port; 0: a free one."
+)
+@click.option(
+    "--explain", is_flag=True, is_eager=True, expose_value=False, callback=_explain, help="List faults and commands."
+)
+def main(**options: Any) -> None:
+    """Run a software PLC that replays a trace and serves it over Modbus TCP until it is told to stop."""
+    try:
+        sys.exit(run(Options(**options)))
+    except InputError as error:
+        complain(str(error))
+        sys.exit(UNUSABLE_INPUT)
+
+
+def run(options: Options) -> int:
+    """Build the PLC and run it to its end; gives the exit code. Raises InputError for input that cannot be used."""
+    if not 0 < options.speed < float("inf"):
+        raise InputError(f"--speed: {options.speed} is not positive; give plant seconds per second, such as 1 or 60")
+    start = time.monotonic()
+    origin = start if options.monotonic is None else options.monotonic
+    epoch = time.time() if options.epoch is None else options.epoch
+    clock = PlantClock(epoch, origin, options.speed)
+    registers = read_map(options.map_path)
+    replay = _replay(options, clock.monotonic())
+    faults = read_faults(options.faults) if options.faults else ()
+    settings = Settings(
+        permit=options.permit,
+        answer_unknown_unit=options.unknown_unit == "exception",
+        max_registers=options.max_registers,
+        writable=[parse_stretch(text) for text in options.writable],
+        seed=options.seed,
+    )
+    recorder = Recorder(options.record, complain) if options.record else None
+    plc = Plc(registers, clock, replay, settings, faults=faults, record=recorder or record_nothing, complain=complain)
+    try:
+        return asyncio.run(_live(plc, options, recorder))
+    finally:
+        if recorder is not None:
+            recorder.close()
+
+
+def read_faults(path: Path) -> list[Fault]:
+    """The faults in a TOML file ([[fault]] tables) or a JSON file (a list of objects). Raises InputError."""
+    if path.suffix == ".json":
+        try:
+            entries = json.loads(read_text(path, "a schedule of faults"))
+        except json.JSONDecodeError as error:
+            raise InputError(f"{path}: is not JSON: {error}; correct that place") from None
+    else:
+        data = read_toml(path, "a schedule of faults")
+        if unknown := sorted(set(data) - {"fault"}):
+            raise InputError(f"{path}: key {unknown[0]!r}: is not known; give [[fault]] tables")
+        entries = data.get("fault", [])
+    if not isinstance(entries, list):
+        raise InputError(f"{path}: holds no list of faults; give [[fault]] tables, or in JSON a list of objects")
+    return [parse_fault(entry, f"{path}: fault {number}") for number, entry in enumerate(entries, start=1)]
+
+
+def parse_stretch(text: str) -> Place:
+    """`holding:300-310` or `coil:5` as a place. Raises InputError."""
+    first, _, last = text.partition("-")
+    table, address = parse_address(first, "--writable")
+    _, end = parse_address(f"{table}:{last}" if last else first, "--writable")
+    if table not in ("holding", "coil") or end < address:
+        raise InputError(f"--writable: {text!r} cannot be written; give 'holding:N-M' or 'coil:N-M' with N <= M")
+    return Place(table, address, end - address + 1)
+
+
+def _replay(options: Options, now: float) -> Replay | None:
+    if options.trace is None:
+        return None
+    table = read_trace(options.trace)
+    replay = Replay(table, now, rate=options.speed, held=True, loop=options.loop)
+    return replay.sought(now, options.offset)
+
+
+async def _live(plc: Plc, options: Options, recorder: Recorder | None) -> int:
+    loop = asyncio.get_running_loop()
+    server = ModbusServer(plc, options.host, options.port, options.max_clients, complain)
+    line = plc.begin(plc.clock.monotonic(), hold=options.hold)
+    try:
+        await server.open()
+        control = None if options.control_port is None else await listen_on_loopback(plc, options.control_port)
+    except OSError as error:
+        complain(f"cannot listen ({error.strerror or error}); choose another --host, --port or --control-port")
+        return CANNOT_LISTEN
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, lambda: setattr(plc, "stopping", True))
+    if ignored := plc.ignored_signals():
+        complain(f"the trace's signals {', '.join(ignored)} have no register in {options.map_path} and are ignored")
+    await server.apply(line)
+    say(_ready(plc, server, options, control))
+    if options.stdin:
+        listen_to_stdin(plc, loop)
+    await _run_cycles(plc, server, options.cycle)
+    plc.event("stopped", plc.clock.monotonic())
+    if control is not None:
+        control.close()
+    await server.close()
+    say({"event": "stopped", "lost_rows": recorder.lost if recorder else 0})
+    return 0
+
+
+async def _run_cycles(plc: Plc, server: ModbusServer, cycle_s: float) -> None:
+    """Cycles on absolute deadlines until the PLC is to stop; a missed cycle is skipped, never made up for."""
+    due = plc.clock.monotonic()
+    while not plc.stopping:
+        now = plc.clock.monotonic()
+        await server.apply(plc.cycle(now))
+        _report_end(plc, now, say)
+        due = max(due + cycle_s, plc.clock.monotonic())
+        await asyncio.sleep(due - plc.clock.monotonic())
+
+
+def _report_end(plc: Plc, now: float, tell: Callable[[dict[str, object]], None]) -> None:
+    if plc.replay is None or plc.ended or plc.replay.held or not plc.replay.ended(now):
+        return
+    plc.ended = True
+    plc.event("end of trace", now)
+    tell({"event": "end_of_trace", "position": plc.replay.at(now), "plant_time": plc.clock.at(now)})
+
+
+def _ready(plc: Plc, server: ModbusServer, options: Options, control: asyncio.Server | None) -> dict[str, object]:
+    clock = {"epoch": plc.clock.epoch, "monotonic": plc.clock.start, "speed": plc.clock.speed}
+    where = {"host": server.host, "port": server.port, "unit": plc.registers.unit, "pid": os.getpid()}
+    ports: Sequence[Any] = () if control is None else control.sockets
+    replay: dict[str, object] | None = None
+    if plc.replay is not None:
+        table, since = plc.replay.table, plc.clock.at(plc.replay.since)
+        rows = {"rows": len(table.times), "duration": table.duration, "ignored": plc.ignored_signals()}
+        replay = {**rows, "held": plc.replay.held, "position": plc.replay.position, "plant_time": since}
+    record = None if options.record is None else str(options.record)
+    return {
+        "event": "ready",
+        **where,
+        **clock,
+        "control_port": ports[0].getsockname()[1] if ports else None,
+        "replay": replay,
+        "record": record,
+    }
+
+
+if __name__ == "__main__":
+    main()

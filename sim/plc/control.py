@@ -1,0 +1,248 @@
+"""The control channel: one JSON object a line in, one a line out; on stdin and stdout, on a loopback port, or both.
+
+    {"command": "seek", "position": 120.0, "id": 7}
+    {"event": "reply", "id": 7, "command": "seek", "ok": true, "position": 120.0, ...}
+
+`id` is optional and comes back as it was. A command that cannot be done answers `"ok": false` and one sentence in
+`error`; nothing has changed then. What a command changes is in the image after the next cycle. The commands are the
+keys of COMMANDS; `describe` lists them with their keys.
+"""
+
+import asyncio
+import json
+import os
+import threading
+from collections.abc import Callable, Mapping
+
+from sim.plc.checks import InputError, checked_arguments, listed, signature_of
+from sim.plc.faults import parse_fault
+from sim.plc.program import Plc
+from sim.plc.replay import Replay
+
+Outcome = dict[str, object]
+_LONGEST = 65536
+
+
+def _replay(plc: Plc) -> Replay:
+    if plc.replay is None:
+        raise InputError("there is no trace to replay; start with --trace FILE")
+    return plc.replay
+
+
+def _where(plc: Plc, now: float) -> Outcome:
+    replay = _replay(plc)
+    place = {"position": replay.at(now), "row": replay.row(now), "held": replay.held, "ended": replay.ended(now)}
+    ways = {"speed": replay.rate, "loop": replay.loop, "duration": replay.table.duration}
+    return {**place, **ways, "plant_time": plc.clock.at(now)}
+
+
+def _start(plc: Plc, now: float) -> Outcome:
+    """Let a held replay run; the schedule of faults counts from the first start."""
+    plc.start(now)
+    return _where(plc, now) if plc.replay else {}
+
+
+def _pause(plc: Plc, now: float) -> Outcome:
+    """Hold the replay at its position; the heartbeat goes on."""
+    plc.replay = _replay(plc).changed(now, held=True)
+    return _where(plc, now)
+
+
+def _resume(plc: Plc, now: float) -> Outcome:
+    """Go on from where the replay was held."""
+    plc.replay = _replay(plc).changed(now, held=False)
+    return _where(plc, now)
+
+
+def _seek(plc: Plc, now: float, *, position: float) -> Outcome:
+    """Go to a position, in seconds from the trace's first row."""
+    plc.replay = _replay(plc).sought(now, position)
+    plc.ended = False
+    return _where(plc, now)
+
+
+def _speed(plc: Plc, now: float, *, speed: float) -> Outcome:
+    """Replay so many trace seconds a second. Plant time keeps the speed of the ready line: others run on it."""
+    if speed <= 0:
+        raise InputError(f"key 'speed': {speed:g} is not positive; give trace seconds per second")
+    plc.replay = _replay(plc).changed(now, rate=speed)
+    return _where(plc, now)
+
+
+def _loop(plc: Plc, now: float, *, on: bool) -> Outcome:
+    """Begin again at the end of the trace, or stay there."""
+    plc.replay = _replay(plc).changed(now, loop=on)
+    plc.ended = False
+    return _where(plc, now)
+
+
+def _fault(plc: Plc, now: float, *, fault: dict[str, object]) -> Outcome:
+    """Order a fault, as in a file of faults but with `start` counted from now; gives its number."""
+    parsed = parse_fault(fault, "key 'fault'")
+    plc.check_fault(parsed)
+    return {"number": plc.schedule.add(parsed, now)}
+
+
+def _clear(plc: Plc, now: float, *, number: int | None = None) -> Outcome:
+    """End one fault, or all that are in force or to come."""
+    return {"numbers": plc.schedule.clear(number)}
+
+
+def _permit(plc: Plc, now: float, *, on: bool) -> Outcome:
+    """Give or take the gateway's write permit."""
+    plc.permit = on
+    return {"permit": on}
+
+
+def _acknowledge(plc: Plc, now: float, *, bits: int) -> Outcome:
+    """Set the word of acknowledge bits."""
+    if not 0 <= bits <= 0xFFFF:
+        raise InputError(f"key 'bits': {bits} is no word; give 0 to 65535")
+    plc.acknowledged = bits
+    return {"bits": bits}
+
+
+def _force(plc: Plc, now: float, *, tag: str, value: bool | int | float | str | None) -> Outcome:
+    """Hold a tag at a value whatever the trace says; null: "not available"."""
+    plc.force(tag, value)
+    return {"tag": tag, "value": value}
+
+
+def _release(plc: Plc, now: float, *, tag: str | None = None) -> Outcome:
+    """Let one forced tag, or all, follow the trace again."""
+    return {"tags": plc.release(tag, now)}
+
+
+def _status(plc: Plc, now: float) -> Outcome:
+    """Where the replay is, what the PLC makes of the gateway, which faults are ordered."""
+    intake = plc.intake
+    blocks = {"accepted": intake.accepted, "refused": intake.refused, "last_refusal": intake.last_refusal}
+    verdict = {
+        "usable": plc.usable,
+        "permit": plc.permit,
+        "acknowledged": plc.acknowledged,
+        "block": dict(intake.block),
+    }
+    faults = [
+        {"number": entry.number, "kind": entry.fault.kind, "in_force": entry.in_force(now), "hits": entry.hits}
+        for entry in plc.schedule.entries
+    ]
+    program = {"running": plc.running, "heartbeat": plc.heartbeat, "version": plc.image.version}
+    own = {**program, "connections": plc.connections, "forced": dict(plc.forced), "faults": faults}
+    return {**(_where(plc, now) if plc.replay else {"plant_time": plc.clock.at(now)}), **own, **blocks, **verdict}
+
+
+def _values(plc: Plc, now: float) -> Outcome:
+    """The true value of every tag, null where the PLC has none."""
+    return {"plant_time": plc.clock.at(now), "values": dict(plc.image.truth)}
+
+
+def _stop(plc: Plc, now: float) -> Outcome:
+    """Stop cleanly, as SIGTERM does."""
+    plc.stopping = True
+    return {}
+
+
+COMMANDS: dict[str, Callable[..., Outcome]] = {
+    "start": _start,
+    "pause": _pause,
+    "resume": _resume,
+    "seek": _seek,
+    "speed": _speed,
+    "loop": _loop,
+    "fault": _fault,
+    "clear": _clear,
+    "permit": _permit,
+    "acknowledge": _acknowledge,
+    "force": _force,
+    "release": _release,
+    "status": _status,
+    "values": _values,
+    "stop": _stop,
+}
+
+
+def describe() -> str:
+    """Every command with its keys and what it does, as the documentation prints them (Markdown)."""
+    rows = [
+        f"| `{name}` | {listed(signature_of(function))} | {(function.__doc__ or '').splitlines()[0]} |"
+        for name, function in COMMANDS.items()
+    ]
+    return "\n".join(("| command | keys | what the PLC does |", "|---|---|---|", *rows))
+
+
+def obey(plc: Plc, line: str, now: float) -> Outcome:
+    """Do what a line says and give the reply; a line that makes no sense is answered, never raised."""
+    number, name = None, None
+    try:
+        order = _parsed(line)
+        number, name = order.pop("id", None), order.pop("command", None)
+        function = COMMANDS.get(name) if isinstance(name, str) else None
+        if function is None:
+            raise InputError(f"key 'command': there is no {name!r}; known are {listed(tuple(COMMANDS))}")
+        outcome = function(plc, now, **checked_arguments(function, order, f"command {name!r}"))
+    except InputError as error:
+        return {"event": "reply", "id": number, "command": name, "ok": False, "error": str(error)}
+    if function not in (_status, _values):
+        plc.event("command", now, {"command": name, **order})
+    return {"event": "reply", "id": number, "command": name, "ok": True, **outcome}
+
+
+def _parsed(line: str) -> dict[str, object]:
+    try:
+        order = json.loads(line)
+    except (json.JSONDecodeError, RecursionError):
+        order = None
+    if not isinstance(order, dict):
+        raise InputError(f'{line[:60]!r} is no JSON object; give one a line, such as {{"command": "status"}}')
+    return order
+
+
+def say(message: Mapping[str, object]) -> None:
+    """One line on stdout, unbuffered; silently nowhere when nobody reads it any more."""
+    try:
+        os.write(1, json.dumps(message).encode() + b"\n")
+    except OSError:
+        return
+
+
+def listen_to_stdin(plc: Plc, loop: asyncio.AbstractEventLoop) -> None:
+    """Obey the lines of stdin from a thread of its own; the end of stdin stops the PLC."""
+
+    def obey_line(line: str) -> None:
+        say(obey(plc, line, plc.clock.monotonic()))
+
+    def stop() -> None:
+        plc.stopping = True
+
+    def listen() -> None:
+        rest = b""
+        while data := os.read(0, _LONGEST):
+            *lines, rest = (rest + data).split(b"\n")
+            for line in lines:
+                if line.strip() and not loop.is_closed():
+                    loop.call_soon_threadsafe(obey_line, line.decode(errors="replace"))
+            if len(rest) > _LONGEST:
+                break
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(stop)
+
+    threading.Thread(target=listen, name="stdin", daemon=True).start()
+
+
+async def listen_on_loopback(plc: Plc, port: int) -> asyncio.Server:
+    """Obey the lines of every connection to 127.0.0.1:port. Raises OSError."""
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while line := await reader.readline():
+                if line.strip():
+                    reply = obey(plc, line.decode(errors="replace"), plc.clock.monotonic())
+                    writer.write(json.dumps(reply).encode() + b"\n")
+                    await writer.drain()
+        except (OSError, ValueError, asyncio.CancelledError):
+            pass  # gone, a line beyond the limit, or the end of the process: this connection is over
+        finally:
+            writer.close()
+
+    return await asyncio.start_server(serve, "127.0.0.1", port, limit=_LONGEST)

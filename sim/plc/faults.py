@@ -1,0 +1,258 @@
+"""Faults by schedule: a table from a fault's name to the function that says what the PLC then does.
+
+A function takes the seconds since its fault began and its own parameters, and gives an Effect; the effects of all
+faults in force are merged. Times are wall seconds, as a network's are: `start` counts from the start of the replay
+(in a command: from now). A fault ends after `duration` seconds or `count` requests, or when it is cleared.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from random import Random
+
+from pydantic import ConfigDict, Field
+
+from sim.plc.checks import Entry, InputError, checked_arguments, listed, signature_of, validated
+from sim.plc.modbus import Reply, Request, exception
+from sim.plc.registers import parse_address
+
+Alter = Callable[[Request, Reply, Random], Reply]
+ALL_TAGS = "*"
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """What a fault does while it is in force; the defaults are a healthy PLC.
+
+    `reset` and `deafen` happen once, when the fault begins: all connections are reset, or are left open and never
+    served again. `refused` gives the exception code of an address.
+    """
+
+    listen: bool = True
+    run: bool = True
+    store: bool = True
+    reset: bool = False
+    deafen: bool = False
+    over: bool = False
+    frozen: frozenset[str] = frozenset()
+    refused: tuple[tuple[str, int], ...] = ()
+    code: int | None = None
+    alter: Alter | None = None
+
+    @property
+    def per_request(self) -> bool:
+        """True if the fault strikes single requests, so that they can be counted, chosen and drawn."""
+        return not self.store or bool(self.refused) or self.code is not None or self.alter is not None
+
+
+def refuse(_: float, *, reset: bool = True) -> Effect:
+    """The listener is closed: connecting is refused. `reset`: open connections are reset too."""
+    return Effect(listen=False, reset=reset)
+
+
+def silent(_: float) -> Effect:
+    """Connections are accepted, requests are acted on, and no reply is sent."""
+    return Effect(alter=lambda request, reply, rng: replace(reply, sent=False))
+
+
+def half_open(_: float) -> Effect:
+    """Connections that are open when it begins stay open and are never served again; new ones are served."""
+    return Effect(deafen=True)
+
+
+def reset(_: float, *, after: int = -1) -> Effect:
+    """Sends the first `after` bytes of the reply (-1: drawn), then resets the connection."""
+
+    def alter(_: Request, reply: Reply, rng: Random) -> Reply:
+        length = len(reply.frame())
+        return replace(reply, cut=rng.randrange(1, length) if after < 0 else min(after, length))
+
+    return Effect(alter=alter)
+
+
+def late(_: float, *, delay_s: float = 1.0) -> Effect:
+    """The reply holds what was true when the request came, and is sent `delay_s` later."""
+    return Effect(alter=lambda request, reply, rng: replace(reply, delay_s=reply.delay_s + max(0.0, delay_s)))
+
+
+def duplicate(_: float, *, copies: int = 2) -> Effect:
+    """The reply is sent `copies` times."""
+    return Effect(alter=lambda request, reply, rng: replace(reply, copies=max(1, copies)))
+
+
+def split(_: float, *, piece: int = 1) -> Effect:
+    """The reply is sent in pieces of `piece` bytes, each in a segment of its own."""
+    return Effect(alter=lambda request, reply, rng: replace(reply, piece=max(1, piece)))
+
+
+def garbage(_: float, *, length: int = 16) -> Effect:
+    """Drawn bytes are sent instead of the reply."""
+    return Effect(alter=lambda request, reply, rng: replace(reply, raw=rng.randbytes(max(0, length))))
+
+
+def wrong_unit(_: float, *, unit: int = -1) -> Effect:
+    """The reply names another `unit` (-1: the next one)."""
+
+    def alter(request: Request, reply: Reply, _: Random) -> Reply:
+        return replace(reply, unit=(request.unit + 1 if unit < 0 else unit) & 0xFF)
+
+    return Effect(alter=alter)
+
+
+def wrong_function(_: float, *, function: int = -1) -> Effect:
+    """The reply names another `function` (-1: 4 for 3, 3 for 4, else the next one)."""
+
+    def alter(request: Request, reply: Reply, _: Random) -> Reply:
+        other = {3: 4, 4: 3}.get(request.function, request.function + 1) if function < 0 else function
+        return replace(reply, pdu=bytes((other & 0xFF,)) + reply.pdu[1:])
+
+    return Effect(alter=alter)
+
+
+def wrong_count(_: float, *, delta: int = -1, honest: bool = True) -> Effect:
+    """The reply holds `delta` registers (or bytes of bits) more or fewer than asked; a write's echo has another count.
+
+    `honest`: the byte count tells the truth about it; otherwise it still says what was asked for.
+    """
+    return Effect(alter=lambda request, reply, rng: replace(reply, pdu=_recounted(reply.pdu, delta, honest)))
+
+
+def wrong_transaction(_: float, *, offset: int = 1) -> Effect:
+    """The reply names another transaction, `offset` away from the request's."""
+    return Effect(alter=lambda request, reply, rng: replace(reply, transaction=(reply.transaction + offset) & 0xFFFF))
+
+
+def refuse_request(_: float, *, code: int = 4) -> Effect:
+    """Requests are answered with exception `code` (4 device failure, 6 busy, ...) and not acted on."""
+    return Effect(code=code & 0xFF)
+
+
+def illegal_register(_: float, *, registers: list[str], code: int = 2) -> Effect:
+    """Requests that touch one of `registers` (such as "holding:103") are answered with exception `code`."""
+    return Effect(refused=tuple((register, code & 0xFF) for register in registers))
+
+
+def frozen(_: float, *, tags: list[str] | None = None) -> Effect:
+    """The registers of `tags` stand still while the truth goes on; without `tags` all do, the heartbeat included."""
+    return Effect(frozen=frozenset(tags or [ALL_TAGS]))
+
+
+def restart(elapsed_s: float, *, down_s: float = 1.0, zeros_s: float = 1.0) -> Effect:
+    """The PLC restarts: connections reset, nobody listens for `down_s`, then zeros for `zeros_s`, then it runs again.
+
+    Until the program runs every register, the heartbeat too, reads 0; the counters of blocks begin anew.
+    """
+    return Effect(listen=elapsed_s >= down_s, run=False, reset=True, over=elapsed_s >= down_s + zeros_s)
+
+
+def write_ignored(_: float) -> Effect:
+    """Writes are confirmed and not stored."""
+    return Effect(store=False)
+
+
+FAULTS: dict[str, Callable[..., Effect]] = {
+    "refuse": refuse,
+    "silent": silent,
+    "half_open": half_open,
+    "reset": reset,
+    "late": late,
+    "duplicate": duplicate,
+    "split": split,
+    "garbage": garbage,
+    "wrong_unit": wrong_unit,
+    "wrong_function": wrong_function,
+    "wrong_count": wrong_count,
+    "wrong_transaction": wrong_transaction,
+    "exception": refuse_request,
+    "illegal_register": illegal_register,
+    "frozen": frozen,
+    "restart": restart,
+    "write_ignored": write_ignored,
+}
+
+
+def describe() -> str:
+    """Every fault with its parameters and what it does, as the documentation prints them (Markdown)."""
+    rows = [
+        f"| `{name}` | {listed(signature_of(function))} | {(function.__doc__ or '').splitlines()[0]} |"
+        for name, function in FAULTS.items()
+    ]
+    return "\n".join(("| fault | parameters | what the PLC does |", "|---|---|---|", *rows))
+
+
+class _FaultEntry(Entry):
+    model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
+    kind: str = Field(strict=True, description=f"one of {listed(tuple(FAULTS))}")
+    start: float = Field(0.0, strict=True, ge=0, description="seconds since the replay's start")
+    duration: float | None = Field(None, strict=True, gt=0, description="seconds, more than 0")
+    count: int | None = Field(None, strict=True, ge=1, description="how many requests it strikes, 1 or more")
+    probability: float = Field(1.0, strict=True, ge=0, le=1, description="a number in 0..1")
+    functions: tuple[int, ...] = Field((), description="a list of function codes, such as [3, 16]")
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One entry of a schedule. `functions` empty: all of them; `probability` is drawn for each request."""
+
+    kind: str
+    effect: Callable[[float], Effect]
+    start: float = 0.0
+    duration: float | None = None
+    count: int | None = None
+    probability: float = 1.0
+    functions: tuple[int, ...] = ()
+
+
+def parse_fault(data: object, where: str) -> Fault:
+    """A fault from a table of TOML or JSON. Raises InputError naming the key, the reason and what would be right."""
+    entry = validated(_FaultEntry, data, where)
+    function = FAULTS.get(entry.kind)
+    if function is None:
+        raise InputError(f"{where}: key 'kind': there is no fault {entry.kind!r}; known are {listed(tuple(FAULTS))}")
+    parameters = checked_arguments(function, entry.model_extra or {}, f"{where} ({entry.kind})")
+    effect = partial(function, **parameters)
+    picky = entry.count is not None or entry.probability < 1 or entry.functions
+    if picky and not effect(0.0).per_request:
+        raise InputError(f"{where} ({entry.kind}): count, probability and functions are of faults that strike requests")
+    for register, _ in effect(0.0).refused:
+        parse_address(register, f"{where} ({entry.kind}): key 'registers'")
+    limits = (entry.start, entry.duration, entry.count, entry.probability, entry.functions)
+    return Fault(entry.kind, effect, *limits)
+
+
+def merged(effects: Iterable[Effect]) -> Effect:
+    """The effects of several faults as one; of several exception codes the first wins."""
+    whole = Effect()
+    for effect in effects:
+        whole = Effect(
+            listen=whole.listen and effect.listen,
+            run=whole.run and effect.run,
+            store=whole.store and effect.store,
+            frozen=whole.frozen | effect.frozen,
+            refused=whole.refused + effect.refused,
+            code=effect.code if whole.code is None else whole.code,
+        )
+    return whole
+
+
+def refusal(effect: Effect, request: Request, touched: Sequence[tuple[str, range]]) -> bytes | None:
+    """The exception PDU by which the faults refuse a request, if they do."""
+    if effect.code is not None:
+        return exception(request.function, effect.code)
+    for register, code in effect.refused:
+        table, _, number = register.partition(":")
+        if any(table == other and int(number) in addresses for other, addresses in touched):
+            return exception(request.function, code)
+    return None
+
+
+def _recounted(pdu: bytes, delta: int, honest: bool) -> bytes:
+    if pdu[0] in (15, 16):
+        count = int.from_bytes(pdu[3:5], "big") + delta
+        return pdu[:3] + (count & 0xFFFF).to_bytes(2, "big")
+    if pdu[0] not in (1, 2, 3, 4, 23):
+        return pdu
+    step = 1 if pdu[0] in (1, 2) else 2
+    length = min(max(0, len(pdu) - 2 + delta * step), 250)
+    payload = pdu[2 : 2 + length].ljust(length, b"\0")
+    return pdu[:1] + bytes((length if honest else pdu[1],)) + payload

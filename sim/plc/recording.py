@@ -1,0 +1,171 @@
+"""Reading a recording back: typed rows, in the order in which they happened."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.tag import Value
+from sim.plc.checks import InputError, read_text
+from sim.plc.clock import PlantClock
+
+_KINDS = ("run", "truth", "request", "block", "event")
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One process: its clock, and for each tag the rounding (absolute, relative) that its registers may add."""
+
+    clock: PlantClock
+    device: str
+    trace: str | None
+    seed: int
+    roundings: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class TruthRow:
+    """From `time` (plant, s UTC) on, the tag truly was `value`; None: the PLC itself had none."""
+
+    monotonic: float
+    time: float
+    version: int
+    tag: str
+    value: Value | None
+
+
+@dataclass(frozen=True, slots=True)
+class RequestRow:
+    """One request. `reply` are the bytes that were sent (None: none), `exception` its code if it was one.
+
+    `address` and `count` are None for functions that have none; `version` is the image that it was answered from,
+    `delay_s` how long the reply was held back, `faults` those that struck it.
+    """
+
+    monotonic: float
+    time: float
+    peer: str
+    transaction: int
+    unit: int
+    function: int
+    address: int | None
+    count: int | None
+    pdu: bytes
+    reply: bytes | None
+    exception: int | None
+    delay_s: float
+    faults: tuple[str, ...]
+    version: int
+
+
+@dataclass(frozen=True, slots=True)
+class BlockRow:
+    """One write into the write-back area. `fields` are None where length or start was wrong."""
+
+    monotonic: float
+    time: float
+    peer: str
+    address: int
+    words: tuple[int, ...]
+    fields: Mapping[str, float] | None
+    verdict: str
+    accepted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class EventRow:
+    """Anything else, with its particulars."""
+
+    monotonic: float
+    time: float
+    event: str
+    detail: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What the PLC recorded. `missing` rows were lost before they reached the file, `damaged` lines cannot be read."""
+
+    runs: tuple[Run, ...]
+    truth: tuple[TruthRow, ...]
+    requests: tuple[RequestRow, ...]
+    blocks: tuple[BlockRow, ...]
+    events: tuple[EventRow, ...]
+    missing: int
+    damaged: int
+
+
+def read_recording(path: Path) -> Recording:
+    """The recording in `path`, also one that is still being written or whose writer was killed. Raises InputError."""
+    runs: list[Run] = []
+    truth: list[TruthRow] = []
+    requests: list[RequestRow] = []
+    blocks: list[BlockRow] = []
+    events: list[EventRow] = []
+    counts = {"missing": 0, "damaged": 0}
+    expected = 1
+    for row in _rows(path, counts):
+        kind = row["k"]
+        if kind == "run":
+            runs.append(_run(row))
+            expected = 1
+        if not runs:
+            raise InputError(f"{path}: line 1: is no start of a run; give a file that the software PLC recorded")
+        counts["missing"] += row["n"] - expected
+        expected = row["n"] + 1
+        time = runs[-1].clock.at(row["t"])
+        if kind == "truth":
+            truth += _truth(row, time)
+        elif kind == "request":
+            requests.append(_request(row, time))
+        elif kind == "block":
+            blocks.append(_block(row, time))
+        elif kind == "event":
+            events.append(_event(row, time))
+    rows = (tuple(truth), tuple(requests), tuple(blocks), tuple(events))
+    return Recording(tuple(runs), *rows, counts["missing"], counts["damaged"])
+
+
+def _rows(path: Path, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
+    for line in read_text(path, "a recording of the software PLC").split("\n"):
+        if not line:
+            continue
+        try:
+            row = json.loads(line)
+        except json.JSONDecodeError:
+            counts["damaged"] += 1
+            continue
+        if not isinstance(row, dict) or row.get("k") not in _KINDS:
+            raise InputError(
+                f"{path}: {line[:60]!r} is no row of a recording; give a file that the software PLC recorded"
+            )
+        yield row
+
+
+def _run(row: Mapping[str, Any]) -> Run:
+    clock = PlantClock(row["epoch"], row["monotonic"], row["speed"])
+    roundings = {name: (absolute, relative) for name, (absolute, relative) in row["roundings"].items()}
+    return Run(clock, row["device"], row["trace"], row["seed"], roundings)
+
+
+def _truth(row: Mapping[str, Any], time: float) -> list[TruthRow]:
+    return [TruthRow(row["t"], time, row["version"], tag, value) for tag, value in row["values"].items()]
+
+
+def _request(row: Mapping[str, Any], time: float) -> RequestRow:
+    reply = None if row["reply"] is None else bytes.fromhex(row["reply"])
+    fields = (row["transaction"], row["unit"], row["function"], row["address"], row["count"], bytes.fromhex(row["pdu"]))
+    faults = tuple(row["faults"])
+    ending = (reply, row["exception"], row["delay_s"], faults, row["version"])
+    return RequestRow(row["t"], time, row["peer"], *fields, *ending)
+
+
+def _block(row: Mapping[str, Any], time: float) -> BlockRow:
+    words = tuple(row["words"])
+    return BlockRow(row["t"], time, row["peer"], row["address"], words, row["fields"], row["verdict"], row["accepted"])
+
+
+def _event(row: Mapping[str, Any], time: float) -> EventRow:
+    detail = {key: value for key, value in row.items() if key not in ("k", "n", "t", "event")}
+    return EventRow(row["t"], time, row["event"], detail)

@@ -1,0 +1,56 @@
+"""What entering a location does to the mode parameter m and to the temperature X, in one place for all who need it."""
+
+from sim.sha import distributions
+from sim.sha.automaton import SHA, Distribution, Location
+from sim.sha.distributions import check_distribution
+from sim.sha.flows import FIXED, RELAXING, check_flow
+
+
+def drawn_parameter(location: Location) -> Distribution | None:
+    """The law from which a stay draws its mode parameter m; None when m is fixed (see `mode_parameter`)."""
+    return location.distribution if location.entry == "parameter" and FIXED not in location.flow.params else None
+
+
+def drawn_temperature(location: Location) -> Distribution | None:
+    """The law from which X is drawn on entry (`resample`); None when X stays continuous."""
+    return location.distribution if location.entry == "resample" else None
+
+
+def mode_parameter(location: Location) -> tuple[float, float]:
+    """Mean and variance of the mode parameter m of a stay, in the flow's unit of m.
+
+    Every stay has its own m: drawn from the location's law (`parameter`), or else fixed, at the flow's own constant
+    `m` where it has one, at the law's mean where that has m's unit (every `none`, and `resample` under a flow that
+    moves towards m), and at 0 otherwise.
+    """
+    law = drawn_parameter(location)
+    if law is not None:
+        return distributions.mean(law), distributions.variance(law)
+    fixed = location.flow.params.get(FIXED)
+    if fixed is not None:
+        return fixed, 0.0
+    usable = location.entry == "none" or location.flow.kind in RELAXING
+    if location.distribution is not None and usable:
+        return distributions.mean(location.distribution), 0.0
+    return 0.0, 0.0
+
+
+def check_sha(sha: SHA) -> None:
+    """Raises ValueError, naming the location, unless every flow, law and entry mode can be executed."""
+    for location in sha.locations:
+        try:
+            check_flow(location.flow)
+            if location.distribution is not None:
+                check_distribution(location.distribution)
+            _check_entry(location)
+        except ValueError as error:
+            raise ValueError(f"SHA {sha.name!r}, location {location.name!r}: {error}") from None
+
+
+def _check_entry(location: Location) -> None:
+    if location.entry not in ("parameter", "resample", "none"):
+        raise ValueError(f"unknown entry mode {location.entry!r}: known are parameter, resample, none")
+    if location.entry == "resample" and location.distribution is None:
+        raise ValueError("entry mode 'resample' needs a distribution from which the temperature is drawn")
+    if FIXED in location.flow.params and location.entry == "parameter" and location.distribution is not None:
+        raise ValueError("the flow fixes m and the entry draws it: leave out the flow's m or the distribution")

@@ -1,0 +1,43 @@
+"""The recursion x[k] = a[k] * x[k-1] + b[k], over millions of steps at compiled speed."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dtbtrs
+
+from sim.sha.trace import Array
+
+
+def linear_recursion(a: ArrayLike, b: ArrayLike, x0: ArrayLike) -> Array:
+    """x[k] = a[k] * x[k-1] + b[k] for k = 0..n-1, where x[-1] is `x0`.
+
+    `a` and `b` have the shape (n,) or (n, p) and broadcast against each other; p is a batch of independent recursions
+    (a parameter and its perturbations, say). `x0` is a number or (p,). Returns x with the broadcast shape, (n,) or
+    (n, p). Raises ValueError on other shapes.
+
+    It is the forward substitution of a unit lower bidiagonal system (LAPACK's dtbtrs). The operations are those of the
+    plain loop, in its order, and no product of many factors is formed: decays of exactly 0, or a million factors far
+    below 1, lose nothing.
+    """
+    factors, terms = np.broadcast_arrays(np.asarray(a, dtype=float), np.asarray(b, dtype=float))
+    if factors.ndim not in (1, 2):
+        raise ValueError(f"a linear recursion takes coefficients of shape (n,) or (n, p), got {factors.shape}")
+    starts = np.asarray(x0, dtype=float)
+    if starts.ndim and starts.shape != factors.shape[1:]:
+        raise ValueError(f"x0 must be a number or have the shape {factors.shape[1:]}, got {starts.shape}")
+    if factors.ndim == 1:
+        return _solve(factors, terms, float(starts))
+    batch = np.empty(factors.shape, order="F")
+    for column, start in enumerate(np.broadcast_to(starts, factors.shape[1:]).tolist()):
+        batch[:, column] = _solve(factors[:, column], terms[:, column], start)
+    return batch
+
+
+def _solve(a: Array, b: Array, x0: float) -> Array:
+    if a.size == 0:
+        return np.empty(0)
+    bands = np.ones((2, a.size), order="F")
+    np.negative(a[1:], out=bands[1, :-1])
+    right = np.array(b, dtype=float)
+    right[0] += a[0] * x0
+    x, _ = dtbtrs(bands, right, uplo="L", diag="U", overwrite_b=True)
+    return np.asarray(x, dtype=float).reshape(-1)

@@ -1,0 +1,262 @@
+"""From timed events and output times to exact steps: where the automaton is, for how long, and what drives it."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim.sha import flows
+from sim.sha.automaton import SHA, Flow, transitions
+from sim.sha.flows import Coefficients
+from sim.sha.model import Model
+from sim.sha.trace import UNKNOWN, Array, Event, Mask, Trace
+
+Policy = Literal["reject", "ignore", "resync"]
+"""What an event without an edge does: ValueError; nothing; a jump to where its symbol leads most often."""
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """n exact steps through the locations of `sha`, from `start` (absolute s) to the last output time.
+
+    `times` (m,) are the output times in absolute seconds; all other arrays are (n,), one entry a step:
+    `location` the index into `sha.locations`; `entry` whether a stay begins with the step (`entry[0]` is always true:
+    the first stay has its own mode parameter, but X is given there and never resampled); `age` the seconds since the
+    location was entered, at the step's start; `dt` its length in seconds (0 for a stay or output at the same instant);
+    `offset` what the inputs add to the target, held over the step (degC); `output` the row of `times` at which the
+    step ends, or -1; `checked` whether it ends at an event or an output, where the temperature is held against the
+    model's range. Every output row ends exactly one step, after the events of that instant.
+
+    `unmatched` are the indices of the events that had no edge and were ignored or resynchronised.
+    """
+
+    sha: SHA
+    start: float
+    times: Array
+    location: Indices
+    entry: Mask
+    age: Array
+    dt: Array
+    offset: Array
+    output: Indices
+    checked: Mask
+    unmatched: tuple[int, ...] = ()
+
+    @property
+    def output_location(self) -> Indices:
+        """(m,) the location index at each output time, after the events of that instant."""
+        return self.location[self.output >= 0]
+
+    @property
+    def stay(self) -> Indices:
+        """(n,) which stay each step belongs to, counted from 0."""
+        return np.cumsum(self.entry) - 1
+
+
+def schedule(
+    model: Model | SHA,
+    events: Sequence[Event],
+    outputs: ArrayLike,
+    *,
+    start: float | None = None,
+    inputs: Trace | None = None,
+    policy: Policy = "reject",
+) -> Schedule:
+    """The exact steps from `start` to the last of the `outputs` (m,), in absolute seconds.
+
+    `start` is the first output time unless given. Events before it only settle where the run starts, and with which
+    age; events after the last output are not looked at. At equal times events come first, in their order, each with a
+    stay of its own (of length 0), then the outputs.
+
+    `inputs` gives the signals that `driven` flows name: a reading holds until the next one, NaN is no reading, and
+    before its first reading a signal counts as at its reference (it adds nothing). Steps are cut at new readings only
+    where the location is driven by them.
+
+    UNKNOWN always leads to the initial location. An event that has no edge follows `policy`: `reject` raises
+    ValueError naming index, location, symbol and time; `ignore` leaves the stay as it is; `resync` enters the location
+    that most edges with its symbol lead to (the first in the model's order among equals; the initial location when no
+    edge has the symbol).
+
+    Raises ValueError on a model that is not deterministic or has guards, on output or event times that go back or are
+    no numbers, on an output before `start`, and on a missing input signal.
+    """
+    sha = model.sha if isinstance(model, Model) else model
+    times = _checked_outputs(outputs, start)
+    begin = float(times[0]) if start is None else float(start)
+    walk = _walk(sha, events, begin, float(times[-1]), policy)
+    return _steps(sha, walk, times, inputs if inputs is not None else Trace("no inputs", np.empty(0), {}))
+
+
+def _steps(sha: SHA, walk: "_Walk", times: Array, inputs: Trace) -> Schedule:
+    """Sorts the three kinds of boundaries; a step lies between each and the next."""
+    held = _readings(sha, walk.location, inputs)
+    cuts = _input_cuts(sha, walk, inputs.times, held, times)
+    marks = np.concatenate([walk.begins, cuts, times])
+    rank = np.repeat(np.arange(3), [walk.begins.size, cuts.size, times.size])
+    order = np.argsort(marks, kind="stable")  # at one instant: events, inputs, outputs
+    marks, rank = marks[order], rank[order]
+    entry, ends = rank[:-1] == 0, rank[1:]
+    stay = np.cumsum(entry) - 1
+    location = walk.location[stay]
+    output = np.full(ends.size, -1, dtype=np.intp)
+    output[ends == 2] = np.arange(times.size)
+    return Schedule(
+        sha=sha,
+        start=float(marks[0]),
+        times=times,
+        location=location,
+        entry=entry,
+        age=marks[:-1] - walk.entered[stay],
+        dt=np.diff(marks),
+        offset=_offsets(sha, location, marks[:-1], inputs.times, held),
+        output=output,
+        checked=ends != 1,
+        unmatched=walk.unmatched,
+    )
+
+
+def step_coefficients(steps: Schedule) -> Coefficients:
+    """(decay, pull, variance) of every step without saturation, each (n,)."""
+    parts = tuple(np.empty(steps.dt.size) for _ in range(3))
+    for index in np.unique(steps.location):
+        rows = steps.location == index
+        flow = steps.sha.locations[index].flow
+        for part, value in zip(parts, flows.coefficients(flow, steps.age[rows], steps.dt[rows]), strict=True):
+            part[rows] = value
+    return parts[0], parts[1], parts[2]
+
+
+def resync_targets(sha: SHA) -> dict[str, str]:
+    """symbol -> the location that most edges with it lead to; the first in the model's order among equals."""
+    order = {location.name: place for place, location in enumerate(sha.locations)}
+    votes = Counter((edge.symbol, edge.target) for edge in sha.edges)
+    targets: dict[str, str] = {}
+    for symbol, target in sorted(votes, key=lambda pair: (-votes[pair], order[pair[1]])):
+        targets.setdefault(symbol, target)
+    return targets
+
+
+@dataclass(frozen=True, slots=True)
+class _Walk:
+    """The stays: when each begins within the run, when its location was entered, and which location it is."""
+
+    begins: Array
+    entered: Array
+    location: Indices
+    unmatched: tuple[int, ...]
+
+
+def _walk(sha: SHA, events: Sequence[Event], start: float, end: float, policy: Policy) -> _Walk:
+    if policy not in ("reject", "ignore", "resync"):
+        raise ValueError(f"unknown policy {policy!r}: known are reject, ignore, resync")
+    moves, fallback = transitions(sha), resync_targets(sha)
+    index = {location.name: place for place, location in enumerate(sha.locations)}
+    _check_order(events)
+    here, stays, unmatched = sha.initial, [(start, start, index[sha.initial])], []
+    for number, event in enumerate(events):
+        if event.time > end:
+            break
+        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
+        if target is None:
+            if policy == "reject":
+                raise ValueError(
+                    f"event {number} ({event.symbol!r} at {event.time:.3f} s): location {here!r} of SHA {sha.name!r} "
+                    f"has no edge for it; the policies 'ignore' and 'resync' go on all the same"
+                )
+            unmatched.append(number)
+            if policy == "ignore":
+                continue
+            target = fallback.get(event.symbol, sha.initial)
+        here = target
+        stay = (max(event.time, start), event.time, index[here])
+        if event.time < start:
+            stays = [stay]
+        else:
+            stays.append(stay)
+    begins, entered, location = zip(*stays, strict=True)
+    return _Walk(np.array(begins), np.array(entered), np.array(location, dtype=np.intp), tuple(unmatched))
+
+
+def _check_order(events: Sequence[Event]) -> None:
+    times = np.array([event.time for event in events], dtype=float)
+    bad = ~np.isfinite(times)
+    bad[1:] |= np.diff(times) < 0
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise ValueError(
+            f"event {row} ({events[row].symbol!r} at {times[row]} s): times must be numbers, never going back"
+        )
+
+
+def _checked_outputs(outputs: ArrayLike, start: float | None) -> Array:
+    times = np.atleast_1d(np.asarray(outputs, dtype=float))
+    if times.ndim != 1 or times.size == 0:
+        raise ValueError(f"output times must be a non-empty list of seconds, got the shape {times.shape}")
+    if not np.all(np.isfinite(times)) or np.any(np.diff(times) < 0):
+        raise ValueError("output times must be numbers and never go back")
+    if start is not None and not start <= times[0]:
+        raise ValueError(f"the first output time {times[0]} lies before the start {start}")
+    return times
+
+
+def _readings(sha: SHA, location: Indices, inputs: Trace) -> dict[str, Array]:
+    """The signals that the visited flows name, each reading held until the next; NaN before the first."""
+    wanted = {
+        given.signal: sha.locations[index].name for index, flow in _driven(sha, location) for given in flow.inputs
+    }
+    for signal, name in wanted.items():
+        if signal not in inputs.signals:
+            raise ValueError(f"location {name!r} is driven by the signal {signal!r}, which the inputs do not have")
+    return {signal: _hold(inputs.signals[signal]) for signal in wanted}
+
+
+def _hold(column: Array) -> Array:
+    empty = np.isnan(column)
+    if not empty.any():
+        return column
+    last = np.maximum.accumulate(np.where(empty, -1, np.arange(column.size)))
+    return np.where(last < 0, np.nan, column[last])
+
+
+def _changed(column: Array) -> Mask:
+    before, after = column[:-1], column[1:]
+    return np.concatenate([[False], (before != after) & ~np.isnan(after)])[: column.size]
+
+
+def _input_cuts(sha: SHA, walk: _Walk, clock: Array, held: dict[str, Array], outputs: Array) -> Array:
+    """The times of changed readings at which a step must be cut: inside driven stays, where no boundary is already."""
+    changed = {signal: _changed(column) for signal, column in held.items()}
+    within = (clock > walk.begins[0]) & (clock < outputs[-1])
+    cuts = [np.empty(0)]
+    for index, flow in _driven(sha, walk.location):
+        times = clock[within & np.any([changed[given.signal] for given in flow.inputs], axis=0)]
+        cuts.append(times[walk.location[np.searchsorted(walk.begins, times, side="right") - 1] == index])
+    wanted = np.unique(np.concatenate(cuts))
+    return wanted[~(_among(wanted, outputs) | _among(wanted, walk.begins))]
+
+
+def _offsets(sha: SHA, location: Indices, begins: Array, clock: Array, held: dict[str, Array]) -> Array:
+    """What the readings held at `begins` add to the target of each step; a signal not read yet adds nothing."""
+    total = np.zeros(begins.size)
+    for index, flow in _driven(sha, location):
+        steps = np.flatnonzero(location == index)
+        row = np.searchsorted(clock, begins[steps], side="right") - 1
+        for given in flow.inputs:
+            reading = np.append(held[given.signal], np.nan)[row]  # row -1, before the clock begins, meets the NaN
+            total[steps] += np.where(np.isnan(reading), 0.0, given.gain * (reading - given.reference))
+    return total
+
+
+def _driven(sha: SHA, location: Indices) -> list[tuple[int, Flow]]:
+    visited = np.unique(location).tolist()
+    return [(index, sha.locations[index].flow) for index in visited if sha.locations[index].flow.inputs]
+
+
+def _among(values: Array, ascending: Array) -> Mask:
+    place = np.minimum(np.searchsorted(ascending, values), ascending.size - 1)
+    return np.asarray(ascending[place] == values)

@@ -1,0 +1,146 @@
+"""Where the plant may go when the events to come are not known: paths of a semi-Markov process over the locations.
+
+A stay lasts as its location's sojourn law says, the present one given how long it has lasted already; then the next
+location is drawn by `Stay.to`. All runs move together, a jump at a time, each on its own clock.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.sha.automaton import Distribution
+from sim.sha.distributions import check_distribution, draw, draw_remaining
+from sim.sha.model import Model, Stay
+from sim.sha.trace import Array
+
+Indices = NDArray[np.intp]
+
+MOST_STAYS = 1000
+"""Stays of one run; a run that would need more stays where it is from then on, and is counted."""
+
+_BLOCK = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """The semi-Markov process of a model's L locations, in the automaton's order.
+
+    `laws` are the sojourn laws (None: never left); `cumulative` (L, L) the cumulated probabilities of the next
+    location, by rows.
+    """
+
+    names: tuple[str, ...]
+    laws: tuple[Distribution | None, ...]
+    cumulative: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Paths:
+    """J stays of N runs: `location` (J, N) indices; `entered` (J, N) seconds from now, inf beyond the horizon.
+
+    `entered[0]` is 0: the present stay, which is `age` seconds old. `cut` counts the runs that ran out of stays.
+    """
+
+    location: Indices
+    entered: Array
+    age: float
+    cut: int = 0
+
+
+def compile_chain(model: Model) -> Chain:
+    """The process of `model.semi_markov`. A location without a stay there (or whose stay leads nowhere) is never left.
+
+    Raises ValueError, naming the location, for an unusable law, probabilities that do not sum to 1, and unknown names.
+    """
+    names = tuple(location.name for location in model.sha.locations)
+    unknown = sorted(set(model.semi_markov) - set(names))
+    if unknown:
+        raise ValueError(f"model {model.sha.name!r}: the stay of {unknown[0]!r} belongs to no location")
+    laws: list[Distribution | None] = []
+    chances = np.eye(len(names))
+    for row, name in enumerate(names):
+        stay = model.semi_markov.get(name)
+        laws.append(stay.law if stay is not None and stay.to else None)
+        if stay is not None and stay.to:
+            chances[row] = _chances(name, stay, names)
+    cumulative = np.cumsum(chances, axis=1)
+    cumulative[:, -1] = np.inf
+    return Chain(names, tuple(laws), cumulative)
+
+
+def _chances(name: str, stay: Stay, names: tuple[str, ...]) -> Array:
+    check_distribution(stay.law)
+    strange = sorted(set(stay.to) - set(names))
+    if strange:
+        raise ValueError(f"the stay of location {name!r} leads to {strange[0]!r}, which is not a location")
+    row = np.array([stay.to.get(other, 0.0) for other in names])
+    if np.any(row < 0) or not abs(float(row.sum()) - 1.0) < 1e-6:
+        raise ValueError(f"location {name!r}: the probabilities of the next location sum to {row.sum()}, not 1")
+    return np.asarray(row / row.sum())
+
+
+def draw_paths(chain: Chain, location: int, age: float, horizon: float, runs: int, rng: np.random.Generator) -> Paths:
+    """`runs` independent paths over `horizon` seconds from `location`, in which `age` seconds have passed."""
+    law = chain.laws[location]
+    left = np.full(runs, np.inf) if law is None else draw_remaining(law, age, runs, rng)
+    places = [np.full((1, runs), location, dtype=np.intp)]
+    clocks = [np.zeros((1, runs))]
+    count = 1
+    while count < MOST_STAYS and np.any(left < horizon):
+        block = _next_locations(chain, places[-1][-1], rng)
+        begins = left + np.cumsum(np.vstack([np.zeros(runs), _sojourns(chain, block, rng)]), axis=0)
+        places.append(block)
+        clocks.append(begins[:-1])
+        left = begins[-1]
+        count += _BLOCK
+    entered = np.concatenate(clocks)
+    entered[entered >= horizon] = np.inf
+    needed = int((entered < np.inf).sum(axis=0).max())
+    return Paths(np.concatenate(places)[:needed], entered[:needed], age, int((left < horizon).sum()))
+
+
+def _next_locations(chain: Chain, here: Indices, rng: np.random.Generator) -> Indices:
+    """(_BLOCK, N) the embedded chain's next locations."""
+    u = rng.random((_BLOCK, here.size))
+    block = np.empty(u.shape, dtype=np.intp)
+    for row in range(_BLOCK):
+        here = (u[row][:, None] >= chain.cumulative[here]).sum(axis=1)
+        block[row] = here
+    return block
+
+
+def _sojourns(chain: Chain, location: Indices, rng: np.random.Generator) -> Array:
+    lasts = np.full(location.shape, np.inf)
+    for index, law in enumerate(chain.laws):
+        if law is not None:
+            there = location == index
+            lasts[there] = draw(law, int(there.sum()), rng)
+    return lasts
+
+
+def known_paths(stays: Sequence[tuple[float, int]], age: float, runs: int) -> Paths:
+    """The same given path for all runs: (seconds from now, location index) of each stay, the present one first at 0."""
+    entered = np.array([begin for begin, _ in stays])
+    location = np.array([index for _, index in stays], dtype=np.intp)
+    shape = (len(stays), runs)
+    return Paths(np.broadcast_to(location[:, None], shape), np.broadcast_to(entered[:, None], shape), age)
+
+
+def input_moments(model: Model, held: Mapping[str, float]) -> Array:
+    """(L, 2) mean and standard deviation of what a future stay's inputs add to its target (degC).
+
+    A signal varies from stay to stay as `Stay.inputs` says; one that is not there stays at its `held` value, or at its
+    reference when it was never read.
+    """
+    moments = np.zeros((len(model.sha.locations), 2))
+    for row, location in enumerate(model.sha.locations):
+        stay = model.semi_markov.get(location.name)
+        learned = stay.inputs if stay is not None else {}
+        for given in location.flow.inputs:
+            mean, sigma = learned.get(given.signal, (held.get(given.signal, given.reference), 0.0))
+            moments[row, 0] += given.gain * (mean - given.reference)
+            moments[row, 1] += (given.gain * sigma) ** 2
+    moments[:, 1] = np.sqrt(moments[:, 1])
+    return moments

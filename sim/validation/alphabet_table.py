@@ -1,0 +1,120 @@
+"""An alphabet from TOML tables: channels in order, long rows of bins in short form, faults named by their key."""
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sim.sha.events import DECANTER, Alphabet, Bins, Switch, check_alphabet
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
+
+
+class _Steps(_Part):
+    """first, first + step, ... last."""
+
+    first: float
+    last: float
+    step: Annotated[float, Field(gt=0)]
+
+
+class _Numbered(_Part):
+    """The lowest bin's symbol, then prefix + 0, 1, 2 ... for the bins above it."""
+
+    lowest: str
+    prefix: str
+
+
+class _SwitchTable(_Part):
+    kind: Literal["switch"]
+    signal: str
+    rising: str
+    falling: str
+    on_change: bool = True
+
+
+class _BinsTable(_Part):
+    kind: Literal["bins"]
+    signal: str
+    thresholds: tuple[float, ...] | _Steps
+    symbols: tuple[str, ...] | _Numbered
+    hysteresis: float = 0.0
+    on_change: bool = False
+
+
+class _AlphabetTable(_Part):
+    channels: tuple[Annotated[_SwitchTable | _BinsTable, Field(discriminator="kind")], ...]
+    gap: Annotated[float, Field(gt=0)] = DECANTER.gap
+    debounce: Annotated[float, Field(ge=0)] = 0.0
+    uppaal: dict[str, str] = {}
+
+
+def sentence(error: ValidationError, where: str) -> str:
+    """The first fault of a table as one sentence: where, key, what is wrong there and what would be right."""
+    first = error.errors(include_url=False, include_context=False)[0]
+    key = ".".join(str(part) for part in first["loc"]) or "the table"
+    if first["type"] == "extra_forbidden":
+        return f"{where}: {key}: there is no such key; take it out or correct its name"
+    if first["type"] == "missing":
+        return f"{where}: {key}: this key is needed and missing; add it"
+    if first["type"] == "value_error":
+        return f"{where}: {key}: {first['msg'].removeprefix('Value error, ')}"
+    message = first["msg"]
+    return f"{where}: {key}: {message[0].lower()}{message[1:]}; it is {str(first['input'])[:60]!r}"
+
+
+def _thresholds(given: tuple[float, ...] | _Steps) -> tuple[float, ...]:
+    if not isinstance(given, _Steps):
+        return given
+    count = (given.last - given.first) / given.step
+    if count < 0 or abs(count - round(count)) > 1e-9 or count > 100_000:
+        raise ValueError(f"thresholds from {given.first:g} to {given.last:g} are no whole steps of {given.step:g}")
+    return tuple(given.first + index * given.step for index in range(round(count) + 1))
+
+
+def _channel(table: _SwitchTable | _BinsTable) -> Switch | Bins:
+    if isinstance(table, _SwitchTable):
+        return Switch(table.signal, table.rising, table.falling, table.on_change)
+    thresholds, symbols = _thresholds(table.thresholds), table.symbols
+    if isinstance(symbols, _Numbered):
+        symbols = (symbols.lowest, *(f"{symbols.prefix}{index}" for index in range(len(thresholds))))
+    return Bins(table.signal, thresholds, symbols, table.hysteresis, table.on_change)
+
+
+def alphabet_from_table(table: Mapping[str, object], where: str) -> Alphabet:
+    """The alphabet that a TOML table describes.
+
+    `channels` is a list of tables: `{kind = "switch", signal, rising, falling, on_change}` or `{kind = "bins", signal,
+    thresholds, symbols, hysteresis, on_change}`, where thresholds may be `{first, last, step}` and symbols
+    `{lowest, prefix}`; then `gap` and `debounce` in seconds and `uppaal`, symbol = channel name. Raises ValueError with
+    one sentence that begins with `where` (the file and key).
+    """
+    try:
+        parsed = _AlphabetTable.model_validate(dict(table))
+        alphabet = Alphabet(
+            channels=tuple(_channel(channel) for channel in parsed.channels),
+            gap=parsed.gap,
+            debounce=parsed.debounce,
+            uppaal=tuple(parsed.uppaal.items()),
+        )
+        check_alphabet(alphabet)
+    except ValidationError as error:
+        raise ValueError(sentence(error, where)) from None
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+    return alphabet
+
+
+def alphabet_to_table(alphabet: Alphabet) -> dict[str, object]:
+    """The table from which `alphabet_from_table` makes the same alphabet; plain values for TOML or JSON."""
+    channels: list[dict[str, object]] = []
+    for channel in alphabet.channels:
+        if isinstance(channel, Switch):
+            table: dict[str, object] = {"kind": "switch", "rising": channel.rising, "falling": channel.falling}
+        else:
+            table = {"kind": "bins", "thresholds": list(channel.thresholds), "symbols": list(channel.symbols)}
+            table["hysteresis"] = channel.hysteresis
+        channels.append({**table, "signal": channel.signal, "on_change": channel.on_change})
+    return {"channels": channels, "gap": alphabet.gap, "debounce": alphabet.debounce, "uppaal": dict(alphabet.uppaal)}

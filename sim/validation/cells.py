@@ -1,0 +1,71 @@
+"""Cells of a CSV as numbers and booleans: empty is no reading, whatever else is no number is a fault that is told."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from sim.sha.trace import Array, Mask
+
+Decimal = Literal["auto", ".", ","]
+
+_BOOLEANS = {
+    **dict.fromkeys(("true", "vero", "on", "yes", "si", "sì", "t", "y", "1", "-1"), 1.0),
+    **dict.fromkeys(("false", "falso", "off", "no", "f", "n", "0"), 0.0),
+}
+
+
+def _plain_floats(cells: Sequence[str]) -> Array | None:
+    """All cells at once, if each is a plain number; exact to the last bit, as Python reads it."""
+    try:
+        values = np.array(list(map(float, cells)), dtype=float)
+    except ValueError:
+        return None
+    return None if any("_" in cell for cell in cells) or not np.isfinite(values).all() else values
+
+
+def _number(cell: str, decimal: Decimal) -> float:
+    if "_" in cell:
+        return np.nan
+    if decimal == ",":
+        whole, comma, fraction = cell.partition(",")
+        if "." in fraction or ("." in whole and not comma):
+            return np.nan
+        cell = whole.replace(".", "") + comma.replace(",", ".") + fraction
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
+
+
+def _decimal_of(cells: Sequence[str], decimal: Decimal) -> Decimal:
+    """`auto`: a comma can only be inside a cell as a decimal comma, unless points show that it groups thousands."""
+    if decimal != "auto":
+        return decimal
+    return "," if any("," in cell for cell in cells) and not any("." in cell for cell in cells) else "."
+
+
+def numbers(cells: Sequence[str], decimal: Decimal = "auto") -> tuple[Array, Mask]:
+    """Values (NaN where there is none) and a mask of the cells that hold something, but no finite number."""
+    plain = _plain_floats(cells)
+    if plain is not None:
+        return plain, np.zeros(plain.shape, dtype=bool)
+    decimal = _decimal_of(cells, decimal)
+    stripped = [cell.strip() for cell in cells]
+    values = np.array([_number(cell, decimal) if cell else np.nan for cell in stripped], dtype=float)
+    values[np.isinf(values)] = np.nan
+    return values, np.isnan(values) & np.array([bool(cell) for cell in stripped], dtype=bool)
+
+
+def _boolean(cell: str) -> float:
+    known = _BOOLEANS.get(cell.casefold())
+    if known is not None:
+        return known
+    return {0.0: 0.0, 1.0: 1.0, -1.0: 1.0}.get(_number(cell.replace(",", "."), "."), np.nan)
+
+
+def booleans(cells: Sequence[str]) -> tuple[Array, Mask]:
+    """As `numbers`, for two-valued signals: 0.0 and 1.0 from True, 1, VERO, on, yes, si ... and their opposites."""
+    table = {cell: _boolean(cell.strip()) for cell in set(cells)}
+    values = np.array([table[cell] for cell in cells], dtype=float)
+    return values, np.isnan(values) & np.array([bool(cell.strip()) for cell in cells], dtype=bool)

@@ -1,0 +1,140 @@
+"""What became of every row of every file: used, left aside, refused and why. Counts are exact, details bounded."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+DETAILS = 20
+"""So many refused rows or cells are named one by one for each file; the rest are only counted."""
+
+
+class TraceError(ValueError):
+    """A file, or all of them, gave nothing that can be used. `report` has the particulars when there are any."""
+
+    def __init__(self, sentence: str, report: "LoadReport | None" = None) -> None:
+        super().__init__(sentence)
+        self.report = report
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A row that was not used, or a cell whose value was not: line of the file (from 1) and the reason."""
+
+    line: int
+    reason: str
+
+
+def _line(refused: Refused) -> int:
+    return refused.line
+
+
+@dataclass(slots=True)
+class FileReport:
+    """One file, filled in while it is read: rows == used + aside + refused.
+
+    `aside` rows belong to objects or signals that the map does not name, `merged` of the used ones share their time
+    with another, `bad_cells` are cells of used rows whose value cannot be used: they are of bad quality in the trace.
+    `reasons` counts refused rows and bad cells by reason. `error` says why nothing of the file was used.
+    """
+
+    path: Path
+    rows: int = 0
+    aside: int = 0
+    refused: int = 0
+    merged: int = 0
+    bad_cells: int = 0
+    reasons: Counter[str] = field(default_factory=Counter)
+    details: list[Refused] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    error: str = ""
+
+    @property
+    def used(self) -> int:
+        """Rows whose readings are in a trace."""
+        return 0 if self.error else self.rows - self.aside - self.refused
+
+    def refuse(self, lines: Sequence[int], reason: str, details: Sequence[str] = ()) -> None:
+        """Count rows that cannot be used."""
+        self.refused += len(lines)
+        self._count(lines, reason, details)
+
+    def bad(self, lines: Sequence[int], reason: str, details: Sequence[str] = ()) -> None:
+        """Count cells that cannot be used, in rows that can."""
+        self.bad_cells += len(lines)
+        self._count(lines, reason, details)
+
+    def _count(self, lines: Sequence[int], reason: str, details: Sequence[str]) -> None:
+        if not lines:
+            return
+        self.reasons[reason] += len(lines)
+        for index, line in enumerate(lines[: DETAILS - len(self.details)]):
+            self.details.append(Refused(line, f"{reason}: {details[index]}" if details else reason))
+
+    def sentences(self) -> list[str]:
+        """What a person wants to know of this file, one sentence a line."""
+        if self.error:
+            return [self.error]
+        head = f"{self.path}: {self.used} of {self.rows} rows used"
+        parts = [
+            f"{count} {what}"
+            for count, what in (
+                (self.refused, "refused"),
+                (self.aside, "of other objects or signals"),
+                (self.merged, "merged with rows of the same time"),
+                (self.bad_cells, "cells of bad quality"),
+            )
+            if count
+        ]
+        lines = [", ".join([head, *parts])]
+        lines += [f"{self.path}: {count} x {reason}" for reason, count in self.reasons.most_common()]
+        lines += [f"{self.path}: line {one.line}: {one.reason}" for one in sorted(self.details, key=_line)]
+        return lines + [f"{self.path}: {note}" for note in self.notes]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadReport:
+    """All files of one load, in the order in which they were read."""
+
+    files: tuple[FileReport, ...]
+
+    @property
+    def rows(self) -> int:
+        """Rows read from all files."""
+        return sum(file.rows for file in self.files)
+
+    @property
+    def used(self) -> int:
+        """Rows whose readings are in a trace."""
+        return sum(file.used for file in self.files)
+
+    @property
+    def refused(self) -> int:
+        """Rows that could not be used, in files that otherwise could."""
+        return sum(file.refused for file in self.files if not file.error)
+
+    @property
+    def errors(self) -> tuple[str, ...]:
+        """One sentence for each file of which nothing was used."""
+        return tuple(file.error for file in self.files if file.error)
+
+    def sentences(self) -> list[str]:
+        """The whole report, one sentence a line."""
+        return [line for file in self.files for line in file.sentences()]
+
+    def as_table(self) -> list[dict[str, object]]:
+        """The report as plain values for JSON."""
+        return [_plain(file) for file in self.files]
+
+
+def _plain(file: FileReport) -> dict[str, object]:
+    counts = {name: getattr(file, name) for name in ("rows", "used", "aside", "refused", "merged", "bad_cells")}
+    details = [{"line": one.line, "reason": one.reason} for one in file.details]
+    texts = {"reasons": dict(file.reasons), "details": details, "notes": list(file.notes), "error": file.error}
+    return {"file": str(file.path), **counts, **texts}
+
+
+def listed(names: Iterable[str], limit: int = 30) -> str:
+    """Names for a sentence, the first `limit` of them."""
+    given = list(names)
+    return ", ".join(given[:limit]) + (f" and {len(given) - limit} more" if len(given) > limit else "")

@@ -1,0 +1,269 @@
+import math
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.codec import decode, encode, registers_needed
+from drivers.errors import AddressError, EncodingError
+from drivers.tag import DType, Order, Quality, Tag
+
+# The types' own formats, most significant byte first: the reference that the codec is held against.
+STRUCT = {
+    DType.INT16: ">h",
+    DType.UINT16: ">H",
+    DType.INT32: ">i",
+    DType.UINT32: ">I",
+    DType.INT64: ">q",
+    DType.UINT64: ">Q",
+    DType.FLOAT32: ">f",
+    DType.FLOAT64: ">d",
+}
+orders = st.sampled_from(list(Order))
+
+
+def wire(payload: bytes, order: Order) -> list[int]:
+    """Lay bytes A B C D .. into registers by the letters of the order, written out by hand."""
+    pairs = [payload[i : i + 2] for i in range(0, len(payload), 2)]
+    if order in (Order.CDAB, Order.DCBA):
+        pairs.reverse()
+    if order in (Order.BADC, Order.DCBA):
+        pairs = [pair[::-1] for pair in pairs]
+    return [pair[0] << 8 | pair[1] for pair in pairs]
+
+
+def number_of(dtype: DType) -> st.SearchStrategy[int | float]:
+    size = struct.calcsize(STRUCT[dtype])
+    if dtype in (DType.FLOAT32, DType.FLOAT64):
+        return st.floats(width=8 * size, allow_nan=False, allow_infinity=False)
+    signed = STRUCT[dtype][1].islower()
+    low = -(2 ** (8 * size - 1)) if signed else 0
+    return st.integers(low, low + 2 ** (8 * size) - 1)
+
+
+@pytest.mark.parametrize("dtype", STRUCT)
+@settings(max_examples=60)
+@given(data=st.data(), order=orders)
+def test_every_number_in_every_order_decodes_as_struct_packs_it_and_encodes_back(
+    dtype: DType, data: st.DataObject, order: Order
+) -> None:
+    number = data.draw(number_of(dtype))
+    registers = wire(struct.pack(STRUCT[dtype], number), order)
+    tag = Tag("x", "holding:0", dtype, order)
+    value, quality, _ = decode(tag, registers)
+    assert (value, quality) == (number, Quality.GOOD)
+    assert type(value) is type(number)
+    assert encode(tag, number) == registers
+    assert len(registers) == registers_needed(tag)
+
+
+def test_the_four_orders_of_one_number_by_hand() -> None:
+    by_order = {
+        Order.ABCD: [0x4148, 0xF5C3],
+        Order.CDAB: [0xF5C3, 0x4148],
+        Order.BADC: [0x4841, 0xC3F5],
+        Order.DCBA: [0xC3F5, 0x4841],
+    }
+    for order, registers in by_order.items():
+        value, _, _ = decode(Tag("x", "holding:0", DType.FLOAT32, order), registers)
+        assert value == pytest.approx(12.56, rel=1e-7)
+
+
+@settings(max_examples=60)
+@given(number=st.integers(0, 255), order=orders)
+def test_an_8_bit_number_lies_in_the_low_byte_or_with_swapped_bytes_in_the_high_byte(number: int, order: Order) -> None:
+    other = 0xA5
+    register = number << 8 | other if order in (Order.BADC, Order.DCBA) else other << 8 | number
+    value, _, _ = decode(Tag("x", "holding:0", DType.UINT8, order), [register])
+    assert value == number
+    signed, _, _ = decode(Tag("x", "holding:0", DType.INT8, order), [register])
+    assert signed == struct.unpack("b", bytes([number]))[0]
+    assert decode(Tag("x", "holding:0", DType.UINT8, order), encode(Tag("x", "holding:0", DType.UINT8, order), number))[
+        0
+    ] == (number)
+
+
+@settings(max_examples=60)
+@given(register=st.integers(0, 65535), bit=st.integers(0, 15), order=orders)
+def test_a_bit_is_counted_from_the_least_significant(register: int, bit: int, order: Order) -> None:
+    tag = Tag("x", "holding:0", DType.BOOL, order, bit=bit)
+    value, quality, _ = decode(tag, wire(struct.pack(">H", register), order))
+    assert value is bool(register & 1 << bit)
+    assert quality is Quality.GOOD
+
+
+@settings(max_examples=60)
+@given(number=st.integers(0, 99_999_999), order=orders)
+def test_bcd_reads_its_digits(number: int, order: Order) -> None:
+    tag = Tag("x", "holding:0", DType.BCD32, order)
+    registers = wire(bytes.fromhex(f"{number:08d}"), order)
+    assert decode(tag, registers) == (number, Quality.GOOD, "")
+    assert encode(tag, number) == registers
+
+
+@pytest.mark.parametrize("registers", [[0x00A0], [0xFFFF], [0x123F]])
+def test_bcd_with_a_digit_above_nine_is_a_decoding_error(registers: list[int]) -> None:
+    value, quality, reason = decode(Tag("x", "holding:0", DType.BCD16), registers)
+    assert (value, quality) == (None, Quality.DECODING_ERROR)
+    assert "binary-coded decimal" in reason
+
+
+def test_a_bcd_sentinel_may_be_a_pattern_that_is_no_number() -> None:
+    assert decode(Tag("x", "holding:0", DType.BCD16, sentinel=0xFFFF), [0xFFFF])[1] is Quality.NO_DATA
+    assert decode(Tag("x", "holding:0", DType.BCD16, sentinel=4660), [0x1234])[0] == 1234
+
+
+latin = st.text(st.characters(min_codepoint=1, max_codepoint=255), max_size=9)
+
+
+@settings(max_examples=80)
+@given(text=latin, order=orders)
+def test_text_survives_and_only_its_bytes_may_be_swapped(text: str, order: Order) -> None:
+    tag = Tag("x", "holding:0", DType.STRING, order, length=9)
+    registers = encode(tag, text)
+    assert len(registers) == 5
+    assert decode(tag, registers) == (text.rstrip(" "), Quality.GOOD, "")
+    swapped = order in (Order.BADC, Order.DCBA)
+    assert struct.pack("<5H" if swapped else ">5H", *registers) == text.encode("latin-1").ljust(10, b"\0")
+
+
+def test_text_ends_at_a_nul_and_loses_padding_blanks() -> None:
+    tag = Tag("x", "holding:0", DType.STRING, length=6)
+    assert decode(tag, [0x4142, 0x2020, 0x2020])[0] == "AB"
+    assert decode(tag, [0x4142, 0x0058, 0x5858])[0] == "AB"
+
+
+@settings(max_examples=100)
+@given(
+    raw=st.integers(0, 65535), scale=st.sampled_from([0.1, 0.01, 2.0, -0.5]), offset=st.sampled_from([0.0, -40.0, 7.5])
+)
+def test_scaled_numbers_are_floats_and_go_back_to_the_same_register(raw: int, scale: float, offset: float) -> None:
+    tag = Tag("x", "holding:0", scale=scale, offset=offset)
+    value, quality, _ = decode(tag, [raw])
+    assert isinstance(value, float)
+    assert value == raw * scale + offset
+    assert quality is Quality.GOOD
+    assert encode(tag, value) == [raw]
+
+
+def test_a_scaled_value_is_rounded_to_the_tags_resolution() -> None:
+    assert encode(Tag("x", "holding:0", scale=0.1), 23.46) == [235]
+
+
+@pytest.mark.parametrize(
+    ("dtype", "sentinel", "registers"),
+    [
+        (DType.UINT16, 65535, [0xFFFF]),
+        (DType.INT16, -32768, [0x8000]),
+        (DType.INT16, 0x8000, [0x8000]),
+        (DType.INT32, 0x7FFFFFFF, [0x7FFF, 0xFFFF]),
+        (DType.FLOAT32, -9999, list(struct.unpack(">2H", struct.pack(">f", -9999.0)))),
+    ],
+)
+def test_the_sentinel_is_no_data_whatever_the_range_says(dtype: DType, sentinel: int, registers: list[int]) -> None:
+    tag = Tag("x", "holding:0", dtype, scale=0.1, low=0, high=1, sentinel=sentinel)
+    value, quality, reason = decode(tag, registers)
+    assert (value, quality) == (None, Quality.NO_DATA)
+    assert str(sentinel) in reason
+
+
+def test_a_sentinel_in_a_register_of_bits_makes_no_bit_true() -> None:
+    assert decode(Tag("x", "holding:0", DType.BOOL, bit=3, sentinel=65535), [65535])[:2] == (None, Quality.NO_DATA)
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_nan_and_infinity_are_a_failed_sensor_and_never_a_value(number: float) -> None:
+    value, quality, reason = decode(
+        Tag("x", "holding:0", DType.FLOAT32), list(struct.unpack(">2H", struct.pack(">f", number)))
+    )
+    assert (value, quality) == (None, Quality.SENSOR_FAILURE)
+    assert str(number) in reason
+
+
+def test_a_value_out_of_range_is_kept_and_marked() -> None:
+    tag = Tag("x", "holding:0", DType.INT16, scale=0.1, unit="degC", low=-20, high=150)
+    value, quality, reason = decode(tag, [1501])
+    assert value == pytest.approx(150.1)
+    assert quality is Quality.OUT_OF_RANGE
+    assert reason == "150.1 degC is above the highest plausible value 150"
+    assert decode(tag, [0xFF00])[1] is Quality.OUT_OF_RANGE
+
+
+@settings(max_examples=60)
+@given(limit=st.floats(0.015625, 1e6, width=32), decimals=st.integers(0, 3))
+def test_a_value_exactly_at_its_limit_is_good(limit: float, decimals: int) -> None:
+    limit = round(limit, decimals)
+    tag = Tag("x", "holding:0", DType.FLOAT32, low=0, high=limit)
+    assert decode(tag, encode(tag, limit))[1] is Quality.GOOD
+
+
+def test_labels_name_values_and_an_unknown_code_is_out_of_range() -> None:
+    tag = Tag("x", "holding:0", labels={0: "none", 3: "CRC"})
+    assert decode(tag, [3]) == (3, Quality.GOOD, "")
+    value, quality, reason = decode(tag, [9])
+    assert (value, quality) == (9, Quality.OUT_OF_RANGE)
+    assert "3 (CRC)" in reason
+    assert encode(tag, "CRC") == [3]
+    with pytest.raises(EncodingError, match="labelled"):
+        encode(tag, 9)
+
+
+def test_the_wrong_number_of_registers_is_a_decoding_error_and_no_exception() -> None:
+    assert decode(Tag("x", "holding:0", DType.FLOAT32), [1])[:2] == (None, Quality.DECODING_ERROR)
+
+
+def test_a_bool_register_is_true_unless_it_is_zero() -> None:
+    tag = Tag("x", "coil:0", DType.BOOL)
+    assert [decode(tag, [word])[0] for word in (0, 1, 0xFF00)] == [False, True, True]
+    assert (encode(tag, True), encode(tag, False), encode(tag, 1)) == ([1], [0], [1])
+
+
+@pytest.mark.parametrize(
+    ("tag", "value", "sentence"),
+    [
+        (Tag("x", "holding:0"), 65536, "holds 0 to 65535"),
+        (Tag("x", "holding:0"), -1, "holds 0 to 65535"),
+        (Tag("x", "holding:0", DType.INT8), 128, "holds -128 to 127"),
+        (Tag("x", "holding:0", DType.BCD16), 10_000, "holds 0 to 9999"),
+        (Tag("x", "holding:0", DType.FLOAT32), 1e39, "beyond a float32"),
+        (Tag("x", "holding:0", DType.FLOAT32), math.nan, "finite"),
+        (Tag("x", "holding:0"), math.inf, "finite"),
+        (Tag("x", "holding:0", DType.UINT64), 10**400, "finite"),
+        (Tag("x", "holding:0", scale=1e-10), 1e305, "beyond any number"),
+        (Tag("x", "holding:0"), True, "not a number"),
+        (Tag("x", "holding:0"), "12", "not a number"),
+        (Tag("x", "holding:0", high=100, unit="%"), 101, "101 % is above"),
+        (Tag("x", "holding:0", sentinel=65535), 65535, "not available"),
+        (Tag("x", "holding:0", DType.INT16, sentinel=0x8000), -32768, "not available"),
+        (Tag("x", "holding:0", DType.BOOL), 2, "not a bool"),
+        (Tag("x", "holding:0", DType.BOOL), "yes", "not a bool"),
+        (Tag("x", "holding:0", DType.BOOL, bit=3), True, "other fifteen"),
+        (Tag("x", "holding:0", DType.STRING, length=3), "four", "4 characters do not fit in 3"),
+        (Tag("x", "holding:0", DType.STRING, length=3), "€", "Latin-1"),
+        (Tag("x", "holding:0", DType.STRING, length=3), "a\0b", "NUL"),
+        (Tag("x", "holding:0", DType.STRING, length=3), 3, "not text"),
+    ],
+)
+def test_what_cannot_be_encoded_is_refused_in_one_sentence_that_names_the_tag(
+    tag: Tag, value: float, sentence: str
+) -> None:
+    with pytest.raises(EncodingError, match=sentence) as caught:
+        encode(tag, value)
+    assert str(caught.value).startswith("x: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "tag",
+    [
+        Tag("x", "holding:0", DType.STRING),
+        Tag("x", "holding:0", DType.BOOL, bit=16),
+        Tag("x", "holding:0", DType.FLOAT32, bit=1),
+        Tag("x", "holding:0", scale=0.0),
+        Tag("x", "holding:0", scale=math.nan),
+    ],
+)
+def test_a_tag_that_cannot_be_is_an_address_error(tag: Tag) -> None:
+    with pytest.raises(AddressError, match="x: "):
+        registers_needed(tag)

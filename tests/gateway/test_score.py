@@ -1,0 +1,61 @@
+"""The scorecard from a historian with known numbers."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.tag import Tag
+from gateway.historian import open_historian
+from gateway.history import matured
+from gateway.score import error, scorecard
+from tests.gateway.support import EPOCH
+
+LEVELS = [0.05, 0.25, 0.5, 0.75, 0.95]
+
+
+def filled(path: Path) -> Path:
+    """Measured = 20 + n; one-step is 0.5 too low, the free run 2 too high; forecasts of 10 s say +9 within 1."""
+    historian, _ = open_historian(path, (Tag("T", "holding:1"),))
+    for n in range(60):
+        measured = None if n == 30 else 20.0 + n
+        row = (EPOCH + n, "on", 1, measured, 19.5 + n, 18.9 + n, 20.1 + n, 22.0 + n if n > 4 else None, 0.1, "green")
+        historian.put("predictions", [row])
+        historian.put("scans", [(EPOCH + n, 0.01, 0)])
+        if n % 10 == 0:
+            fan = json.dumps([28.0 + n, 28.5 + n, 29.0 + n, 29.5 + n, 30.5 + n])
+            historian.put("forecasts", [(EPOCH + n, 10.0, json.dumps(LEVELS), fan, 0.25, 80.0, measured)])
+    historian.put("events", [(EPOCH, "W_ON", "on")])
+    for latency in (1.0, 2.0, 3.0, 40.0):
+        historian.put("writes", [(EPOCH, 1, "armed", "written", 31, latency, "", b"")])
+    historian.put("writes", [(EPOCH, 1, "armed", "failed", 31, None, "no reply", b"")])
+    assert historian.close()
+    return path
+
+
+def test_errors_forecasts_and_writes_are_those_that_were_put_in(tmp_path: Path) -> None:
+    card = scorecard(filled(tmp_path / "h.sqlite"))
+    assert (card.scans, card.samples, card.events) == (60, 0, 1)
+    assert (card.one_step.rmse, card.one_step.mae, card.one_step.count) == pytest.approx((0.5, 0.5, 59))
+    assert (card.free_run.rmse, card.free_run.mae, card.free_run.count) == pytest.approx((2.0, 2.0, 54))
+    assert card.band90 == pytest.approx(1.0)
+    (ten,) = card.forecasts
+    assert (ten.horizon, ten.count) == (10.0, 4), "one has no reading at its start, one not yet its time"
+    assert (ten.mae, ten.persistence_mae, ten.coverage90) == pytest.approx((1.25, 10.25, 0.75))
+    assert 0.0 < ten.crps < ten.mae
+    assert card.writes.verdicts == {"written": 4, "failed": 1}
+    assert (card.writes.p50, card.writes.p99) == (3.0, 40.0)
+
+
+def test_a_forecast_is_compared_with_the_first_reading_at_or_after_its_time(tmp_path: Path) -> None:
+    found = matured(filled(tmp_path / "h.sqlite"))[10.0]
+    assert found.outcome.tolist()[:2] == [30.0, 40.0]
+    assert found.outcome[2] == 51.0, "the reading at 30 s failed, that of 31 s came"
+    assert np.isnan(found.outcome[5])
+    assert np.isnan(matured(tmp_path / "h.sqlite", tolerance=0.5)[10.0].outcome[2])
+
+
+def test_no_common_reading_has_no_error() -> None:
+    none = error(np.array([np.nan, 1.0]), np.array([1.0, np.nan]))
+    assert none.count == 0 and np.isnan(none.rmse)

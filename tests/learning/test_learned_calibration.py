@@ -1,0 +1,68 @@
+"""The bands of a learned model cover what they say, on traces of the same plant that it never saw."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.learning.bins import learn_bins
+from sim.learning.calibrate import HORIZONS, Scored, calibrate, coverage_of, score_forecasts
+from sim.sha.events import DECANTER
+from tests.learning.plants import Truth, simulate
+
+
+def scored(z: np.ndarray, horizon: float = 60.0, every: float = 60.0) -> list[Scored]:
+    return [Scored(horizon, every * number, float(value)) for number, value in enumerate(z)]
+
+
+def test_a_band_that_is_too_narrow_is_widened_by_as_much() -> None:
+    z = 1.7 * np.abs(np.random.default_rng(0).normal(size=2000))
+    (one,) = coverage_of(scored(z))
+    assert one.factor == pytest.approx(1.7, rel=0.07)
+    assert one.covered < 0.75
+
+
+def test_an_honest_band_stays_as_it_is() -> None:
+    (one,) = coverage_of(scored(np.abs(np.random.default_rng(1).normal(size=2000))))
+    assert one.factor == pytest.approx(1.0, abs=0.05)
+    assert one.covered == pytest.approx(0.9, abs=0.03)
+
+
+def test_overlapping_forecasts_count_for_the_time_they_span() -> None:
+    (one,) = coverage_of(scored(np.ones(100), horizon=900.0, every=9.0))
+    assert one.forecasts == 100
+    assert one.independent == pytest.approx(1 + 99 * 9 / 900)
+
+
+def test_little_evidence_leaves_the_factor_near_its_cautious_start() -> None:
+    (one,) = coverage_of(scored(np.zeros(1)))
+    assert 0.9 < one.factor < 1.25
+    assert coverage_of([]) == ()
+
+
+def test_only_forecasts_after_the_given_moment_count() -> None:
+    trace = simulate(Truth(), 1, cycles=1)[0]
+    model = learn_bins(simulate(Truth(), 2, cycles=3, rows=120), DECANTER, "T", seed=0).model
+    since = float(trace.times[120])
+    due = [one.due for one in score_forecasts(model, [trace], [since], np.random.default_rng(0))]
+    assert due
+    assert min(due) >= since + 60
+    assert set(calibrate(model, [trace], np.random.default_rng(0))) == set(HORIZONS)
+
+
+@pytest.mark.parametrize("truth", [Truth(), Truth(gain=0.1, noise=0.02)], ids=["smooth", "driven and rough"])
+def test_ninety_per_cent_bands_cover_ninety_per_cent_of_unseen_cycles(truth: Truth) -> None:
+    covered, worth = {h: 0.0 for h in HORIZONS}, {h: 0.0 for h in HORIZONS}
+    for seed in (11, 12):
+        traces = simulate(truth, seed, cycles=14, rows=200)
+        model = learn_bins(traces[:7], DECANTER, "T", seed=seed).model
+        begins = [float(trace.times[0]) for trace in traces[7:]]
+        found = score_forecasts(replace(model), traces[7:], begins, np.random.default_rng(seed))
+        for one in coverage_of(found):
+            z = np.array([each.z for each in found if each.horizon == one.horizon]) / model.calibration[one.horizon]
+            covered[one.horizon] += float(np.mean(z <= 1.6449)) * one.independent
+            worth[one.horizon] += one.independent
+    for horizon in HORIZONS:
+        share, spread = covered[horizon] / worth[horizon], np.sqrt(0.09 / worth[horizon])
+        # Binomial error of the independent forecasts, and as much again for that of the factor.
+        assert abs(share - 0.9) < 2.6 * np.sqrt(2) * spread, (horizon, share, worth[horizon])

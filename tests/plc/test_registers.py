@@ -1,0 +1,95 @@
+"""The register map: what is read, and the sentence for what cannot be."""
+
+from pathlib import Path
+
+import pytest
+
+from drivers.tag import Order
+from sim.plc.checks import InputError
+from sim.plc.registers import Place, read_map
+from tests.plc.bench import DECANTER
+
+GOOD = """
+[device]
+unit = 7
+max_gap = 2
+[[tags]]
+name = "A"
+address = "holding:10"
+[[tags]]
+name = "B"
+address = "holding:12"
+dtype = "float32"
+"""
+BLOCK = """
+[writeback]
+address = "holding:40"
+layout_version = 1
+timeout_s = 2.0
+fields = [ {name="layout_version"}, {name="sequence"}, {name="heartbeat"}, {name="validity"}, {name="crc"},
+  {name="sequence_copy"} ]
+"""
+
+
+def test_the_decanters_map_is_read() -> None:
+    registers = read_map(DECANTER)
+    assert registers.tags["TCuscinettiRiduttore"].order is Order.CDAB
+    assert registers.places["TCuscinettiAlimentazione"] == Place("holding", 107, 2)
+    assert registers.heartbeat == "PlcHeartbeat"
+    assert registers.block is not None
+    assert registers.block.place == Place("holding", 400, 24)
+    assert registers.block.fields[7].signed and registers.block.fields[7].scale == 0.01
+
+
+@pytest.mark.parametrize(
+    ("find", "put", "words"),
+    [
+        ('address = "holding:10"', 'address = "register:10"', ["tag 1 (A)", "'address'", "holding:N"]),
+        ('address = "holding:10"', 'address = "holding:70000"', ["'A'", "beyond 65535"]),
+        ('address = "holding:10"', 'address = "holding:13"', ["'B'", "holding:13", "belongs to 'A'"]),
+        ('name = "B"', 'name = "A"', ["tag 2", "taken already"]),
+        ('dtype = "float32"', 'dtype = "float23"', ["tag 2 (B)", "'dtype'", "float23", "uint16"]),
+        ('dtype = "float32"', 'dtype = "float32"\nscal = 2', ["tag 2 (B)", "'scal'", "not known", "scale"]),
+        ('dtype = "float32"', 'dtype = "float32"\nscale = 0', ["'scale'", "other than 0"]),
+        ('dtype = "float32"', 'dtype = "float32"\nbit = 3', ["'bit'", "bool"]),
+        ('dtype = "float32"', 'dtype = "string"', ["'length'"]),
+        ('dtype = "float32"', 'dtype = "int16"\nsentinel = 70000', ["'sentinel'", "70000"]),
+        ("unit = 7", "unit = 700", ["[device]", "'unit'", "700", "0..255"]),
+        ("unit = 7", 'heartbeat = "C"', ["'heartbeat'", "no tag 'C'"]),
+        ("unit = 7", 'heartbeat = "B"', ["'B'", "plain uint16"]),
+        ("unit = 7", "unit = ", ["is not TOML", "line"]),
+        ('{name="crc"},', "", ["[writeback]", "crc", "missing"]),
+        ('"holding:40"', '"holding:11"', ["'B'", "'[writeback]'"]),
+        ('"holding:40"', '"input:40"', ["[writeback]", "function 16"]),
+        ("timeout_s = 2.0", "timeout_s = 0", ["[writeback]", "'timeout_s'", "more than 0"]),
+        ("layout_version = 1", "", ["[writeback]", "'layout_version'", "missing"]),
+    ],
+)
+def test_a_bad_map_is_refused_in_one_sentence(tmp_path: Path, find: str, put: str, words: list[str]) -> None:
+    text = GOOD + BLOCK
+    assert find in text
+    path = tmp_path / "bad.toml"
+    path.write_text(text.replace(find, put, 1))
+    with pytest.raises(InputError) as caught:
+        read_map(path)
+    for word in (str(path), *words):
+        assert word in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_map_that_is_not_there_or_is_empty_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_map(tmp_path / "none.toml")
+    (tmp_path / "empty.toml").write_text("")
+    with pytest.raises(InputError, match="at least one"):
+        read_map(tmp_path / "empty.toml")
+
+
+def test_two_bits_may_share_a_register_but_not_a_bit(tmp_path: Path) -> None:
+    path = tmp_path / "bits.toml"
+    bit = '[[tags]]\nname = "{}"\naddress = "holding:1"\ndtype = "bool"\nbit = {}\n'
+    path.write_text(bit.format("A", 0) + bit.format("B", 1))
+    assert len(read_map(path).tags) == 2
+    path.write_text(bit.format("A", 1) + bit.format("B", 1))
+    with pytest.raises(InputError, match="belongs to 'A'"):
+        read_map(path)

@@ -1,0 +1,33 @@
+"""Small models that several tests run."""
+
+from dataclasses import replace
+
+from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
+
+
+def normal(mu: float, sigma: float) -> Distribution:
+    return Distribution("normal", {"mu": mu, "sigma": sigma})
+
+
+OFF = Location("off", Flow("exponential", {"k": 0.01, "noise": 0.05}), normal(18.0, 1.0))
+IDLE = Location(
+    "idle", Flow("driven", {"k": 0.02, "noise": 0.1}, (Input("Assorbimento", 0.1, 50.0),)), normal(35.0, 2.0)
+)
+LOAD = Location("load", Flow("linear", {"noise": 0.02}), normal(0.04, 0.01))
+PEAK = Location("peak", Flow("logarithmic", {"t0": 10.0, "noise": 0.03}), normal(4.0, 0.5))
+HOLD = Location("hold", Flow("constant", {"noise": 0.08}))
+FRESH = Location("fresh", Flow("exponential", {"k": 0.03, "noise": 0.2}), normal(45.0, 1.5), "resample")
+PLAIN = Location("plain", Flow("exponential", {"k": 0.03, "noise": 0.2}), normal(30.0, 1.5), "none")
+
+ALL = (OFF, IDLE, LOAD, PEAK, HOLD, FRESH, PLAIN)
+"""Symbol X leads to location X from everywhere."""
+EVERYWHERE = SHA(
+    "everywhere",
+    ALL,
+    tuple(Edge(source.name, target.name, target.name) for source in ALL for target in ALL),
+    "off",
+)
+
+
+def limited(rate: float) -> SHA:
+    return replace(EVERYWHERE, max_rate=rate)

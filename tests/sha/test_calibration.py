@@ -1,0 +1,136 @@
+"""Online recalibration: wrong bands become right, right ones stay, and nothing grows without bound."""
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+from sim.sha.calibration import (
+    LEAST_FACTOR,
+    MOST_FACTOR,
+    Calibration,
+    calibrate,
+    factor,
+    factors,
+    issue,
+    settle,
+)
+from sim.sha.forecast import LEVELS, Forecast
+from sim.sha.scores import Estimate
+
+HORIZON = 20.0
+
+
+def fan(time: float, median: float, sigma: float, widening: float = 1.0, horizon: float = HORIZON) -> Forecast:
+    """A Gaussian fan for one horizon, whose issued band is `widening` times as wide as `sigma` says."""
+    return Forecast(
+        time=time,
+        horizons=np.array([horizon]),
+        levels=LEVELS,
+        quantiles=(median + widening * sigma * ndtri(LEVELS))[:, None],
+        locations=({"q": 1.0},),
+        limit=80.0,
+        exceedance=(Estimate(0.0, 0.0, 1.0, 10),),
+        minutes_to_limit=(np.inf, np.inf, np.inf),
+        runs=10,
+        factors=np.array([widening]),
+    )
+
+
+def coverage_of(truth: float, prior: float, seed: int, seconds: int = 12_000) -> tuple[float, Calibration]:
+    """Coverage of the recalibrated band over the last three quarters of a random walk forecast every second.
+
+    The fan says that the walk's deviation over the horizon is 1; it is `truth`. Errors of neighbours overlap.
+    """
+    rng = np.random.default_rng(seed)
+    walk = np.cumsum(rng.standard_normal(seconds + 1)) * truth / np.sqrt(HORIZON)
+    state, issued, inside = calibrate({HORIZON: prior}), {}, []
+    for second in range(seconds):
+        state = settle(state, float(second), float(walk[second]))
+        band = issued.pop(second, None)
+        if band is not None and second > seconds / 4:
+            inside.append(abs(walk[second] - band[0]) <= 1.6449 * band[1])
+        now = factor(state, HORIZON)
+        state = issue(state, fan(float(second), float(walk[second]), 1.0, now))
+        issued[second + int(HORIZON)] = (walk[second], now)
+    return float(np.mean(inside)), state
+
+
+@pytest.mark.parametrize(("truth", "prior"), [(3.0, 1.0), (0.4, 1.0), (1.0, 1.0), (2.0, 2.0)])
+def test_the_90_percent_band_comes_to_cover_90_percent_whatever_the_fan_says(truth: float, prior: float) -> None:
+    coverage, state = coverage_of(truth, prior, seed=1)
+    # 450 independent forecasts: a standard error of 1.4 %.
+    assert coverage == pytest.approx(0.90, abs=0.04)
+    assert factor(state, HORIZON) == pytest.approx(truth, rel=0.35)
+    assert len(state.horizons[HORIZON].pending) <= HORIZON + 1
+
+
+def test_a_band_that_is_right_is_left_alone() -> None:
+    _, state = coverage_of(1.0, 1.0, seed=2, seconds=4000)
+    assert 0.8 < factor(state, HORIZON) < 1.25
+
+
+def test_without_evidence_the_factor_is_the_models_own() -> None:
+    state = calibrate({60.0: 1.0, 900.0: 1.7})
+    assert factors(state) == {60.0: 1.0, 900.0: 1.7}
+    assert factors(calibrate({60.0: 50.0})) == {60.0: MOST_FACTOR}
+
+
+def test_many_forecasts_of_one_moment_weigh_as_one() -> None:
+    state = calibrate({HORIZON: 1.0})
+    for step in range(100):
+        state = issue(state, fan(0.01 * step, 30.0, 1.0))
+    for step in range(100):
+        state = settle(state, HORIZON + 0.01 * step, 36.0)
+    one = state.horizons[HORIZON]
+    assert one.matured == 100
+    assert one.worth == pytest.approx(1.0, abs=0.06)
+    # log 3.6 (or so) with weight 1 against 0 with weight 4
+    assert 1.1 < factor(state, HORIZON) < 1.5
+
+
+def test_what_was_widened_already_is_not_widened_twice() -> None:
+    plain, wide = calibrate({HORIZON: 1.0}), calibrate({HORIZON: 1.0})
+    for step in range(50):
+        time = HORIZON * step
+        plain = settle(issue(plain, fan(time, 30.0, 1.0)), time + HORIZON, 32.0)
+        wide = settle(issue(wide, fan(time, 30.0, 1.0, widening=2.5)), time + HORIZON, 32.0)
+    assert factor(wide, HORIZON) == pytest.approx(factor(plain, HORIZON))
+
+
+def test_factors_stay_in_their_bounds() -> None:
+    far, near = calibrate({HORIZON: 1.0}, weight=0.0), calibrate({HORIZON: 1.0}, weight=0.0)
+    flat = calibrate({HORIZON: 1.0}, weight=0.0)
+    for step in range(30):
+        time = HORIZON * step
+        far = settle(issue(far, fan(time, 30.0, 1.0)), time + HORIZON, 500.0)
+        near = settle(issue(near, fan(time, 30.0, 1.0)), time + HORIZON, 30.0)
+        flat = settle(issue(flat, fan(time, 30.0, 0.0)), time + HORIZON, 31.0)
+    assert factor(far, HORIZON) == factor(flat, HORIZON) == MOST_FACTOR
+    assert factor(near, HORIZON) == LEAST_FACTOR
+
+
+def test_a_reading_that_never_comes_is_missed_and_forgotten() -> None:
+    state = issue(calibrate({HORIZON: 1.0}, tolerance=5.0), fan(0.0, 30.0, 1.0))
+    assert settle(state, 19.0, 35.0) == state
+    waiting = settle(state, 22.0, float("nan"))
+    assert len(waiting.horizons[HORIZON].pending) == 1
+    assert settle(waiting, 24.0, 35.0).horizons[HORIZON].matured == 1
+    late = settle(waiting, 26.0, 35.0).horizons[HORIZON]
+    assert (late.matured, late.missed, late.pending) == (0, 1, ())
+    unread = state
+    for step in range(1, 500):
+        unread = issue(unread, fan(float(step), 30.0, 1.0))
+    assert len(unread.horizons[HORIZON].pending) <= HORIZON + 7
+
+
+def test_horizons_that_are_not_calibrated_are_left_out() -> None:
+    state = calibrate({HORIZON: 1.0})
+    assert issue(state, fan(0.0, 30.0, 1.0, horizon=60.0)) == state
+
+
+def test_bad_settings_are_refused() -> None:
+    for bad in ({"horizons": {60.0: 0.0}}, {"horizons": {60.0: 1.0}, "memory": 0.0}):
+        with pytest.raises(ValueError, match="must be positive"):
+            calibrate(**bad)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="at least 0"):
+        calibrate({60.0: 1.0}, weight=-1.0)

@@ -1,0 +1,86 @@
+"""The runs under a forecast: steps laid out by hand, and the chance of touching a limit inside a step."""
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from sim.sha.belief import compile_model, start
+from sim.sha.forecast import forecast
+from sim.sha.particles import Steps, lay_out, survival
+from sim.sha.semi_markov import Paths
+from sim.sha.trace import Event
+from tests.sha.plants import exponential_stays, two_states
+
+
+def one_step(decay: float, variance: float, runs: int) -> Steps:
+    """A single step with the given coefficients; the rest is not looked at."""
+    ones = np.ones((1, runs))
+    return Steps(
+        location=np.zeros((1, runs), dtype=np.intp),
+        begin=0 * ones,
+        dt=ones,
+        age=0 * ones,
+        target=0 * ones,
+        decay=decay * ones,
+        pull=(1 - decay) * ones,
+        variance=variance * ones,
+        noise=0 * ones,
+        drawn=None,
+        marks=np.zeros((1, runs), dtype=np.intp),
+    )
+
+
+@pytest.mark.parametrize("spent", [0.05, 0.4, 0.9])
+def test_a_single_long_step_to_the_limit_is_exact_by_the_reflection_principle(spent: float) -> None:
+    """A flow that relaxes to the limit itself, over `spent` relaxation times in one step, all ends integrated out."""
+    below, noise, k = 1.5, 0.3, 0.02
+    decay = np.exp(-spent)
+    variance = noise**2 * (1 - decay**2) / (2 * k)
+    ends = -below * decay + np.sqrt(variance) * np.linspace(-9, 9, 40_001)
+    alive = survival(np.full((1, ends.size), -below), ends[None, :], one_step(decay, variance, ends.size), 0.0)[0]
+    density = np.exp(-0.5 * (ends + below * decay) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
+    exact = 1 - 2 * ndtr(-below * decay / np.sqrt(variance))
+    assert np.trapezoid(alive * density, ends) == pytest.approx(exact, abs=1e-6)
+
+
+def test_widened_steps_touch_the_limit_as_steps_with_that_noise() -> None:
+    start_at, end_at = np.array([[28.0, 29.0]]), np.array([[29.0, 29.5]])
+    widened = survival(start_at, end_at, one_step(1.0, 0.5, 2), 30.0, np.full((1, 2), 2.0))
+    assert widened == pytest.approx(survival(start_at, end_at, one_step(1.0, 2.0, 2), 30.0))
+    assert np.all(widened < survival(start_at, end_at, one_step(1.0, 0.5, 2), 30.0))
+
+
+def test_steps_without_noise_touch_only_at_their_ends() -> None:
+    alive = survival(np.array([[29.0, 29.0]]), np.array([[29.9, 30.0]]), one_step(1.0, 0.0, 2), 30.0)
+    assert alive.tolist() == [[1.0, 0.0]]
+
+
+def test_a_step_of_many_relaxation_times_is_not_taken_for_a_certain_touch() -> None:
+    alive = survival(np.array([[20.0]]), np.array([[20.0]]), one_step(1e-300, 0.01, 1), 80.0)
+    assert alive.tolist() == [[1.0]]
+
+
+def test_steps_are_cut_at_jumps_and_at_the_grid_each_run_on_its_own_clock() -> None:
+    tracker = compile_model(two_states(exponential_stays()))
+    entered = np.array([[0.0, 0.0], [5.0, 20.0], [25.0, np.inf]])
+    paths = Paths(np.array([[0, 0], [1, 1], [0, 0]]), entered, age=7.0)
+    grid = np.array([10.0, 20.0, 30.0])
+    steps, x0 = lay_out(tracker, start(tracker, 0.0, 30.0), paths, grid, np.zeros((2, 2)), np.random.default_rng(1))
+    assert (steps.begin + steps.dt).T.tolist() == [[5.0, 10.0, 20.0, 25.0, 30.0], [10.0, 20.0, 20.0, 30.0, 30.0]]
+    # At one instant the jump comes first: the second run is in its new place when the grid's 20 s are told.
+    assert steps.location.T.tolist() == [[0, 1, 1, 1, 0], [0, 0, 1, 1, 1]]
+    assert steps.age.T.tolist() == [[7.0, 0.0, 5.0, 15.0, 0.0], [7.0, 17.0, 0.0, 0.0, 10.0]]
+    assert steps.marks.T.tolist() == [[1, 2, 4], [0, 2, 3]]
+    assert steps.dt.sum(axis=0).tolist() == [30.0, 30.0]
+    assert np.array_equal(steps.target[1:4, 0], np.full(3, steps.target[1, 0]))
+    assert x0.shape == (2,)
+
+
+def test_an_event_at_the_very_horizon_is_seen_in_the_location() -> None:
+    model = two_states(exponential_stays())
+    told = forecast(
+        model, start(model, 0.0, 30.0), [30.0, 60.0], np.random.default_rng(1), events=[Event(30.0, "W_ON")]
+    )
+    assert told.locations == ({"hot": 1.0}, {"hot": 1.0})
+    last = forecast(model, start(model, 0.0, 30.0), [30.0], np.random.default_rng(1), events=[Event(30.0, "W_ON")])
+    assert last.locations == ({"hot": 1.0},)

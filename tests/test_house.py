@@ -1,0 +1,74 @@
+"""House rules that no linter knows: size of modules and functions, what start-up imports, what may lie in the tree."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+from statistics import median
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SOURCES = sorted(path for room in ("drivers", "sim", "gateway") for path in (ROOT / room).rglob("*.py"))
+HEAVY = ("numpy", "pandas", "scipy", "matplotlib", "pymodbus", "pydantic", "rich", "structlog", "lark", "pydot")
+
+
+def functions(path: Path) -> list[tuple[str, int]]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
+    return [
+        (node.name, (node.end_lineno or node.lineno) - node.lineno + 1)
+        for node in ast.walk(tree)
+        if isinstance(node, kinds)
+    ]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_module_over_450_lines_and_no_function_over_45(path: Path) -> None:
+    lines = len(path.read_text(encoding="utf-8").splitlines())
+    assert lines <= 450, f"{lines} lines"
+    assert [(name, length) for name, length in functions(path) if length > 45] == []
+
+
+def test_the_median_function_is_short() -> None:
+    lengths = [length for path in SOURCES for _, length in functions(path)]
+    assert len(lengths) > 100
+    assert median(lengths) <= 12
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in SOURCES if p.name != "__init__.py"], ids=lambda p: str(p.relative_to(ROOT))
+)
+def test_every_module_opens_with_a_true_sentence(path: Path) -> None:
+    docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+    assert docstring
+    assert docstring.splitlines()[0].rstrip().endswith((".", ":"))
+
+
+def modules_imported_by(code: str) -> set[str]:
+    """Top-level modules present after running `code` in a fresh interpreter."""
+    script = f"{code}\nimport sys\nprint(' '.join(sorted({{name.partition('.')[0] for name in sys.modules}})))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    return set(done.stdout.splitlines()[-1].split())
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "from click.testing import CliRunner\n"
+        "from gateway.cli.main import main\n"
+        "assert CliRunner().invoke(main, ['--help']).exit_code == 0"
+    )
+    assert modules_imported_by(code).isdisjoint(HEAVY)
+
+
+def test_the_running_gateway_imports_neither_pandas_nor_matplotlib() -> None:
+    assert modules_imported_by("import gateway.app").isdisjoint({"pandas", "matplotlib"})
+
+
+def test_no_measured_data_lies_in_the_project() -> None:
+    tracked = subprocess.run(["git", "ls-files", "-z"], capture_output=True, text=True, check=False, cwd=ROOT)
+    if tracked.returncode != 0:
+        pytest.skip("not a git checkout")
+    files = [ROOT / name for name in tracked.stdout.split("\0") if name]
+    too_large = [str(path) for path in files if path.is_file() and path.stat().st_size > 1_500_000]
+    assert too_large == []

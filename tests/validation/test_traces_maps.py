@@ -1,0 +1,124 @@
+"""Column maps and alphabets from TOML: what is right loads, what is wrong is named in one sentence."""
+
+import re
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from sim.sha.events import DECANTER, Bins, Switch, alphabet_symbols
+from sim.validation.alphabet_table import alphabet_from_table, alphabet_to_table
+from sim.validation.column_map import load_map
+from tests.validation.places import MAPS
+
+GOOD = """
+format = "wide"
+temperature = "T"
+[clock]
+column = "t"
+[signals.T]
+unit = "degC"
+"""
+
+
+def test_the_project_has_maps_and_all_of_them_load() -> None:
+    names = {path.stem for path in MAPS.glob("*.toml")}
+    assert names >= {"decanter", "decanter_scada", "skab", "femto", "carobd", "made_cnc", "can_obd2"}
+    for name in names:
+        load_map(MAPS / f"{name}.toml")
+
+
+@pytest.mark.parametrize("name", ["skab", "carobd", "can_obd2", "made_cnc"])
+def test_nothing_that_is_no_bearing_is_called_one(name: str) -> None:
+    column_map = load_map(MAPS / f"{name}.toml")
+    assert not any("uscinett" in signal or "earing" in signal for signal in column_map.signals)
+
+
+def test_the_cnc_alphabet_is_that_of_the_published_automaton() -> None:
+    symbols = alphabet_symbols(load_map(MAPS / "made_cnc.toml").alphabet)
+    assert symbols[:4] == ("l", "u", "i_0", "m_0") and symbols[-1] == "m_98" and len(symbols) == 102
+    bins = load_map(MAPS / "made_cnc.toml").alphabet.channels[1]
+    assert isinstance(bins, Bins) and bins.thresholds[66] == 6700.0
+
+
+def test_an_alphabet_is_the_same_after_a_trip_through_a_table() -> None:
+    for alphabet in (DECANTER, replace(DECANTER, debounce=2.0), load_map(MAPS / "made_cnc.toml").alphabet):
+        assert alphabet_from_table(alphabet_to_table(alphabet), "here") == alphabet
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("channels = []", "x: the alphabet has no channel"),
+        ("gap = 5.0", "x: channels: this key is needed and missing"),
+        ("channels = [{kind = 'swich', signal = 's'}]", "x: channels.0: input tag 'swich'"),
+        ("channels = [{kind = 'switch', signal = 's', rising = 'a', falling = 'a'}]", "symbol 'a' 2 times"),
+        (
+            "channels = [{kind = 'bins', signal = 's', thresholds = [1, 'b'], symbols = ['a']}]",
+            "x: channels.0.bins.thr",
+        ),
+        (
+            "channels = [{kind = 'bins', signal = 's', thresholds = [1, 2], symbols = ['a']}]",
+            "need 3 symbols; it has 1",
+        ),
+        (
+            "channels = [{kind='bins', signal='s', thresholds={first=1, last=9, step=3},"
+            " symbols={lowest='l', prefix='m'}}]",
+            "x: thresholds from 1 to 9 are no whole steps of 3",
+        ),
+        ("gap = 0\nchannels = []", "x: gap: input should be greater than 0; it is '0'"),
+    ],
+)
+def test_an_unusable_alphabet_table_is_named_with_its_place(text: str, sentence: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(sentence)):
+        alphabet_from_table(tomllib.loads(text), "x")
+
+
+def test_a_map_without_an_alphabet_has_the_decanters(tmp_path: Path) -> None:
+    (tmp_path / "m.toml").write_text(GOOD)
+    assert load_map(tmp_path / "m.toml").alphabet is DECANTER
+    own = GOOD + "[alphabet]\nchannels = [{kind = 'switch', signal = 'r', rising = 'a', falling = 'b'}]\n"
+    (tmp_path / "m.toml").write_text(own)
+    assert load_map(tmp_path / "m.toml").alphabet.channels == (Switch("r", "a", "b"),)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("format = ", "this is not TOML"),
+        (GOOD.replace('"wide"', '"width"'), "format: input should be 'wide' or 'long'; it is 'width'"),
+        (GOOD.replace('"wide"', '"long"'), r"format 'long' needs a table \[long\]"),
+        (GOOD.replace('temperature = "T"', 'temperature = "U"'), "temperature names 'U'; it must be one of T"),
+        (GOOD.replace('temperature = "T"', ""), "temperature: this key is needed and missing; add it"),
+        (GOOD.replace('column = "t"', ""), "clock: give either column or time_of_day"),
+        (
+            GOOD.replace('column = "t"', 'column = "t"\ntimezone = "Mars"'),
+            "clock.timezone: there is no time zone 'Mars'",
+        ),
+        (
+            GOOD.replace('column = "t"', 'column = "t"\nformats = "sec"'),
+            "clock.formats: 'sec' is no format; give 'seconds'",
+        ),
+        (GOOD + "scael = 2.0", "signals.T.scael: there is no such key"),
+        (GOOD + 'scale = "two"', "signals.T.scale: input should be a valid number"),
+        (GOOD + "[derived]\nR = {signal = 'T'}", "derived.R: give either signal and above, or constant"),
+        (GOOD + "[derived]\nR = {signal = 'U', above = 1}", "derived.R needs 'U'; it must be one of T"),
+        (GOOD + "[derived]\nR = {eval = 'T > 1'}", "derived.R.eval: there is no such key"),
+        (GOOD + "[alphabet]\nchannels = []", "alphabet: the alphabet has no channel"),
+        ('encoding = "latin-99"' + GOOD, "encoding: there is no encoding 'latin-99'"),
+    ],
+)
+def test_an_unusable_map_is_named_with_file_key_and_remedy(tmp_path: Path, text: str, sentence: str) -> None:
+    path = tmp_path / "m.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=sentence) as caught:
+        load_map(path)
+    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
+
+
+def test_a_map_that_is_not_there_says_where_maps_are(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="there is no such column map"):
+        load_map(tmp_path / "none.toml")
+    with pytest.raises(ValueError, match="cannot be read"):
+        load_map(tmp_path)
