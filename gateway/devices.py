@@ -115,9 +115,16 @@ class _TagRow(Section):
 
 
 class _BlockRow(Section):
-    name: Literal[BLOCK_FIELDS] = Field(description=f"one of {', '.join(BLOCK_FIELDS)}")  # type: ignore[valid-type]
+    name: str = Field(description=f"one of {', '.join(BLOCK_FIELDS)}")
     dtype: Literal["uint16", "int16"] = Field("uint16", description="'uint16' or 'int16'")
     scale: float = Field(1.0, gt=0, description="engineering units per count, above 0")
+
+    @field_validator("name")
+    @classmethod
+    def _fillable(cls, name: str) -> str:
+        if name not in BLOCK_FIELDS:
+            raise ValueError(f"{name!r} is nothing that the gateway fills; give one of {', '.join(BLOCK_FIELDS)}")
+        return name
 
 
 class _Writeback(Section):

@@ -43,11 +43,9 @@ def _rows(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: str) -
     recent = ", ".join(f"{symbol}" for _, symbol, _ in status["recent_events"][-6:])
     raised = [name for name, state in status["alarms"].items() if state in ALARM_STATES]
     zone = str(p.get("zone", "none"))
+    place = f"{_number(plc.get('position'), 0)} of {_number(plc.get('duration'), 0)} s"
     return [
-        (
-            "replay",
-            f"{_number(plc.get('position'), 0)} of {_number(plc.get('duration'), 0)} s, {_number(plc.get('speed'), 0)} times real time",
-        ),
+        ("replay", f"{place}, {_number(plc.get('speed'), 0)} times real time"),
         ("link", _link(status)),
         (f"measured {temperature}", f"{_number(value.get('value'))} °C  {value.get('quality', '')}"),
         ("predicted now", f"{_number(p.get('mean'))} °C, 90 % band {band}; free run {_number(p.get('free_run'))}"),

@@ -115,7 +115,8 @@ def sentences(data: Mapping[str, Any]) -> list[str]:
         wins = "the model is better" if one["mae"] < one["persistence_mae"] else "PERSISTENCE IS BETTER"
         said.append(
             f"{float(horizon) / 60:g} min ahead: mean error {one['mae']:.3f} °C, "
-            f"persistence {one['persistence_mae']:.3f} °C ({wins}); the 90 % band held {100 * one['coverage90']:.0f} % of {one['count']} readings"
+            f"persistence {one['persistence_mae']:.3f} °C ({wins}); "
+            f"the 90 % band held {100 * one['coverage90']:.0f} % of {one['count']} readings"
         )
     return said
 

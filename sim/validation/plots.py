@@ -1,4 +1,4 @@
-"""Pictures: measured against predicted with band, events and inputs on one time axis; written to a file, never shown."""
+"""Pictures: measured against predicted with band, events and inputs on one time axis; to a file, never shown."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
