@@ -105,7 +105,8 @@ def learn_bins(
     """
     told = progress or (lambda _stage, _share: None)
     check_alphabet(alphabet)
-    ordered, digest = in_order([_encoded(trace, alphabet) for trace in traces])
+    given = [_encoded(trace, alphabet) for trace in traces if trace.times.size]
+    ordered, digest = in_order(given)
     told("reading the traces", 0.0)
     runs, base = _ground(ordered, alphabet, temperature)
     scores, chosen, begin = _select(runs, base, candidates, told)
@@ -114,21 +115,17 @@ def learn_bins(
     told("calibrating the bands", 0.75)
     coverage = coverage_of(_held_out_forecasts(ordered, alphabet, temperature, chosen, seed))
     told("done", 1.0)
-    table = tuple(
-        _row(candidate, score, size, errors, candidate == chosen) for candidate, score, size, errors in scores
+    table = tuple(_row(*figures, figures[0] == chosen) for figures in scores)
+    provenance = Provenance(
+        method="bins",
+        data_hash=data_hash or digest,
+        traces=tuple(trace.name for trace in ordered),
+        synthetic=any(trace.synthetic for trace in ordered),
+        settings=_settings(seed, chosen, fitted, len(given) - len(ordered)),
+        scores=_scores(table, fitted, coverage),
     )
-    model = replace(
-        fitted.model,
-        calibration={one.horizon: one.factor for one in coverage},
-        provenance=Provenance(
-            method="bins",
-            data_hash=data_hash or digest,
-            traces=tuple(trace.name for trace in ordered),
-            synthetic=any(trace.synthetic for trace in ordered),
-            settings=_settings(seed, chosen, fitted, len(traces) - len(ordered)),
-            scores=_scores(table, fitted, coverage),
-        ),
-    )
+    factors = {one.horizon: one.factor for one in coverage}
+    model = replace(fitted.model, calibration=factors, provenance=provenance)
     return Learned(model, fitted.values, table, fitted.locations, fitted.noise, coverage)
 
 
@@ -279,11 +276,8 @@ def _splits(traces: Sequence[Trace]) -> list[Split]:
     """(to learn from, to forecast, since when) of each part of the calibration."""
     usable = [trace for trace in traces if trace.times.size > 1]
     if len(usable) >= 6:
-        parts = [[trace for n, trace in enumerate(usable) if n % 3 == part] for part in range(3)]
-        return [
-            ([trace for trace in usable if trace not in part], part, [float(trace.times[0]) for trace in part])
-            for part in parts
-        ]
+        parts = [(usable[third::3], [t for n, t in enumerate(usable) if n % 3 != third]) for third in range(3)]
+        return [(others, part, [float(trace.times[0]) for trace in part]) for part, others in parts]
     splits: list[Split] = []
     for share in (0.5, 0.75):
         cuts = [_moment(trace, share) for trace in usable]

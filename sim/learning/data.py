@@ -1,26 +1,14 @@
 """Training traces put in an order of their own: identity by content, copies counted once, spikes set aside."""
 
 from collections.abc import Sequence
-from hashlib import sha256
 
 import numpy as np
 from scipy.ndimage import median_filter
 
-from sim.sha.trace import Array, Trace
+from sim.sha.trace import Array, Trace, content_hash, joint_hash
 
 SPIKE_WINDOW = 5
 SPIKE_LIMIT = 6.0
-
-
-def content_hash(trace: Trace) -> str:
-    """SHA-256 over the trace's rows and events (not over its name: a copy under another name is the same data)."""
-    digest = sha256(np.ascontiguousarray(trace.times).tobytes())
-    for name in sorted(trace.signals):
-        digest.update(f"\0{name}\0".encode())
-        digest.update(np.ascontiguousarray(trace.signals[name]).tobytes())
-    for event in trace.events:
-        digest.update(f"\0{event.time!r}\0{event.symbol}".encode())
-    return digest.hexdigest()
 
 
 def in_order(traces: Sequence[Trace]) -> tuple[tuple[Trace, ...], str]:
@@ -32,7 +20,7 @@ def in_order(traces: Sequence[Trace]) -> tuple[tuple[Trace, ...], str]:
     unique: dict[str, Trace] = {}
     for _, digest, trace in named:
         unique.setdefault(digest, trace)
-    return tuple(unique.values()), sha256("".join(sorted(unique)).encode()).hexdigest()
+    return tuple(unique.values()), joint_hash(unique.values())
 
 
 def resolution(readings: Array) -> float:

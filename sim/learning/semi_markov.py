@@ -186,7 +186,12 @@ def _inputs(
     """
     moments = {}
     for given in tracker.modes[location].location.flow.inputs:
-        rows = [_average(trace, given.signal, stay) for stay, trace in stays if given.signal in trace.signals]
+        read: dict[int, tuple[Array, Array]] = {}
+        for _, trace in stays:
+            if given.signal in trace.signals and id(trace) not in read:
+                there = np.isfinite(trace.signals[given.signal])
+                read[id(trace)] = trace.times[there], trace.signals[given.signal][there]
+        rows = [_average(*read[id(trace)], stay) for stay, trace in stays if id(trace) in read]
         known = np.array([row for row in rows if np.isfinite(row[0])])
         if len(known):
             mean = float(np.average(known[:, 0], weights=known[:, 2]))
@@ -195,11 +200,8 @@ def _inputs(
     return moments
 
 
-def _average(trace: Trace, signal: str, stay: Sojourn) -> tuple[float, float, float]:
-    """(mean, variance, seconds) of the signal over the stay, each reading held until the next; NaN without readings."""
-    column = trace.signals[signal]
-    read = np.flatnonzero(np.isfinite(column))
-    times, values = trace.times[read], column[read]
+def _average(times: Array, values: Array, stay: Sojourn) -> tuple[float, float, float]:
+    """(mean, variance, seconds) of readings over the stay, each one held until the next; NaN without readings."""
     first, last = np.searchsorted(times, [stay.start, stay.end], side="right")
     rows = slice(max(int(first) - 1, 0), int(last))
     values, begins = values[rows], np.maximum(times[rows], stay.start)

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.learning.free_run import RATES, Fit, Shape
 from sim.sha import distributions
@@ -66,14 +67,7 @@ def shape_of(
     unknown = [signal for _, signal in names.gains if signal not in signals]
     if unknown:
         raise ValueError(f"SHA {sha.name!r} is driven by {unknown[0]!r}, which is not among the inputs to be fitted")
-    size = len(sha.locations)
-    gain = np.full((size, len(signals)), -1, dtype=np.intp)
-    at = np.zeros((size, len(signals)))
-    for place, location in enumerate(sha.locations):
-        for given in location.flow.inputs if location in chosen else ():
-            number = signals.index(given.signal)
-            gain[place, number] = len(targets) + names.gains.index(group_of_gain[location.name, given.signal])
-            at[place, number] = given.reference
+    gain, at = _gain_table(sha, group_of_gain, names, signals)
     centre, spread = _beliefs(sha, names, prior)
     shape = Shape(
         kinds=tuple(each.flow.kind if each in chosen else "constant" for each in sha.locations),
@@ -89,7 +83,23 @@ def shape_of(
     return shape, names
 
 
-def _places(sha: SHA, groups: Mapping[str, str], order: Sequence[str]) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+def _gain_table(
+    sha: SHA, groups: Mapping[tuple[str, str], tuple[str, str]], names: Names, signals: Sequence[str]
+) -> tuple[NDArray[np.intp], Array]:
+    """(L, q) the number of each input's gain among the linear parameters, -1 where it has none, and its reference."""
+    gain = np.full((len(sha.locations), len(signals)), -1, dtype=np.intp)
+    at = np.zeros(gain.shape)
+    for place, location in enumerate(sha.locations):
+        for given in location.flow.inputs:
+            if (location.name, given.signal) in groups:
+                number = signals.index(given.signal)
+                group = groups[location.name, given.signal]
+                gain[place, number] = len(names.targets) + names.gains.index(group)
+                at[place, number] = given.reference
+    return gain, at
+
+
+def _places(sha: SHA, groups: Mapping[str, str], order: Sequence[str]) -> NDArray[np.intp]:
     known = [order.index(groups[each.name]) if each.name in groups else -1 for each in sha.locations]
     return np.array(known, dtype=np.intp)
 

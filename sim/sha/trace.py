@@ -1,7 +1,8 @@
 """Measured or simulated behaviour: samples on a clock, and the events that an encoder saw in them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,3 +63,24 @@ class Trace:
             origin=self.origin,
             synthetic=self.synthetic,
         )
+
+
+def content_hash(trace: Trace) -> str:
+    """SHA-256 (hex) over a trace's clock, readings and bad marks; name, origin and derived events do not count."""
+    digest = sha256(_bytes(trace.times))
+    for name in sorted(trace.signals):
+        bad = trace.bad.get(name, np.zeros(trace.times.shape, dtype=bool))
+        digest.update(f"\n{name}\n".encode())
+        digest.update(_bytes(trace.signals[name]))
+        digest.update(np.packbits(bad).tobytes())
+    return digest.hexdigest()
+
+
+def joint_hash(traces: Iterable[Trace]) -> str:
+    """SHA-256 (hex) over the contents of several traces, whatever their order."""
+    return sha256("".join(sorted(content_hash(trace) for trace in traces)).encode()).hexdigest()
+
+
+def _bytes(values: Array) -> bytes:
+    """Little-endian doubles in which all NaNs are one and -0 is 0."""
+    return np.where(np.isnan(values), np.nan, values + 0.0).astype("<f8").tobytes()

@@ -1,7 +1,5 @@
 """Our own CSV of a trace, one row a time, and the fingerprint by which a model names its training data."""
 
-import hashlib
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -35,24 +33,3 @@ def _texts(values: Array, bad: Mask | None) -> list[str]:
     for row in np.flatnonzero(bad).tolist() if bad is not None else ():
         texts[row] = "nan"
     return texts
-
-
-def trace_hash(traces: Iterable[Trace]) -> str:
-    """SHA-256 (hex) over the content of traces: clock, signals and bad marks; their order and names do not count."""
-    return hashlib.sha256(b"".join(sorted(_digest(trace) for trace in traces))).hexdigest()
-
-
-def _digest(trace: Trace) -> bytes:
-    digest = hashlib.sha256()
-    digest.update(_bytes(trace.times))
-    for name in sorted(trace.signals):
-        bad = trace.bad.get(name, np.zeros(trace.times.shape, dtype=bool))
-        digest.update(f"\n{name}\n".encode())
-        digest.update(_bytes(trace.signals[name]))
-        digest.update(np.packbits(bad).tobytes())
-    return digest.digest()
-
-
-def _bytes(values: Array) -> bytes:
-    """Little-endian doubles in which all NaNs are one and -0 is 0."""
-    return np.where(np.isnan(values), np.nan, values + 0.0).astype("<f8").tobytes()

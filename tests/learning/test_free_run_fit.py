@@ -1,5 +1,6 @@
 """The free-run fitter on known truths: exact without noise, honest errors with it, unmoved by spikes and gaps."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -199,7 +200,9 @@ def two_flows(kind: str, params: dict[str, float]) -> SHA:
         ("exponential", {"k": 0.01, "noise": 0.0}, lambda u: 30 * (1 - np.exp(-u / 300)), 50.0, 1 / 300),
     ],
 )
-def test_any_automaton_can_be_refitted(kind, params, course, m, rate) -> None:  # type: ignore[no-untyped-def]
+def test_any_automaton_can_be_refitted(
+    kind: str, params: dict[str, float], course: Callable[[np.ndarray], np.ndarray], m: float, rate: float | None
+) -> None:
     times = np.arange(0.0, 2000.0, 5.0)
     trace = Trace("t", times, {"T": 20.0 + course(times)}, events=(Event(0.0, "GO"),))
     found = refit(two_flows(kind, params), [trace], "T")

@@ -19,7 +19,8 @@ from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event, Trace
 from tests.learning.plants import Truth, simulate, with_signal, without_rows
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / "shared" / "data"
 CONSTANT, DRIVEN = Truth(), Truth(gain=0.1)
 
 
@@ -70,12 +71,15 @@ def test_a_known_automaton_is_learned_back(which: str, truth: Truth, request: py
     assert 0.5 * truth.sensor < learned.noise.sensor < 1.5 * truth.sensor
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("truth", [CONSTANT, DRIVEN], ids=["constant", "driven"])
-def test_the_right_flow_is_chosen(truth: Truth, seed: int) -> None:
-    runs, base = bins._ground(simulate(truth, 100 + seed), DECANTER, "T")
-    _, chosen, _ = bins._select(runs, base, CANDIDATES, lambda _stage, _share: None)
-    assert chosen.flow == ("driven" if truth.gain else "constant")
+@pytest.mark.parametrize(("truth", "seeds", "least"), [(CONSTANT, 10, 7), (DRIVEN, 6, 6)], ids=["constant", "driven"])
+def test_the_right_flow_is_chosen(truth: Truth, seeds: int, least: int) -> None:
+    # One standard error lets a needless gain pass in about one of ten cases (27 of the 30 seeds from 100 on are right):
+    # fewer than 7 of 10 has a probability of 1.3 % then. A gain of 0.1 degC/A was found with all 30.
+    chosen = []
+    for seed in range(100, 100 + seeds):
+        runs, base = bins._ground(simulate(truth, seed), DECANTER, "T")
+        chosen.append(bins._select(runs, base, CANDIDATES, lambda _stage, _share: None)[1].flow)
+    assert chosen.count("driven" if truth.gain else "constant") >= least
 
 
 def test_separate_rates_are_found_where_the_plant_has_them() -> None:
@@ -98,21 +102,22 @@ def test_among_equals_the_simplest_is_chosen_and_a_clear_winner_wins() -> None:
     rng = np.random.default_rng(0)
     run = np.repeat(np.arange(10), 50)
     error = rng.normal(size=500)
-    near, far = HeldOut(error * 1.001, run), HeldOut(error * 2.0, run)
-    best = HeldOut(error + rng.normal(0, 0.001, 500), run)
+    near, far = HeldOut(error + rng.normal(0, 0.01, 500), run), HeldOut(error * 2.0, run)
+    best = HeldOut(error, run)
+    assert best.score > far.score
     assert choose([best, near], [9, 3]) == 1
     assert choose([best, far], [9, 3]) == 0
 
 
 def test_the_huber_scale_is_that_of_the_bulk() -> None:
     error = np.random.default_rng(1).normal(0, 0.3, 4000)
-    assert 0.3 < huber_scale(error) < 0.4
+    assert huber_scale(error) == pytest.approx(0.87 * 0.3, rel=0.03)
     error[:40] = 50.0
-    assert huber_scale(error) < 1.0
+    assert huber_scale(error) < np.std(error) / 4
 
 
 def test_the_order_of_the_traces_and_copies_do_not_matter() -> None:
-    traces = simulate(CONSTANT, 3, cycles=4, rows=120)
+    traces = simulate(CONSTANT, 3, cycles=4, rows=60)
     one = learn_bins(traces, DECANTER, "T", seed=4)
     other = learn_bins(
         [traces[2], traces[0], replace(traces[0], name="copy"), traces[3], traces[1]], DECANTER, "T", seed=4
@@ -227,6 +232,7 @@ RISING = np.linspace(20.0, 25.0, 50)
     ("traces", "sentence"),
     [
         ([], "there is no trace to learn from"),
+        ([flat(0, T=np.empty(0))], "there is no trace to learn from"),
         ([flat()], "no trace has the temperature 'T'; their signals are Assorbimento, MarciaDecanter"),
         ([flat(T=np.full(50, np.nan))], "the temperature 'T' has no reading in any trace"),
         ([flat(1, T=np.array([20.0]))], "the temperature 'T' has 1 reading in all; a model needs at least 10"),
@@ -241,7 +247,7 @@ RISING = np.linspace(20.0, 25.0, 50)
         ),
         (
             [replace(flat(T=RISING), events=(Event(0.0, "W_ON"), Event(0.0, "A_1"), Event(5.0, UNKNOWN)))],
-            "only 6 readings of 'T' fall into known locations, over 5 s; a model needs at least 10, at different times",
+            "only 5 readings of 'T' fall into known locations, over 4 s; a model needs at least 10, at different times",
         ),
         (
             [replace(flat(T=RISING), events=(Event(0.0, "W_ON"), Event(3.0, "B_7")))],
@@ -273,9 +279,15 @@ def test_real_data_give_a_sound_model(device: str, source: str) -> None:
     from sim.validation.column_map import load_map
     from sim.validation.traces import load_traces
 
-    column_map = load_map(DATA.parents[1] / "main" / "config" / "traces" / f"{device}.toml")
+    column_map = load_map(ROOT / "config" / "traces" / f"{device}.toml")
     traces, _ = load_traces(DATA / source, column_map)
     learned = learn_bins(traces, column_map.alphabet, column_map.temperature, seed=0)
     assert_sound(learned.model)
     assert set(contexts(column_map.alphabet)) == {location.name for location in learned.model.sha.locations}
     assert learned.model.provenance.scores["held_out_rmse"] < 5.0
+
+
+def test_traces_of_the_same_name_are_told_apart() -> None:
+    traces = [replace(trace, name="same") for trace in simulate(Truth(), 5, cycles=7, rows=120)]
+    learned = learn_bins(traces, DECANTER, "T", seed=0)
+    assert len(learned.model.provenance.traces) == 7

@@ -52,7 +52,7 @@ def test_only_forecasts_after_the_given_moment_count() -> None:
 
 @pytest.mark.parametrize("truth", [Truth(), Truth(gain=0.1, noise=0.02)], ids=["smooth", "driven and rough"])
 def test_ninety_per_cent_bands_cover_ninety_per_cent_of_unseen_cycles(truth: Truth) -> None:
-    covered, worth = {h: 0.0 for h in HORIZONS}, {h: 0.0 for h in HORIZONS}
+    covered, worth = dict.fromkeys(HORIZONS, 0.0), dict.fromkeys(HORIZONS, 0.0)
     for seed in (11, 12):
         traces = simulate(truth, seed, cycles=14, rows=200)
         model = learn_bins(traces[:7], DECANTER, "T", seed=seed).model

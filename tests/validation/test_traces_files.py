@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.sha.events import DECANTER, Alphabet, Bins, encode
-from sim.sha.trace import UNKNOWN, Trace
+from sim.sha.trace import UNKNOWN, Trace, joint_hash
 from sim.validation.clock import longest_rising, unroll_midnight
 from sim.validation.column_map import load_map
 from sim.validation.cycles import split_cycles
 from sim.validation.load_report import TraceError
-from sim.validation.trace_file import trace_hash, write_trace
+from sim.validation.trace_file import write_trace
 from sim.validation.traces import load_traces
 from tests.validation.places import MAPS
 
@@ -55,7 +55,7 @@ def test_a_trace_that_is_written_is_read_back_to_the_last_bit(trace: Trace) -> N
     assert {name: mask.tolist() for name, mask in back.bad.items()} == {n: m.tolist() for n, m in trace.bad.items()}
     assert (back.name, back.origin, back.synthetic) == (trace.name, trace.origin, trace.synthetic)
     assert back.events == encode(trace, DECANTER)
-    assert trace_hash([back]) == trace_hash([trace])
+    assert joint_hash([back]) == joint_hash([trace])
     assert report.used == trace.times.size and report.refused == 0
 
 
@@ -103,8 +103,8 @@ def test_a_signal_that_cannot_be_a_column_is_refused(tmp_path: Path, name: str) 
 def test_the_fingerprint_is_of_the_content_and_not_of_order_or_names() -> None:
     one = Trace("a", np.arange(3.0), {"x": np.array([1.0, np.nan, 0.0]), "y": np.zeros(3)})
     two = Trace("b", np.arange(2.0), {"x": np.ones(2)})
-    assert trace_hash([one, two]) == trace_hash([replace(two, name="c"), replace(one, origin="z")])
-    assert re.fullmatch("[0-9a-f]{64}", trace_hash([one]))
+    assert joint_hash([one, two]) == joint_hash([replace(two, name="c"), replace(one, origin="z")])
+    assert re.fullmatch("[0-9a-f]{64}", joint_hash([one]))
     others = [
         [one],
         [one, one],
@@ -112,7 +112,7 @@ def test_the_fingerprint_is_of_the_content_and_not_of_order_or_names() -> None:
         [one, replace(two, signals={"z": np.ones(2)})],
         [replace(one, bad={"x": np.array([False, True, False])}), two],
     ]
-    hashes = {trace_hash(each) for each in [[one, two], *others]}
+    hashes = {joint_hash(each) for each in [[one, two], *others]}
     assert len(hashes) == len(others) + 1
 
 

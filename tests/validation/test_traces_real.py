@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sim.sha.trace import joint_hash
 from sim.validation.column_map import load_map
-from sim.validation.trace_file import trace_hash
 from sim.validation.traces import load_traces
 from tests.validation.places import DATA, MAPS
 
@@ -77,4 +77,4 @@ def test_the_can_log_is_pivoted_and_other_signals_are_set_aside() -> None:
 def test_the_fingerprint_of_real_traces_does_not_depend_on_the_order_of_files() -> None:
     column_map = load_map(MAPS / "made_cnc.toml")
     files = sorted((DATA / "lsha_upstream" / "made_cnc").glob("*.csv"))
-    assert trace_hash(load_traces(files, column_map)[0]) == trace_hash(load_traces(files[::-1], column_map)[0])
+    assert joint_hash(load_traces(files, column_map)[0]) == joint_hash(load_traces(files[::-1], column_map)[0])
