@@ -2,18 +2,15 @@
 
 The filter's limit is the same arithmetic, one Kalman step on (X, m) and its evidence, written out on local floats in
 one loop: no value is built, nothing is looked up. The forecast's limit is drawing the random numbers that it needs,
-with the same generator, and doing nothing with them. Best of the repetitions. `python -m benchmarks.belief [--json]`.
+with the same generator, and doing nothing with them. Best of the repetitions.
 """
 
-import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from math import expm1, log, pi
-from time import perf_counter
 
 import click
 import numpy as np
 
+from benchmarks.figures import Figure, best, give
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
 from sim.sha.belief import observe, on_event, start, with_inputs
 from sim.sha.calibration import calibrate, issue, settle
@@ -29,29 +26,6 @@ HORIZONS = (60.0, 300.0, 900.0)
 SOJOURN = 10.0
 SYMBOLS = ("W_ON", "W_OFF", "A_0", "A_1", "A_2", "A_3")
 K, NOISE, SENSOR = 0.004, 0.05, 0.1
-
-
-@dataclass(frozen=True)
-class Filter:
-    """Samples (or events, or input changes) per second; `of_limit` is the share of the limit's speed."""
-
-    observe_per_s: float
-    limit_per_s: float
-    of_limit: float
-    on_event_per_s: float
-    with_inputs_per_s: float
-
-
-@dataclass(frozen=True)
-class Fan:
-    """One forecast of three horizons up to 15 minutes with stays of 10 s on average, and one step of recalibration."""
-
-    runs: int
-    steps: int
-    ms: float
-    limit_ms: float
-    times_limit: float
-    calibration_ms: float
 
 
 def plant() -> Tracker:
@@ -75,16 +49,6 @@ def plant() -> Tracker:
     }
     sha = SHA("benchmark", locations, edges, SYMBOLS[1])
     return compile_model(Model(sha, DECANTER, "T", SENSOR, semi_markov=stays))
-
-
-def best(work: Callable[[], object], repeats: int) -> float:
-    """Seconds of the fastest of `repeats`."""
-    times = []
-    for _ in range(repeats):
-        begin = perf_counter()
-        work()
-        times.append(perf_counter() - begin)
-    return min(times)
 
 
 def filter_all(tracker: Tracker, readings: list[float]) -> None:
@@ -127,17 +91,23 @@ def input_all(tracker: Tracker, count: int) -> None:
         belief = with_inputs(tracker, belief, float(second), {"Assorbimento": 50.0 + second % 7})
 
 
-def measure_filter(tracker: Tracker, repeats: int) -> Filter:
+def measure_filter(tracker: Tracker, repeats: int) -> list[Figure]:
     readings = (40.0 + SENSOR * np.random.default_rng(1).standard_normal(SAMPLES)).tolist()
     taken, limit = best(lambda: filter_all(tracker, readings), repeats), best(lambda: bare_filter(readings), repeats)
     events, inputs = (
         best(lambda: event_all(tracker, SAMPLES), repeats),
         best(lambda: input_all(tracker, SAMPLES), repeats),
     )
-    return Filter(SAMPLES / taken, SAMPLES / limit, limit / taken, SAMPLES / events, SAMPLES / inputs)
+    bare = ("bare arithmetic of a sample", SAMPLES / limit)
+    return [
+        Figure("belief, readings", SAMPLES / taken, "samples/s", *bare),
+        Figure("belief, events", SAMPLES / events, "events/s", *bare),
+        Figure("belief, changes of inputs", SAMPLES / inputs, "changes/s", *bare),
+    ]
 
 
-def measure_forecast(tracker: Tracker, runs: int, repeats: int) -> Fan:
+def measure_forecast(tracker: Tracker, runs: int, repeats: int) -> list[Figure]:
+    """One forecast of three horizons up to 15 minutes, with stays of 10 s on average, and a step of recalibration."""
     belief, rng = start(tracker, 0.0, 60.0), np.random.default_rng(1)
     told = forecast(tracker, belief, HORIZONS, rng, limit=80.0, runs=runs)
     paths = draw_paths(compile_chain(tracker.model), 1, 0.0, HORIZONS[-1], runs, np.random.default_rng(1))
@@ -154,29 +124,21 @@ def measure_forecast(tracker: Tracker, runs: int, repeats: int) -> Fan:
     limit = best(draw_all, repeats)
     state = calibrate(dict.fromkeys(HORIZONS, 1.0))
     recalibrated = best(lambda: issue(settle(state, 0.0, 60.0), told), repeats)
-    return Fan(runs, steps // runs, taken * 1e3, limit * 1e3, taken / limit, recalibrated * 1e3)
+    what = f"forecast, {runs} runs of {steps // runs} steps"
+    return [
+        Figure(what, 1e3 * taken, "ms", "drawing its random numbers", 1e3 * limit),
+        Figure("  its recalibration", 1e3 * recalibrated, "ms"),
+    ]
 
 
-@click.command()
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of lines.")
-@click.option("--repeats", default=7, show_default=True, help="Repetitions, of which the best counts.")
-def main(as_json: bool, repeats: int) -> None:
-    """Measure filter and forecast."""
-    tracker = plant()
-    filtered = measure_filter(tracker, repeats)
-    fans = [measure_forecast(tracker, runs, repeats) for runs in (256, 512)]
-    if as_json:
-        click.echo(json.dumps({"filter": asdict(filtered), "forecast": [asdict(fan) for fan in fans]}))
-        return
-    click.echo(
-        f"filter    {filtered.observe_per_s:,.0f} samples/s, {filtered.of_limit:.0%} of bare arithmetic; "
-        f"{filtered.on_event_per_s:,.0f} events/s, {filtered.with_inputs_per_s:,.0f} input changes/s"
-    )
-    for fan in fans:
-        click.echo(
-            f"forecast  {fan.runs} runs of {fan.steps} steps in {fan.ms:.1f} ms, {fan.times_limit:.1f} times the "
-            f"drawing of its random numbers; recalibration {fan.calibration_ms:.3f} ms"
-        )
+@click.command(help=__doc__)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
+@click.option("--quick", is_flag=True, help="2 repetitions.")
+@click.option("--repeats", default=7, show_default=True, type=click.IntRange(1), help="Repetitions; the best counts.")
+def main(as_json: bool, quick: bool, repeats: int) -> None:
+    times, tracker = 2 if quick else repeats, plant()
+    fans = [figure for runs in (256, 512) for figure in measure_forecast(tracker, runs, times)]
+    give("belief and forecast", [*measure_filter(tracker, times), *fans], as_json=as_json)
 
 
 if __name__ == "__main__":

@@ -106,7 +106,10 @@ class ModbusDriver:
         self._limits = Limits(
             settings["max_registers"], settings["max_bits"], settings["max_gap"], settings["pause_ms"] / 1000
         )
-        self._write_map = tuple(_writable(tag) for tag in write_map)
+        self._write_map = {span.tag.name: span for span in map(_writable, write_map)}
+        self._writable_addresses = frozenset(
+            (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
+        )
         self._lock = asyncio.Lock()
         self._refused = Refused(settings["refused_first"], settings["refused_cap"])
         self._layouts: dict[tuple[int, ...], _Layout] = {}
@@ -208,25 +211,21 @@ class ModbusDriver:
 
     def _write_block(self, values: Sequence[tuple[Tag, Value]]) -> tuple[Block, list[int]]:
         """The one block of the write and its words, checked against the write map first."""
-        for tag, _ in values:
-            if all(tag != span.tag for span in self._write_map):
-                raise WriteForbidden(f"{tag.name} ({tag.address}) is not in the write map; nothing was sent")
-        pieces = sorted(((locate(tag), value) for tag, value in values), key=lambda piece: piece[0].start)
+        pieces = sorted(((self._mapped(tag), value) for tag, value in values), key=lambda piece: piece[0].start)
         spans = tuple(span for span, _ in pieces)
         block = _contiguous(spans)
         largest = _MAX_WRITE_BITS if block.area.is_bits else self._settings["max_write_registers"]
         if block.count > largest:
             raise AddressError(f"{block.count} words do not fit in one write request, which takes {largest}")
-        if not self._is_mapped(block):
+        if not self._writable_addresses.issuperset((block.area, number) for number in range(block.start, block.stop)):
             raise WriteForbidden(f"{block.area}:{block.start} count {block.count} reaches outside the write map")
         return block, [word for span, value in pieces for word in encode(span.tag, value)]
 
-    def _is_mapped(self, block: Block) -> bool:
-        """True if every address that the request would touch belongs to the write map."""
-        mapped = {
-            number for span in self._write_map if span.area is block.area for number in range(span.start, span.stop)
-        }
-        return mapped.issuperset(range(block.start, block.stop))
+    def _mapped(self, tag: Tag) -> Span:
+        span = self._write_map.get(tag.name)
+        if span is None or span.tag != tag:
+            raise WriteForbidden(f"{tag.name} ({tag.address}) is not in the write map; nothing was sent")
+        return span
 
     # ------------------------------------------------------------ reading blocks
 

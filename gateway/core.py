@@ -85,6 +85,7 @@ class Gateway:
         made = self._predict(scan)
         self._alarm(self._findings(scan, made), scan.time)
         await self._write_back(scan, made)
+        self._foresee(scan)
         if scan.time - self._saved >= SAVE_SECONDS:
             self.save(scan.time)
 
@@ -115,8 +116,13 @@ class Gateway:
         finished = outlook.collect()
         if finished is not None:
             self.historian.put("forecasts", records.forecast_rows(finished.forecast, finished.measured))
-        outlook.begin(scan.time, known=prediction.known and prediction.inputs_good, measured=prediction.measured)
         return outlook.fresh(scan.time) if prediction.known else None
+
+    def _foresee(self, scan: Scan) -> None:
+        """Begin the next forecast if one is due: after the block is written, since its thread would delay the block."""
+        p = self.prediction if self.predictor else None
+        if p is not None and self.outlook is not None:
+            self.outlook.begin(scan.time, known=p.known and p.inputs_good, measured=p.measured)
 
     def _findings(self, scan: Scan, made: Forecast | None) -> dict[str, float | None]:
         """What the alarms beside the threshold look at; None where it is not known."""

@@ -1,0 +1,113 @@
+"""What the gateway costs: CPU seconds of its process per 1000 scans, largest resident size, time to its first block.
+
+The gateway runs as `decanter run` starts it (19 registers read, 24 written and read back, model, historian, log,
+alarms, a forecast of 500 runs every ten scans), armed, every 0.1 s in real time against the software PLC, whose trace
+goes on. CPU time is that of the whole process with all its threads, by the kernel's own account (/proc/PID/stat, in
+steps of 10 ms), from the first usable block on; scans are counted by the PLC's recording. Peak size is VmHWM of
+/proc/PID/status. A tenth of a forecast is in each scan's cost; benchmarks/belief.py has the forecast alone.
+
+The floor, a process of its own in the same run: pymodbus's asynchronous client, which reads 20 registers and writes 24
+at the same period and does nothing else (benchmarks/bare.py). The gateway's third round trip, reading the block back,
+is not in it.
+
+For orientation only: the ThingsBoard gateway 3.8.5 took 69 % of a core and 72 MB for 50 devices with 10 tags each, read
+every 100 ms, one request a tag, 485 of 500 polls/s. That is another setting (50 devices, no model, nothing written
+back, no history, another day), so nothing here is a comparison with it.
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from bisect import bisect_left
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from benchmarks.figures import Figure, give
+from benchmarks.latency import scans_in
+from benchmarks.processes import (
+    MAP,
+    ROOT,
+    BenchmarkError,
+    Plc,
+    cpu_seconds,
+    gateway,
+    learned_model,
+    peak_megabytes,
+    software_plc,
+    until_usable,
+)
+from sim.plc.recording import Recording, read_recording
+from sim.plc.registers import read_map
+
+
+@contextmanager
+def bare_client(plc: Plc, period: float) -> Iterator["subprocess.Popen[bytes]"]:
+    """The floor's process; it ends with its standard input."""
+    command = [sys.executable, "-m", "benchmarks.bare", str(plc.port), str(period)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, cwd=ROOT) as process:
+        try:
+            yield process
+        finally:
+            if process.stdin is not None:
+                process.stdin.close()
+            process.wait(10.0)
+
+
+def measure(seconds: float, period: float, model_folder: Path | None = None) -> list[Figure]:
+    """Run gateway and floor side by side. Raises BenchmarkError when the gateway does not get to work."""
+    with tempfile.TemporaryDirectory(prefix="decanter-footprint-") as name:
+        folder = Path(name)
+        model = learned_model(model_folder or folder)
+        with software_plc(folder) as plc, bare_client(plc, period) as bare:
+            begun = time.monotonic()
+            with gateway(folder, plc, model, period) as process:
+                until_usable(plc, process)
+                if plc.order("status")["connections"] != 2:
+                    raise BenchmarkError("the bare client is not connected")
+                since, before = time.monotonic(), [cpu_seconds(one.pid) for one in (process, bare)]
+                time.sleep(seconds)
+                until, after = time.monotonic(), [cpu_seconds(one.pid) for one in (process, bare)]
+                peaks = [peak_megabytes(one.pid) for one in (process, bare)]
+        recording = read_recording(plc.recording)
+    moments = [scan.read.monotonic for scan in scans_in(recording, read_map(MAP))]
+    scans = bisect_left(moments, until) - bisect_left(moments, since)
+    polls = _bare_polls(recording, since, until)
+    cost, floor = (now - then for now, then in zip(after, before, strict=True))
+    elapsed = until - since
+    other = "bare pymodbus client, same period"
+    return [
+        Figure("CPU of the gateway per 1000 scans", 1e3 * cost / scans, "s", other, 1e3 * floor / polls),
+        Figure("CPU of the gateway, share of a core", 100.0 * cost / elapsed, "%", other, 100.0 * floor / elapsed),
+        Figure("peak resident size of the gateway", peaks[0], "MB", other, peaks[1]),
+        Figure("scans with an accepted block", float(scans), "", f"due in {elapsed:.0f} s", elapsed / period),
+        Figure("process start to first block", recording.blocks[0].monotonic - begun, "s"),
+        Figure("ThingsBoard 3.8.5: 50 devices, no model", 69.0, "%", "another setting and day, no comparison"),
+        Figure("ThingsBoard 3.8.5: 50 devices, no model", 72.0, "MB", "another setting and day, no comparison"),
+    ]
+
+
+def _bare_polls(recording: Recording, since: float, until: float) -> int:
+    """How many writes of the floor, which alone writes outside the block, arrived in between."""
+    gateways = {block.peer for block in recording.blocks}
+    return sum(
+        row.function == 16 and row.peer not in gateways and since <= row.monotonic < until for row in recording.requests
+    )
+
+
+@click.command(help=__doc__)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
+@click.option("--quick", is_flag=True, help="4 seconds instead of 30.")
+@click.option("--seconds", type=click.FloatRange(0.5), help="How long it is measured.")
+@click.option("--period", type=click.FloatRange(0.02), default=0.1, show_default=True, help="Scan period (s).")
+@click.option("--model-folder", type=click.Path(path_type=Path), help="Where the learned model is kept.")
+def main(as_json: bool, quick: bool, seconds: float | None, period: float, model_folder: Path | None) -> None:
+    figures = measure(seconds or (4.0 if quick else 30.0), period, model_folder)
+    give(f"footprint, scan period {1e3 * period:g} ms", figures, as_json=as_json)
+
+
+if __name__ == "__main__":
+    main()

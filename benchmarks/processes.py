@@ -1,0 +1,171 @@
+"""The processes that are measured: the software PLC, the gateway, and what the kernel says of them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from benchmarks.bare import TEST_REGISTERS, WRITTEN
+from sim.artefacts.model_directory import write_model_directory
+from sim.learning.bins import learn_bins
+from sim.plant.scenarios import scenario
+from sim.sha.events import DECANTER
+from sim.validation.trace_file import write_trace
+
+ROOT = Path(__file__).parents[1]
+MAP = ROOT / "config/devices/decanter_plc.toml"
+TEMPERATURE, CURRENT = "TCuscinettiRiduttore", "Assorbimento"
+LEARNED_FROM = ("cd4", "cd12")
+REPLAYED, OFFSET = "cd1", 60.0
+CYCLE_S = 0.007
+"""The PLC's cycle. 20 ms, its default, and a scan every 50 ms would meet in five phases only; 7 ms meet in all."""
+FORECAST_SCANS = 10
+"""A forecast every so many scans, as config/plant.toml has it, whatever the period that is measured."""
+PATIENCE_S = 30.0
+
+
+class BenchmarkError(click.ClickException):
+    """What was to be measured did not happen; the message says what. A command ends with it and with exit code 1."""
+
+
+def learned_model(folder: Path) -> Path:
+    """The model that the gateway runs: learned from two synthetic scenarios, unless it is in `folder` already."""
+    out = folder / "model"
+    if not (out / "model.json").exists():
+        traces = [scenario(name) for name in LEARNED_FROM]
+        learned = learn_bins(traces, DECANTER, TEMPERATURE, seed=0, name="benchmark")
+        write_model_directory(out, learned.model, learned.values)
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Plc:
+    """The running software PLC: its first line, its recording, and commands over its standard input."""
+
+    process: "subprocess.Popen[str]"
+    ready: dict[str, Any]
+    recording: Path
+
+    @property
+    def port(self) -> int:
+        """Where it serves Modbus TCP."""
+        return int(self.ready["port"])
+
+    def order(self, command: str, **keys: object) -> dict[str, Any]:
+        """Give a command and wait for its reply. Raises BenchmarkError when it is refused or the PLC is gone."""
+        put, get = self.process.stdin, self.process.stdout
+        if put is None or get is None:
+            raise BenchmarkError("the software PLC was started without pipes")
+        put.write(json.dumps({"command": command, **keys}) + "\n")
+        put.flush()
+        for line in get:
+            reply: dict[str, Any] = json.loads(line)
+            if reply["event"] == "reply":
+                if not reply["ok"]:
+                    raise BenchmarkError(f"the software PLC refused {command!r}: {reply['error']}")
+                return reply
+        raise BenchmarkError(f"the software PLC ended before it answered {command!r}")
+
+
+@contextmanager
+def software_plc(folder: Path) -> Iterator[Plc]:
+    """The software PLC in real time, recording everything, with a synthetic run of the decanter as its trace."""
+    trace, recording = folder / "replay.csv", folder / "plc.jsonl"
+    write_trace(scenario(REPLAYED), trace)
+    options = ["--map", MAP, "--trace", trace, "--offset", OFFSET, "--loop", "--record", recording, "--stdin"]
+    options += ["--cycle", CYCLE_S, "--writable", f"holding:{TEST_REGISTERS}-{TEST_REGISTERS + WRITTEN - 1}"]
+    command = [sys.executable, "-m", "sim.plc", *map(str, options)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, cwd=ROOT) as process:
+        try:
+            line = process.stdout.readline() if process.stdout else ""
+            if not line:
+                raise BenchmarkError("the software PLC did not start")
+            yield Plc(process, json.loads(line), recording)
+        finally:
+            _end(process)
+
+
+@contextmanager
+def gateway(folder: Path, plc: Plc, model: Path, period: float) -> Iterator["subprocess.Popen[bytes]"]:
+    """`decanter run`, armed, with historian, log and model, scanning every `period` seconds."""
+    plant = folder / "plant.toml"
+    plant.write_text(_plant(model, period), encoding="utf-8")
+    command = [sys.executable, "-m", "gateway.cli.main", "run", "--config", str(plant), "--port", str(plc.port)]
+    with subprocess.Popen([*command, "--quiet"], stdin=subprocess.DEVNULL, cwd=ROOT) as process:
+        try:
+            yield process
+        finally:
+            _end(process)
+
+
+def _plant(model: Path, period: float) -> str:
+    return f"""[device]
+file = {json.dumps(str(MAP))}
+timeout = 0.3
+heartbeat_period = 1.0
+[scan]
+period = {period:g}
+[model]
+path = {json.dumps(str(model))}
+temperature = "{TEMPERATURE}"
+[writeback]
+mode = "armed"
+armed_by = "benchmarks"
+reason = "measured against the software PLC on loopback"
+minutes = 60
+[historian]
+path = "historian.sqlite"
+[log]
+path = "gateway.log.jsonl"
+[forecast]
+period = {FORECAST_SCANS * period:g}
+"""
+
+
+def until_usable(plc: Plc, process: "subprocess.Popen[bytes]") -> None:
+    """Return when the PLC holds a block that it may use in full: model, forecast, location and inputs are good.
+
+    Raises BenchmarkError when that takes longer than PATIENCE_S, or the gateway has ended.
+    """
+    deadline = time.monotonic() + PATIENCE_S
+    while not plc.order("status")["usable"]:
+        if process.poll() is not None:
+            raise BenchmarkError(f"the gateway ended with code {process.returncode}")
+        if time.monotonic() > deadline:
+            raise BenchmarkError(f"no usable block within {PATIENCE_S:g} s")
+        time.sleep(0.05)
+
+
+def _end(process: "subprocess.Popen[Any]") -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(10.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+
+
+# ---------------------------------------------------------------- what the kernel says (Linux)
+
+
+def cpu_seconds(pid: int) -> float:
+    """CPU time of a process and all its threads so far, user and system (fields 14 and 15 of /proc/PID/stat, s)."""
+    text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
+    fields = text.rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def peak_megabytes(pid: int) -> float:
+    """The largest resident size so far (VmHWM of /proc/PID/status, in 10^6 bytes)."""
+    lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024 / 1e6

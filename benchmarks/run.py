@@ -1,0 +1,99 @@
+"""All benchmarks one after another, each in a process of its own: one table of figures, and the machine they are from.
+
+`python -m benchmarks.run [--json] [--quick]`: under 3 minutes, with `--quick` under 30 s. The fault matrix is no matter
+of speed and has its own command, `python -m benchmarks.fault_matrix`.
+"""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import click
+
+from benchmarks.figures import Figure, show, taken
+
+BENCHMARKS = ("latency", "footprint", "startup", "encoder", "belief", "simulation")
+WITH_MODEL = frozenset({"latency", "footprint"})
+LIBRARIES = ("pymodbus", "numpy", "scipy", "pydantic", "structlog", "click")
+ROOT = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """Where the figures come from; `load` is the average of the last minute before the first benchmark."""
+
+    system: str
+    processor: str
+    cores: int
+    memory_gb: float
+    python: str
+    libraries: dict[str, str]
+    load: float
+
+
+def machine() -> Machine:
+    """The facts of this machine (Linux)."""
+    info = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    processor = next((line.partition(":")[2].strip() for line in info if line.startswith("model name")), "unknown")
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
+    return Machine(
+        system=platform.platform(),
+        processor=processor,
+        cores=len(os.sched_getaffinity(0)),
+        memory_gb=round(memory, 1),
+        python=platform.python_version(),
+        libraries={name: version(name) for name in LIBRARIES},
+        load=round(os.getloadavg()[0], 2),
+    )
+
+
+def figures_of(name: str, options: Sequence[str]) -> list[Figure]:
+    """Run one benchmark. Raises CalledProcessError when it fails; its words are on standard error then."""
+    command = [sys.executable, "-m", f"benchmarks.{name}", "--json", *options]
+    done = subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    return taken(done.stdout)
+
+
+def as_text(here: Machine) -> str:
+    """The machine in three lines."""
+    libraries = ", ".join(f"{name} {number}" for name, number in here.libraries.items())
+    return (
+        f"{here.system}, {here.cores} cores of {here.processor}, {here.memory_gb:g} GB\n"
+        f"Python {here.python}, {libraries}\nload average before: {here.load:g}"
+    )
+
+
+@click.command(help=__doc__)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
+@click.option("--quick", is_flag=True, help="Less of everything: whether it works, not how fast it is.")
+@click.option("--only", multiple=True, type=click.Choice(BENCHMARKS), help="Only this one; may be given again.")
+def main(as_json: bool, quick: bool, only: Sequence[str]) -> None:
+    here, found, failed = machine(), {}, []
+    with tempfile.TemporaryDirectory(prefix="decanter-bench-") as folder:
+        for name in only or BENCHMARKS:
+            click.echo(f"{name} ...", err=True)
+            options = ["--quick"] if quick else []
+            options += ["--model-folder", folder] if name in WITH_MODEL else []
+            try:
+                found[name] = figures_of(name, options)
+            except subprocess.CalledProcessError:
+                failed.append(name)
+    if as_json:
+        plain = {name: [figure.plain() for figure in figures] for name, figures in found.items()}
+        click.echo(json.dumps({"machine": asdict(here), "quick": quick, "figures": plain, "failed": failed}))
+    else:
+        show("benchmarks", [figure for figures in found.values() for figure in figures])
+        click.echo(as_text(here))
+    if failed:
+        raise click.ClickException(f"without figures: {', '.join(failed)}; what they said is above")
+
+
+if __name__ == "__main__":
+    main()

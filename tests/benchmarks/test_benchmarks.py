@@ -1,0 +1,117 @@
+"""Each benchmark runs in a tiny setting and prints its figures as JSON; whether they are fast is not asserted."""
+
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.figures import Figure, as_table
+from benchmarks.latency import Scan, follow
+from benchmarks.processes import CURRENT, MAP, ROOT, TEMPERATURE, learned_model
+from sim.plc.encode import encode
+from sim.plc.recording import BlockRow, RequestRow, TruthRow
+from sim.plc.registers import read_map
+
+REGISTERS = read_map(MAP)
+
+
+@pytest.fixture(scope="session")
+def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("benchmarks")
+    learned_model(folder)
+    return folder
+
+
+def said(name: str, *options: str) -> dict[str, Any]:
+    command = [sys.executable, "-m", f"benchmarks.{name}", "--json", *options]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+    return dict(json.loads(done.stdout))
+
+
+def by_name(figures: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    assert figures
+    for one in figures:
+        assert math.isfinite(one["value"]) and one["value"] >= 0.0, one
+        assert (one["ratio"] is None) == (not one["other"]), one
+    return {one["name"]: one for one in figures}
+
+
+def test_latency_follows_every_change_to_its_block(model_folder: Path) -> None:
+    options = ("--changes", "6", "--period", "0.2", "--model-folder", str(model_folder))
+    figures = by_name(said("latency", *options)["figures"])
+    assert figures["changes followed and proven"]["value"] == 6
+    assert figures["register read to its block, p50"]["against"] == "two bare round trips, p50"
+
+
+def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> None:
+    figures = by_name(said("footprint", "--seconds", "1.5", "--model-folder", str(model_folder))["figures"])
+    assert figures["scans with an accepted block"]["value"] >= 1
+    assert figures["peak resident size of the gateway"]["value"] > figures["peak resident size of the gateway"]["other"]
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("startup", ("--quick",)),
+        ("encoder", ("--rows", "3000", "--repeats", "1")),
+        ("belief", ("--quick",)),
+        ("simulation", ("--quick",)),
+    ],
+)
+def test_a_benchmark_prints_its_figures_as_json(name: str, options: Sequence[str]) -> None:
+    assert by_name(said(name, *options)["figures"])
+
+
+def test_run_gives_the_figures_of_all_and_the_machine() -> None:
+    told = said("run", "--quick", "--only", "startup")
+    assert by_name(told["figures"]["startup"]) and told["failed"] == []
+    assert {"cores", "python", "libraries", "load"} <= set(told["machine"])
+
+
+def test_a_figure_without_a_counterpart_has_no_ratio_and_a_row_all_the_same() -> None:
+    figures = [Figure("a", 3.0, "s", "b", 2.0), Figure("c", 1.0, "s")]
+    assert [one.ratio for one in figures] == [1.5, None]
+    assert as_table("figures", figures).row_count == 2
+
+
+# ---------------------------------------------------------------- the proof that a block holds a change
+
+
+def scan(moment: float, version: int, temperature: float, current: float, location: int) -> Scan:
+    """A read of holding:101 to 106 that serves these values, and the block 2 ms later."""
+    words = [*encode(REGISTERS.tags[CURRENT], current), 0, 0, 0, *encode(REGISTERS.tags[TEMPERATURE], temperature)]
+    reply = bytes(9) + b"".join(word.to_bytes(2, "big") for word in words)
+    read = RequestRow(moment, moment, "a", 1, 1, 3, 101, len(words), b"", reply, None, 0.0, (), version)
+    block = BlockRow(moment + 0.002, moment, "a", 400, (), {"location": float(location)}, "none", True)
+    return Scan(read, block)
+
+
+def change(moment: float, version: int, tag: str, value: float) -> TruthRow:
+    return TruthRow(moment, moment, version, tag, value)
+
+
+def test_a_change_is_followed_to_the_block_of_the_first_read_that_saw_it() -> None:
+    scans = [scan(0.0, 1, 20.0, 150.0, 4), scan(1.0, 5, 20.5, 250.0, 5), scan(2.0, 9, 20.5, 250.0, 5)]
+    found = follow([change(0.4, 3, TEMPERATURE, 20.5), change(0.6, 4, CURRENT, 250.0)], scans, REGISTERS)
+    assert (found.lost, found.unproven) == (0, 0)
+    assert found.waited == pytest.approx([0.6, 0.4]) and found.total == pytest.approx([0.602, 0.402])
+
+
+def test_a_change_that_is_overwritten_before_it_is_read_or_never_read_is_lost() -> None:
+    scans = [scan(0.0, 1, 20.0, 150.0, 4), scan(1.0, 5, 21.0, 150.0, 4)]
+    changes = [change(0.4, 3, TEMPERATURE, 20.5), change(0.6, 4, TEMPERATURE, 21.0), change(1.5, 8, CURRENT, 250.0)]
+    found = follow(changes, scans, REGISTERS)
+    assert (len(found.total), found.lost, found.unproven) == (1, 2, 0)
+
+
+def test_a_reply_without_the_value_or_a_block_without_its_location_proves_nothing() -> None:
+    other_reply = follow([change(0.4, 3, TEMPERATURE, 20.5)], [scan(1.0, 5, 20.0, 150.0, 4)], REGISTERS)
+    same_location = [scan(0.0, 1, 20.0, 150.0, 4), scan(1.0, 5, 20.0, 250.0, 4)]
+    other_block = follow([change(0.4, 3, CURRENT, 250.0)], same_location, REGISTERS)
+    assert (other_reply.unproven, other_block.unproven) == (1, 1)
