@@ -1,0 +1,274 @@
+"""The fault matrix, measured: for each fault of the PLC when it was noticed, when all was well again, what was wrong.
+
+The gateway and the software PLC run as two processes; the PLC's own recording is the judge. `python -m
+benchmarks.fault_matrix [--json] [FAULT ...]` prints one row a fault (real seconds). `detected`: from the fault's
+beginning to the first reading that was not good or block that was not confirmed; a dash where the fault did no harm.
+`recovered`: from its end to the first scan in which all readings were good again; a dash where none had been lost.
+"""
+
+import json
+import struct
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import click
+
+from benchmarks.rig import MAP, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
+from drivers.tag import Sample
+from gateway.history import reading, samples
+from gateway.quality import STALE_PERIODS
+from sim.plc.judge import wrong_good
+from sim.plc.recording import EventRow, Recording, RequestRow, read_recording
+
+PERIOD = 0.1
+TOLERANCE_S = STALE_PERIODS * PERIOD
+"""A good value may be as old as the gateway's stated rule says, and no older."""
+PAUSE_S = 0.6
+WRITES = (5, 6, 15, 16, 22, 23)
+BLOCK = range(400, 424)
+
+OUTAGES = ("refuse", "silent", "restart")
+"""The PLC goes away and comes back: good readings must return within one second."""
+
+FAULTS: Mapping[str, Mapping[str, Any]] = {
+    "refuse": {"kind": "refuse", "duration": 1.5},
+    "silent": {"kind": "silent", "duration": 2.5},
+    "half_open": {"kind": "half_open", "duration": 0.1},
+    "restart": {"kind": "restart", "down_s": 0.7, "zeros_s": 0.7},
+    "frozen image": {"kind": "frozen", "duration": 1.6},
+    "reset in mid-frame": {"kind": "reset", "duration": 1.0},
+    "late reply": {"kind": "late", "delay_s": 0.4, "duration": 1.2},
+    "late reply, now and then": {"kind": "late", "delay_s": 0.3, "duration": 1.5, "probability": 0.3},
+    "wrong unit": {"kind": "wrong_unit", "duration": 1.0},
+    "wrong function": {"kind": "wrong_function", "duration": 1.0},
+    "too few registers": {"kind": "wrong_count", "duration": 1.0},
+    "too many registers": {"kind": "wrong_count", "delta": 1, "duration": 1.0},
+    "wrong byte count": {"kind": "wrong_count", "honest": False, "duration": 1.0},
+    "wrong transaction": {"kind": "wrong_transaction", "duration": 1.0},
+    "exception 4": {"kind": "exception", "code": 4, "duration": 1.0},
+    "exception 6 (busy)": {"kind": "exception", "code": 6, "duration": 1.0},
+    "illegal register": {"kind": "illegal_register", "registers": ["holding:104"], "duration": 1.5},
+    "garbage": {"kind": "garbage", "duration": 1.0},
+    "split reply": {"kind": "split", "duration": 1.0},
+    "duplicate reply": {"kind": "duplicate", "duration": 1.0},
+    "write ignored": {"kind": "write_ignored", "duration": 1.0},
+}
+"""What is ordered from the PLC, by the row's name. One frozen register behind a living heartbeat is not among them:
+nothing but a tag's own `frozen_after` can tell it (decision 0006)."""
+TOLERATED = ("split reply", "duplicate reply")
+"""No reading and no block may be lost to these."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One fault: real seconds (None: nothing was lost), readings that were judged, and how many were wrong.
+
+    `began` and `ended` are plant seconds; `not_good` counts the readings, by tag, that were not good from the beginning
+    until all was well again; `unconfirmed` the blocks that were not confirmed in that time.
+    """
+
+    fault: str
+    began: float
+    ended: float
+    detected_s: float | None
+    recovered_s: float | None
+    not_good: Mapping[str, int]
+    unconfirmed: int
+    judged: int
+    wrong_good: int
+
+
+@dataclass(frozen=True, slots=True)
+class Matrix:
+    """The rows, and what the PLC saw of the gateway in the whole run; `examples` tells of wrong good values.
+
+    `outside` are writes that touched an address outside the write-back block, `repeated` blocks that were on the wire
+    more than once.
+    """
+
+    rows: tuple[Row, ...]
+    examples: tuple[str, ...]
+    requests: int
+    blocks: int
+    refusals: Mapping[str, int]
+    outside: int
+    repeated: int
+    missing: int
+    failures: int
+
+
+def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]], device: Path = MAP) -> Matrix:
+    """Run the faults one after the other against one pair of processes, and judge what was recorded.
+
+    `device` is the register map that the gateway works by; the PLC always has its own.
+    """
+    rig = make_rig(folder, restless_trace(160.0), period=PERIOD, device=device)
+    with rig.plc() as plc, rig.gateway(plc) as gateway:
+        gateway.wait_for(_well)
+        for name, fault in faults.items():
+            _suffer(name, fault, plc, gateway)
+        status = gateway.status
+        code, _ = gateway.stop()
+        assert code == 0, gateway.words()
+        plc.order("stop")
+        plc.wait_for("stopped")
+    return _judged(rig, tuple(faults), int(status["failures"]))
+
+
+def _well(status: Mapping[str, Any]) -> bool:
+    good = all(value["quality"] == "GOOD" for value in status["values"].values())
+    return bool(status["values"]) and good and status["writeback"].get("last_verdict") == "written"
+
+
+def _suffer(name: str, fault: Mapping[str, Any], plc: Plc, gateway: Gateway) -> None:
+    """One fault from its beginning until the gateway says that all is well again."""
+    time.sleep(PAUSE_S)
+    plc.order("fault", fault=dict(fault))
+    while plc.order("status")["faults"]:
+        time.sleep(0.02)
+    over = float(plc.order("status")["plant_time"])
+    try:
+        gateway.wait_for(lambda status: status["time"] > over + PERIOD and _well(status))
+    except AssertionError as error:
+        raise AssertionError(f"after the fault {name!r}: {error}") from None
+
+
+# ---------------------------------------------------------------- the judgement
+
+
+def _judged(rig: Rig, names: Sequence[str], failures: int) -> Matrix:
+    recording, read = read_recording(rig.recording), list(samples(rig.historian))
+    wrong = wrong_good(recording, read, TOLERANCE_S)
+    unconfirmed = _unconfirmed(rig.historian)
+    spans = _spans(recording.events)
+    assert len(spans) == len(names), f"{len(spans)} faults were recorded for {len(names)} ordered"
+    ends = [*(began for began, _ in spans[1:]), inf]
+    rows = tuple(
+        _row(name, span, until, read, unconfirmed, [one.sample for one in wrong])
+        for name, span, until in zip(names, spans, ends, strict=True)
+    )
+    return Matrix(
+        rows,
+        tuple(f"{one.sample.time:.3f}: {one.reason}" for one in wrong[:5]),
+        len(recording.requests),
+        len(recording.blocks),
+        Counter(block.verdict for block in recording.blocks if not block.accepted),
+        outside(recording),
+        repeated(recording.requests),
+        recording.missing + recording.damaged,
+        failures,
+    )
+
+
+def _spans(events: Iterable[EventRow]) -> list[tuple[float, float]]:
+    """(began, ended) in plant seconds of every fault, in their order."""
+    began = {row.detail["number"]: row.time for row in events if row.event == "fault began"}
+    ended = {row.detail["number"]: row.time for row in events if row.event == "fault ended"}
+    return [(began[number], ended[number]) for number in sorted(began)]
+
+
+def _row(
+    name: str,
+    span: tuple[float, float],
+    until: float,
+    read: Sequence[Sample],
+    unconfirmed: Sequence[float],
+    wrong: Sequence[Sample],
+) -> Row:
+    """The plant's clock runs at real speed here, so its seconds are real ones."""
+    began, ended = span
+    mine = [sample for sample in read if began <= sample.time < until]
+    bad = [sample for sample in mine if not sample.quality.is_good]
+    lost = [moment for moment in unconfirmed if began <= moment < until]
+    noticed = min([sample.time for sample in bad] + lost, default=None)
+    last = max([sample.time for sample in bad], default=None)
+    back = None if last is None else max(0.0, _all_good_after(mine, last) - ended)
+    return Row(
+        name,
+        began,
+        ended,
+        None if noticed is None else noticed - began,
+        back,
+        Counter(sample.tag for sample in bad),
+        len(lost),
+        sum(sample.quality.is_good for sample in mine),
+        sum(began <= sample.time < until for sample in wrong),
+    )
+
+
+def _all_good_after(mine: Iterable[Sample], moment: float) -> float:
+    """The first reading of the temperature after the last scan in which anything was not good; inf if there is none."""
+    return min((sample.time for sample in mine if sample.tag == TEMPERATURE and sample.time > moment), default=inf)
+
+
+def _unconfirmed(historian: Path) -> list[float]:
+    """When blocks were built that the PLC was not seen to take."""
+    with reading(historian) as connection:
+        rows = connection.execute("SELECT time FROM writes WHERE verdict != 'written' ORDER BY id").fetchall()
+    return [float(row[0]) for row in rows]
+
+
+def outside(recording: Recording) -> int:
+    """How many writing requests touched an address outside the write-back block, whatever became of them."""
+    return sum(
+        not (row.function == 16 and row.address is not None and _inside(row.address, row.count or 0))
+        for row in recording.requests
+        if row.function in WRITES
+    )
+
+
+def _inside(address: int, count: int) -> bool:
+    return count > 0 and address in BLOCK and address + count - 1 in BLOCK
+
+
+def repeated(requests: Iterable[RequestRow]) -> int:
+    """How many writing requests carry a sequence number, or on one connection a transaction, that was there before.
+
+    Within the life of one gateway and fewer than 65,536 blocks.
+    """
+    written = [row for row in requests if row.function == 16]
+    sequences = Counter(struct.unpack(">H", row.pdu[8:10])[0] for row in written)
+    transactions = Counter((row.peer, row.transaction) for row in written)
+    return sum(count - 1 for counts in (sequences, transactions) for count in counts.values())
+
+
+# ---------------------------------------------------------------- the command
+
+
+def table(matrix: Matrix) -> str:
+    """The matrix as Markdown."""
+    head = "| fault | detected (s) | recovered (s) | readings not good | blocks not confirmed | wrong values GOOD |"
+    lines = [head, "|---|---|---|---|---|---|"]
+    for row in matrix.rows:
+        times = [("–" if value is None else f"{value:.2f}") for value in (row.detected_s, row.recovered_s)]
+        counts = f"{sum(row.not_good.values())} | {row.unconfirmed} | {row.wrong_good} of {row.judged}"
+        lines.append(f"| {row.fault} | {times[0]} | {times[1]} | {counts} |")
+    refused = ", ".join(f"{count} ({why})" for why, count in matrix.refusals.items()) or "0"
+    lines.append("")
+    lines.append(
+        f"Scan period {PERIOD:g} s, a good value may be {TOLERANCE_S:g} s old. {matrix.requests} requests, "
+        f"{matrix.blocks} blocks, refused by the PLC: {refused}; writes outside the block: {matrix.outside}; "
+        f"blocks on the wire more than once: {matrix.repeated}; rows that the recording lacks: {matrix.missing}."
+    )
+    return "\n".join([*lines, *matrix.examples])
+
+
+@click.command()
+@click.argument("faults", nargs=-1, type=click.Choice(tuple(FAULTS)), metavar="[FAULT]...")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
+def main(faults: tuple[str, ...], as_json: bool) -> None:
+    """Measure the fault matrix (all faults unless some are named); exit code 1 if a wrong value was good."""
+    with tempfile.TemporaryDirectory() as folder:
+        matrix = measure(Path(folder), {name: FAULTS[name] for name in faults or FAULTS})
+    click.echo(json.dumps(asdict(matrix)) if as_json else table(matrix))
+    raise SystemExit(1 if any(row.wrong_good for row in matrix.rows) else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""The keystone: a known automaton -> software PLC -> Modbus -> gateway -> historian -> learner -> the same one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.rig import CURRENT, RATES, RUNNING, TARGETS, TEMPERATURE, known_model, make_rig
+from gateway.history import events, to_trace
+from sim.learning.bins import Learned, learn_bins
+from sim.learning.structure import announcements
+from sim.sha.automaton import SHA, transitions
+from sim.sha.events import DECANTER, encode
+from sim.sha.schedule import schedule
+from sim.sha.simulate import simulate
+from sim.sha.trace import UNKNOWN, Event, Trace
+
+SPEED = 80.0
+PERIOD = 3.2
+"""Plant seconds between two scans, 40 ms of real time: a fortieth of the fastest time constant."""
+CYCLES = 5
+
+
+def plan(rng: np.random.Generator) -> list[tuple[float, float]]:
+    """(current, seconds) of each stay, 0 A for rest: in each cycle all bins in a drawn order and two once more.
+
+    The currents lie all over their bins, so that a target which followed them would be told from one that does not.
+    """
+    stays = [(0.0, 60.0)]
+    for _ in range(CYCLES):
+        order = [int(place) for place in (*rng.permutation(4), *rng.permutation(4)[:2])]
+        for number, place in enumerate(order):
+            place = (place + 1) % 4 if number and place == order[number - 1] else place
+            order[number] = place
+            middle, reach = (325.0, 15.0) if place == 3 else (50.0 + 100.0 * place, 35.0)
+            stays.append((middle + float(rng.uniform(-reach, reach)), float(rng.uniform(50.0, 85.0))))
+        stays.append((0.0, float(rng.uniform(120.0, 170.0))))
+    return stays
+
+
+def known_trace(seed: int) -> Trace:
+    """The known automaton's exact course under a drawn current, one row a second."""
+    rng = np.random.default_rng(seed)
+    stays = plan(rng)
+    level = np.concatenate([np.full(round(seconds), amperes) for amperes, seconds in stays])
+    times = np.arange(level.size, dtype=float)
+    running = (level > 0).astype(float)
+    current = np.where(running > 0, level + rng.uniform(-8.0, 8.0, level.size), rng.uniform(0.0, 2.0, level.size))
+    inputs = Trace("inputs", times, {RUNNING: running, CURRENT: current})
+    steps = schedule(known_model(), encode(inputs, DECANTER), times)
+    course = simulate(steps, TARGETS["OFF/0-100"], 1, rng)
+    assert course.flags == ()
+    signals = {**inputs.signals, TEMPERATURE: course.temperatures[0]}
+    return Trace("keystone", times, signals, origin=f"known automaton, seed {seed}", synthetic=True)
+
+
+def changes(word: Sequence[Event]) -> list[str]:
+    """The word without announcements: only symbols that tell of a channel what was not the last thing told of it."""
+    owner = {symbol: number for number, channel in enumerate(DECANTER.channels) for symbol in announcements(channel)}
+    known: dict[int, str] = {}
+    told = []
+    for event in word:
+        if event.symbol != UNKNOWN and known.get(owner[event.symbol]) != event.symbol:
+            known[owner[event.symbol]] = event.symbol
+            told.append(event.symbol)
+    return told
+
+
+def visited(sha: SHA, word: Sequence[str]) -> list[str]:
+    """The locations that a word leads through."""
+    moves, here = transitions(sha), [sha.initial]
+    for symbol in word:
+        here.append(moves[here[-1], symbol])
+    return here
+
+
+@dataclass(frozen=True)
+class RoundTrip:
+    """What went in, what the gateway has stored of it, what it saw while it ran, and what was learned."""
+
+    given: Trace
+    stored: Trace
+    online: tuple[Event, ...]
+    learned: Learned
+
+
+def travel(folder: Path) -> RoundTrip:
+    """Replay the known trace, let the gateway read it, and learn from what its historian holds."""
+    given = known_trace(seed=18)
+    rig = make_rig(folder, given, period=PERIOD, speed=SPEED)
+    with rig.plc("--hold", "--cycle", "0.005") as plc, rig.gateway(plc) as gateway:
+        gateway.wait_for(lambda status: status["link"]["alive"] and status["writeback"]["accepted"] > 0)
+        begin = plc.order("start")["plant_time"]
+        end = plc.wait_for("end_of_trace")["plant_time"]
+        code, _ = gateway.stop()
+        assert code == 0, gateway.words()
+    stored = to_trace(rig.historian, start=begin, end=end)
+    online = tuple(event for event in events(rig.historian) if event.time < end)
+    learned = learn_bins([replace(stored, synthetic=True)], DECANTER, TEMPERATURE, seed=0)
+    return RoundTrip(given, stored, online, learned)
+
+
+def assert_the_same_word(trip: RoundTrip) -> None:
+    """Stored and seen online: the word that the known automaton was given."""
+    given = changes(encode(trip.given, DECANTER))
+    assert len(given) > 30
+    assert changes(encode(trip.stored, DECANTER)) == given
+    assert changes(trip.online) == given
+
+
+def assert_the_same_locations(trip: RoundTrip) -> None:
+    """The word leads through the same locations, and those and no others were fitted."""
+    known, word = known_model().sha, changes(encode(trip.given, DECANTER))
+    sha = trip.learned.model.sha
+    assert visited(sha, word) == visited(known, word)
+    assert sha.initial == known.initial
+    assert set(transitions(sha).items()) == set(transitions(known).items())
+    fitted = {one.name for one in trip.learned.locations if one.source == "fitted"}
+    assert fitted == set(TARGETS)
+    assert {name for name in visited(known, word) if name in TARGETS} == set(TARGETS)
+
+
+def assert_the_same_flow(trip: RoundTrip, name: str) -> None:
+    """Target within three standard errors and 0.5 degC, rate within 15 %, and no dependence on the current."""
+    one = next(one for one in trip.learned.locations if one.name == name)
+    assert abs(one.mu - TARGETS[name]) < 3.0 * one.mu_error + 0.5, one
+    assert one.mu_error < 1.0
+    assert one.k == pytest.approx(RATES[name.partition("/")[0]], rel=0.15), one
+    flow = trip.learned.model.sha.by_name[name].flow
+    assert flow.kind == "exponential", "the known targets do not follow the current inside a bin"
+
+
+def assert_the_same_course(trip: RoundTrip) -> None:
+    """Open loop over the whole trace, from its first temperature: the two automata say the same."""
+    word = encode(trip.given, DECANTER)
+    free = [
+        simulate(schedule(sha, word, trip.given.times), TARGETS["OFF/0-100"], 200, np.random.default_rng(1))
+        for sha in (known_model().sha, trip.learned.model.sha)
+    ]
+    known, learned = (runs.temperatures.mean(axis=0) for runs in free)
+    assert np.sqrt(np.mean((known - learned) ** 2)) < 1.0
+
+
+@pytest.mark.slow
+def test_a_known_automaton_comes_back_from_plc_fieldbus_gateway_historian_and_learner(tmp_path: Path) -> None:
+    trip = travel(tmp_path)
+    assert_the_same_word(trip)
+    assert_the_same_locations(trip)
+    for name in TARGETS:
+        assert_the_same_flow(trip, name)
+    assert_the_same_course(trip)

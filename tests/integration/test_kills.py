@@ -1,0 +1,202 @@
+"""Killing PLC and gateway fifty times at drawn moments corrupts nothing and loses nothing that was committed."""
+
+import random
+import signal
+import sqlite3
+import time
+from collections import Counter
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from benchmarks.fault_matrix import TOLERANCE_S, outside
+from benchmarks.rig import Gateway, Plc, Rig, end, make_rig, restless_trace
+from gateway.history import samples
+from sim.plc.judge import wrong_good
+from sim.plc.recording import Recording, read_recording
+from sim.plc.writeback import STILL
+
+KILLS, SEED, PERIOD = 50, 20, 0.1
+VICTIMS = ("plc", "gateway", "both")
+EARLY = 0.25
+"""The share of kills that do not wait for the gateway to be well: they strike while it starts or connects."""
+TABLES = ("scans", "samples", "predictions", "forecasts", "events", "alarms", "writes", "audit", "runs")
+
+Rows = dict[str, Counter[tuple[object, ...]]]
+
+
+def committed(historian: Path) -> Rows:
+    """Every row that a reader can see, in all tables but `state`, which is replaced by design."""
+    with closing(sqlite3.connect(f"{historian.as_uri()}?mode=ro", uri=True, timeout=10.0)) as connection:
+        connection.execute("BEGIN")
+        known = {str(row[0]) for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        return {table: Counter(connection.execute(f"SELECT * FROM {table}")) for table in TABLES if table in known}  # noqa: S608
+
+
+def lost(before: Rows, after: Rows) -> dict[str, int]:
+    """How many rows of each table are there no more."""
+    missing = {table: (rows - after.get(table, Counter())).total() for table, rows in before.items()}
+    return {table: count for table, count in missing.items() if count}
+
+
+@dataclass
+class Bench:
+    """The pair of processes, how they are killed and brought back, and what was seen on the way."""
+
+    rig: Rig
+    plc: Plc
+    gateway: Gateway
+    seen: Rows = field(default_factory=dict)
+    losses: list[dict[str, int]] = field(default_factory=list)
+    ended_by_itself: list[str] = field(default_factory=list)
+
+    def well(self) -> None:
+        """Wait until good readings arrive and blocks are confirmed."""
+        self.gateway.wait_for(
+            lambda status: status["link"]["alive"] and status["writeback"].get("last_verdict") == "written"
+        )
+
+    def check(self) -> None:
+        """Compare what is committed now with what was seen before."""
+        if self.rig.historian.exists():
+            now = committed(self.rig.historian)
+            if missing := lost(self.seen, now):
+                self.losses.append(missing)
+            self.seen = now
+
+    def kill(self, victim: str) -> None:
+        """SIGKILL the victims at once, look at the historian, and start them again as they were."""
+        self.check()
+        gateway = [] if victim == "plc" else [self.gateway.process]
+        plc = [] if victim == "gateway" else [self.plc.process]
+        for process in (*plc, *gateway):
+            if process.poll() is not None:
+                self.ended_by_itself.append(f"exit code {process.returncode}")
+            with suppress(ProcessLookupError):
+                process.send_signal(signal.SIGKILL)
+        for process in (*plc, *gateway):
+            end(process)
+        self.check()
+        if plc:
+            self.plc = self.rig.start_plc(*self._as_before())
+        if gateway:
+            self.gateway = self.rig.start_gateway(self.plc)
+
+    def _as_before(self) -> list[str]:
+        ready = self.plc.ready
+        position = time.monotonic() - ready["monotonic"]
+        clock = ["--epoch", repr(ready["epoch"]), "--monotonic", repr(ready["monotonic"])]
+        return ["--port", str(ready["port"]), *clock, "--offset", repr(position)]
+
+
+@dataclass(frozen=True)
+class Aftermath:
+    """What was left after all kills and a clean stop of both."""
+
+    rig: Rig
+    kills: Counter[str]
+    losses: list[dict[str, int]]
+    ended_by_itself: list[str]
+    exit_code: int
+    recording: Recording
+
+
+def fifty_kills(folder: Path) -> Aftermath:
+    """Kill and start again, fifty times; then stop both as one should."""
+    rng, kills = random.Random(SEED), Counter[str]()
+    rig = make_rig(folder, restless_trace(400.0), period=PERIOD)
+    plc = rig.start_plc()
+    bench = Bench(rig, plc, rig.start_gateway(plc))
+    try:
+        for _ in range(KILLS):
+            if rng.random() >= EARLY:
+                bench.well()
+            time.sleep(rng.uniform(0.05, 1.0))
+            victim = rng.choice(VICTIMS)
+            kills[victim] += 1
+            bench.kill(victim)
+        bench.well()
+        code, _ = bench.gateway.stop()
+        bench.check()
+        bench.plc.order("stop")
+        bench.plc.wait_for("stopped")
+    finally:
+        end(bench.gateway.process)
+        end(bench.plc.process)
+    return Aftermath(rig, kills, bench.losses, bench.ended_by_itself, code, read_recording(rig.recording))
+
+
+def assert_they_came_back(aftermath: Aftermath) -> None:
+    """None was refused by what a killed one had left, and both stopped cleanly at the end."""
+    assert aftermath.kills.total() == KILLS and set(aftermath.kills) == set(VICTIMS)
+    assert aftermath.ended_by_itself == [], "none was refused by what a killed one had left (lock, file, port)"
+    assert aftermath.exit_code == 0
+
+
+def assert_nothing_committed_was_lost(aftermath: Aftermath) -> None:
+    """Every row that a reader had seen is there, unchanged."""
+    assert aftermath.losses == []
+    final = committed(aftermath.rig.historian)
+    assert final["scans"].total() > 200 and final["writes"].total() > 200
+
+
+def assert_the_historian_is_whole_and_in_order(aftermath: Aftermath) -> None:
+    """SQLite finds nothing wrong; ids and times rise together; nothing is there twice."""
+    with closing(sqlite3.connect(aftermath.rig.historian)) as connection:
+        assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+        assert connection.execute("PRAGMA foreign_key_check").fetchall() == []
+        writes = connection.execute("SELECT time, sequence FROM writes ORDER BY id").fetchall()
+        events = [row[0] for row in connection.execute("SELECT time FROM events ORDER BY id")]
+        runs = connection.execute("SELECT count(*) FROM runs").fetchone()[0]
+    assert len(writes) == len(set(writes))
+    times = [row[0] for row in writes]
+    assert times == sorted(times) and events == sorted(events)
+    assert runs > aftermath.kills["gateway"] / 2
+
+
+def assert_whole_blocks_each_once_and_nothing_outside(aftermath: Aftermath) -> None:
+    """No torn block, none twice, no other address; the last word was validity 0."""
+    recording = aftermath.recording
+    assert outside(recording) == 0
+    written = [row for row in recording.requests if row.function == 16]
+    assert max(Counter((row.peer, row.transaction, row.pdu) for row in written).values()) == 1
+    refused = [block.verdict for block in recording.blocks if not block.accepted]
+    assert set(refused) <= {STILL}, "a gateway that starts anew may meet its own first heartbeat"
+    assert len(refused) <= aftermath.kills["gateway"] + aftermath.kills["both"]
+    assert recording.blocks[-1].fields is not None and recording.blocks[-1].fields["validity"] == 0
+
+
+def assert_the_recording_is_readable(aftermath: Aftermath) -> None:
+    """It lacks nothing but half a last line for each killed PLC at most."""
+    killed = aftermath.kills["plc"] + aftermath.kills["both"]
+    assert len(aftermath.recording.runs) == killed + 1
+    assert aftermath.recording.damaged <= killed
+    assert aftermath.recording.missing == 0
+
+
+def assert_no_wrong_value_was_good(aftermath: Aftermath) -> None:
+    """The PLC's recordings, one after the other, are the judge."""
+    read = list(samples(aftermath.rig.historian))
+    assert sum(sample.quality.is_good for sample in read) > 2000
+    assert wrong_good(aftermath.recording, read, TOLERANCE_S) == []
+
+
+def test_the_check_tells_lost_and_changed_rows_from_new_ones() -> None:
+    before: Rows = {"scans": Counter({(1.0, 0): 1, (2.0, 0): 1}), "runs": Counter()}
+    assert lost(before, {"scans": Counter({(1.0, 0): 1, (2.0, 0): 1, (3.0, 0): 1})}) == {}
+    assert lost(before, {"scans": Counter({(1.0, 0): 1, (2.0, 9): 1})}) == {"scans": 1}
+    assert lost(before, {}) == {"scans": 2}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_fifty_kills_of_plc_and_gateway_corrupt_nothing_and_lose_nothing_committed(tmp_path: Path) -> None:
+    aftermath = fifty_kills(tmp_path)
+    assert_they_came_back(aftermath)
+    assert_nothing_committed_was_lost(aftermath)
+    assert_the_historian_is_whole_and_in_order(aftermath)
+    assert_whole_blocks_each_once_and_nothing_outside(aftermath)
+    assert_the_recording_is_readable(aftermath)
+    assert_no_wrong_value_was_good(aftermath)
