@@ -133,9 +133,9 @@ async def _pause(stop: asyncio.Event, seconds: float) -> None:
 
 
 async def _report(gateway: Gateway, path: Path | None) -> None:
-    warned = False
+    warned, complaint = False, ""
     while True:
-        _say(gateway, path)
+        complaint = _say(gateway, path, complaint)
         offset = gateway.clock.wall_offset() if isinstance(gateway.clock, PlantClock) else 0.0
         if abs(offset) > CLOCK_TOLERANCE and not warned:
             gateway.log.warning("the wall clock was changed; times keep to the old one until a restart", offset=offset)
@@ -143,13 +143,18 @@ async def _report(gateway: Gateway, path: Path | None) -> None:
         await asyncio.sleep(STATUS_SECONDS)
 
 
-def _say(gateway: Gateway, path: Path | None) -> None:
+def _say(gateway: Gateway, path: Path | None, before: str = "") -> str:
+    """Write the status file; what stands in its way is logged when it is not what it was `before`, and returned."""
     if path is None:
-        return
+        return ""
     try:
         write_status(path, snapshot(gateway))
     except OSError as error:
-        gateway.log.error("the status file cannot be written", path=str(path), reason=error.strerror)
+        reason = error.strerror or str(error)
+        if reason != before:
+            gateway.log.error("the status file cannot be written", path=str(path), reason=reason)
+        return reason
+    return ""
 
 
 def snapshot(gateway: Gateway) -> dict[str, Any]:

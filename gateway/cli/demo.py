@@ -1,19 +1,27 @@
 """`decanter demo`: the main job end to end on this machine."""
 
-from collections.abc import Sequence
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from gateway.cli.model import learn_from, load, write
+from gateway.cli.options import finite, map_option, seed_option
 from gateway.cli.output import Exit, emit, fail, progress, sentences, table
 from gateway.cli.places import config_dir, shipped
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from gateway.demo.prepare import Setting
     from sim.sha.trace import Trace
     from sim.validation.column_map import ColumnMap
+
+INTERRUPTED = 130
+"""128 + SIGINT, as a shell counts."""
 
 
 @click.command()
@@ -23,22 +31,22 @@ if TYPE_CHECKING:
     multiple=True,
     help="A recorded trace instead of the embedded synthetic ones; a file, folder or glob.",
 )
+@map_option
 @click.option(
-    "--map",
-    "map_name",
-    default="decanter",
-    show_default=True,
-    help="Its column map: a TOML file, or a name in config/traces.",
+    "--limit",
+    type=click.FloatRange(-300, 3000),
+    callback=finite,
+    help="Alarm limit in °C.  [default: 80, or above what was learned from]",
 )
-@click.option("--limit", type=float, help="Alarm limit in °C.  [default: 80, or above what was learned from]")
 @click.option(
     "--seconds",
     type=click.FloatRange(5, 3600),
+    callback=finite,
     default=38.0,
     show_default=True,
-    help="Real time for the replay, at most 100 times faster than it was.",
+    help="Real time for the replay, at most 100 times faster than it was; a longer trace is cut.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@seed_option
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Only one JSON object at the end.")
 def demo(
@@ -52,63 +60,91 @@ def demo(
     """
     from rich.console import Console
 
-    from gateway.demo.play import play
-    from gateway.demo.processes import DemoError
-    from gateway.demo.summary import draw_result, result
-    from gateway.demo.summary import sentences as said
+    from gateway.demo.folder import held
 
     console = Console(stderr=as_json)
     if not console.is_terminal:
         console = Console(stderr=as_json, width=140)
-    with sentences():
-        setting = prepare(paths, map_name, limit, seconds, seed, out)
-    for note in setting.notes:
-        console.print(note, style="yellow")
     try:
-        recording, historian = play(setting, console, quiet=as_json)
-        picture = draw_result(setting, historian, out / "demo.png")
-        data = result(setting, recording, historian, picture)
-    except DemoError as error:
-        fail(str(error), Exit.CHECK_FAILED)
-    emit(data, lambda: show(data, said(data)), as_json_line=as_json)
+        with interruptible(), sentences(), held(out):
+            setting = prepare(paths, map_name, limit, seconds, seed, out)
+            data = perform(setting, console, as_json=as_json)
+    except KeyboardInterrupt:
+        fail(f"stopped before the end; PLC and gateway are stopped too, and what there is lies in {out}", INTERRUPTED)
+    emit(data, lambda: show(data), as_json_line=as_json)
     if data["wrong_good"]:
         fail(f"{data['wrong_good']} wrong values were held for good", Exit.CHECK_FAILED)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the demonstration as Ctrl-C does: with both processes stopped."""
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    ours = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
+    for number in ours:
+        signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def perform(setting: "Setting", console: "Console", *, as_json: bool) -> dict[str, Any]:
+    """Play the demonstration, draw it, and give its figures; leaves with code 1 when a process fails."""
+    from gateway.demo.play import play
+    from gateway.demo.processes import DemoError
+    from gateway.demo.summary import draw_result, result
+
+    for note in setting.notes:
+        console.print(note, style="yellow", markup=False, highlight=False)
+    try:
+        recording, historian = play(setting, console, quiet=as_json)
+        return result(setting, recording, historian, draw_result(setting, historian, setting.folder / "demo.png"))
+    except DemoError as error:
+        fail(str(error), Exit.CHECK_FAILED)
 
 
 def prepare(
     paths: Sequence[str], map_name: str, limit: float | None, seconds: float, seed: int, out: Path
 ) -> "Setting":
     """Learn the model and write all files of the demonstration into `out`. Raises ValueError or OSError."""
-    from gateway.demo.prepare import Setting, limit_for, pace, split, write_device, write_plant
+    from gateway.demo.folder import clear
+    from gateway.demo.prepare import Setting, limit_for, pace, split, suits, write_device, write_plant
     from sim.validation.trace_file import write_trace
 
     template = config_dir() / "devices" / "decanter_plc.toml"
-    out.mkdir(parents=True, exist_ok=True)
     with progress("demo") as report:
         report("traces", 0.0)
         if paths:
             given, column_map = load(paths, map_name)
-            training, replayed = split(given)
+            training, rest = split(given)
         else:
-            training, replayed, column_map = _embedded(map_name, seed)
+            training, rest, column_map = _embedded(map_name, seed)
         learned = learn_from(training, column_map, name="demo", seed=seed, report=report)
-        write(out / "model", learned)
+    clear(out)
+    write(out / "model", learned)
+    replayed, speed, period = pace(rest, seconds)
     bound, note = limit_for(training, column_map.temperature, limit)
-    speed, period = pace(replayed, seconds)
     write_trace(replayed, out / "replay.csv")
-    units = {name: signal.unit for name, signal in column_map.signals.items()}
-    foreign = bool(paths) and set(replayed.signals) - set(_mapped_tags(template))
-    device = write_device(replayed, column_map.alphabet, units, template, out / "device.toml") if foreign else template
+    device = template
+    if not suits(template, replayed):
+        units = {name: signal.unit for name, signal in column_map.signals.items()}
+        device = write_device(replayed, column_map.alphabet, units, template, out / "device.toml")
     plant = write_plant(out, device, column_map.temperature, bound, period)
-    notes = tuple(filter(None, (_origin(replayed.synthetic, training, replayed), note)))
+    notes = tuple(filter(None, (_origin(training, replayed, rest), note)))
     return Setting(out, replayed, learned.model, device, plant, out / "replay.csv", bound, speed, period, notes)
 
 
-def _origin(synthetic: bool, training: "Sequence[Trace]", replayed: "Trace") -> str:
+def _origin(training: "Sequence[Trace]", replayed: "Trace", rest: "Trace") -> str:
     rows = sum(trace.times.size for trace in training)
-    made = "SYNTHETIC data, not measured on a plant: " if synthetic else ""
+    made = "SYNTHETIC data, not measured on a plant: " if replayed.synthetic else ""
+    cut = f" (of {rest.times.size}: --seconds ends it)" if replayed.times.size < rest.times.size else ""
     learned = f"learned from {len(training)} traces with {rows} rows"
-    return f"{made}{learned}, replaying {replayed.times.size} rows of {replayed.name}"
+    return f"{made}{learned}, replaying {replayed.times.size} rows{cut} of {replayed.name}"
 
 
 def _embedded(map_name: str, seed: int) -> "tuple[list[Trace], Trace, ColumnMap]":
@@ -125,43 +161,35 @@ def _embedded(map_name: str, seed: int) -> "tuple[list[Trace], Trace, ColumnMap]
     return encoded[:-1], encoded[-1], column_map
 
 
-def _mapped_tags(device: Path) -> list[str]:
-    from gateway.devices import load_device
-
-    return [tag.name for tag in load_device(device).tags]
-
-
-def show(data: dict[str, Any], said: Sequence[str]) -> None:
+def show(data: dict[str, Any]) -> None:
     """Print the summary."""
-    errors, written, outage = data["errors"], data["writeback"], data["outage"]
+    from gateway.demo.summary import sentences as said
+
+    written, outage = data["writeback"], data["outage"]
     latency = written["latency_ms"]
     rows = [
         ["events", data["events"]],
         ["samples kept", data["samples"]],
-        [
-            "free-run error (°C)",
-            f"rmse {errors['free_run']['rmse']:.3f}, mean absolute {errors['free_run']['mae']:.3f}",
-        ],
-        [
-            "one-step error (°C)",
-            f"rmse {errors['one_step']['rmse']:.3f}, mean absolute {errors['one_step']['mae']:.3f}",
-        ],
+        ["free-run error", _error(data["errors"]["free_run"])],
+        ["one-step error", _error(data["errors"]["one_step"])],
         ["blocks by the PLC's account", f"{written['accepted']} accepted, {written['refused']} refused"],
-        ["scan to confirmed write (ms)", f"p50 {latency['p50']:.1f}, p99 {latency['p99']:.1f}"],
-        ["outage", f"noticed after {_s(outage['detected_s'])}, good again {_s(outage['recovered_s'])} after its end"],
-        ["wrong values held for good", f"{data['wrong_good']} of {data['judged']} judged by the PLC's recording"],
+        ["scan to confirmed write", f"p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms"],
+        ["outage noticed", _after(outage["detected_s"], "it began")],
+        ["good readings again", _after(outage["recovered_s"], "it ended")],
+        ["wrong values held for good", f"{data['wrong_good']} of {data['judged']} judged by the PLC"],
     ]
     made = "SYNTHETIC data, " if data["synthetic"] else ""
-    table(
-        f"summary: {made}{data['trace']}, {data['rows']} rows, {data['speed']:.0f} times real time",
-        ("what", "figure"),
-        rows,
-    )
-    for sentence in said:
+    title = f"summary: {made}{data['trace']}, {data['rows']} rows, {data['speed']:.0f} times real time"
+    table(title, ("what", "figure"), rows)
+    for sentence in said(data):
         click.echo(sentence)
     click.echo(f"picture: {data['picture']}")
     click.echo(f"log: {data['log']}")
 
 
-def _s(value: float | None) -> str:
-    return "never" if value is None else f"{value:.2f} s"
+def _error(error: dict[str, float]) -> str:
+    return f"rmse {error['rmse']:.3f} °C, mean absolute {error['mae']:.3f} °C"
+
+
+def _after(value: float | None, what: str) -> str:
+    return "never" if value is None else f"{value:.2f} s after {what}"

@@ -5,6 +5,8 @@ import sys
 
 import click
 
+PROGRAM = "from sim.plc.__main__ import main; main(prog_name='decanter emulate')"
+
 
 @click.command(
     context_settings={"ignore_unknown_options": True, "help_option_names": []},
@@ -17,4 +19,4 @@ def emulate(arguments: tuple[str, ...]) -> None:
     This process becomes the PLC's, so that signals and exit codes are the PLC's too.
     """
     sys.stdout.flush()
-    os.execv(sys.executable, [sys.executable, "-m", "sim.plc", *arguments])
+    os.execv(sys.executable, [sys.executable, "-c", PROGRAM, *arguments])

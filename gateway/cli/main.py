@@ -48,11 +48,12 @@ class LazyGroup(click.Group):
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="decanter-gateway")
-def main() -> None:
+@click.option("--traceback", is_flag=True, help="Show where in the program an error arose.")
+def main(traceback: bool) -> None:
     """Decanter gateway: foresees the bearing temperature of a decanter centrifuge.
 
     Exit codes: 0 done, 1 a check failed, 2 wrong usage or input, 3 cannot connect, 4 the device refused, 5 timeout,
-    6 not armed.
+    6 not armed, 130 stopped by Ctrl-C.
     """
 
 

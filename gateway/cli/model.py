@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gateway.cli.options import json_option, map_option, picture_option, seed_option
 from gateway.cli.output import emit, fail, progress, sentences, table
 from gateway.cli.places import shipped
 
 if TYPE_CHECKING:
     from sim.learning.bins import Learned
     from sim.sha.model import Model
+    from sim.sha.open_loop import Start
+    from sim.sha.schedule import Policy
     from sim.sha.trace import Trace
     from sim.validation.column_map import ColumnMap
 
@@ -28,27 +31,21 @@ def load(paths: Sequence[str], map_name: str) -> "tuple[list[Trace], ColumnMap]"
     from sim.validation.traces import load_traces
 
     column_map = load_map(shipped("traces", map_name))
-    traces, report = load_traces(list(paths), column_map)
+    traces, report = load_traces(paths[0] if len(paths) == 1 else list(paths), column_map)
     if report.refused or report.errors:
         for sentence in report.sentences():
             click.secho(sentence, fg="yellow", err=True)
     return traces, column_map
 
 
-@model.command()
+@model.command(short_help="Learn a model from traces and write its directory.")
 @click.option("--method", type=click.Choice(["bins"]), default="bins", show_default=True)
 @click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
-@click.option(
-    "--map",
-    "map_name",
-    default="decanter",
-    show_default=True,
-    help="Column map: a TOML file, or a name in config/traces.",
-)
+@map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory to write.")
 @click.option("--name", default="decanter", show_default=True, help="The model's name, and the artefacts' base name.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
+@seed_option
+@json_option
 def learn(method: str, paths: Sequence[str], map_name: str, out: Path, name: str, seed: int, as_json: bool) -> None:
     """Learn a model from traces and write its directory with all artefacts.
 
@@ -63,9 +60,9 @@ def learn(method: str, paths: Sequence[str], map_name: str, out: Path, name: str
     emit(data, lambda: _show_learned(learned, out), as_json_line=as_json)
 
 
-@model.command()
+@model.command(short_help="Show a model and where it comes from.")
 @click.argument("directory", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
+@json_option
 def show(directory: Path, as_json: bool) -> None:
     """Show a model: locations, flows, laws of parameters and stays, where it comes from."""
     from sim.artefacts.store import read_model
@@ -75,16 +72,10 @@ def show(directory: Path, as_json: bool) -> None:
     emit(summary(shown), lambda: show_model(shown), as_json_line=as_json)
 
 
-@model.command()
+@model.command(short_help="Let a model run along measured traces; say how far off it is.")
 @click.argument("directory", type=click.Path(path_type=Path))
 @click.option("--trace", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
-@click.option(
-    "--map",
-    "map_name",
-    default="decanter",
-    show_default=True,
-    help="Column map: a TOML file, or a name in config/traces.",
-)
+@map_option
 @click.option(
     "--runs", type=click.IntRange(2, 1_000_000), default=1000, show_default=True, help="Stochastic runs a trace."
 )
@@ -98,16 +89,16 @@ def show(directory: Path, as_json: bool) -> None:
 @click.option(
     "--start", type=click.Choice(["measured", "law"]), default="measured", show_default=True, help="First temperature."
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@click.option("--picture", type=click.Path(path_type=Path), help="Also draw the first trace to this file.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
+@seed_option
+@picture_option
+@json_option
 def simulate(
     directory: Path,
     paths: Sequence[str],
     map_name: str,
     runs: int,
-    policy: Any,
-    start: Any,
+    policy: "Policy",
+    start: "Start",
     seed: int,
     picture: Path | None,
     as_json: bool,
@@ -130,7 +121,9 @@ def simulate(
 
     def show_rows() -> None:
         columns = ("trace", "events", "rmse", "mae", "rmse at events", "final", "coverage 90 %", "clamps", "flags")
-        table("open loop (°C)", columns, [[row.get(name, "") for name in columns] for row in rows])
+        done = [[row[name] for name in columns] for row in rows if "error" not in row]
+        if done:
+            table("open loop (°C)", columns, done)
         if picture is not None:
             click.echo(f"picture: {picture}")
 

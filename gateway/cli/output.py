@@ -6,9 +6,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
 from math import isfinite
+from pathlib import Path
 from typing import Any, NoReturn
 
 import click
+
+from drivers.errors import AddressError, DeviceException, DriverError, EncodingError, ReplyTimeout, WriteForbidden
 
 
 class Exit(IntEnum):
@@ -23,7 +26,7 @@ class Exit(IntEnum):
     NOT_ARMED = 6
 
 
-def fail(sentence: str, code: Exit = Exit.USAGE) -> NoReturn:
+def fail(sentence: str, code: int = Exit.USAGE) -> NoReturn:
     """Say one sentence on standard error and leave with the code."""
     click.secho(f"decanter: {sentence}", fg="red", err=True)
     sys.exit(code)
@@ -31,13 +34,52 @@ def fail(sentence: str, code: Exit = Exit.USAGE) -> NoReturn:
 
 @contextmanager
 def sentences() -> Iterator[None]:
-    """Turn the errors that bad input causes into one sentence and exit code 2; everything else stays a defect."""
+    """Turn what bad input, the file system and the device cause into one sentence and its exit code.
+
+    ValueError is what every room raises for input that cannot be used (its TraceError, ArtefactError, ConfigError and
+    InputError among them), so a defect that shows as a ValueError looks the same: `decanter --traceback` tells them
+    apart. Every other exception is a defect and is not caught.
+    """
     try:
         yield
-    except (ValueError, FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError) as error:
-        fail(str(error))
+    except (DriverError, ValueError, OSError) as error:
+        context = click.get_current_context(silent=True)
+        if context is not None and context.find_root().params.get("traceback"):
+            raise
+        fail(sentence(error), exit_code(error))
+
+
+def sentence(error: Exception) -> str:
+    """What the error says; where the system only gave a word and a file, the file first and a remedy after."""
+    if not isinstance(error, OSError) or error.strerror is None:
+        return str(error)
+    reason = error.strerror[0].lower() + error.strerror[1:]
+    file = f"{error.filename}: " if error.filename else ""
+    return f"{file}{reason}; give a path that is there and that this user may read or write"
+
+
+_CODES: tuple[tuple[type[Exception], Exit], ...] = (
+    (ReplyTimeout, Exit.TIMEOUT),
+    (DeviceException, Exit.DEVICE_EXCEPTION),
+    (WriteForbidden, Exit.NOT_ARMED),
+    (AddressError, Exit.USAGE),
+    (EncodingError, Exit.USAGE),
+    (DriverError, Exit.CANNOT_CONNECT),
+)
+
+
+def exit_code(error: Exception) -> Exit:
+    """The stable exit code of an error: of a driver's by its kind, of any other that of wrong input."""
+    return next((code for kind, code in _CODES if isinstance(error, kind)), Exit.USAGE)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder for results. Raises ValueError where there can be none."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        fail(f"{error.filename or 'the file system'}: {error.strerror or error}")
+        reason = (error.strerror or str(error)).lower()
+        raise ValueError(f"{path}: no folder can be made there ({reason}); give one that this user may write") from None
 
 
 def _plain(value: object) -> object:
@@ -67,17 +109,18 @@ def _cell(value: object) -> str:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table; numbers are aligned to the right."""
+    """Print a table; numbers are aligned to the right, and no cell is read as markup: names come from files."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    grid = Table(title=title, title_justify="left", header_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    grid = Table(title=Text(title), title_justify="left", header_style="bold", box=SIMPLE_HEAD, pad_edge=False)
     for index, column in enumerate(columns):
         numeric = all(isinstance(row[index], int | float) for row in rows)
-        grid.add_column(column, justify="right" if numeric else "left")
+        grid.add_column(Text(column), justify="right" if numeric else "left")
     for row in rows:
-        grid.add_row(*(_cell(cell) for cell in row))
+        grid.add_row(*(Text(_cell(cell)) for cell in row))
     console = Console()
     if not console.is_terminal:  # a file or a pipe has no width: nothing is cut off there
         console = Console(width=240)

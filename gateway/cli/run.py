@@ -1,11 +1,18 @@
 """`decanter run` and `decanter check`: the gateway at the plant, and what is wrong with its configuration."""
 
+import os
+import signal
+import sys
+import threading
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.cli.output import Exit, emit, fail, sentences, table
+from drivers.errors import DriverError
+from gateway.cli.options import json_option
+from gateway.cli.output import Exit, emit, exit_code, fail, sentences, table
 from gateway.cli.places import config_dir
 
 if TYPE_CHECKING:
@@ -38,8 +45,15 @@ def _config_option(command: Any) -> Any:
     "--status", type=click.Path(path_type=Path), help="Rewrite this file with the present state (one line of JSON)."
 )
 @click.option("--quiet", is_flag=True, help="Log to the file only.")
+@click.option("--stdin", is_flag=True, help="Also stop when standard input ends, as it does when the parent is gone.")
 def run(
-    path: Path, host: str | None, port: int | None, clock_text: str | None, status: Path | None, quiet: bool
+    path: Path,
+    host: str | None,
+    port: int | None,
+    clock_text: str | None,
+    status: Path | None,
+    quiet: bool,
+    stdin: bool,
 ) -> None:
     """Run the gateway until it is told to stop (SIGTERM or Ctrl-C)."""
     clock = _clock(clock_text) if clock_text else None
@@ -48,6 +62,8 @@ def run(
         from gateway.app import serve
 
         config = load(path, host, port, speed)
+        if stdin:
+            threading.Thread(target=_stop_at_end, name="stdin", daemon=True).start()
         last = serve(config, clock=clock, status_path=status, console=not quiet)
     if last["historian"]["failure"]:
         fail(f"records could not be stored: {last['historian']['failure']}", Exit.CHECK_FAILED)
@@ -58,7 +74,7 @@ def run(
 @click.option("--host", help="Instead of device.host.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Instead of device.port.")
 @click.option("--connect", is_flag=True, help="Also read every tag of the PLC once.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
+@json_option
 def check(path: Path, host: str | None, port: int | None, connect: bool, as_json: bool) -> None:
     """Check a configuration, its register map and its model; with --connect the PLC too."""
     with sentences():
@@ -66,7 +82,7 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
 
         config = load(path, host, port, None)
         loaded = load_model(config)
-    facts = {
+    facts: dict[str, str | int] = {
         "configuration": str(path),
         "register map": str(config.map.path),
         "tags": len(config.map.tags),
@@ -78,21 +94,32 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
         "write-back": config.writeback.mode,
         "historian": str(config.historian.path),
     }
-    rows = _read_once(config) if connect else []
+    rows: list[dict[str, Any]] = []
+    if connect:
+        try:
+            rows = _read_once(config)
+        except DriverError as error:
+            emit({"ok": False, **facts, "readings": [], "reason": str(error)}, lambda: None, as_json_line=as_json)
+            fail(f"{error}; is the PLC there? Give --host and --port, or start one: decanter emulate", exit_code(error))
     bad = [row for row in rows if row["quality"] != "GOOD"]
-    data = {"ok": not bad, **facts, "readings": rows}
-
-    def show() -> None:
-        table("configuration is in order", ("what", "value"), [[name, value] for name, value in facts.items()])
-        if rows:
-            columns = list(rows[0])
-            table(f"{len(rows) - len(bad)} of {len(rows)} tags good", columns, [list(row.values()) for row in rows])
-
-    emit(data, show, as_json_line=as_json)
+    emit({"ok": not bad, **facts, "readings": rows}, lambda: _show_check(facts, rows, len(bad)), as_json_line=as_json)
     if rows and len(bad) == len(rows):
         fail(f"no tag could be read: {bad[0]['reason']}", _connection_code(bad))
     if bad:
         fail(f"{len(bad)} tags are not good, {bad[0]['tag']} the first: {bad[0]['reason']}", Exit.CHECK_FAILED)
+
+
+def _show_check(facts: dict[str, str | int], rows: list[dict[str, Any]], bad: int) -> None:
+    table("configuration is in order", ("what", "value"), [[name, value] for name, value in facts.items()])
+    if rows:
+        table(f"{len(rows) - bad} of {len(rows)} tags good", list(rows[0]), [list(row.values()) for row in rows])
+
+
+def _stop_at_end() -> None:
+    """Wait for the end of standard input, then ask this process to stop as anybody else would."""
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def load(path: Path, host: str | None, port: int | None, speed: float | None) -> "Config":
@@ -110,19 +137,22 @@ def _clock(text: str) -> "PlantClock":
         epoch, start, speed = (float(part) for part in text.split(","))
     except ValueError:
         raise click.BadParameter(f"{text!r}: give three numbers, EPOCH,MONOTONIC,SPEED", param_hint="--clock") from None
-    if not speed > 0:
-        raise click.BadParameter(f"the speed must be positive, got {speed:g}", param_hint="--clock")
+    if not (speed > 0 and all(map(isfinite, (epoch, start, speed)))):
+        raise click.BadParameter(
+            f"{text!r}: give three finite numbers, EPOCH,MONOTONIC,SPEED, the speed above 0", param_hint="--clock"
+        )
     return PlantClock(epoch, start, speed)
 
 
 def _read_once(config: "Config") -> list[dict[str, Any]]:
+    """One reading of every tag. Raises DriverError when there is no connection."""
     import asyncio
 
-    from drivers.errors import DriverError
     from gateway.clock import plant_clock
     from gateway.startup import make_driver
 
-    driver = make_driver(config, plant_clock())
+    with sentences():
+        driver = make_driver(config, plant_clock())
 
     async def read() -> list[dict[str, Any]]:
         try:
@@ -135,10 +165,7 @@ def _read_once(config: "Config") -> list[dict[str, Any]]:
             for tag, s in zip(config.map.tags, samples, strict=True)
         ]
 
-    try:
-        return asyncio.run(read())
-    except DriverError as error:
-        fail(f"{config.device.host}:{config.device.port}: {error}", Exit.CANNOT_CONNECT)
+    return asyncio.run(read())
 
 
 def _connection_code(bad: list[dict[str, Any]]) -> Exit:

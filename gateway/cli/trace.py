@@ -1,13 +1,14 @@
 """`decanter trace`: make synthetic traces, look at recorded ones."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.cli.output import emit, progress, sentences, table
+from gateway.cli.options import json_option, map_option, picture_option, seed_option
+from gateway.cli.output import emit, make_folder, progress, sentences, table
 from gateway.cli.places import shipped
 
 if TYPE_CHECKING:
@@ -20,15 +21,15 @@ def trace() -> None:
     """Make and look at traces."""
 
 
-@trace.command()
+@trace.command(short_help="Write SYNTHETIC traces as CSV.")
 @click.argument("names", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="All scenarios cd1..cd17.")
 @click.option("--days", type=click.IntRange(1, 400), help="Production over so many days instead of a scenario.")
 @click.option("--cycles", type=click.IntRange(1, 48), default=4, show_default=True, help="Runs a day, with --days.")
 @click.option("--period", type=click.FloatRange(0.1, 3600), default=10.0, show_default=True, help="s, with --days.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="0 is the reference set.")
+@seed_option
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out/traces"), show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
+@json_option
 def synth(
     names: Sequence[str],
     everything: bool,
@@ -58,7 +59,7 @@ def synth(
         if days is not None:
             report(f"{days} days", 0.5)
             traces.append(production(days, cycles, seed=seed, period=period, name=f"production_{days}d_seed{seed}"))
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         files = [out / f"{made.name}.csv" for made in traces]
         for made, file in zip(traces, files, strict=True):
             write_trace(made, file)
@@ -67,17 +68,11 @@ def synth(
     emit({"synthetic": True, "traces": rows}, lambda: _show_summaries("SYNTHETIC traces", rows), as_json_line=as_json)
 
 
-@trace.command()
+@trace.command(short_help="Load traces; say what was used, what was refused and why.")
 @click.argument("paths", nargs=-1, required=True)
-@click.option(
-    "--map",
-    "map_name",
-    default="decanter",
-    show_default=True,
-    help="Column map: a TOML file, or a name in config/traces.",
-)
-@click.option("--picture", type=click.Path(path_type=Path), help="Also draw the first trace to this file.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
+@map_option
+@picture_option
+@json_option
 def show(paths: Sequence[str], map_name: str, picture: Path | None, as_json: bool) -> None:
     """Load traces (files, a folder or a glob) by a column map; say what was used, what was refused and why."""
     from sim.validation.column_map import load_map
@@ -85,9 +80,10 @@ def show(paths: Sequence[str], map_name: str, picture: Path | None, as_json: boo
 
     with sentences():
         column_map = load_map(shipped("traces", map_name))
-        traces, report = load_traces(list(paths), column_map)
+        traces, report = load_traces(paths[0] if len(paths) == 1 else list(paths), column_map)
         if picture is not None:
-            _draw(traces[0], column_map.temperature, picture)
+            units = {name: signal.unit for name, signal in column_map.signals.items()}
+            _draw(traces[0], column_map.temperature, units, picture)
     rows = [_summary(each, None) for each in traces]
     data = {"traces": rows, "report": report.as_table(), "picture": picture and str(picture)}
 
@@ -133,7 +129,7 @@ def _show_report(report: "LoadReport") -> None:
         click.echo(sentence)
 
 
-def _draw(first: "Trace", temperature: str, picture: Path) -> None:
+def _draw(first: "Trace", temperature: str, units: Mapping[str, str], picture: Path) -> None:
     import numpy as np
 
     from sim.validation.plots import Curve, Picture, draw
@@ -148,7 +144,12 @@ def _draw(first: "Trace", temperature: str, picture: Path) -> None:
     note = "SYNTHETIC: not measured on a plant" if first.synthetic else first.origin
     draw(
         Picture(
-            first.name, curve(temperature), inputs=[curve(name) for name in others[:3]], events=first.events, note=note
+            first.name,
+            curve(temperature),
+            inputs=[curve(name) for name in others[:3]],
+            events=first.events,
+            note=note,
+            units=units,
         ),
         picture,
     )

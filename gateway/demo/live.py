@@ -28,32 +28,35 @@ def _number(value: object, digits: int = 2, unit: str = "") -> str:
 
 
 def live_table(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: str, phase: str) -> RenderableType:
-    """Measured, predicted with band, location, events, alarms, and what the PLC has received."""
+    """Measured, predicted with band, location, events, alarms, and what the PLC has received; 80 columns suffice."""
     grid = Table(box=SIMPLE, show_header=False, pad_edge=False)
-    grid.add_column(style="bold")
-    grid.add_column(min_width=62)
+    grid.add_column(style="bold", no_wrap=True)
+    grid.add_column(overflow="fold")
     for name, text in _rows(status, plc, temperature):
-        grid.add_row(name, text)
-    return Group(Text(f"decanter demo: {phase}", style="bold"), grid)
+        grid.add_row(name, text if isinstance(text, Text) else Text(text))  # no markup: names come from files
+    style = "bold red" if phase.startswith("OUTAGE") else "bold"
+    return Group(Text(f"decanter demo, {temperature}: {phase}", style=style), grid)
 
 
-def _rows(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: str) -> list[tuple[str, RenderableType]]:
+def _rows(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: str) -> list[tuple[str, Text | str]]:
     p, value = status.get("prediction") or {}, status["values"].get(temperature, {})
-    band = f"{_number(p.get('low'))} to {_number(p.get('high'))}"
-    recent = ", ".join(f"{symbol}" for _, symbol, _ in status["recent_events"][-6:])
+    quality = str(value.get("quality", ""))
+    recent = ", ".join(str(symbol) for _, symbol, _ in status["recent_events"][-6:])
     raised = [name for name, state in status["alarms"].items() if state in ALARM_STATES]
     zone = str(p.get("zone", "none"))
     place = f"{_number(plc.get('position'), 0)} of {_number(plc.get('duration'), 0)} s"
+    now = f"{_number(p.get('mean'))} °C, 90 % band {_number(p.get('low'))} to {_number(p.get('high'))}"
     return [
         ("replay", f"{place}, {_number(plc.get('speed'), 0)} times real time"),
         ("link", _link(status)),
-        (f"measured {temperature}", f"{_number(value.get('value'))} °C  {value.get('quality', '')}"),
-        ("predicted now", f"{_number(p.get('mean'))} °C, 90 % band {band}; free run {_number(p.get('free_run'))}"),
-        ("location", f"{p.get('location', '–')}  confidence {zone}"),
-        ("forecast", _forecast(status)),
+        ("measured", Text(f"{_number(value.get('value'))} °C  {quality}", style="" if quality == "GOOD" else "red")),
+        ("predicted", f"{now}; free run {_number(p.get('free_run'))}"),
+        ("location", Text(f"{p.get('location', '–')}, confidence {zone}", style=ZONE_COLOURS.get(zone, ""))),
+        *_forecast(status),
         ("events", f"{status['events']}: ... {recent}"),
         ("alarms", Text(", ".join(raised), style="bold red") if raised else "none"),
-        ("PLC received", _received(plc)),
+        ("PLC's account", f"{plc.get('accepted', 0)} blocks accepted, {plc.get('refused', 0)} refused"),
+        ("PLC shows", _shown(plc)),
     ]
 
 
@@ -65,20 +68,21 @@ def _link(status: Mapping[str, Any]) -> Text:
     )
 
 
-def _forecast(status: Mapping[str, Any]) -> str:
+def _forecast(status: Mapping[str, Any]) -> list[tuple[str, Text | str]]:
+    """One row a horizon, so that the table keeps its height."""
     made = status.get("forecast")
     if not made:
-        return "–"
-    fans = zip(made["horizons"], made["quantiles"], strict=True)
-    return "; ".join(f"{h / 60:.0f} min {q[2]:.1f} ({q[0]:.1f} to {q[4]:.1f})" for h, q in fans) + (
-        f"; P(limit) {max(made['p_limit']):.3f}"
-    )
+        return [("forecast", "–")]
+    rows = zip(made["horizons"], made["quantiles"], made["p_limit"], strict=True)
+    return [
+        (f"in {horizon / 60:g} min", f"{fan[2]:.1f} °C ({fan[0]:.1f} to {fan[4]:.1f}), P(limit) {p:.3f}")
+        for horizon, fan, p in rows
+    ]
 
 
-def _received(plc: Mapping[str, Any]) -> str:
+def _shown(plc: Mapping[str, Any]) -> Text:
+    """What an operator sees on the PLC's side."""
     block = plc.get("block") or {}
-    usable = "usable" if plc.get("usable") else "NOT usable: the PLC falls back to its own logic"
-    return (
-        f"{plc.get('accepted', 0)} blocks accepted, {plc.get('refused', 0)} refused; now "
-        f"{_number(block.get('temperature_now'))} °C, sequence {_number(block.get('sequence'), 0)}, {usable}"
-    )
+    if not plc.get("usable"):
+        return Text("prediction not usable, own logic in force", style="red")
+    return Text(f"{_number(block.get('temperature_now'))} °C, block {_number(block.get('sequence'), 0)}, usable")

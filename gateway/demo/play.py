@@ -2,39 +2,38 @@
 
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.live import Live
 
 from gateway.demo.live import live_table, read_status
 from gateway.demo.prepare import Setting
-from gateway.demo.processes import READY_S, DemoError, Plc, gateway, software_plc
+from gateway.demo.processes import READY_S, DemoError, Plc, gateway, last_words, software_plc
 
 OUTAGE_AT = 0.45
 """Where in the replay the PLC refuses its connections, as a share of its duration."""
 OUTAGE_S = 2.0
 REFRESH_S = 0.25
 
-Show = Callable[[Mapping[str, Any], Mapping[str, Any], str], None]
-
 
 def play(setting: Setting, console: Console, *, quiet: bool) -> tuple[Path, Path]:
-    """Run it; returns the PLC's recording and the gateway's historian. Raises DemoError."""
+    """Run it; returns the PLC's recording and the gateway's historian. Raises DemoError.
+
+    The folder has no recording and no historian of an earlier run.
+    """
     folder = setting.folder
     recording, historian, status = folder / "plc.jsonl", folder / "historian.sqlite", folder / "status.json"
-    for old in (recording, status, *folder.glob("historian.sqlite*")):
-        old.unlink(missing_ok=True)
     with software_plc(setting, recording) as plc, gateway(setting, plc.ready, status) as process:
         _wait_for_readings(status, process, folder)
         plc.command("start")
         plc.command("fault", fault={"kind": "refuse", "start": OUTAGE_AT * setting.seconds, "duration": OUTAGE_S})
         watch = _watch_live if console.is_terminal and not quiet else _watch_plainly
-        watch(setting, plc, process, status, console if not quiet else Console(quiet=True))
+        watch(_states(setting, plc, process, status), console if not quiet else Console(quiet=True))
     if process.returncode != 0:
-        raise DemoError(f"the gateway ended with exit code {process.returncode}; {folder / 'gateway.out'} says why")
+        raise DemoError(f"the gateway ended with code {process.returncode}: {last_words(folder / 'gateway.out')}")
     return recording, historian
 
 
@@ -47,13 +46,7 @@ def _wait_for_readings(status: Path, process: "subprocess.Popen[bytes]", folder:
         if process.poll() is not None:
             break
         time.sleep(0.02)
-    raise DemoError(f"the gateway did not get a good reading; {folder / 'gateway.out'} says why")
-
-
-def _account(plc: Plc, process: "subprocess.Popen[bytes]") -> dict[str, Any]:
-    if process.poll() is not None:
-        raise DemoError(f"the gateway ended early with exit code {process.returncode}")
-    return plc.command("status")
+    raise DemoError(f"the gateway did not get a good reading: {last_words(folder / 'gateway.out')}")
 
 
 def _phase(account: Mapping[str, Any], status: Mapping[str, Any]) -> str:
@@ -62,29 +55,33 @@ def _phase(account: Mapping[str, Any], status: Mapping[str, Any]) -> str:
     return "running" if status["link"]["alive"] else "recovering"
 
 
-def _watch_live(setting: Setting, plc: Plc, process: "subprocess.Popen[bytes]", status: Path, console: Console) -> None:
-    with Live(console=console, refresh_per_second=8, transient=False) as screen:
-        account = _account(plc, process)
-        while not account["ended"]:
-            seen = read_status(status)
-            if seen is not None:
-                screen.update(live_table(seen, account, setting.model.temperature, _phase(account, seen)))
-            time.sleep(REFRESH_S)
-            account = _account(plc, process)
+def _states(
+    setting: Setting, plc: Plc, process: "subprocess.Popen[bytes]", status: Path
+) -> Iterator[tuple[str, RenderableType]]:
+    """(phase, table) four times a second, the last at the end of the trace. Raises DemoError."""
+    ended = False
+    while not ended:
+        if process.poll() is not None:
+            words = last_words(setting.folder / "gateway.out")
+            raise DemoError(f"the gateway ended early with code {process.returncode}: {words}")
+        account, seen = plc.command("status"), read_status(status)
+        ended = bool(account["ended"])
+        if seen is not None and seen["prediction"]:
+            phase = "end of the trace" if ended else _phase(account, seen)
+            yield phase, live_table(seen, account, setting.model.temperature, phase)
+        time.sleep(0.0 if ended else REFRESH_S)
 
 
-def _watch_plainly(
-    setting: Setting, plc: Plc, process: "subprocess.Popen[bytes]", status: Path, console: Console
-) -> None:
-    """Off a terminal: the table once for each phase, and at the end."""
+def _watch_live(states: Iterator[tuple[str, RenderableType]], console: Console) -> None:
+    with Live(console=console, refresh_per_second=8) as screen:
+        for _, table in states:
+            screen.update(table)
+
+
+def _watch_plainly(states: Iterator[tuple[str, RenderableType]], console: Console) -> None:
+    """Off a terminal: the table once for each phase."""
     shown = ""
-    account = _account(plc, process)
-    while not account["ended"]:
-        seen = read_status(status)
-        if seen is not None and seen["prediction"] and (phase := _phase(account, seen)) != shown:
-            console.print(live_table(seen, account, setting.model.temperature, phase))
+    for phase, table in states:
+        if phase != shown:
+            console.print(table)
             shown = phase
-        time.sleep(REFRESH_S)
-        account = _account(plc, process)
-    if (seen := read_status(status)) is not None:
-        console.print(live_table(seen, account, setting.model.temperature, "end of the trace"))

@@ -1,12 +1,14 @@
 """What the demonstration runs on: a model learned from one part of the data, the other part as the PLC's trace."""
 
 import json
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from gateway.devices import load_device
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
 from sim.sha.trace import Trace
@@ -16,6 +18,12 @@ LEARN_SHARE = 0.6
 LEAST_SCAN_S = 0.02
 """Real seconds that a scan may take at least: below it, two cores cannot carry the PLC and the gateway."""
 MOST_SPEED = 100.0
+LEAST_REPLAY_S = 5.0
+"""Plant seconds that a replay must have: below it there is no room for an outage and a recovery at real speed."""
+LEAST_INSIDE = 0.5
+"""Of a signal's readings, the share that a register's range must hold for the register to be meant for it."""
+FIRST_REGISTER = 1000
+"""Where the signals of a foreign trace begin: above the service registers and the block of the decanter's map."""
 PLANT_LIMIT = 80.0
 """degC: the alarm limit of the plant's bearings."""
 
@@ -66,17 +74,21 @@ def split(traces: Sequence[Trace], share: float = LEARN_SHARE) -> tuple[list[Tra
         else:
             after.append(trace)
         budget -= rows
-    after = [trace for trace in after if trace.times.size > 1]
-    if not before or not after:
-        raise ValueError("the trace is too short to learn from one part of it and to replay the other")
-    return before, max(after, key=lambda trace: trace.times.size)
+    replayed = max(after, key=lambda trace: trace.times.size, default=None)
+    if not before or replayed is None or np.ptp(replayed.times) < LEAST_REPLAY_S:
+        raise ValueError(
+            f"there is too little to learn from the first {100 * share:.0f} % and to replay at least "
+            f"{LEAST_REPLAY_S:g} s of the rest; give a longer trace"
+        )
+    return before, replayed
 
 
 def limit_for(training: Sequence[Trace], temperature: str, asked: float | None) -> tuple[float, str]:
     """The alarm limit (degC) and a sentence when it is not the plant's own."""
     if asked is not None:
         return asked, ""
-    hottest = max(float(np.nanmax(trace.signals[temperature])) for trace in training if temperature in trace.signals)
+    seen = [trace.signals[temperature] for trace in training if temperature in trace.signals]
+    hottest = max((float(np.max(column[np.isfinite(column)], initial=-np.inf)) for column in seen), default=-np.inf)
     if hottest < PLANT_LIMIT:
         return PLANT_LIMIT, ""
     limit = round(hottest * 1.05, 1)
@@ -86,37 +98,64 @@ def limit_for(training: Sequence[Trace], temperature: str, asked: float | None) 
     )
 
 
-def pace(trace: Trace, seconds: float) -> tuple[float, float]:
-    """(speed, scan period in plant seconds) for a replay of about `seconds` real seconds."""
-    duration = float(trace.times[-1] - trace.times[0])
+def pace(trace: Trace, seconds: float) -> tuple[Trace, float, float]:
+    """(replay, speed, scan period in plant seconds) for `seconds` real seconds at most; a longer trace is cut."""
+    start = float(trace.times[0])
+    trace = trace.between(start, start + seconds * MOST_SPEED)
     steps = np.diff(trace.times)
     sampling = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 1.0
-    speed = float(np.clip(duration / seconds, 1.0, MOST_SPEED))
-    return speed, max(round(sampling, 2), round(speed * LEAST_SCAN_S, 2), 0.1)
+    speed = float(np.clip(np.ptp(trace.times) / seconds, 1.0, MOST_SPEED))
+    return trace, speed, max(round(sampling, 2), round(speed * LEAST_SCAN_S, 2), 0.1)
+
+
+def suits(device: Path, trace: Trace) -> bool:
+    """True if every signal is a tag of the register map and most of its readings lie in the tag's range.
+
+    Single readings outside are the plant's business: the gateway shall see and refuse them.
+    """
+    tags = {tag.name: tag for tag in load_device(device).tags}
+    for name, column in trace.signals.items():
+        seen, tag = column[np.isfinite(column)], tags.get(name)
+        if tag is None:
+            return False
+        low, high = -np.inf if tag.low is None else tag.low, np.inf if tag.high is None else tag.high
+        if seen.size and np.mean((seen >= low) & (seen <= high)) < LEAST_INSIDE:
+            return False
+    return True
 
 
 def write_device(trace: Trace, alphabet: Alphabet, units: Mapping[str, str], template: Path, out: Path) -> Path:
     """A register map for the signals of a foreign trace, with the service registers and the block of `template`.
 
-    Switches and two-valued signals become bits, everything else 32-bit floats with the low word first.
+    Switches and two-valued signals become bits, everything else 32-bit floats with the low word first. Raises
+    ValueError for a signal that is named like a service register, or beyond what 32 bits hold.
     """
     text = template.read_text(encoding="utf-8")
     head, _, rest = text.partition("[[tags]]")
-    service = rest.index('name = "PlcHeartbeat"')
-    tail = "[[tags]]\n" + rest[service:]
+    tail = "[[tags]]\n" + rest[rest.index('name = "PlcHeartbeat"') :]
+    service = {tag["name"] for tag in tomllib.loads(tail)["tags"]}
     switches = {channel.signal for channel in alphabet.channels if isinstance(channel, Switch)}
-    tags, register = [], 1000
+    tags, register = [], FIRST_REGISTER
     for name, column in trace.signals.items():
         seen = column[np.isfinite(column)]
+        if name in service:
+            raise ValueError(f"the signal {name!r} is named like a register of the PLC's own; rename it in the map")
+        if np.any(np.abs(seen) > np.finfo(np.float32).max):
+            raise ValueError(f"the signal {name!r} has values that no 32-bit float holds; scale it in the map")
         if not seen.size:
             continue
         two_valued = name in switches or set(np.unique(seen)) <= {0.0, 1.0}
         kind = 'dtype = "bool"\nbit = 0' if two_valued else 'dtype = "float32"\norder = "CDAB"'
-        unit = json.dumps(units.get(name, ""), ensure_ascii=False)
-        tags.append(f'[[tags]]\nname = {json.dumps(name)}\naddress = "holding:{register}"\n{kind}\nunit = {unit}\n')
+        unit = _toml(units.get(name, ""))
+        tags.append(f'[[tags]]\nname = {_toml(name)}\naddress = "holding:{register}"\n{kind}\nunit = {unit}\n')
         register += 1 if two_valued else 2
     out.write_text(head + "\n".join(tags) + "\n" + tail, encoding="utf-8")
     return out
+
+
+def _toml(text: str) -> str:
+    """A TOML basic string; JSON's escapes are TOML's, but for characters beyond 16 bits and for DEL."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def write_plant(setting_folder: Path, device: Path, temperature: str, limit: float, period: float) -> Path:
@@ -125,7 +164,7 @@ def write_plant(setting_folder: Path, device: Path, temperature: str, limit: flo
     path.write_text(
         f"""# Written by `decanter demo`: a gateway against a software PLC on this machine.
 [device]
-file = {json.dumps(str(device.absolute()))}
+file = {_toml(str(device.absolute()))}
 host = "127.0.0.1"
 timeout = 0.3
 heartbeat_period = 0.1
@@ -135,7 +174,7 @@ period = {period:g}
 
 [model]
 path = "model"
-temperature = {json.dumps(temperature)}
+temperature = {_toml(temperature)}
 
 [writeback]
 mode = "armed"

@@ -1,4 +1,8 @@
-"""The two processes of the demonstration: started, spoken to, stopped; never left behind."""
+"""The two processes of the demonstration: started, spoken to, stopped; never left behind.
+
+Each has a process group of its own, so that Ctrl-C reaches the demonstration alone and it stops them in order, and each
+stops when its standard input ends, so that none outlives a demonstration that was killed.
+"""
 
 import json
 import os
@@ -6,7 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,6 +22,12 @@ READY_S = 20.0
 
 class DemoError(RuntimeError):
     """A process of the demonstration did not do what it had to; the message says which, and where its words are."""
+
+
+def last_words(log: Path) -> str:
+    """The last line that a process wrote, and where the rest is."""
+    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines() if log.is_file() else []
+    return f"{lines[-1]} ({log})" if lines else f"it left no word in {log}"
 
 
 def _environment() -> dict[str, str]:
@@ -69,12 +79,13 @@ def software_plc(setting: Setting, recording: Path) -> Iterator[Plc]:
             stderr=complaints,
             text=True,
             env=_environment(),
+            process_group=0,
         )
         try:
             plc = Plc(process, {})
             line = plc.pipes[1].readline()
             if not line:
-                raise DemoError(f"the software PLC did not start; {log} says why")
+                raise DemoError(f"the software PLC did not start: {last_words(log)}")
             plc.ready = json.loads(line)
             yield plc
         finally:
@@ -85,25 +96,16 @@ def software_plc(setting: Setting, recording: Path) -> Iterator[Plc]:
 def gateway(setting: Setting, ready: Mapping[str, Any], status: Path) -> Iterator["subprocess.Popen[bytes]"]:
     """Start the gateway on the PLC's clock; asked to stop on leaving."""
     clock = f"{ready['epoch']!r},{ready['monotonic']!r},{ready['speed']!r}"
-    arguments = [
-        "run",
-        "--config",
-        setting.plant,
-        "--port",
-        ready["port"],
-        "--clock",
-        clock,
-        "--status",
-        status,
-        "--quiet",
-    ]
+    arguments = ["run", "--config", setting.plant, "--port", ready["port"], "--clock", clock, "--status", status]
+    arguments += ["--quiet", "--stdin"]
     with (setting.folder / "gateway.out").open("wb") as words:
         process = subprocess.Popen(
             [sys.executable, "-m", "gateway.cli.main", *map(str, arguments)],
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
             stdout=words,
             stderr=subprocess.STDOUT,
             env=_environment(),
+            process_group=0,
         )
         try:
             yield process
@@ -112,15 +114,18 @@ def gateway(setting: Setting, ready: Mapping[str, Any], status: Path) -> Iterato
 
 
 def stop(process: "subprocess.Popen[Any]", patience_s: float = 10.0) -> int:
-    """Ask a process to end, insist after `patience_s`; returns its exit code."""
-    if process.poll() is None:
-        process.send_signal(signal.SIGTERM)
-        try:
-            process.wait(patience_s)
-        except subprocess.TimeoutExpired:
+    """Ask a process to end, insist after `patience_s` or when interrupted once more; returns its exit code."""
+    try:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(patience_s)
+    finally:
+        if process.poll() is None:
             process.kill()
-    code = process.wait()
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            pipe.close()
+        code = process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with suppress(BrokenPipeError):
+                    pipe.close()
     return code

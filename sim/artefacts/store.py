@@ -140,10 +140,10 @@ def _prepare(store: Path) -> None:
 
 def _refuse_strange(store: Path) -> None:
     """Raises ArtefactError for a directory that is used for something else."""
-    if not store.is_dir() or (store / STORE_FILE).exists():
-        return
-    strange = sorted(path.name for path in store.iterdir() if path.name != VERSIONS and not path.name.startswith("."))
-    if strange:
+    # One listing decides: another writer may be making the store at this very moment.
+    names = {path.name for path in store.iterdir()} if store.is_dir() else set()
+    strange = sorted(name for name in names - {VERSIONS} if not name.startswith("."))
+    if strange and STORE_FILE not in names:
         raise at(store, None, f"is no store (it has {strange[0]}); give a new directory or an empty one")
 
 

@@ -7,13 +7,15 @@ good. For programs that may not import the software PLC, the gateway first of al
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import click
 
 from drivers.tag import Quality, Sample
-from sim.plc.checks import InputError
+from sim.plc.checks import InputError, read_text
 from sim.plc.judge import wrong_good
 from sim.plc.recording import Recording, read_recording
 
@@ -22,15 +24,24 @@ SHOWN = 5
 
 def read_samples(path: Path) -> Iterator[Sample]:
     """The samples of a file. Raises InputError with file, line and reason."""
-    with path.open(encoding="utf-8") as lines:
-        for number, line in enumerate(lines, start=1):
-            try:
-                row = json.loads(line)
-                yield Sample(row["tag"], row["value"], Quality(row["quality"]), float(row["time"]), row.get("sent"))
-            except (ValueError, KeyError, TypeError) as error:
-                raise InputError(
-                    f"{path}: line {number}: is no sample ({error}); give tag, value, quality, time"
-                ) from None
+    for number, line in enumerate(read_text(path, "samples of a client").splitlines(), start=1):
+        try:
+            yield _sample(json.loads(line))
+        except (ValueError, KeyError, TypeError) as error:
+            reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
+            raise InputError(
+                f"{path}: line {number}: is no sample ({reason}); give tag, value, quality, time and, if known, sent"
+            ) from None
+
+
+def _sample(row: Mapping[str, Any]) -> Sample:
+    value, sent = row["value"], row.get("sent")
+    if not isinstance(value, bool | int | float | str | None):
+        raise TypeError(f"value {value!r} is no number, text, true, false or null")
+    moments = [float(row["time"]), float(row["time"] if sent is None else sent)]
+    if not all(map(isfinite, moments)) or moments[1] > moments[0]:
+        raise ValueError(f"time {row['time']!r} and sent {sent!r} are no moments of which sent is not the later")
+    return Sample(row["tag"], value, Quality(row["quality"]), moments[0], None if sent is None else moments[1])
 
 
 def counts(recording: Recording) -> dict[str, int]:
@@ -53,7 +64,11 @@ def counts(recording: Recording) -> dict[str, int]:
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.argument("samples", type=click.Path(path_type=Path))
 @click.option(
-    "--tolerance", type=float, default=0.0, show_default=True, help="Age (plant s) that a good value may have."
+    "--tolerance",
+    type=click.FloatRange(0, 86_400),
+    default=0.0,
+    show_default=True,
+    help="Age (plant s) that a good value may have.",
 )
 def main(recording: Path, samples: Path, tolerance: float) -> None:
     """Say how many good samples were wrong, by the software PLC's own recording."""

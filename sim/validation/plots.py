@@ -1,8 +1,11 @@
 """Pictures: measured against predicted with band, events and inputs on one time axis; to a file, never shown."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import cycle
 from pathlib import Path
+from textwrap import shorten
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,8 +14,11 @@ from matplotlib.figure import Figure
 
 from sim.sha.trace import UNKNOWN, Array, Event
 
-MEASURED, PREDICTED, OPEN_LOOP, AHEAD, ALARM = "#222222", "#1f6fb4", "#c65d1e", "#2a8c6a", "#b3261e"
+ENDINGS = (".png", ".pdf", ".svg")
+MEASURED, PREDICTED, OPEN_LOOP, AHEAD, ALARM = "#555555", "#1f6fb4", "#c65d1e", "#2a8c6a", "#b3261e"
 EVENT_COLOURS = ("#1f6fb4", "#c65d1e", "#2a8c6a", "#8a5fb0", "#b08a2e", "#5f7f8f", "#b35a7a", "#6b6b6b")
+TIME_UNITS = (("minutes", 60.0), ("hours", 3600.0), ("days", 86_400.0))
+LONGEST_TITLE = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +36,8 @@ class Curve:
 class Picture:
     """What one picture shows; times in absolute seconds, temperatures in degC.
 
-    `outages` are (start, end) stretches without usable data, `limit` a temperature to mark, `note` a line below the
-    title (say there if the data are synthetic).
+    `outages` are (start, end) stretches without usable data, `limit` a temperature to mark, `note` a line at the
+    bottom (say there if the data are synthetic). Curves may be empty and may have NaN where there is nothing.
     """
 
     title: str
@@ -47,90 +53,133 @@ class Picture:
     units: Mapping[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class _Clock:
+    """The picture's time axis: `unit` of `seconds` each, counted from `origin`."""
+
+    origin: float
+    unit: str
+    seconds: float
+
+    def __call__(self, times: Array) -> Array:
+        return (np.asarray(times, dtype=float) - self.origin) / self.seconds
+
+
 def draw(picture: Picture, path: Path) -> Path:
-    """Write the picture to `path` (PNG, PDF or SVG by its ending) and return the path. Raises OSError."""
+    """Write the picture to `path` and return the path. Raises ValueError for another ending than ENDINGS, OSError."""
+    if path.suffix.lower() not in ENDINGS:
+        raise ValueError(f"{path}: cannot be a picture; give a name that ends in {', '.join(ENDINGS)}")
     rows = 2 + bool(picture.inputs)
     heights = [4.2] + [1.6] * bool(picture.inputs) + [0.9]
-    figure = Figure(figsize=(11, 1.2 + sum(heights)), layout="constrained")
+    figure = Figure(figsize=(11, 1.6 + sum(heights)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(rows, 1, sharex=True, gridspec_kw={"height_ratios": heights}, squeeze=False)[:, 0]
-    origin = float(picture.measured.times[0]) if picture.measured.times.size else 0.0
-    _temperatures(axes[0], picture, origin)
+    clock = _clock(picture)
+    _temperatures(axes[0], picture, clock)
     if picture.inputs:
-        _inputs(axes[1], picture, origin)
-    _events(axes[-1], picture.events, origin)
-    axes[-1].set_xlabel("minutes since the first row")
-    figure.suptitle(picture.title, fontsize=13, x=0.01, ha="left")
+        _inputs(axes[1], picture, clock)
+    _events(axes[-1], picture.events, clock)
+    axes[-1].set_xlabel(f"{clock.unit} since the first row")
+    figure.suptitle(_shortened(picture.title), fontsize=13, x=0.01, ha="left", parse_math=False)
     if picture.note:
-        axes[0].set_title(picture.note, fontsize=9, color="#666666", loc="left")
+        note = _shortened(picture.note)
+        figure.supxlabel(note, fontsize=9, color=MEASURED, x=0.01, ha="left", parse_math=False)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
+        figure.savefig(path, dpi=110)
     return path
 
 
-def _minutes(times: Array, origin: float) -> Array:
-    return (times - origin) / 60.0
+def _shortened(text: str) -> str:
+    return shorten(text, LONGEST_TITLE, placeholder=" ...") if len(text) > LONGEST_TITLE else text
 
 
-def _broken(curve: Curve, origin: float) -> tuple[Array, Array]:
-    """The curve with a NaN in each hole longer than five median steps, so that no line is drawn across a gap."""
-    minutes, values = _minutes(curve.times, origin), np.asarray(curve.values, dtype=float)
-    if minutes.size < 3:
-        return minutes, values
-    steps = np.diff(minutes)
-    holes = np.flatnonzero(steps > max(5 * float(np.median(steps)), 0.25)) + 1
-    return np.insert(minutes, holes, np.nan), np.insert(values, holes, np.nan)
+def _clock(picture: Picture) -> _Clock:
+    """Minutes up to three hours, hours up to three days, then days."""
+    times = picture.measured.times
+    span = float(times[-1] - times[0]) if times.size else 0.0
+    unit, seconds = TIME_UNITS[(span > 3 * 3600) + (span > 3 * 86_400)]
+    return _Clock(float(times[0]) if times.size else 0.0, unit, seconds)
 
 
-def _line(axis: Axes, curve: Curve, origin: float, colour: str, width: float = 1.4, style: str = "-") -> None:
-    minutes, values = _broken(curve, origin)
-    axis.plot(minutes, values, style, color=colour, label=curve.label, linewidth=width)
+def _broken(times: Array, values: Array) -> tuple[Array, Array]:
+    """The curve with a NaN in each hole longer than five median steps and 15 s: no line is drawn across a gap."""
+    seconds, numbers = np.asarray(times, dtype=float), np.asarray(values, dtype=float)
+    if seconds.size < 3:
+        return seconds, numbers
+    steps = np.diff(seconds)
+    holes = np.flatnonzero(steps > max(5 * float(np.median(steps)), 15.0)) + 1
+    return np.insert(seconds, holes, np.nan), np.insert(numbers, holes, np.nan)
+
+
+def _line(axis: Axes, curve: Curve, clock: _Clock, colour: str, width: float = 1.4, style: str = "-") -> None:
+    times, values = _broken(curve.times, curve.values)
+    axis.plot(clock(times), values, style, color=colour, label=_literal(curve.label), linewidth=width)
     if curve.low is not None and curve.high is not None:
-        low = _broken(Curve("", curve.times, curve.low), origin)[1]
-        high = _broken(Curve("", curve.times, curve.high), origin)[1]
-        axis.fill_between(minutes, low, high, color=colour, alpha=0.18, linewidth=0)
+        low, high = _broken(curve.times, curve.low)[1], _broken(curve.times, curve.high)[1]
+        axis.fill_between(clock(times), low, high, color=colour, alpha=0.18, linewidth=0)
 
 
-def _temperatures(axis: Axes, picture: Picture, origin: float) -> None:
+def _temperatures(axis: Axes, picture: Picture, clock: _Clock) -> None:
     measured = picture.measured
+    axis.plot(clock(measured.times), measured.values, ".", color=MEASURED, markersize=3, label=_literal(measured.label))
     if picture.open_loop is not None:
-        _line(axis, picture.open_loop, origin, OPEN_LOOP, width=1.2, style="--")
+        _line(axis, picture.open_loop, clock, OPEN_LOOP, width=1.2, style="--")
     if picture.ahead is not None:
-        _line(axis, picture.ahead, origin, AHEAD)
+        _line(axis, picture.ahead, clock, AHEAD)
     if picture.predicted is not None:
-        _line(axis, picture.predicted, origin, PREDICTED)
-    axis.plot(
-        _minutes(measured.times, origin), measured.values, ".", color=MEASURED, markersize=2, label=measured.label
-    )
-    low, high = axis.get_ylim()
+        _line(axis, picture.predicted, clock, PREDICTED)
     for start, end in picture.outages:
-        axis.axvspan((start - origin) / 60, (end - origin) / 60, color="#999999", alpha=0.25, linewidth=0)
-    if picture.limit is not None and low < picture.limit < high + (high - low):
-        axis.axhline(picture.limit, color=ALARM, linewidth=1, linestyle=":", label=f"limit {picture.limit:g} °C")
+        left, right = clock(np.array([start, end]))
+        axis.axvspan(left, right, color="#999999", alpha=0.25, linewidth=0)
+    if picture.limit is not None:
+        _limit(axis, picture.limit)
     axis.set_ylabel("temperature (°C)")
     axis.grid(alpha=0.25)
-    axis.legend(loc="upper left", fontsize=8, framealpha=0.9)
+    _legend(axis)
 
 
-def _inputs(axis: Axes, picture: Picture, origin: float) -> None:
-    for curve, colour in zip(picture.inputs, EVENT_COLOURS, strict=False):
-        minutes, values = _broken(curve, origin)
+def _limit(axis: Axes, limit: float) -> None:
+    """A line where it is near the curves; a word where it would press them flat."""
+    low, high = axis.get_ylim()
+    text = f"limit {limit:g} °C"
+    if low <= limit <= high + 0.3 * (high - low):
+        axis.axhline(limit, color=ALARM, linewidth=1, linestyle=":", label=text)
+        return
+    where, height, side = ("above", 0.97, "top") if limit > high else ("below", 0.03, "bottom")
+    words = f"{text}, {where} this range"
+    axis.text(0.99, height, words, transform=axis.transAxes, ha="right", va=side, color=ALARM, fontsize=8)
+
+
+def _literal(text: str) -> str:
+    """Neither a formula ($) nor hidden (a leading underscore) to matplotlib."""
+    return (f" {text}" if text.startswith("_") else text).replace("$", r"\$")
+
+
+def _legend(axis: Axes) -> None:
+    """Above the curves, not over them."""
+    axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=5, fontsize=8, frameon=False)
+
+
+def _inputs(axis: Axes, picture: Picture, clock: _Clock) -> None:
+    for curve, colour in zip(picture.inputs, cycle(EVENT_COLOURS), strict=False):
+        times, values = _broken(curve.times, curve.values)
         unit = picture.units.get(curve.label, "")
-        axis.plot(
-            minutes, values, color=colour, linewidth=0.9, label=f"{curve.label} ({unit})" if unit else curve.label
-        )
+        label = f"{curve.label} ({unit})" if unit else curve.label
+        axis.plot(clock(times), values, color=colour, linewidth=0.9, label=_literal(label))
     axis.grid(alpha=0.25)
-    axis.legend(loc="upper left", fontsize=8, framealpha=0.9)
+    _legend(axis)
 
 
-def _events(axis: Axes, events: Sequence[Event], origin: float) -> None:
+def _events(axis: Axes, events: Sequence[Event], clock: _Clock) -> None:
     """One row of ticks a symbol; "unknown" last and in the alarm's colour."""
     symbols = sorted({event.symbol for event in events}, key=lambda symbol: (symbol == UNKNOWN, symbol))
     for row, symbol in enumerate(symbols):
-        minutes = [(event.time - origin) / 60 for event in events if event.symbol == symbol]
+        times = clock(np.array([event.time for event in events if event.symbol == symbol]))
         colour = ALARM if symbol == UNKNOWN else EVENT_COLOURS[row % len(EVENT_COLOURS)]
-        axis.plot(minutes, [row] * len(minutes), "|", color=colour, markersize=8)
-    axis.set_yticks(range(len(symbols)), symbols, fontsize=8)
+        axis.plot(times, [row] * times.size, "|", color=colour, markersize=8)
+    axis.set_yticks(range(len(symbols)), [_literal(symbol) for symbol in symbols], fontsize=8)
     axis.set_ylim(-0.7, max(len(symbols), 1) - 0.3)
     axis.set_ylabel(f"{len(events)} events")
     axis.grid(alpha=0.15)

@@ -43,7 +43,8 @@ def load_traces(source: Source, column_map: ColumnMap) -> tuple[list[Trace], Loa
         traces += [replace(one, name=f"{name}-{n}" if n > 1 else name) for n, one in enumerate(loaded, 1)]
     report = LoadReport(tuple(reports))
     if not traces:
-        errors = report.errors or (f"{source}: there is no CSV file there; give a file, a folder or a pattern",)
+        asked = source if isinstance(source, str | Path) else ", ".join(map(str, source))
+        errors = report.errors or (f"{asked}: there is no CSV file there; give a file, a folder or a pattern",)
         more = f" (and {len(errors) - 1} more files like it)" if len(errors) > 1 else ""
         raise TraceError(errors[0] + more, report)
     return traces, report

@@ -1,0 +1,49 @@
+"""The folder of a demonstration: its own, held by one at a time, and never one with somebody else's files."""
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+MARKER = ".decanter-demo"
+WRITTEN = (
+    "device.toml", "plant.toml", "replay.csv", "plc.jsonl", "plc.log", "gateway.out", "gateway.log.jsonl",
+    "status.json", "samples.jsonl", "demo.png", "historian.sqlite", "historian.sqlite-wal", "historian.sqlite-shm",
+    "historian.sqlite.lock",
+)  # fmt: skip
+"""What a demonstration leaves, beside the folder `model`; the next one in the same folder begins without them."""
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Make the folder, or take over an earlier demonstration's; freed when the process ends, however it ends.
+
+    Raises ValueError, in one sentence, where there is something else, or another demonstration runs there.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not (folder / MARKER).exists() and any(folder.iterdir()):
+            raise ValueError(f"{folder}: holds files that no demo has written; give --out a new or an empty folder")
+        lock = os.open(folder / MARKER, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise ValueError(f"{folder}: cannot be used ({reason}); give --out a folder that this user may write") from None
+    try:
+        _lock(lock, folder)
+        yield
+    finally:
+        os.close(lock)
+
+
+def _lock(descriptor: int, folder: Path) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise ValueError(f"{folder}: another demo is running there; wait, or give --out another folder") from None
+
+
+def clear(folder: Path) -> None:
+    """Remove what an earlier demonstration left. Raises OSError."""
+    for name in WRITTEN:
+        (folder / name).unlink(missing_ok=True)

@@ -1,0 +1,34 @@
+"""Files that are made once for all tests of the command line: a synthetic trace and a model learned from one."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.support import decanter
+
+
+@pytest.fixture(scope="session")
+def traces(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with cd1.csv and cd17.csv."""
+    folder = tmp_path_factory.mktemp("traces")
+    assert decanter("trace", "synth", "cd1", "cd17", "--out", folder).exit_code == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def model(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
+    """A model directory, learned from cd17."""
+    folder = tmp_path_factory.mktemp("learned") / "model"
+    assert decanter("model", "learn", "--traces", traces / "cd17.csv", "--out", folder).exit_code == 0
+    return folder
+
+
+@pytest.fixture
+def wrong(tmp_path: Path) -> Path:
+    """A folder with files that are none of what commands want."""
+    (tmp_path / "empty").touch()
+    (tmp_path / "garbage").write_bytes(b"\xff\xfe\x00\x80" * 500)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "note.txt").write_text("hello", encoding="utf-8")
+    (tmp_path / "cold.csv").write_text("time,MarciaDecanter,Assorbimento\n0,1,10\n1,1,12\n", encoding="utf-8")
+    return tmp_path

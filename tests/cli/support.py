@@ -1,0 +1,51 @@
+"""What the command line's tests share: a run of `decanter` in this process, and checks on what came out."""
+
+import json
+from pathlib import Path
+from typing import Any, NoReturn
+
+from click.testing import CliRunner, Result
+
+from gateway.cli.main import main
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT.parent / "shared" / "data"
+
+
+def decanter(*arguments: object) -> Result:
+    """Run one command; a defect is raised instead of becoming an exit code."""
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def _no_such_number(word: str) -> NoReturn:
+    raise AssertionError(f"{word} is no JSON")
+
+
+def only_object(text: str) -> dict[str, Any]:
+    """The one strict JSON object that is all of `text`."""
+    data = json.loads(text, parse_constant=_no_such_number)
+    assert isinstance(data, dict)
+    assert text.count("\n") == 1
+    return data
+
+
+def refused(result: Result, code: int, *words: str) -> str:
+    """The command left with `code`, said nothing on stdout and one sentence with these words on stderr."""
+    assert (result.exit_code, result.stdout) == (code, ""), result.output
+    said = result.stderr.strip()
+    assert "\n" not in said and said.startswith("decanter: ") and "Traceback" not in said
+    assert "Errno" not in said
+    for word in words:
+        assert word in said, said
+    return said
+
+
+def misused(result: Result, *words: str) -> None:
+    """The command was called wrongly: click's usage, code 2."""
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith("Usage: ")
+    for word in words:
+        assert word in result.stderr
