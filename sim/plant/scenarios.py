@@ -140,9 +140,9 @@ def production(
 
 
 def history_and_day(seed: int = 0) -> tuple[list[Trace], Trace]:
-    """What a gateway at a plant would have: three days of production every 10 s, and the first hour of another day.
+    """What a gateway at a plant would have: three days of production every 10 s, and 56 minutes of another day.
 
-    That hour begins three minutes before the drum starts, has one row every 2 s, and shares no seed with the history.
+    It begins two minutes before the drum starts, has one row every 2 s, and shares no seed with the history.
     """
     days = production(3, seed=2 * seed + 1, name="history")
     first = float(days.times[0])
@@ -153,4 +153,4 @@ def history_and_day(seed: int = 0) -> tuple[list[Trace], Trace]:
     ]
     day = production(1, seed=2 * seed + 102, period=2.0, name="new_day")
     start = float(day.times[np.argmax(day.signals["MarciaDecanter"] > 0)])
-    return history, day.between(start - 180.0, start + 3600.0)
+    return history, day.between(start - 120.0, start + 3240.0)
