@@ -42,7 +42,7 @@ INTERRUPTED = 130
     "--seconds",
     type=click.FloatRange(5, 3600),
     callback=finite,
-    default=38.0,
+    default=34.0,
     show_default=True,
     help="Real time for the replay, at most 100 times faster than it was; a longer trace is cut.",
 )
