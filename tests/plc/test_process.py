@@ -315,12 +315,19 @@ def test_garbage_never_kills_the_server() -> None:
                 noise = draw.randbytes(draw.randrange(1, 300))
                 header = struct.pack(">HHHB", number, 0, min(len(noise) + 1, 254), 1)
                 raw.sock.sendall(noise if number % 2 else header + noise[:253])
-        wait_until(lambda: plc.order("status")["connections"] == 0)
-        with client(plc.port) as raw:
-            assert raw.words(101) == [0xFFFF]
+        # Connections that still wait to be accepted may fill the places for a moment: then a client is sent away.
+        wait_until(lambda: _answers(plc.port))
         plc.stop()
         assert plc.popen.stderr is not None
         assert plc.popen.stderr.read() == ""
+
+
+def _answers(port: int) -> bool:
+    try:
+        with client(port) as raw:
+            return raw.words(101) == [0xFFFF]
+    except ConnectionError:
+        return False
 
 
 def test_it_explains_its_faults_and_commands() -> None:
