@@ -42,15 +42,14 @@ INTERRUPTED = 130
     "--seconds",
     type=click.FloatRange(5, 3600),
     callback=finite,
-    default=34.0,
-    show_default=True,
-    help="Real time for the replay, at most 100 times faster than it was; a longer trace is cut.",
+    help="Real time for the replay, at most 100 times faster than it was; a longer trace is cut.  "
+    "[default: the whole trace, in 34 s or as long as it takes]",
 )
 @seed_option
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Only one JSON object at the end.")
 def demo(
-    paths: Sequence[str], map_name: str, limit: float | None, seconds: float, seed: int, out: Path, as_json: bool
+    paths: Sequence[str], map_name: str, limit: float | None, seconds: float | None, seed: int, out: Path, as_json: bool
 ) -> None:
     """Run the main job end to end: PLC over Modbus TCP, events, prediction, registers written back.
 
@@ -109,9 +108,11 @@ def perform(setting: "Setting", console: "Console", *, as_json: bool) -> dict[st
 
 
 def prepare(
-    paths: Sequence[str], map_name: str, limit: float | None, seconds: float, seed: int, out: Path
+    paths: Sequence[str], map_name: str, limit: float | None, seconds: float | None, seed: int, out: Path
 ) -> "Setting":
     """Learn the model and write all files of the demonstration into `out`. Raises ValueError or OSError."""
+    import numpy as np
+
     from gateway.demo.folder import clear
     from gateway.demo.prepare import Setting, limit_for, pace, split, suits, write_device, write_plant
     from sim.validation.trace_file import write_trace
@@ -135,7 +136,8 @@ def prepare(
         units = {name: signal.unit for name, signal in column_map.signals.items()}
         device = write_device(replayed, column_map.alphabet, units, template, out / "device.toml")
     plant = write_plant(out, device, column_map.temperature, bound, period)
-    notes = tuple(filter(None, (_origin(training, replayed, rest), note)))
+    lasts = f"the replay takes {np.ptp(replayed.times) / speed:.0f} s"
+    notes = tuple(filter(None, (f"{_origin(training, replayed, rest)}; {lasts}", note)))
     return Setting(out, replayed, learned.model, device, plant, out / "replay.csv", bound, speed, period, notes)
 
 

@@ -18,6 +18,8 @@ LEARN_SHARE = 0.6
 LEAST_SCAN_S = 0.02
 """Real seconds that a scan may take at least: below it, two cores cannot carry the PLC and the gateway."""
 MOST_SPEED = 100.0
+REPLAY_S = 34.0
+"""Real seconds that a replay is to take when nobody asks for another time."""
 LEAST_REPLAY_S = 5.0
 """Plant seconds that a replay must have: below it there is no room for an outage and a recovery at real speed."""
 LEAST_INSIDE = 0.5
@@ -98,13 +100,17 @@ def limit_for(training: Sequence[Trace], temperature: str, asked: float | None) 
     )
 
 
-def pace(trace: Trace, seconds: float) -> tuple[Trace, float, float]:
-    """(replay, speed, scan period in plant seconds) for `seconds` real seconds at most; a longer trace is cut."""
+def pace(trace: Trace, seconds: float | None) -> tuple[Trace, float, float]:
+    """(replay, speed, scan period in plant seconds) for `seconds` real seconds at most; a longer trace is cut.
+
+    With None the whole trace is replayed, in REPLAY_S real seconds if MOST_SPEED allows it and longer if not.
+    """
     start = float(trace.times[0])
-    trace = trace.between(start, start + seconds * MOST_SPEED)
+    if seconds is not None:
+        trace = trace.between(start, start + seconds * MOST_SPEED)
     steps = np.diff(trace.times)
     sampling = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 1.0
-    speed = float(np.clip(np.ptp(trace.times) / seconds, 1.0, MOST_SPEED))
+    speed = float(np.clip(np.ptp(trace.times) / (seconds or REPLAY_S), 1.0, MOST_SPEED))
     return trace, speed, max(round(sampling, 2), round(speed * LEAST_SCAN_S, 2), 0.1)
 
 

@@ -90,6 +90,13 @@ def test_a_replay_takes_the_seconds_asked_for_or_less() -> None:
         assert period >= max(0.1, 0.02 * speed - 0.01)
 
 
+def test_without_a_time_the_whole_trace_is_replayed() -> None:
+    for rows in (500, 9000):
+        replay, speed, _ = pace(made(rows, step=1.0), None)
+        assert replay.times.size == rows
+        assert 1.0 <= speed <= 100.0
+
+
 def test_the_limit_is_the_plants_unless_the_data_are_hotter() -> None:
     cold, hot = made(10, T=[20.0] * 9 + [np.nan]), made(10, T=91.7)
     assert limit_for([cold], "T", None) == (80.0, "")
