@@ -54,7 +54,7 @@ def demo(
     """Run the main job end to end: PLC over Modbus TCP, events, prediction, registers written back.
 
     A software PLC replays a trace and the gateway reads it over a real socket, as two processes. The model is learned
-    before: from three synthetic days for the first hour of another one, or from the first 60 % of a trace of yours for
+    before: from three synthetic days for 56 minutes of another one, or from the first 60 % of a trace of yours for
     the rest. Half way the PLC refuses its connections for two seconds.
     """
     from rich.console import Console

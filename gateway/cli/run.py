@@ -82,6 +82,7 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
 
         config = load(path, host, port, None)
         loaded = load_model(config)
+        plan = _plan(config)
     facts: dict[str, str | int] = {
         "configuration": str(path),
         "register map": str(config.map.path),
@@ -93,6 +94,7 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
         else "none: threshold alarm and historian only",
         "write-back": config.writeback.mode,
         "historian": str(config.historian.path),
+        "requests of a scan": "; ".join(plan),
     }
     rows: list[dict[str, Any]] = []
     if connect:
@@ -107,6 +109,16 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
         fail(f"no tag could be read: {bad[0]['reason']}", _connection_code(bad))
     if bad:
         fail(f"{len(bad)} tags are not good, {bad[0]['tag']} the first: {bad[0]['reason']}", Exit.CHECK_FAILED)
+
+
+def _plan(config: "Config") -> tuple[str, ...]:
+    """The requests by which a scan reads all tags, in the driver's own sentences; nothing is sent."""
+    from drivers.driver import Explains
+    from gateway.clock import plant_clock
+    from gateway.startup import make_driver
+
+    driver = make_driver(config, plant_clock())
+    return driver.explain(config.map.tags) if isinstance(driver, Explains) else ()
 
 
 def _show_check(facts: dict[str, str | int], rows: list[dict[str, Any]], bad: int) -> None:

@@ -152,6 +152,10 @@ def test_check_accepts_the_shipped_configuration_as_one_object() -> None:
     assert data["ok"] is True and data["readings"] == [] and data["tags"] > 10
 
 
+def test_check_prints_the_requests_of_a_scan() -> None:
+    assert "holding" in only_object(decanter("check", "--json").stdout)["requests of a scan"]
+
+
 def test_check_names_the_file_and_the_key_of_a_wrong_configuration(wrong: Path) -> None:
     refused(decanter("check", "--config", wrong / "none.toml"), 2, "none.toml")
     refused(decanter("check", "--config", wrong / "empty"), 2, "empty", "device")
