@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.cli.model import learn_from, load, write
+from gateway.cli.learn import learn_from, write
 from gateway.cli.options import finite, map_option, seed_option
 from gateway.cli.output import Exit, emit, fail, progress, sentences, table
 from gateway.cli.places import config_dir, shipped
+from gateway.cli.traces import load
 
 if TYPE_CHECKING:
     from rich.console import Console
