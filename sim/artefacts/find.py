@@ -1,4 +1,4 @@
-"""One door for every command that takes a model: a directory, a store, a version, a JSON file, or a set of artefacts."""
+"""One door for all commands that take a model: a directory, a store, a version, a JSON file, a set of artefacts."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,11 +1,15 @@
-"""Names of locations as identifiers, one mapping for the query language and for the export, so that a query fits both."""
+"""Names of locations as identifiers: one mapping for the query language and the export, so that a query fits both."""
 
 import re
 from collections.abc import Mapping, Sequence
 
-RESERVED = frozenset(
-    ["A", "E", "U", "W", "R", "M", "Pr", "simulate", "true", "false", "deadlock", "and", "or", "not", "imply", "forall", "exists", "sum", "int", "bool", "clock", "chan", "broadcast", "urgent", "committed", "const", "double", "string", "void", "return", "if", "else", "while", "for", "do", "break", "continue", "switch", "case", "default", "struct", "typedef", "process", "system", "state", "guard", "sync", "assign", "before", "after", "location", "init", "trans", "priority", "progress", "meta", "rate", "inf", "sup", "bounds", "min", "max", "Temp", "time", "age", "m_1", "p_1"]
+_WORDS = (
+    "A E U W R M Pr simulate true false deadlock and or not imply forall exists sum int bool clock chan broadcast "
+    "urgent committed const double string void return if else while for do break continue switch case default "
+    "struct typedef process system state guard sync assign before after location init trans priority progress "
+    "meta rate inf sup bounds min max Temp time age m_1 p_1"
 )
+RESERVED = frozenset(_WORDS.split())
 """Words that no location may be called by: UPPAAL's own, and the exported model's."""
 
 
