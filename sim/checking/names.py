@@ -3,14 +3,31 @@
 import re
 from collections.abc import Mapping, Sequence
 
-_WORDS = (
-    "A E U W R M Pr simulate true false deadlock and or not imply forall exists sum int bool clock chan broadcast "
-    "urgent committed const double string void return if else while for do break continue switch case default "
-    "struct typedef process system state guard sync assign before after location init trans priority progress "
-    "meta rate inf sup bounds min max Temp time age m_1 p_1"
+_KEYWORDS = (
+    "const select guard sync assign probability process state branchpoint init trans urgent commit committed "
+    "broadcast system true false and or xor not imply for while do if else default return typedef struct import "
+    "meta before after before_update after_update progress gantt assert IO forall exists sum deadlock priority "
+    "bool int double string chan clock void scalar control control_t simulation minE maxE minPr maxPr loadStrategy "
+    "saveStrategy under imitate strategy simulate sat inf sup bounds Pmax Pr A E U W R M X hybrid dynamic spawn "
+    "exit numOf foreach query location switch case continue break rate min max"
 )
-RESERVED = frozenset(_WORDS.split())
+KEYWORDS = frozenset(_KEYWORDS.split())
+"""What UPPAAL (4.1.20 to 5) keeps for itself in models or queries."""
+
+_FUNCTIONS = (
+    "abs fabs fmod fma fmax fmin fdim exp exp2 expm1 ln log log10 log2 log1p pow sqrt cbrt hypot sin cos tan asin "
+    "acos atan atan2 sinh cosh tanh asinh acosh atanh erf erfc tgamma lgamma ceil floor trunc round fint ldexp "
+    "ilogb logb nextafter copysign fpclassify isfinite isinf isnan isnormal signbit isunordered random "
+    "random_arcsine random_beta random_gamma random_normal random_poisson random_tri random_weibull"
+)
+FUNCTIONS = frozenset(_FUNCTIONS.split())
+"""UPPAAL's built-in functions: words too."""
+
+RESERVED = KEYWORDS | FUNCTIONS | {"Temp", "time", "age", "m_1", "p_1"}
 """Words that no location may be called by: UPPAAL's own, and the exported model's."""
+
+LONGEST = 48
+"""Signs of an identifier: older parsers of UPPAAL cut at 64, and the export puts prefixes before some."""
 
 
 def identifiers(names: Sequence[str]) -> Mapping[str, str]:
@@ -36,7 +53,7 @@ def identifiers(names: Sequence[str]) -> Mapping[str, str]:
 
 
 def _is_identifier(name: str) -> bool:
-    return re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) is not None and name not in RESERVED
+    return re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) is not None and name not in RESERVED and len(name) <= LONGEST
 
 
 def _spelled(name: str) -> str:
@@ -45,4 +62,4 @@ def _spelled(name: str) -> str:
     for sign, word in (("+", "_plus"), ("?", "unknown"), ("<-", "below_minus_"), ("<", "below_"), (">", "above_")):
         text = text.replace(sign, word)
     text = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_") or "q"
-    return text if text[0].isalpha() else f"q_{text}"
+    return (text if text[0].isalpha() else f"q_{text}")[:LONGEST]

@@ -4,7 +4,7 @@ The language is UPPAAL's for statistical and symbolic queries; docs/queries.md i
 since the query's start, temperatures in degC.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
 from typing import Literal
 
@@ -28,7 +28,7 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """`left op right` over numbers and quantities; a leading minus is 0 - right."""
+    """`left op right` over numbers and quantities; -x is 0 - x, but for a number, which is then negative itself."""
 
     op: Arithmetic
     left: "Expression"
@@ -178,12 +178,15 @@ class Expectation:
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """`simulate [<=bound; runs] {e1, e2}`: the courses themselves; `labels` are the expressions as written."""
+    """`simulate [<=bound; runs] {e1, e2}`: the courses themselves.
+
+    `labels` are the expressions as written; spelling makes no other query of it, so they are not compared.
+    """
 
     bound: float
     runs: int
     expressions: tuple[Expression, ...]
-    labels: tuple[str, ...]
+    labels: tuple[str, ...] = field(compare=False)
 
 
 @dataclass(frozen=True, slots=True)
