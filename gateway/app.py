@@ -174,6 +174,7 @@ def snapshot(gateway: Gateway) -> dict[str, Any]:
         "values": _values(gateway),
         "prediction": _prediction(gateway),
         "forecast": _forecast(gateway),
+        "guards": gateway.guard_report(),
         "events": tally.events,
         "recent_events": [list(event) for event in tally.recent],
         "alarms": {name: alarm.state.value for name, alarm in gateway.alarms.items()},

@@ -108,6 +108,36 @@ class ForecastSection(Section):
         return horizons
 
 
+class EnsembleSection(Section):
+    """Models that are followed beside the one of [model]; the forecast is then a mixture of them all."""
+
+    members: Annotated[tuple[FilePath, ...], Field(strict=False)] = Field(
+        (), description="a list of models beside model.path, each a directory or a JSON file"
+    )
+    weights: tuple[float, ...] | Literal["evidence", "equal"] = Field(
+        "evidence", description="'evidence', 'equal' or one number a model, as [0.7, 0.3], model.path's first"
+    )
+    context: Literal["none", "running", "symbols"] = Field(
+        "running",
+        description="'none', 'running' (weights of their own for running and stopped) or 'symbols' (for each "
+        "combination of the alphabet's symbols)",
+    )
+    half_life: float = Field(30.0, gt=0, description="independent forecasts after which evidence counts half")
+    floor: float = Field(0.02, ge=0, lt=1, description="the least weight that evidence leaves a model")
+
+    @field_validator("weights", mode="before")
+    @classmethod
+    def _words_or_numbers(cls, weights: object) -> object:
+        if isinstance(weights, list | tuple):
+            numbers = all(isinstance(one, int | float) and not isinstance(one, bool) and one >= 0 for one in weights)
+            if not numbers or abs(sum(weights) - 1.0) > 1e-6:
+                raise ValueError(f"{list(weights)} must be numbers from 0 that sum to 1; give as many as models")
+            return tuple(float(one) for one in weights)
+        if weights not in ("evidence", "equal"):
+            raise ValueError(f"must be 'evidence', 'equal' or a list of numbers such as [0.7, 0.3], got {weights!r}")
+        return weights
+
+
 class ClockSection(Section):
     """Plant seconds per real second: other than 1 only for replays against a software PLC on this machine."""
 
@@ -123,6 +153,7 @@ class _PlantFile(Section):
     historian: HistorianSection = Field(default_factory=HistorianSection, description="a [historian] table")
     log: LogSection = Field(default_factory=LogSection, description="a [log] table")
     forecast: ForecastSection = Field(default_factory=ForecastSection, description="a [forecast] table")
+    ensemble: EnsembleSection = Field(default_factory=EnsembleSection, description="an [ensemble] table")
     clock: ClockSection = Field(default_factory=ClockSection, description="a [clock] table")
 
 
@@ -140,6 +171,7 @@ class Config:
     historian: HistorianSection
     log: LogSection
     forecast: ForecastSection
+    ensemble: EnsembleSection
     clock: ClockSection
     map: DeviceMap
 
@@ -173,6 +205,7 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
     log = content.log.model_copy(update={"path": content.log.path and home / content.log.path})
     model = content.model.model_copy(update={"path": content.model.path and home / content.model.path})
     device = content.device.model_copy(update={"file": device_file})
+    members = tuple(home / member for member in content.ensemble.members)
     return Config(
         path=path,
         stamp=path.stat().st_mtime,
@@ -184,6 +217,7 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
         historian=historian,
         log=log,
         forecast=content.forecast,
+        ensemble=content.ensemble.model_copy(update={"members": members}),
         clock=content.clock,
         map=device_map,
     )
@@ -211,6 +245,7 @@ def _problems(content: _PlantFile, device: DeviceMap, home: Path) -> list[str]:
             f"model.path: there is nothing at {home / content.model.path}; give a model directory or JSON file, or "
             f"leave the key out to run without a model"
         )
+    problems += _ensemble_problems(content, home)
     if content.writeback.mode != "off" and device.writeback is None:
         problems.append(f"writeback.mode: {device.path} has no [writeback] table; add one or set mode to 'off'")
     horizon = content.writeback.horizon
@@ -221,6 +256,28 @@ def _problems(content: _PlantFile, device: DeviceMap, home: Path) -> list[str]:
         problems.append(
             f"clock.speed: {content.clock.speed:g} is only for a software PLC on this machine, and device.host is "
             f"{content.device.host!r}; set speed to 1"
+        )
+    return problems
+
+
+def _ensemble_problems(content: _PlantFile, home: Path) -> list[str]:
+    """Members that are not there or have no first model beside them, and weights that are not one a model."""
+    ensemble, models = content.ensemble, 1 + len(content.ensemble.members)
+    problems = [
+        f"ensemble.members: there is nothing at {home / path}; give a model directory or JSON file"
+        for path in ensemble.members
+        if not (home / path).exists()
+    ]
+    if ensemble.members and content.model.path is None:
+        problems.append("ensemble.members: members are followed beside model.path, which is missing; give it too")
+    if isinstance(ensemble.weights, tuple) and len(ensemble.weights) != models:
+        problems.append(
+            f"ensemble.weights: has {len(ensemble.weights)} weights for {models} models (model.path and "
+            f"{models - 1} members); give one for each, model.path's first"
+        )
+    if ensemble.floor * models >= 1:
+        problems.append(
+            f"ensemble.floor: {ensemble.floor:g} is too much for {models} models; give less than {1 / models:g}"
         )
     return problems
 

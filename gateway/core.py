@@ -1,5 +1,7 @@
 """One scan through the whole gateway: threshold alarm, model, block, records; and what a restart goes on from."""
 
+from typing import Any
+
 from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Driver
@@ -8,11 +10,22 @@ from gateway.alarms import Alarm, acknowledge, step, to_plain, word
 from gateway.block import Validity, validity
 from gateway.clock import Clock
 from gateway.config import Config
+from gateway.ensemble import Ensemble
+from gateway.guards import Guards
 from gateway.historian import open_historian
 from gateway.outlook import Outlook, block_values
 from gateway.predict import ZONES, Prediction, Predictor
 from gateway.scan import Scan
-from gateway.startup import LoadedModel, load_model, loaded, make_conditions, make_driver, make_writer, restored_alarms
+from gateway.startup import (
+    LoadedModel,
+    load_members,
+    load_model,
+    loaded,
+    make_conditions,
+    make_driver,
+    make_writer,
+    restored_alarms,
+)
 from gateway.status import Link, Tally
 from gateway.writeback import Attempt
 from sim.sha.forecast import Forecast
@@ -30,6 +43,7 @@ class Gateway:
     def __init__(self, config: Config, clock: Clock, log: FilteringBoundLogger, driver: Driver | None = None) -> None:
         self.config, self.clock, self.log = config, clock, log
         self.loaded: LoadedModel | None = load_model(config)
+        self.members = load_members(config, self.loaded)
         self.driver = driver or make_driver(config, clock)
         self.historian, numbers = open_historian(config.historian.path, config.map.tags, max_mb=config.historian.max_mb)
         opened = False
@@ -42,7 +56,10 @@ class Gateway:
 
     def _open(self, numbers: dict[str, int]) -> None:
         config, now = self.config, self.clock.now()
-        self.predictor, self.outlook = self._new_model()
+        self.predictor, self.outlook, self.guards = self._new_model()
+        for one in (self.loaded, *self.members):
+            if one is not None and one.warning:
+                self.log.warning("a model runs that does not verify", reason=one.warning)
         watched = self.predictor.inputs if self.predictor else config.watched
         self.conditions = make_conditions(config, watched)
         self.alarms = restored_alarms(self.conditions, self.historian, now, self.log)
@@ -58,18 +75,23 @@ class Gateway:
         self.attempt: Attempt | None = None
         self.phase = "starting"
         self._acknowledged: int | None = None
+        self._clamped = False
         self._saved = self._cleaned = now
         self._restore(now)
         name = self.loaded.hash if self.loaded else ""
         run = (now, config.model.temperature, name, config.scan.period, config.historian.max_interval)
         self.historian.put("runs", [run])
 
-    def _new_model(self) -> tuple[Predictor | None, Outlook | None]:
+    def _new_model(self) -> tuple[Predictor | None, Outlook | None, Guards | None]:
         if self.loaded is None:
-            return None, None
-        config = self.config
+            return None, None, None
+        config, period = self.config, self.config.scan.period
         predictor = Predictor(self.loaded.model, config.model.temperature)
-        return predictor, Outlook(predictor, config.forecast, config.alarms.limit, config.scan.period)
+        models = [one.model for one in self.members]
+        hashes = [one.hash for one in (self.loaded, *self.members)]
+        ensemble = Ensemble(predictor, hashes, models, config.ensemble, config.forecast, period) if models else None
+        outlook = Outlook(predictor, config.forecast, config.alarms.limit, period, ensemble)
+        return predictor, outlook, Guards(self.loaded.model, config.forecast.horizons)
 
     # ---------------------------------------------------------------- one scan
 
@@ -100,8 +122,8 @@ class Gateway:
 
     def _predict(self, scan: Scan) -> Forecast | None:
         """Move the model on; the newest forecast that may be used, if any."""
-        predictor, outlook = self.predictor, self.outlook
-        if predictor is None or outlook is None:
+        predictor, outlook, guards = self.predictor, self.outlook, self.guards
+        if predictor is None or outlook is None or guards is None:
             return None
         prediction = self.prediction = predictor.step(scan)
         self.historian.put("predictions", [records.prediction_row(prediction)])
@@ -110,18 +132,43 @@ class Gateway:
             self.tally.recent.append((event.time, event.symbol, prediction.location))
             self.log.debug("event", symbol=event.symbol, time=event.time, location=prediction.location)
         self.tally.events += len(prediction.events)
+        self._watch_range(predictor, scan.time)
+        guards.look(prediction, outlook.calibration)
         outlook.settle(scan.time, prediction.measured)
         if prediction.reset:
             outlook.void()
         finished = outlook.collect()
         if finished is not None:
+            guards.made(finished.forecast)
             self.historian.put("forecasts", records.forecast_rows(finished.forecast, finished.measured))
+            self.historian.put("guards", [records.guard_row(scan.time, self.guard_report())])
         return outlook.fresh(scan.time) if prediction.known else None
 
+    def _watch_range(self, predictor: Predictor, now: float) -> None:
+        """Say so when the model leaves its range for the first time."""
+        clamps = predictor.clamps[0]
+        if clamps and not self._clamped:
+            self.log.warning("the model left its range and was put back to its border", time=now, clamps=clamps)
+        self._clamped = clamps > 0
+
+    def guard_report(self) -> dict[str, Any] | None:
+        """The model's guards and the ensemble's weights as plain values; None without a model."""
+        if self.guards is None or self.predictor is None or self.outlook is None:
+            return None
+        ensemble = self.outlook.ensemble
+        return self.guards.plain(self.predictor) | ({"ensemble": ensemble.plain()} if ensemble else {})
+
     def _foresee(self, scan: Scan) -> None:
-        """Begin the next forecast if one is due: after the block is written, since its thread would delay the block."""
+        """Begin the next forecast if one is due: after the block is written, since its thread would delay the block.
+
+        The other models of an ensemble are moved on here for the same reason: only the forecast needs them.
+        """
         p = self.prediction if self.predictor else None
         if p is not None and self.outlook is not None:
+            self.outlook.follow(scan, p.measured)
+            while self.outlook.ensemble and self.outlook.ensemble.complaints:
+                name, reason = self.outlook.ensemble.complaints.pop(0)
+                self.log.warning("a model of the ensemble failed and is left out for now", member=name, reason=reason)
             self.outlook.begin(scan.time, known=p.known and p.inputs_good, measured=p.measured)
 
     def _findings(self, scan: Scan, made: Forecast | None) -> dict[str, float | None]:
@@ -134,6 +181,7 @@ class Gateway:
         return {
             "predicted over limit": limit,
             "anomaly": p.anomaly if p.known and p.inputs_good else None,
+            "review": float(self.guards.flagged) if self.guards and p.known and p.inputs_good else None,
             "inputs bad": float(p.worst),
         }
 
@@ -227,26 +275,34 @@ class Gateway:
         snapshot = self.predictor.snapshot() if self.predictor else None
         if snapshot is not None and self.loaded is not None and self.outlook is not None:
             self.historian.save("belief", now, {"model": self.loaded.hash, **snapshot})
-            self.historian.save("bands", now, {"model": self.loaded.hash, "horizons": self.outlook.snapshot()})
+            reviews = self.guards.snapshot() if self.guards else {}
+            bands = {"model": self.loaded.hash, "horizons": self.outlook.snapshot(), "reviews": reviews}
+            self.historian.save("bands", now, bands)
+            if self.outlook.ensemble is not None:
+                self.historian.save("ensemble", now, self.outlook.ensemble.snapshot())
         if now - self._cleaned >= _HOUR:
             self._cleaned = now
             self.historian.forget_before(now - self.config.historian.retention_days * 86_400.0)
 
     def _restore(self, now: float) -> None:
-        predictor, outlook = self.predictor, self.outlook
+        predictor, outlook, guards = self.predictor, self.outlook, self.guards
         belief, bands = (loaded(self.historian, key, self.log) for key in ("belief", "bands"))
-        if predictor is None or outlook is None or self.loaded is None:
+        if predictor is None or outlook is None or guards is None or self.loaded is None:
             return
         try:
             if belief is not None and belief[1]["model"] == self.loaded.hash and predictor.restore(belief[1], now):
                 self.log.info("goes on from the saved belief", age=now - belief[0])
             if bands is not None and bands[1]["model"] == self.loaded.hash:
                 outlook.restore(bands[1]["horizons"])
-        except (KeyError, TypeError, ValueError) as error:
+                guards.restore(bands[1].get("reviews", {}))
+                members = loaded(self.historian, "ensemble", self.log) if outlook.ensemble else None
+                if members is not None and outlook.ensemble is not None:
+                    outlook.ensemble.restore(members[1], now)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             self.log.warning("the saved state cannot be used; the model begins anew", reason=repr(error))
-            self.predictor, self.outlook = self._new_model()
+            self.predictor, self.outlook, self.guards = self._new_model()
 
     def begin_anew(self) -> None:
         """After a failure: nothing of the model's state is trusted."""
-        self.predictor, self.outlook = self._new_model()
+        self.predictor, self.outlook, self.guards = self._new_model()
         self.prediction = None

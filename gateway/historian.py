@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.tag import Tag
-from gateway.schema import APPLICATION_ID, DELETES, DURABLE, INSERTS, TABLES, VERSION
+from gateway.schema import ADDED, APPLICATION_ID, DELETES, DURABLE, INSERTS, TABLES, VERSION
 
 QUEUE, URGENT = 200_000, 10_000
 BATCH_SECONDS = 1.0
@@ -249,6 +249,7 @@ def _prepared(connection: sqlite3.Connection, path: Path, tags: Iterable[Tag]) -
             connection.execute(statement)
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         connection.execute(f"PRAGMA user_version = {VERSION}")
+    connection.execute(ADDED)
     connection.executemany("INSERT OR IGNORE INTO tags (name, unit) VALUES (?, ?)", [(t.name, t.unit) for t in tags])
     numbers = {str(name): int(number) for number, name in connection.execute("SELECT id, name FROM tags")}
     connection.execute("COMMIT")

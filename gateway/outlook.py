@@ -1,7 +1,7 @@
 """The forecast beside the scan: made in a thread every period, recalibrated by the readings that came true."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from math import inf, isfinite
@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 
 from gateway.config import ForecastSection
+from gateway.ensemble import Ensemble, Job, Together, bands, foresee, run_job
 from gateway.predict import Predictor
-from sim.sha.calibration import Calibration, Horizon, Pending, calibrate, factors, issue, settle
-from sim.sha.forecast import Forecast, forecast
+from gateway.scan import Scan
+from sim.sha.calibration import Calibration, Horizon, Pending, factors, issue, settle
+from sim.sha.ensemble import thinned
+from sim.sha.forecast import LEVELS, Forecast
 
 FRESH_PERIODS = 3.0
 """A forecast older than three of its periods is not used any more."""
@@ -32,15 +35,20 @@ class Outlook:
     Runs are drawn from the clock and the configured seed, so that a replay of the same beliefs gives the same fans.
     """
 
-    def __init__(self, predictor: Predictor, section: ForecastSection, limit: float, scan_period: float) -> None:
+    def __init__(
+        self,
+        predictor: Predictor,
+        section: ForecastSection,
+        limit: float,
+        scan_period: float,
+        ensemble: Ensemble | None = None,
+    ) -> None:
         self.predictor, self.section, self.limit = predictor, section, limit
+        self.ensemble = ensemble
         self.latest: Forecast | None = None
         self.made = 0
-        own = predictor.model.calibration
-        known = sorted(own)
-        given = {h: float(np.interp(h, known, [own[k] for k in known])) if own else 1.0 for h in section.horizons}
-        self.calibration: Calibration = calibrate(given, tolerance=max(5.0, 3.0 * scan_period))
-        self._task: asyncio.Task[Forecast] | None = None
+        self.calibration: Calibration = bands(predictor.model, section, scan_period)
+        self._task: asyncio.Task[Forecast | Together] | None = None
         self._due = -inf
         self._void = False
         self._measured: float | None = None
@@ -67,9 +75,25 @@ class Outlook:
         made, void, self._void = task.result(), self._void, False
         if void:
             return None
+        if isinstance(made, Together):
+            made = self._together(made)
+        else:
+            self.calibration = issue(self.calibration, made)
         self.latest, self.made = made, self.made + 1
-        self.calibration = issue(self.calibration, made)
         return Made(made, self._measured)
+
+    def _together(self, made: Together) -> Forecast:
+        """The mixture; the first model's bands learn from its own forecast, as those of the others from theirs."""
+        own = made.members[0]
+        if self.ensemble is not None and isinstance(own, Forecast):
+            self.calibration = issue(self.calibration, thinned(own, LEVELS))
+            self.ensemble.take(made, made.mixed.time)
+        return made.mixed
+
+    def follow(self, scan: Scan, measured: float | None) -> None:
+        """Move the other models of an ensemble on; nothing without one."""
+        if self.ensemble is not None:
+            self.ensemble.follow(scan, measured)
 
     def begin(self, now: float, *, known: bool, measured: float | None) -> None:
         """Start a forecast in a thread if one is due, none is running and the state of the plant is known."""
@@ -77,17 +101,16 @@ class Outlook:
         if self._task is not None or now < self._due or not known or belief is None or not belief.seen:
             return
         self._due, self._measured = now + self.section.period, measured
-        work = partial(
-            forecast,
-            self.predictor.tracker,
-            belief,
-            self.section.horizons,
-            np.random.default_rng([self.section.seed, int(belief.time * 1000.0)]),
-            limit=self.limit,
-            runs=self.section.runs,
-            calibration=factors(self.calibration),
-        )
-        self._task = asyncio.create_task(asyncio.to_thread(work), name="forecast")
+        seed = (self.section.seed, int(belief.time * 1000.0))
+        job = Job(self.predictor.tracker, belief, factors(self.calibration), seed)
+        self._task = asyncio.create_task(asyncio.to_thread(self._work(job)), name="forecast")
+
+    def _work(self, job: Job) -> Callable[[], Forecast | Together]:
+        ensemble = self.ensemble
+        if ensemble is None:
+            return partial(run_job, job, self.section, self.limit, LEVELS)
+        context = ensemble.context
+        return partial(foresee, job, ensemble.jobs(), ensemble.shares(context), context, self.section, self.limit)
 
     async def close(self) -> None:
         """Wait for the forecast being made; its result is dropped."""

@@ -75,6 +75,11 @@ class Predictor:
         self._cycle_starts = frozenset(c.rising for c in model.alphabet.channels if isinstance(c, Switch))
 
     @property
+    def clamps(self) -> tuple[int, int]:
+        """How often belief and free run were put back to the border of the model's range, since each began."""
+        return (self.belief.clamps if self.belief else 0), (self.free.clamps if self.free else 0)
+
+    @property
     def inputs(self) -> tuple[str, ...]:
         """The tags that the model reads."""
         return self._inputs
@@ -135,7 +140,7 @@ class Predictor:
             if measured is None or None in self.encoder.state.announced:
                 self.free = None
                 return None
-            self.free = replace(expected, x=measured, xx=self.tracker.sensor, xm=0.0, seen=True)
+            self.free = replace(expected, x=measured, xx=self.tracker.sensor, xm=0.0, seen=True, clamps=0)
             self._restart = False
             return None
         if self.free is None:

@@ -5,12 +5,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
 from struct import pack
+from typing import Any
 
 from drivers.tag import Sample, Tag
 from gateway.alarms import Alarm
 from gateway.historian import Row
 from gateway.predict import Prediction
 from gateway.scan import Scan
+from gateway.status import strict
 from gateway.writeback import Attempt
 from sim.sha.forecast import Forecast
 
@@ -81,6 +83,11 @@ def forecast_rows(made: Forecast, measured: float | None) -> list[Row]:
 def event_rows(prediction: Prediction) -> list[Row]:
     """The rows of `events`; the location is the one after all events of the scan."""
     return [(event.time, event.symbol, prediction.location) for event in prediction.events]
+
+
+def guard_row(now: float, report: Mapping[str, Any] | None) -> Row:
+    """A row of `guards`: the report as JSON, numbers that are not finite as null."""
+    return (now, json.dumps(strict(report), ensure_ascii=False))
 
 
 def alarm_row(alarm: Alarm, value: float | None, now: float) -> Row:

@@ -33,6 +33,9 @@ deadband), when its quality changes, and at least every `runs.max_interval` seco
 sample bears the moment of its reading, any other the moment of its scan. `forecasts.measured` is the reading at the
 time the forecast was made: what persistence would have said."""
 
+ADDED = "CREATE TABLE IF NOT EXISTS guards (time REAL PRIMARY KEY, content TEXT NOT NULL) WITHOUT ROWID"
+"""A table that files of layout 1 from earlier gateways lack; it is made when one is opened. `content` is JSON."""
+
 
 def _insert(table: str, columns: int, *, replace: bool = False) -> str:
     verb = "INSERT OR REPLACE" if replace else "INSERT"
@@ -54,6 +57,7 @@ INSERTS: Mapping[str, str] = {
     "writes": _append("writes", "time, sequence, mode, verdict, validity, latency_ms, reason, words"),
     "audit": _append("audit", "time, what, who, reason"),
     "state": _insert("state", 3, replace=True),
+    "guards": _insert("guards", 2, replace=True),
 }
 
 DURABLE = frozenset({"alarms", "writes", "audit", "runs"})
@@ -64,7 +68,7 @@ _OLDEST = "time IN (SELECT time FROM {table} WHERE time < :moment ORDER BY time 
 DELETES: Mapping[str, str] = {
     **{
         table: f"DELETE FROM {table} WHERE {_OLDEST.format(table=table)}"  # noqa: S608
-        for table in ("scans", "predictions", "forecasts", "events", "writes")
+        for table in ("scans", "predictions", "forecasts", "events", "writes", "guards")
     },
     "samples": "DELETE FROM samples WHERE tag = :tag AND time IN "
     "(SELECT time FROM samples WHERE tag = :tag AND time < :moment ORDER BY time LIMIT :rows)",

@@ -1,8 +1,12 @@
 """How right the predictions were, from the historian alone: errors, forecasts against persistence, what was written."""
 
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from math import nan
 from pathlib import Path
+from sqlite3 import Connection
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +50,7 @@ class WriteScore:
 @dataclass(frozen=True, slots=True)
 class Scorecard:
     """`scans` and `samples` (kept) and `events` are counts; `free_run` and `one_step` the errors of the two ways to
-    predict; `forecasts` one score a horizon, ascending."""
+    predict; `forecasts` one score a horizon, ascending; `guards` what the model's guards last said: reviews, clamps."""
 
     scans: int
     samples: int
@@ -56,6 +60,7 @@ class Scorecard:
     band90: float
     forecasts: tuple[HorizonScore, ...]
     writes: WriteScore
+    guards: Mapping[str, Any] = field(default_factory=dict)
 
 
 def scorecard(path: Path) -> Scorecard:
@@ -69,6 +74,7 @@ def scorecard(path: Path) -> Scorecard:
         latencies = [
             float(row[0]) for row in connection.execute("SELECT latency_ms FROM writes WHERE latency_ms IS NOT NULL")
         ]
+        guards = _guards(connection)
     seen = history(path)
     return Scorecard(
         scans=counts["scans"],
@@ -79,7 +85,16 @@ def scorecard(path: Path) -> Scorecard:
         band90=_covered(seen),
         forecasts=tuple(_horizon(one) for _, one in sorted(matured(path).items())),
         writes=WriteScore(verdicts, percentile(latencies, 0.5), percentile(latencies, 0.99)),
+        guards=guards,
     )
+
+
+def _guards(connection: Connection) -> dict[str, Any]:
+    """The newest report of the guards; nothing in a file of an earlier gateway or without a model."""
+    if not connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'guards'").fetchone()[0]:
+        return {}
+    row = connection.execute("SELECT content FROM guards ORDER BY time DESC LIMIT 1").fetchone()
+    return json.loads(row[0]) or {} if row else {}
 
 
 def error(predicted: Array, measured: Array) -> Error:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import structlog
@@ -17,44 +18,90 @@ from gateway.predict import Predictor
 from gateway.quality import STALE_PERIODS
 from gateway.writeback import Arming, Writer
 from sim.artefacts.model_json import model_hash
-from sim.artefacts.store import read_model
+from sim.artefacts.store import forced, read_model
+from sim.checking.verify import verify
 from sim.sha.model import Model
 
 _HERE = frozenset({"soft"})
 """Drivers without an address: everything that they need stands in the device's own file."""
 
 
+REVIEW = "the readings lie beyond 3 sigma of the model too often: look at the sensor, then learn or correct the model"
+
+
 @dataclass(frozen=True, slots=True)
 class LoadedModel:
-    """A model and the SHA-256 of its content."""
+    """A model, the SHA-256 of its content, and a sentence where it runs although it does not verify."""
 
     model: Model
     hash: str
+    warning: str = ""
 
 
 def load_model(config: Config) -> LoadedModel | None:
-    """The configured model; None without one. Raises ConfigError when it cannot be read or does not fit the plant."""
+    """The configured model; None without one.
+
+    Raises ConfigError when it cannot be read, does not verify, or does not fit the plant.
+    """
     path = config.model.path
-    if path is None:
-        return None
+    return None if path is None else _load(config, path, "model.path")
+
+
+def load_members(config: Config, first: LoadedModel | None) -> tuple[LoadedModel, ...]:
+    """The models that are followed beside the `first` one.
+
+    Raises ConfigError as `load_model` does, and for a model that is given twice.
+    """
+    paths = config.ensemble.members
+    loaded = tuple(_load(config, path, f"ensemble.members[{place}]") for place, path in enumerate(paths))
+    known = {} if first is None else {first.hash: "model.path"}
+    for place, one in enumerate(loaded):
+        key = f"ensemble.members[{place}]"
+        other = known.setdefault(one.hash, key)
+        if other != key:
+            raise ConfigError([f"{config.path}: {key}: is the same model as {other}; give each model once"])
+    return loaded
+
+
+def _load(config: Config, path: Path, key: str) -> LoadedModel:
+    """The model at `path`, which the configuration gives under `key`."""
     try:
         model = read_model(path)
         predictor = Predictor(model, config.model.temperature)
+        problem, warning = _unverified(config, model, path, key)
     except (OSError, ValueError) as error:
-        raise ConfigError([f"{config.path}: model.path: {error}"]) from None
-    problems = []
+        raise ConfigError([f"{config.path}: {key}: {error}"]) from None
+    problems = [problem] if problem else []
     if model.temperature != config.model.temperature:
         problems.append(
             f"model.temperature: is {config.model.temperature!r}, and the model at {path} predicts "
             f"{model.temperature!r}; set it to that, or give a model of {config.model.temperature!r}"
         )
     problems += [
-        f"model.path: the model reads {name!r}, no tag of {config.map.path}; add the tag or give another model"
+        f"{key}: the model reads {name!r}, no tag of {config.map.path}; add the tag or give another model"
         for name in predictor.missing(config.map.by_name)
     ]
     if problems:
         raise ConfigError([f"{config.path}: {problem}" for problem in problems])
-    return LoadedModel(model, model_hash(model))
+    return LoadedModel(model, model_hash(model), warning)
+
+
+def _unverified(config: Config, model: Model, path: Path, key: str) -> tuple[str, str]:
+    """(why the model is not run, what to say when it is run all the same); both empty for a deployable one.
+
+    One that was promoted by force is run, but nothing of it is written to a plant. Raises ArtefactError.
+    """
+    reason = "; ".join(verify(model).reasons)
+    if not reason:
+        return "", ""
+    force = forced(path)
+    if force is None:
+        remedy = f"see `decanter model verify {path}`, mend the model, or leave {key} out to run without it"
+        return f"{key}: the model at {path} is not run, as it does not verify: {reason}; {remedy}", ""
+    said = f"the model at {path} does not verify ({reason}); {force.by} promoted it by force: {force.reason}"
+    if config.writeback.mode == "armed":
+        return f"writeback.mode: is 'armed', and {said}; set it to 'shadow', or promote a model that verifies", said
+    return "", said
 
 
 def make_driver(config: Config, clock: Clock) -> Driver:
@@ -92,6 +139,7 @@ def make_conditions(config: Config, inputs: tuple[str, ...]) -> dict[str, Condit
         conditions += [
             Condition("predicted over limit", config.model.temperature, 1, a.p_limit, a.p_limit / 2, 0.0, a.off_delay),
             Condition("anomaly", config.model.temperature, 2, a.anomaly, a.anomaly / 3, 0.0, a.off_delay, 3),
+            Condition("review", config.model.temperature, 5, 0.5, 0.0, 0.0, a.off_delay, 3, REVIEW),
         ]
     bad = Condition("inputs bad", ", ".join(inputs), 4, 0.5, 0.0, STALE_PERIODS * period, 0.0)
     return {condition.name: condition for condition in (*conditions, bad)}

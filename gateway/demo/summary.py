@@ -101,6 +101,7 @@ def result(setting: Setting, recording: Path, historian: Path, picture: Path) ->
             "one_step": {"rmse": card.one_step.rmse, "mae": card.one_step.mae},
         },
         "forecast": _forecasts(card),
+        "guards": dict(card.guards),
         "writeback": {
             "accepted": said["blocks_accepted"],
             "refused": said["blocks_refused"],
@@ -143,6 +144,18 @@ def sentences(data: Mapping[str, Any]) -> list[str]:
             f"{one['persistence_mae']:.3f} °C: {wins}",
             f"  the 90 % band held {100 * one['coverage90']:.0f} % of {one['count']} readings",
         ]
+    return said + _guarded(data["guards"])
+
+
+def _guarded(guards: Mapping[str, Any]) -> list[str]:
+    """What the model's guards had to say, if anything."""
+    said = []
+    if guards.get("review"):
+        flagged = ", ".join(name for name, one in guards["reviews"].items() if one["flagged"])
+        said.append(f"REVIEW: readings lie beyond 3 sigma of the model too often ({flagged})")
+    left = sum(guards.get("clamps", {}).values())
+    if left:
+        said.append(f"the model left its temperature range {left} times and was put back to its border")
     return said
 
 

@@ -61,7 +61,8 @@ class Belief:
     covariance `xx`, `xm`, `mm`; `offset` (degC) is what the inputs `signals` add to the flow's target here. `last` is
     the newest innovation, `recent` the squares of the newest ones (as many as the tracker's window), `evidence` the
     log-likelihood of all readings so far. `samples` counts the readings used, `unmatched` the events that had no edge,
-    `late` the readings and events that came with a time before the belief's. Until `seen`, no temperature was read.
+    `late` the readings and events that came with a time before the belief's, `clamps` the steps that ended beyond the
+    automaton's range and were put back to its border. Until `seen`, no temperature was read.
     """
 
     location: str
@@ -81,6 +82,7 @@ class Belief:
     unmatched: int = 0
     late: int = 0
     seen: bool = False
+    clamps: int = 0
 
     @property
     def age(self) -> float:
@@ -129,17 +131,23 @@ def _before_any_reading(tracker: Tracker, mode: Mode) -> tuple[float, float]:
     return (low + high) / 2.0, (high - low) ** 2 / 12.0
 
 
-def _predict(tracker: Tracker, belief: Belief, time: float) -> tuple[float, float, float]:
-    """(x, xx, xm) at `time`; m and its variance do not move."""
+def _predict(tracker: Tracker, belief: Belief, time: float) -> tuple[float, float, float, int]:
+    """(x, xx, xm) at `time` and whether x was clamped (0 or 1); m and its variance do not move.
+
+    Only a step can leave the automaton's range: a reading beyond it is what the sensor said, and is believed.
+    """
     xx, xm, mm = belief.xx, belief.xm, belief.mm
     dt = time - belief.time
     if dt == 0.0:
-        return belief.x, xx, xm
-    mode, rate = tracker.modes[belief.location], tracker.model.sha.max_rate
+        return belief.x, xx, xm, 0
+    sha = tracker.model.sha
+    mode, rate = tracker.modes[belief.location], sha.max_rate
     age, target = belief.time - belief.entered, belief.m + belief.offset
     decay, pull, variance = mode.step(age, dt)
     x = decay * belief.x + pull * target if rate == inf else mode.mean(belief.x, target, age, dt, rate)
-    return x, decay * decay * xx + 2.0 * decay * pull * xm + pull * pull * mm + variance, decay * xm + pull * mm
+    held = min(max(x, sha.low), sha.high)
+    xx = decay * decay * xx + 2.0 * decay * pull * xm + pull * pull * mm + variance
+    return held, xx, decay * xm + pull * mm, int(held != x)
 
 
 def advance(model: Model | Tracker, belief: Belief, time: float) -> Belief:
@@ -149,8 +157,8 @@ def advance(model: Model | Tracker, belief: Belief, time: float) -> Belief:
     """
     if not belief.time <= time < inf:
         raise ValueError(f"a belief at {belief.time} s cannot be advanced to {time} s: time only goes forward")
-    x, xx, xm = _predict(compiled(model), belief, time)
-    return replace(belief, time=time, x=x, xx=xx, xm=xm)
+    x, xx, xm, clamped = _predict(compiled(model), belief, time)
+    return replace(belief, time=time, x=x, xx=xx, xm=xm, clamps=belief.clamps + clamped)
 
 
 def observe(model: Model | Tracker, belief: Belief, time: float, temperature: float) -> Belief:
@@ -168,7 +176,7 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
     if not belief.seen:
         moved = advance(tracker, belief, time)
         return replace(moved, x=temperature, xx=sensor, xm=0.0, samples=1, seen=True)
-    x, xx, xm = _predict(tracker, belief, time)
+    x, xx, xm, clamped = _predict(tracker, belief, time)
     variance = xx + sensor
     value = temperature - x
     square = value * value / variance
@@ -191,6 +199,7 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
         belief.unmatched,
         belief.late,
         True,
+        belief.clamps + clamped,
     )
 
 

@@ -131,7 +131,7 @@ def _learned(one: Horizon, horizon: float, matured: Pending, temperature: float,
     """One matured forecast counted: it is worth the part of its horizon by which it is newer than the one before."""
     worth = min(max(matured.due - one.last, 0.0) / horizon, 1.0)
     fade = exp(-worth / memory)
-    z = _surprise(matured, temperature)
+    z = deviation(matured, temperature)
     place = int(np.searchsorted(_EDGES, z))
     counts = [count * fade for count in one.counts]
     counts[place] += worth
@@ -144,7 +144,14 @@ def _learned(one: Horizon, horizon: float, matured: Pending, temperature: float,
     )
 
 
-def _surprise(matured: Pending, temperature: float) -> float:
+def matured(one: Horizon, time: float, tolerance: float) -> tuple[Pending, ...]:
+    """The forecasts that a reading at `time` settles: due by now, and not longer ago than `tolerance` seconds."""
+    first, last = bisect_left(one.pending, time - tolerance, key=_due), bisect_right(one.pending, time, key=_due)
+    return one.pending[first:last]
+
+
+def deviation(matured: Pending, temperature: float) -> float:
+    """|reading - median| in standard deviations of the band on that side, before any widening."""
     error = temperature - matured.median
     side = matured.high - matured.median if error >= 0 else matured.median - matured.low
     if side > 0:

@@ -66,6 +66,7 @@ def forecast(
     runs: int = 256,
     events: Sequence[Event] | None = None,
     calibration: Mapping[float, float] | None = None,
+    levels: tuple[float, ...] = LEVELS,
 ) -> Forecast:
     """The forecast from `belief` at `horizons` (s, positive, ascending), by `runs` runs.
 
@@ -74,20 +75,21 @@ def forecast(
     Gaussian ones, and only `exceedance` and the minutes come from runs. `calibration` (horizon in s -> factor of the
     standard deviation, linear in between, constant outside) takes the place of the model's own; it widens the runs
     about their median, in the fan and on the way to the limit alike. When the belief's mean is at the limit already,
-    the exceedance is 1 and the minutes are 0.
+    the exceedance is 1 and the minutes are 0. `levels` are those of the fan; the median must be one of them.
 
-    Raises ValueError on horizons that are not positive and ascending, runs below 2, and a model that cannot be run.
+    Raises ValueError on horizons that are not positive and ascending, levels that do not ascend inside (0, 1) or lack
+    the median, runs below 2, and a model that cannot be run.
     """
     tracker = compiled(model)
     factors = tracker.model.calibration if calibration is None else calibration
-    asked = _asked(tracker, horizons, factors, limit, runs)
+    asked = _asked(tracker, horizons, factors, limit, runs, levels)
     inputs = input_moments(tracker.model, belief.signals)
     if events is None:
         chain = compile_chain(tracker.model)
         place = chain.names.index(belief.location)
         paths, exact = draw_paths(chain, place, belief.age, float(asked.horizons[-1]), runs, rng), None
     else:
-        stays, exact = _known_future(tracker, belief, events, asked.horizons, inputs)
+        stays, exact = _known_future(tracker, belief, events, asked, inputs)
         paths = known_paths(stays, belief.age, runs)
     steps, x0 = lay_out(tracker, belief, paths, asked.grid, inputs, rng)
     done = run(tracker.model.sha, steps, x0)
@@ -103,19 +105,27 @@ class _Asked:
     grid: Array
     at: Indices
     limit: float
+    levels: tuple[float, ...]
 
 
 def _asked(
-    tracker: Tracker, horizons: Sequence[float], calibration: Mapping[float, float], limit: float, runs: int
+    tracker: Tracker,
+    horizons: Sequence[float],
+    calibration: Mapping[float, float],
+    limit: float,
+    runs: int,
+    levels: tuple[float, ...],
 ) -> _Asked:
     asked = np.asarray(horizons, dtype=float)
     if asked.ndim != 1 or not asked.size or not np.all(np.diff(asked, prepend=0.0) > 0) or not isfinite(asked[-1]):
         raise ValueError(f"horizons must be positive seconds in ascending order, got {list(horizons)}")
     if runs < 2:
         raise ValueError(f"a forecast needs at least 2 runs, got {runs}")
+    if 0.5 not in levels or not 0 < levels[0] <= levels[-1] < 1 or np.any(np.diff(levels) <= 0):
+        raise ValueError(f"levels must ascend inside (0, 1) and have the median 0.5, got {list(levels)}")
     points = _points(tracker, float(asked[-1]))
     grid = np.union1d(np.linspace(0.0, asked[-1], points + 1)[1:], asked)
-    return _Asked(asked, _factors(calibration, asked), grid, np.searchsorted(grid, asked), limit)
+    return _Asked(asked, _factors(calibration, asked), grid, np.searchsorted(grid, asked), limit, levels)
 
 
 def _told(
@@ -132,13 +142,13 @@ def _told(
     rows, columns = steps.marks[asked.at], np.arange(done.end.shape[1])
     if exact is None:
         read = done.end[rows, columns] + tracker.model.sensor_sigma * rng.standard_normal(rows.shape)
-        exact = np.quantile(read, LEVELS, axis=1)
+        exact = np.quantile(read, asked.levels, axis=1)
     reached, names = _reached(belief, asked, steps, done), [place.name for place in tracker.model.sha.locations]
     return Forecast(
         time=belief.time,
         horizons=asked.horizons,
-        levels=LEVELS,
-        quantiles=_widened(exact, asked.factors),
+        levels=asked.levels,
+        quantiles=_widened(exact, asked.factors, asked.levels.index(0.5)),
         locations=tuple(_shares(names, row) for row in steps.location[rows, columns]),
         limit=asked.limit,
         exceedance=tuple(clopper_pearson(float(share) * columns.size, columns.size) for share in reached[asked.at + 1]),
@@ -173,8 +183,8 @@ def _factors(calibration: Mapping[float, float], horizons: Array) -> Array:
     return np.asarray(factors)
 
 
-def _widened(quantiles: Array, factors: Array) -> Array:
-    median = quantiles[LEVELS.index(0.5)]
+def _widened(quantiles: Array, factors: Array, middle: int) -> Array:
+    median = quantiles[middle]
     return np.asarray(median + factors * (quantiles - median))
 
 
@@ -224,14 +234,14 @@ def _minutes(clock: Array, reached: Array) -> tuple[float, float, float]:
 
 
 def _known_future(
-    tracker: Tracker, belief: Belief, events: Sequence[Event], horizons: Array, inputs: Array
+    tracker: Tracker, belief: Belief, events: Sequence[Event], asked: _Asked, inputs: Array
 ) -> tuple[list[tuple[float, int]], Array]:
     """The stays (seconds from now, location index) that `events` lead through, and the exact quantiles (L, H)."""
     index = {location.name: row for row, location in enumerate(tracker.model.sha.locations)}
     stays = [(0.0, index[belief.location])]
-    spread = np.asarray(ndtri(LEVELS))
+    spread = np.asarray(ndtri(asked.levels))
     columns, coming, ahead = [], sorted(events, key=lambda event: event.time), belief
-    for horizon in horizons.tolist():
+    for horizon in asked.horizons.tolist():
         while coming and coming[0].time <= belief.time + horizon:
             event = coming.pop(0)
             target, _ = next_location(tracker, ahead.location, event.symbol)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 
 from sim.sha.automaton import SHA, Distribution
 from sim.sha.events import Alphabet
@@ -18,6 +19,26 @@ class Stay:
     law: Distribution
     to: Mapping[str, float]
     inputs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """What the sensor reads when the automaton is at T: T' = gain * T + offset (`offset` in degC).
+
+    Raises ValueError unless the gain is positive and both are finite.
+    """
+
+    gain: float = 1.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.gain) and self.gain > 0 and isfinite(self.offset)):
+            raise ValueError(f"a correction needs a positive gain and a finite offset, got {self.gain}, {self.offset}")
+
+    @property
+    def identity(self) -> bool:
+        """True where the sensor reads what the automaton says."""
+        return self.gain == 1.0 and self.offset == 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +61,11 @@ class Provenance:
 class Model:
     """`sha` run on `temperature` (the signal's name), fed by events of `alphabet`.
 
-    `sensor_sigma` is the sensor's standard deviation (degC), `initial` the law of a trace's first temperature,
+    `sensor_sigma` is the sensor's standard deviation (degC), `initial` the law of a trace's first temperature as read,
     `semi_markov` the stay of each location by its name, `calibration` the factor by which the forecast's standard
-    deviation at each horizon (s) must be multiplied to cover what it says (learned on held-out cycles).
+    deviation at each horizon (s) must be multiplied to cover what it says (learned on held-out cycles). `correction`
+    leads from the automaton's temperature to the sensor's; whoever runs a model speaks of the sensor's
+    (`sim.sha.correction`), while `sha` alone is the automaton's own.
     """
 
     sha: SHA
@@ -53,3 +76,4 @@ class Model:
     semi_markov: Mapping[str, Stay] = field(default_factory=dict)
     calibration: Mapping[float, float] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=lambda: Provenance(method="by hand"))
+    correction: Correction = Correction()

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sim.sha import flows
 from sim.sha.automaton import SHA, Flow, transitions
+from sim.sha.correction import in_sensor_scale
 from sim.sha.flows import Coefficients
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Array, Event, Mask, Trace
@@ -83,9 +84,10 @@ def schedule(
     edge has the symbol).
 
     Raises ValueError on a model that is not deterministic or has guards, on output or event times that go back or are
-    no numbers, on an output before `start`, and on a missing input signal.
+    no numbers, on an output before `start`, and on a missing input signal. A model's correction is worked into the
+    schedule's automaton: temperatures along it are the sensor's.
     """
-    sha = model.sha if isinstance(model, Model) else model
+    sha = in_sensor_scale(model).sha if isinstance(model, Model) else model
     times = _checked_outputs(outputs, start)
     begin = float(times[0]) if start is None else float(start)
     walk = _walk(sha, events, begin, float(times[-1]), policy)

@@ -11,6 +11,7 @@ from typing import Literal
 
 from sim.sha import distributions
 from sim.sha.automaton import Location, transitions
+from sim.sha.correction import in_sensor_scale
 from sim.sha.entry import check_sha, drawn_temperature, mode_parameter
 from sim.sha.flows import mean_step
 from sim.sha.model import Model
@@ -62,6 +63,7 @@ class Mode:
 class Tracker:
     """A model made ready (`compile_model`): no state in here, it may be shared.
 
+    `model` is the one that was given, in the sensor's scale (`correction.in_sensor_scale`).
     `moves` are the edges, `fallback` where a symbol leads under `resync`, `inputs` the signals that drive some flow,
     `window` the number of innovations in the anomaly test, `sensor` the variance of a reading (degC^2).
     """
@@ -89,6 +91,7 @@ def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 3
         raise ValueError(f"unknown policy {policy!r}: online the known ones are ignore and resync")
     if window < 1:
         raise ValueError(f"the anomaly test needs a window of at least 1 innovation, got {window}")
+    model = in_sensor_scale(model)
     return Tracker(
         model=model,
         modes={location.name: _mode(location) for location in model.sha.locations},

@@ -1,0 +1,82 @@
+"""The calibration correction T' = k T + b: a model written in the scale of the sensor that it is compared with.
+
+T is the automaton's temperature, T' what the sensor reads. Every flow is affine in T and in the mode parameter m, so
+the corrected model is again a model, with every temperature mapped by k T + b and every difference, rate, gain and
+noise multiplied by k. All that runs a model (`schedule`, `compile_model`, and with them simulation, open loop, belief
+and forecast) takes this form of it, so start temperatures, readings, limits and quantiles are all of T', and the
+sensor's noise, which is measured in T', stays as it is. The automaton's range becomes [k low + b, k high + b].
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import log
+
+from sim.sha.automaton import SHA, Distribution, Flow, Input, Location
+from sim.sha.flows import FIXED, RELAXING
+from sim.sha.model import Correction, Model
+
+
+def in_sensor_scale(model: Model) -> Model:
+    """The model with its correction worked into the automaton: it speaks of T' and has no correction left.
+
+    An identity gives the very same model. Raises ValueError, naming the location, where an offset meets a law that
+    cannot be shifted: only normal ones can.
+    """
+    correction = model.correction
+    if correction.identity:
+        return model
+    sha = model.sha
+    scaled = SHA(
+        sha.name,
+        tuple(_location(sha, location, correction) for location in sha.locations),
+        sha.edges,
+        sha.initial,
+        max_rate=correction.gain * sha.max_rate,
+        low=corrected(correction, sha.low),
+        high=corrected(correction, sha.high),
+    )
+    return replace(model, sha=scaled, correction=Correction())
+
+
+def corrected(correction: Correction, temperature: float) -> float:
+    """What the sensor reads (degC) when the automaton is at `temperature`."""
+    return correction.gain * temperature + correction.offset
+
+
+def _location(sha: SHA, location: Location, correction: Correction) -> Location:
+    law = location.distribution
+    absolute = location.entry == "resample" or location.flow.kind in RELAXING
+    offset = correction.offset if absolute else 0.0
+    try:
+        scaled = None if law is None else _law(law, correction.gain, offset)
+    except ValueError as error:
+        raise ValueError(f"SHA {sha.name!r}, location {location.name!r}: {error}") from None
+    return replace(location, flow=_flow(location.flow, correction), distribution=scaled)
+
+
+def _flow(flow: Flow, correction: Correction) -> Flow:
+    """Noise and gains are multiplied, a fixed m is mapped as what it is: a temperature or a rate; 1/s and s stay."""
+    params = dict(flow.params)
+    params["noise"] = correction.gain * params["noise"]
+    if FIXED in params:
+        shift = correction.offset if flow.kind in RELAXING else 0.0
+        params[FIXED] = correction.gain * params[FIXED] + shift
+    inputs = tuple(Input(one.signal, correction.gain * one.gain, one.reference) for one in flow.inputs)
+    return Flow(flow.kind, params, inputs)
+
+
+def _law(law: Distribution, gain: float, offset: float) -> Distribution:
+    """The law of gain * value + offset."""
+    if law.kind == "normal":
+        mu, sigma = law.params["mu"], law.params["sigma"]
+        return Distribution("normal", {"mu": gain * mu + offset, "sigma": gain * sigma})
+    if offset:
+        raise ValueError(f"a correction with an offset cannot shift a {law.kind} law; give a gain alone")
+    multiplied: Mapping[str, Mapping[str, float]] = {
+        "exponential": {"mean": gain},
+        "weibull": {"shape": 1.0, "scale": gain},
+    }
+    if law.kind == "lognormal":
+        return Distribution(law.kind, {**law.params, "mu": law.params["mu"] + log(gain)})
+    factors = multiplied.get(law.kind, {})
+    return Distribution(law.kind, {name: factors.get(name, 1.0) * value for name, value in law.params.items()})

@@ -1,0 +1,193 @@
+"""An ensemble without a gateway: a mixture is one, weights follow the evidence, contexts borrow, nobody is lost."""
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+from scipy.stats import norm
+
+from sim.sha.ensemble import (
+    DENSE,
+    Evidence,
+    Pool,
+    issue,
+    learn,
+    log_density,
+    mixture,
+    settle,
+    thinned,
+    weights,
+)
+from sim.sha.forecast import LEVELS, Forecast
+from sim.sha.scores import Estimate
+
+HORIZONS = np.array([60.0, 300.0])
+
+
+def gaussian(
+    mean: float, sigma: float, p: float = 0.0, minutes: tuple[float, float, float] = (np.inf,) * 3
+) -> Forecast:
+    column = norm.ppf(DENSE, mean, sigma)
+    return Forecast(
+        time=0.0,
+        horizons=HORIZONS,
+        levels=DENSE,
+        quantiles=np.column_stack([column, column]),
+        locations=({"on": 1.0}, {"on": 0.5, "off": 0.5}),
+        limit=80.0,
+        exceedance=(Estimate(p, max(p - 0.1, 0.0), min(p + 0.1, 1.0), 100),) * 2,
+        minutes_to_limit=minutes,
+        runs=100,
+        factors=np.ones(2),
+    )
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.0, 1.0), st.floats(-30.0, 30.0), st.floats(0.2, 5.0))
+def test_the_quantiles_of_a_mixture_are_those_of_the_weighted_distribution_functions(
+    weight: float, apart: float, spread: float
+) -> None:
+    mixed = mixture([gaussian(50.0, 1.0), gaussian(50.0 + apart, spread)], [weight, 1.0 - weight], LEVELS)
+
+    def below(x: float) -> float:
+        return weight * norm.cdf(x, 50.0, 1.0) + (1 - weight) * norm.cdf(x, 50.0 + apart, spread)
+
+    for level, value in zip(LEVELS, mixed.quantiles[:, 0], strict=True):
+        # In levels, as a quantile is not sharp where the mixture has a gap; 0.01 is the grain of the members' fans.
+        assert below(value + 1e-6) >= level - 0.011 and below(value - 1e-6) <= level + 0.011
+    assert np.all(np.diff(mixed.quantiles[:, 0]) >= 0)
+
+
+def test_a_known_mixture_to_a_hundredth_of_a_degree() -> None:
+    mixed = mixture([gaussian(50.0, 1.0), gaussian(53.0, 2.0)], [0.7, 0.3], LEVELS)
+    for level, value in zip(LEVELS, mixed.quantiles[:, 1], strict=True):
+        exact = brentq(lambda x, p=level: 0.7 * norm.cdf(x, 50, 1) + 0.3 * norm.cdf(x, 53, 2) - p, 0.0, 100.0)
+        assert value == pytest.approx(exact, abs=0.02)
+
+
+def test_a_member_with_all_the_weight_is_the_mixture() -> None:
+    one, other = gaussian(50.0, 1.0, 0.2), gaussian(60.0, 1.0, 0.9)
+    mixed = mixture([one, other], [1.0, 0.0], LEVELS)
+    np.testing.assert_array_equal(mixed.quantiles, thinned(one, LEVELS).quantiles)
+    assert mixed.exceedance[0].probability == pytest.approx(0.2)
+    assert mixed.locations[1] == one.locations[1]
+
+
+def test_exceedance_is_the_weighted_mean_never_falls_with_the_horizon_and_so_do_its_ends() -> None:
+    one, other = gaussian(50.0, 1.0, 0.2), gaussian(60.0, 1.0, 0.6)
+    mixed = mixture([one, other], [0.5, 0.5], LEVELS)
+    e = mixed.exceedance[0]
+    assert (e.probability, e.low, e.high) == pytest.approx((0.4, 0.3, 0.5))
+    falling = mixture([one, other], [[0.0, 1.0], [1.0, 0.0]], LEVELS)
+    assert [e.probability for e in falling.exceedance] == pytest.approx([0.6, 0.6])
+
+
+def test_minutes_to_the_limit_come_from_the_mixed_chances() -> None:
+    sure = gaussian(79.0, 1.0, 1.0, (0.2, 0.5, 0.8))
+    never = gaussian(40.0, 1.0, 0.0)
+    low, median, high = mixture([sure, never], [0.5, 0.5], LEVELS).minutes_to_limit
+    assert low == pytest.approx(0.2 + 0.3 * 0.05 / 0.45), "5 % of all are 10 % of the sure one's"
+    assert median == pytest.approx(1.0) and high == np.inf
+    assert mixture([sure, sure], [0.5, 0.5], LEVELS).minutes_to_limit == pytest.approx((0.2, 0.5, 0.8))
+    assert mixture([never, never], [0.5, 0.5], LEVELS).minutes_to_limit == (np.inf,) * 3
+
+
+def test_forecasts_of_other_horizons_or_limits_and_weights_that_are_none_are_refused() -> None:
+    one = gaussian(50.0, 1.0)
+    with pytest.raises(ValueError, match="same horizons"):
+        mixture([one, replace(one, limit=90.0)], [0.5, 0.5], LEVELS)
+    for wrong in ([0.5, 0.6], [1.5, -0.5], [1.0]):
+        with pytest.raises(ValueError, match=r"weights"):
+            mixture([one, one], wrong if len(wrong) > 1 else [0.4, 0.4], LEVELS)
+    with pytest.raises(ValueError, match="floor"):
+        Pool(2, floor=0.5)
+
+
+def test_a_fans_density_is_a_gaussians_inside_and_its_tails_hold_the_rest() -> None:
+    levels, quantiles = np.array(DENSE), norm.ppf(DENSE)
+    for x in (-1.5, 0.0, 0.7):
+        assert log_density(levels, quantiles, x) == pytest.approx(norm.logpdf(x), abs=0.1)
+    grid = np.linspace(-40.0, 40.0, 400_001)
+    few = norm.ppf(LEVELS)
+    mass = np.trapezoid([np.exp(log_density(LEVELS, few, float(x))) for x in grid[::100]], grid[::100])
+    assert mass == pytest.approx(1.0, abs=0.02)
+    assert log_density(LEVELS, few, 1e3) > -2e3, "linear in the distance, not quadratic"
+    assert np.isfinite(log_density(LEVELS, [5.0] * 5, 5.0))
+
+
+def taught(pool: Pool, said: list[tuple[str, tuple[float | None, ...]]]) -> Pool:
+    for context, densities in said:
+        pool = learn(pool, context, densities)
+    return pool
+
+
+def test_weights_go_to_the_model_that_was_right_and_come_back_after_a_change() -> None:
+    first = taught(Pool(2), [("", (0.0, -3.0))] * 200)
+    assert weights(first)[0] > 0.85 and sum(weights(first)) == pytest.approx(1.0)
+    assert weights(first)[1] >= first.floor
+    after = taught(first, [("", (-3.0, 0.0))] * 60)
+    assert weights(after)[1] > 0.5, "two half-lives"
+
+
+def test_credits_fade_with_the_stated_half_life() -> None:
+    pool = taught(Pool(2, half_life=10.0), [("", (0.0, -50.0))] * 5)
+    before = pool.overall[0]
+    after = taught(pool, [("", (-50.0, 0.0))] * 10)
+    assert after.overall[0] == pytest.approx(before / 2.0, rel=0.2)
+
+
+def test_the_weights_found_are_those_of_greatest_density_of_the_mixture() -> None:
+    rng = np.random.default_rng(7)
+    y = np.where(rng.random(4000) < 0.75, rng.normal(0, 1, 4000), rng.normal(4, 1, 4000))
+    pool = Pool(2, half_life=1500.0)
+    for value in y:
+        pool = learn(pool, "", (float(norm.logpdf(value, 0, 1)), float(norm.logpdf(value, 4, 1))))
+    assert weights(pool)[0] == pytest.approx(0.75, abs=0.04)
+
+
+def test_contexts_have_weights_of_their_own_and_one_without_evidence_has_the_overall_ones() -> None:
+    pool = taught(Pool(2), [("on", (0.0, -3.0)), ("off", (-3.0, 0.0))] * 100)
+    assert weights(pool, "on")[0] > 0.75 and weights(pool, "off")[1] > 0.75
+    assert weights(pool, "never seen") == weights(pool)
+    little = learn(pool, "new", (0.0, -3.0))
+    assert weights(little)[0] < weights(little, "new")[0] < weights(little, "on")[0]
+
+
+def test_a_member_without_a_forecast_neither_wins_nor_loses() -> None:
+    pool = taught(Pool(3), [("", (0.0, -3.0, None))] * 100)
+    w = weights(pool)
+    assert w[2] == pytest.approx(1 / 3, abs=0.02)
+    assert w[0] > w[2] > w[1]
+    assert learn(pool, "", (None, None, 0.0)) is pool
+
+
+def test_fixed_weights_stay() -> None:
+    pool = taught(Pool(2, fixed=(0.7, 0.3)), [("", (-9.0, 0.0))] * 50)
+    assert weights(pool) == (0.7, 0.3)
+
+
+def test_evidence_waits_for_the_reading_counts_overlap_once_and_drops_what_is_overdue() -> None:
+    good, bad = gaussian(50.0, 1.0), gaussian(60.0, 1.0)
+    evidence = Evidence(Pool(2, strength=1e-9, floor=0.0))
+    for second in (0.0, 6.0, 200.0):
+        at = [replace(one, time=second) for one in (good, bad)]
+        evidence = issue(evidence, 60.0, "on", at)
+    assert settle(evidence, 60.0, 59.0, 50.0, 5.0) is evidence
+    first = settle(evidence, 60.0, 61.0, 50.0, 5.0)
+    second = settle(first, 60.0, 66.0, 50.0, 5.0)
+    assert sum(first.pool.overall) == pytest.approx(1.0)
+    assert sum(second.pool.overall) == pytest.approx(1.1, abs=0.01), "six seconds newer: a tenth of a forecast"
+    assert second.pool.contexts.keys() == {"on"}
+    late = settle(second, 60.0, 300.0, 50.0, 5.0)
+    assert late.pending == () and late.pool == second.pool
+    assert settle(second, 60.0, 260.0, float("nan"), 5.0).pending == second.pending
+    assert issue(evidence, 60.0, "on", [good, None]) is evidence
+
+
+def test_a_pool_is_plain_enough_for_json() -> None:
+    pool = taught(Pool(2), [("on", (0.0, -1.0))] * 3)
+    assert json.loads(json.dumps(asdict(pool)))["contexts"]["on"] == list(pool.contexts["on"])
