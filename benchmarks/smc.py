@@ -1,0 +1,232 @@
+"""Statistical checking: agreement with quadrature on first passage, and runs per second against scalar C.
+
+The table of parameter sets (`--table`) is the proof of agreement: for each, the probability by quadrature
+(`sim.checking.quadrature`), the answer's interval, and whether the one lies in the other. The speeds are those of
+47 events in 444 s, looked at when the run ends, and on 400 bridged steps. The C program (`smc.c`) walks the same steps
+and is compiled here; without a compiler the method's own figures stand in its place, and the row says so.
+"""
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from math import isnan
+from pathlib import Path
+from time import process_time
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.figures import Figure, give
+from benchmarks.simulation import EVENTS, ROWS, SECONDS, SYMBOLS, plant
+from sim.checking.answer import Answer, Settings, Start, answer, initial
+from sim.checking.answer_estimates import prepared
+from sim.checking.answer_runs import LARGEST, Sampler, sampler
+from sim.checking.paths_known import Known
+from sim.checking.quadrature import Stretch, first_passage
+from sim.checking.query import Compare, Eventually, Number, Probability, Quantity, Span
+from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
+from sim.sha.events import Alphabet
+from sim.sha.model import Model
+from sim.sha.trace import Event, Trace
+
+REFERENCE = {"events": 2.25e6, "dense": 3.2e5}
+"""Runs per second of the reference in scalar C, one thread, measured elsewhere."""
+
+RARE = 1e-3
+"""Below this the table takes importance splitting."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A start temperature, the stays to come (with events between them), and the limit to be reached."""
+
+    name: str
+    x0: float
+    stretches: tuple[Stretch, ...]
+    limit: float
+
+
+def _flow(kind: str, **constants: float) -> Flow:
+    return Flow(kind, {"noise": 0.1, **constants})
+
+
+def parameter_sets() -> list[Case]:
+    """Four kinds of flow, one stay and two, with and without a drawn mode parameter, from 0.9 to below 1e-6."""
+    cases = []
+    for limit in (41.0, 44.0, 46.0, 50.0, 52.0):
+        cases.append(Case("drift", 40.0, (Stretch(_flow("linear"), 0.005, 444.0),), limit))
+    for limit in (42.0, 46.0, 49.0):
+        cases.append(Case("no drift", 40.0, (Stretch(_flow("constant"), 0.0, 444.0),), limit))
+    for limit in (42.5, 44.0, 45.0, 45.5, 46.0):
+        cases.append(Case("relaxing", 40.0, (Stretch(_flow("exponential", k=0.01), 42.0, 444.0),), limit))
+    for limit in (44.0, 46.0, 48.0):
+        cases.append(Case("relaxing, m drawn", 40.0, (Stretch(_flow("exponential", k=0.01), 42.0, 444.0, 1.0),), limit))
+    for limit in (41.0, 41.5):
+        cases.append(Case("fast", 40.0, (Stretch(_flow("exponential", k=0.2), 40.5, 444.0),), limit))
+    for limit in (44.0, 47.0, 50.0):
+        cases.append(Case("logarithmic", 40.0, (Stretch(_flow("logarithmic", t0=20.0), 1.0, 444.0, 0.2),), limit))
+    hot = Stretch(Flow("exponential", {"k": 0.02, "noise": 0.15}), 43.0, 344.0, 0.5)
+    two = (Stretch(_flow("exponential", k=0.01), 42.0, 100.0, 1.0), hot)
+    for limit in (45.0, 46.0, 47.5):
+        cases.append(Case("two stays, m drawn", 40.0, two, limit))
+    return cases
+
+
+def start_of(case: Case) -> Start:
+    """The case as a model along a trace with one event between two stays."""
+    names = [f"q_{index}" for index in range(len(case.stretches))]
+    laws = [Distribution("normal", {"mu": one.mean, "sigma": one.sigma}) for one in case.stretches]
+    locations = tuple(Location(name, one.flow, law) for name, one, law in zip(names, case.stretches, laws, strict=True))
+    edges = tuple(Edge(a, "next", b) for a, b in pairwise(names))
+    sha = SHA("passage", locations, edges, names[0], low=-1e6, high=1e6)
+    ends = np.cumsum([one.seconds for one in case.stretches])
+    events = tuple(Event(float(end), "next") for end in ends[:-1])
+    trace = Trace("passage", np.array([0.0, ends[-1]]), {"T": np.full(2, case.x0)}, events)
+    return initial(Model(sha, Alphabet(()), "T", 0.0), trace)
+
+
+def question(limit: float, bound: float, low: float = 0.0) -> Probability:
+    """Is the limit reached between `low` and the bound?"""
+    reached = Compare(">=", Quantity("temperature"), Number(limit))
+    return Probability(bound, Eventually(reached, Span(low, bound)))
+
+
+def checked(
+    case: Case, seed: int, runs: int, *, points: int | None = None, nodes: int | None = None
+) -> tuple[float, Answer]:
+    """(the probability by quadrature, the answer) of a case; a rare one is split."""
+    exact = first_passage(case.stretches, case.x0, case.limit, points=points, nodes=nodes)
+    bound = sum(one.seconds for one in case.stretches)
+    settings = Settings(rule="fixed", runs=runs, seed=seed, rare=exact < RARE)
+    return exact, answer(question(case.limit, bound), start_of(case), settings)
+
+
+def agreement(seed: int, runs: int, quick: bool) -> Iterator[tuple[Case, float, Answer]]:
+    """Every case (every fifth with `quick`) with both answers."""
+    for case in parameter_sets()[:: 5 if quick else 1]:
+        exact, found = checked(case, seed, runs)
+        yield case, exact, found
+
+
+def contains(exact: float, found: Answer) -> bool:
+    """Whether the answer's interval holds the exact value."""
+    return found.numbers["low"] <= exact <= found.numbers["high"]
+
+
+# ---------------------------------------------------------------- speed
+
+
+def speed_start(k: float) -> Start:
+    """The benchmark plant with flows of this relaxation (1/s), along 47 events in 444 s."""
+    sha = plant()
+    flow = Flow("exponential", {"k": k, "noise": 0.05})
+    sha = replace(sha, locations=tuple(replace(location, flow=flow) for location in sha.locations))
+    rng = np.random.default_rng(1)
+    clock = np.linspace(0.0, SECONDS, ROWS)
+    rows = np.sort(rng.choice(np.arange(1, ROWS), EVENTS, replace=False))
+    events = tuple(Event(float(clock[row]), SYMBOLS[rng.integers(len(SYMBOLS))]) for row in rows)
+    trace = Trace("benchmark", np.array([0.0, SECONDS]), {"T": np.full(2, 18.2)}, events)
+    return initial(Model(sha, Alphabet(()), "T", 0.0), trace)
+
+
+def speeds(runs: int, repeats: int) -> list[Figure]:
+    """Runs per second at the events alone, and with 400 bridged steps; the limits leave most runs undecided."""
+    figures = []
+    with tempfile.TemporaryDirectory(prefix="decanter-smc-") as folder:
+        program = compiled(Path(folder))
+        for name, k, low, limit in (("events", 0.004, SECONDS, 32.0), ("dense", 0.045, 0.0, 45.0)):
+            start = speed_start(k)
+            one = prepared(question(limit, SECONDS, low), start)
+            drawn = sampler(start.world, (one,), 1)
+            drawn.draw(2 * LARGEST)  # past the small chunks
+            own = runs / min(processor_time(partial(drawn.draw, runs)) for _ in range(repeats))
+            steps, share = _moving(drawn), drawn.draw(runs).mean()
+            figures.append(Figure(f"{name}: {steps} steps a run", own, "runs/s", "scalar C, stated", REFERENCE[name]))
+            if program is not None:
+                speed, hits = scalar(program, drawn, limit, watched=low == 0.0, runs=runs)
+                figures.append(Figure(f"{name}: {steps} steps a run", own, "runs/s", "scalar C, measured now", speed))
+                figures.append(Figure(f"{name}: share of successes", float(share), "", "scalar C", hits))
+    return figures
+
+
+def processor_time(work: Callable[[], object]) -> float:
+    """Seconds of processor time of one call: what the C program counts too, so that a busy machine favours neither."""
+    begin = process_time()
+    work()
+    return process_time() - begin
+
+
+def compiled(folder: Path) -> Path | None:
+    """The C program, or None where there is no compiler."""
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        return None
+    program, source = folder / "smc", Path(__file__).with_suffix(".c")
+    subprocess.run([compiler, "-O3", "-march=native", "-o", str(program), str(source), "-lm"], check=True)
+    return program
+
+
+def _moving(drawn: Sampler) -> int:
+    assert isinstance(drawn.engine, Known)
+    return sum(row.dt > 0 for row in drawn.engine.rows)
+
+
+def scalar(program: Path, drawn: Sampler, limit: float, *, watched: bool, runs: int) -> tuple[float, float]:
+    """(runs per second, share of successes) of the C program along the same steps."""
+    assert isinstance(drawn.engine, Known)
+    rows = [row for row in drawn.engine.rows if row.dt > 0]
+    lines = [f"{runs} 1 18.2 {limit!r} {len(rows)} {0 if watched else len(rows)}"]
+    sha, begun = drawn.engine.world.sha, False
+    for row in rows:
+        law = sha.locations[row.location].distribution
+        assert law is not None
+        enters = row.own and (row.drawn is not None or not begun)
+        begun = begun or row.own
+        numbers = (row.decay, row.pull if row.own else 0.0, row.shift, row.sigma, row.bridge, float(enters))
+        lines.append(" ".join(repr(float(number)) for number in (*numbers, law.params["mu"], law.params["sigma"])))
+    done = subprocess.run([str(program)], input="\n".join(lines), check=True, capture_output=True, text=True)
+    hits, seconds = done.stdout.split()
+    return runs / float(seconds), float(hits) / runs
+
+
+def show_agreement(rows: Sequence[tuple[Case, float, Answer]]) -> None:
+    """Print the table."""
+    table = Table(title="first passage: quadrature against statistical checking", title_justify="left", pad_edge=False)
+    for name in ("flow", "limit", "quadrature", "answer", "95 % interval", "inside", "rule"):
+        table.add_column(name)
+    for case, exact, found in rows:
+        low, high, p = (found.numbers[name] for name in ("low", "high", "probability"))
+        inside = "yes" if contains(exact, found) else "no"
+        cells = (f"{case.limit:g}", f"{exact:.4g}", f"{p:.4g}", f"[{low:.4g}, {high:.4g}]", inside)
+        table.add_row(case.name, *cells, found.rule.split(",")[0])
+    Console(width=150).print(table)
+
+
+@click.command(help=__doc__)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
+@click.option("--quick", is_flag=True, help="A fifth of the sets, fewer runs.")
+@click.option("--table", is_flag=True, help="Also print the table of parameter sets.")
+@click.option("--runs", default=200_000, show_default=True, type=click.IntRange(1000), help="Runs of a parameter set.")
+@click.option("--seed", default=1, show_default=True, help="Seed of the runs.")
+def main(as_json: bool, quick: bool, table: bool, runs: int, seed: int) -> None:
+    rows = list(agreement(seed, 20_000 if quick else runs, quick))
+    if table and not as_json:
+        show_agreement(rows)
+    inside = sum(contains(exact, found) for _, exact, found in rows)
+    offs = [abs(found.numbers["probability"] / exact - 1.0) for _, exact, found in rows]
+    figures = [
+        Figure("first passage: answers whose 95 % interval holds the quadrature", inside, "sets", "sets", len(rows)),
+        Figure("first passage: greatest relative difference", max(off for off in offs if not isnan(off)), ""),
+        *speeds(LARGEST if quick else 8 * LARGEST, 2 if quick else 5),
+    ]
+    give("statistical checking", figures, as_json=as_json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""Runs on demand: drawn in chunks of fixed sizes, each from a seed of its own, so that run i is always the same run."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import inf
+
+import numpy as np
+
+from sim.checking.monitor import Courses, Extreme, Monitor, Totals, follow
+from sim.checking.monitor_formula import split
+from sim.checking.monitor_path import Watch, cuts
+from sim.checking.paths import LONGEST, Engine, World
+from sim.checking.paths_known import Cuts, known
+from sim.checking.paths_semi_markov import semi_markov
+from sim.checking.query import Expression
+from sim.sha.trace import Array, Mask
+
+SMALLEST, LARGEST = 64, 16384
+"""Runs of the first chunk, and of the large ones: each is twice the one before it. A chunk's rows fit the cache."""
+
+Report = Callable[[str, float], None]
+
+
+def engine(world: World, where: Cuts) -> Engine:
+    """The engine for a world: along its trace's events, or by the semi-Markov law."""
+    return known(world, where) if world.trace is not None else semi_markov(world, where)
+
+
+def chunk_size(number: int) -> int:
+    """Runs of chunk `number`, from 0."""
+    return min(SMALLEST << min(number, 20), LARGEST)
+
+
+def generator(seed: int, number: int) -> np.random.Generator:
+    """The generator of chunk `number` under a seed."""
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy=seed, spawn_key=(number,))))
+
+
+@dataclass(slots=True)
+class Sampler:
+    """Verdicts of one run after another on some paths, all seen on the same runs (common random numbers).
+
+    `verdicts` are the chunks drawn and not yet handed out; `drawn` counts the runs handed out, `when` keeps the moments
+    of the first path's goal, chunk by chunk.
+    """
+
+    engine: Engine
+    watches: tuple[Watch, ...]
+    seed: int
+    left: Mask
+    totals: Totals
+    chunks: int = 0
+    drawn: int = 0
+    unclear: int = 0
+    when: list[Array] = field(default_factory=list)
+
+    def draw(self, runs: int) -> Mask:
+        """(runs, paths) the verdicts of the next runs."""
+        parts, missing = [], runs
+        while missing > 0:
+            if not self.left.shape[0]:
+                self.left = self._chunk()
+            part, self.left = self.left[:missing], self.left[missing:]
+            parts.append(part)
+            missing -= part.shape[0]
+        self.drawn += runs
+        return np.concatenate(parts)
+
+    def _chunk(self) -> Mask:
+        runs = chunk_size(self.chunks)
+        monitors = [one.start(runs) for one in self.watches]
+        self.totals = added(self.totals, follow(self.engine, monitors, runs, generator(self.seed, self.chunks)))
+        self.chunks += 1
+        self.unclear += sum(getattr(monitor, "unclear", 0) for monitor in monitors)
+        moments = self.watches[0].when(monitors[0])
+        if moments is not None:
+            self.when.append(moments)
+        return np.stack([one.verdict(monitor) for one, monitor in zip(self.watches, monitors, strict=True)], axis=1)
+
+    def passages(self) -> Array:
+        """(runs handed out,) the moment (s) of the first path's goal in each run, inf without."""
+        return np.concatenate([*self.when, np.empty(0)])[: self.drawn]
+
+
+def added(one: Totals, other: Totals) -> Totals:
+    """Both together."""
+    return Totals(one.clamps + other.clamps, one.limited + other.limited, one.cut + other.cut)
+
+
+def sampler(world: World, watches: tuple[Watch, ...], seed: int) -> Sampler:
+    """A sampler of runs long enough for all the paths. Raises ValueError as the engines do."""
+    bound = max(one.bound for one in watches)
+    made = engine(world, cuts(watches, bound))
+    return Sampler(made, watches, seed, np.empty((0, len(watches)), dtype=np.bool_), Totals(0, 0, 0))
+
+
+def extremes(
+    world: World, expression: Expression, bound: float, runs: int, seed: int, *, greatest: bool, report: Report
+) -> tuple[Array, Totals, tuple[str, ...]]:
+    """(runs,) the greatest (or least) value of an expression on each run; what happened to them; the engine's notes."""
+    factor, rest = split(expression)
+    looked = ((0.0, bound),) if factor else ()
+    made = engine(world, Cuts(bound, (), (), looked))
+    sign = 1.0 if greatest else -1.0
+    found, totals, number = [np.empty(0)], Totals(0, 0, 0), 0
+    while sum(part.size for part in found) < runs:
+        size = chunk_size(number)
+        monitor = Extreme(factor, rest, sign, np.full(size, -inf))
+        totals = added(totals, follow(made, [monitor], size, generator(seed, number)))
+        found.append(sign * monitor.best)
+        number += 1
+        report("runs", min(sum(part.size for part in found) / runs, 1.0))
+    return np.concatenate(found)[:runs], totals, made.notes
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """One run: `times` (p,), s since the start, and `values` (expressions, p); two rows at an instant are a jump."""
+
+    times: Array
+    values: Array
+
+
+MOST_SHOWN = 1000
+"""Steps into which a course is cut for being shown, where its flow does not ask for more."""
+
+MOST_POINTS = 20_000_000
+"""Numbers of all courses of one simulation together."""
+
+
+def courses(
+    world: World, expressions: Sequence[Expression], bound: float, runs: int, seed: int
+) -> tuple[tuple[Course, ...], Totals, tuple[str, ...]]:
+    """The courses of `runs` runs, at both ends of every step; what happened to them; the engine's notes.
+
+    Raises ValueError for more numbers than fit.
+    """
+    made = engine(world, Cuts(bound, (), (), ((0.0, bound),), max(LONGEST, bound / MOST_SHOWN)))
+    rows = made.clock.size - 1
+    if runs * rows * 2 * len(expressions) > MOST_POINTS:
+        raise ValueError(
+            f"{runs} courses of {rows} steps with {len(expressions)} expressions are too many numbers; "
+            f"ask for fewer runs or a shorter bound"
+        )
+    monitor: Courses = Courses(tuple(expressions))
+    monitors: list[Monitor] = [monitor]
+    totals = follow(made, monitors, runs, generator(seed, 0))
+    return _sorted(monitor, runs), totals, made.notes
+
+
+def _sorted(monitor: Courses, runs: int) -> tuple[Course, ...]:
+    """The pieces, run by run."""
+    who = np.concatenate([owner for *_, owner in monitor.times])
+    order = np.argsort(who, kind="stable")
+    begin = np.concatenate([times for times, *_ in monitor.times])[order]
+    stop = np.concatenate([times for _, times, _ in monitor.times])[order]
+    first = np.concatenate([values for values, _ in monitor.values], axis=1)[:, order]
+    last = np.concatenate([values for _, values in monitor.values], axis=1)[:, order]
+    times, values = np.stack([begin, stop], axis=1), np.stack([first, last], axis=2)
+    edges = np.searchsorted(who[order], np.arange(runs + 1))
+    return tuple(
+        _thinned(times[low:high].ravel(), values[:, low:high].reshape(values.shape[0], -1))
+        for low, high in pairwise(edges.tolist())
+    )
+
+
+def _thinned(times: Array, values: Array) -> Course:
+    """Without the rows that repeat the one before them."""
+    same = (np.diff(times) == 0) & np.all(np.isclose(np.diff(values, axis=1), 0.0, atol=1e-12), axis=0)
+    keep = np.concatenate([[True], ~same])
+    return Course(times[keep], values[:, keep])

@@ -1,0 +1,60 @@
+"""Expectations and courses: what is asked of the runs themselves and not of a probability."""
+
+from math import sqrt
+
+import numpy as np
+from scipy.special import stdtrit
+
+from sim.checking import query as q
+from sim.checking.answer_record import Answer, Settings, interval, run_notes
+from sim.checking.answer_runs import Report, courses, extremes
+from sim.checking.answer_start import Start
+
+
+def expectation(query: q.Expectation, start: Start, settings: Settings, report: Report) -> Answer:
+    """The mean of a course's extreme over the runs, with a Student interval."""
+    runs = settings.runs or query.runs
+    greatest = query.extreme == "max"
+    values, totals, notes = extremes(
+        start.world, query.expression, query.bound, runs, settings.seed, greatest=greatest, report=report
+    )
+    mean, numbers = float(values.mean()), {}
+    if runs > 1:
+        deviation = float(values.std(ddof=1))
+        half = float(stdtrit(runs - 1, 1.0 - settings.alpha / 2.0)) * deviation / sqrt(runs)
+        numbers = {"low": mean - half, "high": mean + half, "sigma": deviation}
+    said = f"E({query.extreme}) = {mean:.6g} (one run)"
+    if numbers:
+        said = f"E({query.extreme}) = {interval(mean, numbers['low'], numbers['high'], settings)}"
+        said += f"; over the runs sigma {numbers['sigma']:.4g}, from {values.min():.6g} to {values.max():.6g}"
+    numbers = {"mean": mean, **numbers, "least": float(values.min()), "greatest": float(values.max())}
+    return Answer(
+        query,
+        "expectation",
+        said,
+        None,
+        numbers,
+        f"{runs} runs, Student's t",
+        runs,
+        settings.seed,
+        start.words,
+        (*notes, *run_notes(totals)),
+    )
+
+
+def simulation(query: q.Simulation, start: Start, settings: Settings, report: Report) -> Answer:
+    """The courses of the query's expressions."""
+    runs = settings.runs or query.runs
+    report(f"{runs} runs", 0.0)
+    found, totals, notes = courses(start.world, query.expressions, query.bound, runs, settings.seed)
+    numbers: dict[str, float] = {}
+    for row, label in enumerate(query.labels):
+        last = np.array([course.values[row, -1] for course in found])
+        numbers |= {f"{label}: mean at the end": float(last.mean())}
+        numbers |= {f"{label}: least": min(float(course.values[row].min()) for course in found)}
+        numbers |= {f"{label}: greatest": max(float(course.values[row].max()) for course in found)}
+    said = f"{runs} courses of {', '.join(query.labels)} over {query.bound:.6g} s"
+    notes = (*notes, *run_notes(totals))
+    return Answer(
+        query, "simulation", said, None, numbers, f"{runs} runs", runs, settings.seed, start.words, notes, courses=found
+    )

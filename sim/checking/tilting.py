@@ -1,0 +1,102 @@
+"""Mode parameters of long stays, drawn where a rare event needs them and weighted back (importance sampling).
+
+A mode parameter m that is drawn once for a long stay is no matter of small steps: among some hundred runs none has the
+m five standard deviations out by which the event comes, and splitting (`sim.checking.splitting`) cannot make one. So
+runs that are split draw the standard scores z of such m from normal laws of their own, fitted in pilots to what z is
+given the event, and carry the logarithm of the density ratio, sum of log N(z; 0, 1) - log N(z; mean, sigma^2).
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from sim.checking.paths import World
+from sim.sha import distributions
+from sim.sha.automaton import Distribution
+from sim.sha.entry import drawn_parameter, mode_parameter
+from sim.sha.trace import Array
+
+MOST = 6
+"""Stays whose m is drawn so, at most: those on which m has the greatest effect."""
+
+LEAST_EFFECT = 0.2
+"""Stays with less than this share of the greatest effect are left alone: their m is one noise among others."""
+
+NARROWEST, WIDER = 0.25, 1.2
+"""The fitted laws are WIDER than what was seen, and no narrower than NARROWEST, nor wider than 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tilts:
+    """The normal laws of K standard scores: `mean` (K,) and `sigma` (K,)."""
+
+    mean: Array
+    sigma: Array
+
+    def scores(self, column: int, runs: int, rng: np.random.Generator) -> Array:
+        """(runs,) standard scores of one mode parameter."""
+        drawn: Array = self.mean[column] + self.sigma[column] * rng.standard_normal(runs)
+        return drawn
+
+    def log_weights(self, drawn: Array) -> Array:
+        """(runs,) the logarithm of how much more often chance draws these scores (runs, K); nan: not drawn yet."""
+        terms = 0.5 * ((drawn - self.mean) / self.sigma) ** 2 - 0.5 * drawn**2 + np.log(self.sigma)
+        return np.asarray(np.nansum(terms, axis=1))
+
+
+def neutral(columns: int) -> Tilts:
+    """The laws that chance itself has."""
+    return Tilts(np.zeros(columns), np.ones(columns))
+
+
+def fitted(drawn: Array) -> Tilts:
+    """Normal laws with the means and deviations of scores (runs, K) that led to the event."""
+    found = neutral(drawn.shape[1])
+    for column, scores in enumerate(drawn.T):
+        seen = scores[np.isfinite(scores)]
+        if seen.size > 1:
+            found.mean[column] = seen.mean()
+            found.sigma[column] = min(max(WIDER * float(seen.std()), NARROWEST), 1.0)
+    return found
+
+
+def moved(one: Tilts, other: Tilts) -> float:
+    """The greatest difference of the means, in standard deviations of the scores."""
+    return float(np.max(np.abs(one.mean - other.mean), initial=0.0))
+
+
+def tiltable(law: Distribution | None) -> bool:
+    """Whether m is drawn by a normal law, whose scores can be drawn elsewhere."""
+    return law is not None and law.kind == "normal" and law.params["sigma"] > 0
+
+
+def start_tiltable(world: World) -> bool:
+    """Whether m at the start is normal and not known."""
+    if world.belief is not None:
+        return world.belief.mm > 0
+    return tiltable(drawn_parameter(world.sha.locations[world.location]))
+
+
+def scored(law: Distribution, scores: Array) -> Array:
+    """m of a normal law at these standard scores."""
+    return np.asarray(law.params["mu"] + law.params["sigma"] * scores)
+
+
+def start_at(world: World, scores: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """(X, m) of runs at the start whose m has these standard scores; X by its law, a belief's given m."""
+    belief = world.belief
+    if belief is None:
+        mean, variance = mode_parameter(world.sha.locations[world.location])
+        return distributions.draw(world.first, scores.size, rng), mean + sqrt(variance) * scores
+    share = belief.xm / sqrt(belief.mm)
+    own = sqrt(max(belief.xx - share * share, 0.0))
+    return belief.x + share * scores + own * rng.standard_normal(scores.size), belief.m + sqrt(belief.mm) * scores
+
+
+def chosen(effects: Array) -> list[int]:
+    """The places of the greatest effects, in order: at most MOST, none below LEAST_EFFECT of the greatest."""
+    if not effects.size or effects.max() <= 0:
+        return []
+    best = np.argsort(-effects, kind="stable")[:MOST]
+    return sorted(best[effects[best] >= LEAST_EFFECT * effects.max()].tolist())

@@ -1,0 +1,158 @@
+"""A corrected model is asked in the sensor's scale: the same answers as the mapped question to the model without it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.checking.answer import Answer, Settings, Start, answer, believed, initial
+from sim.checking.quadrature import Stretch, first_passage
+from sim.checking.query import (
+    Always,
+    At,
+    Either,
+    Expectation,
+    Formula,
+    Hypothesis,
+    Number,
+    Operation,
+    Path,
+    Probability,
+    Response,
+    Simulation,
+    Span,
+    Until,
+)
+from sim.sha.automaton import Distribution
+from sim.sha.correction import in_sensor_scale
+from sim.sha.model import Correction, Model
+from sim.sha.trace import Event, Trace
+from tests.checking.worlds import TEMP, compare, eventually, flow, model, normal
+
+GAIN, OFFSET, SECONDS = 1.25, -7.0, 300.0
+PLAIN = model(
+    [flow("exponential", k=0.01), flow("logarithmic", t0=20.0), flow("linear")],
+    [normal(45.0, 2.0), normal(1.0, 0.3), normal(-0.01, 0.005)],
+    first=normal(40.0, 0.5),
+    stay=Distribution("exponential", {"mean": 80.0}),
+    low=0.0,
+    high=52.0,
+)
+"""Degrees of the automaton; `SENSOR` is the same plant, read by a sensor that is off."""
+
+
+def read(temperature: float) -> float:
+    return GAIN * temperature + OFFSET
+
+
+SENSOR = replace(
+    PLAIN,
+    correction=Correction(GAIN, OFFSET),
+    initial=normal(read(40.0), GAIN * 0.5),
+    sensor_sigma=GAIN * PLAIN.sensor_sigma,
+)
+
+
+def trace_of(model: Model) -> Trace:
+    times = np.linspace(0.0, SECONDS, 61)
+    values = 40.0 + 0.01 * times + 0.05 * np.sin(times)
+    if model is SENSOR:
+        values = GAIN * values + OFFSET
+    return Trace("t", times, {"T": values}, (Event(70.0, "next"), Event(190.0, "next")))
+
+
+def starts(model: Model) -> dict[str, Start]:
+    """Every start that there is, known events and unknown ones."""
+    trace = trace_of(model)
+    return {
+        "initial": initial(model),
+        "location": initial(model, location="q_1"),
+        "trace": initial(model, trace),
+        "belief": believed(model, trace, 100.0),
+        "belief along the trace": believed(model, trace, 100.0, recorded=True),
+    }
+
+
+def paths(at: "dict[float, float]") -> list[Path]:
+    """Each kind of path about limits that `at` maps."""
+    whole = Span(0.0, 120.0)
+    hot, warm, mild = compare(">=", at[43.0]), compare(">=", at[42.0]), compare("<=", at[41.0])
+    within: Formula = Either(mild, At("q_1"))
+    return [
+        eventually(hot, 120.0).path,
+        Always(compare("<=", at[42.0]), whole),
+        Until(compare("<=", at[43.0]), warm, whole),
+        Response(warm, within, Span(0.0, 30.0)),
+    ]
+
+
+PLAIN_AT = {limit: limit for limit in (41.0, 42.0, 43.0)}
+SENSOR_AT = {limit: read(limit) for limit in PLAIN_AT}
+
+
+@pytest.mark.parametrize("name", list(starts(PLAIN)))
+def test_probabilities_are_those_of_the_mapped_limits(name: str) -> None:
+    settings = Settings(rule="fixed", runs=2000, seed=3)
+    for plain, sensor in zip(paths(PLAIN_AT), paths(SENSOR_AT), strict=True):
+        mine = answer(Probability(120.0, sensor), starts(SENSOR)[name], settings)
+        other = answer(Probability(120.0, plain), starts(PLAIN)[name], settings)
+        assert mine.numbers["probability"] == pytest.approx(other.numbers["probability"], abs=0.0015)
+        assert mine.runs == other.runs
+
+
+@pytest.mark.parametrize("name", list(starts(PLAIN)))
+def test_means_of_extremes_and_courses_are_mapped(name: str) -> None:
+    def ask(model: Model) -> tuple[Answer, Answer]:
+        start = starts(model)[name]
+        top = answer(Expectation(120.0, 500, "max", TEMP), start, Settings(seed=4))
+        return top, answer(Simulation(120.0, 5, (TEMP,), ("Temp",)), start, Settings(seed=4))
+
+    (top, courses), (plain_top, plain_courses) = ask(SENSOR), ask(PLAIN)
+    assert top.numbers["mean"] == pytest.approx(read(plain_top.numbers["mean"]), abs=1e-6)
+    assert top.notes == plain_top.notes
+    for mine, other in zip(courses.courses, plain_courses.courses, strict=True):
+        assert np.allclose(mine.values, GAIN * other.values + OFFSET, atol=1e-6)
+
+
+def test_a_query_about_clocks_and_temperature_together_is_mapped_too() -> None:
+    moving = Operation("-", TEMP, Operation("*", Number(0.01), TEMP))
+    found = answer(Expectation(60.0, 300, "min", moving), starts(SENSOR)["initial"], Settings())
+    plain = answer(Expectation(60.0, 300, "min", TEMP), starts(PLAIN)["initial"], Settings())
+    assert found.numbers["mean"] == pytest.approx(0.99 * read(plain.numbers["mean"]), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["initial", "belief along the trace"])
+def test_splitting_puts_its_levels_on_the_sensors_scale(name: str) -> None:
+    limit, settings = 46.6, Settings(rare=True, seed=5)
+    mine = answer(eventually(compare(">=", read(limit)), 60.0), starts(SENSOR)[name], settings)
+    other = answer(eventually(compare(">=", limit), 60.0), starts(PLAIN)[name], settings)
+    assert 0.0 < mine.numbers["probability"] == pytest.approx(other.numbers["probability"], rel=0.1)
+    assert len(mine.levels) == len(other.levels) > 0
+    assert np.allclose(mine.levels, [read(level) for level in other.levels], atol=1e-3)
+
+
+def test_quadrature_of_the_corrected_flow_agrees_with_its_runs() -> None:
+    one = model([flow("exponential", k=0.01)], [normal(42.0, 1.0)], first=normal(40.0))
+    sensor = replace(one, correction=Correction(GAIN, OFFSET), initial=normal(read(40.0)))
+    place = in_sensor_scale(sensor).sha.locations[0]
+    assert place.distribution is not None
+    stretch = Stretch(place.flow, place.distribution.params["mu"], 400.0, place.distribution.params["sigma"])
+    exact = first_passage([stretch], read(40.0), read(43.0), points=600)
+    assert exact == pytest.approx(first_passage([Stretch(flow("exponential", k=0.01), 42.0, 400.0, 1.0)], 40.0, 43.0))
+    found = answer(
+        eventually(compare(">=", read(43.0)), 400.0), initial(sensor), Settings(rule="fixed", runs=20_000, seed=1)
+    )
+    assert found.numbers["low"] <= exact <= found.numbers["high"]
+
+
+def test_a_hypothesis_is_decided_alike() -> None:
+    for name in starts(PLAIN):
+        questions = (
+            (SENSOR, Probability(120.0, paths(SENSOR_AT)[0])),
+            (PLAIN, Probability(120.0, paths(PLAIN_AT)[0])),
+        )
+        verdicts = {
+            answer(Hypothesis(question, ">=", 0.3), starts(model)[name], Settings()).verdict
+            for model, question in questions
+        }
+        assert len(verdicts) == 1

@@ -1,0 +1,188 @@
+"""Formulas in continuous time: what each operator means on runs whose course is known."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from sim.checking.answer import Settings, answer, initial
+from sim.checking.answer_estimates import prepared
+from sim.checking.answer_runs import sampler
+from sim.checking.monitor_formula import compile_formulas
+from sim.checking.query import (
+    Always,
+    At,
+    Both,
+    Compare,
+    Constant,
+    Deadlock,
+    Either,
+    Eventually,
+    Expectation,
+    Formula,
+    Not,
+    Number,
+    Operation,
+    Path,
+    Probability,
+    Response,
+    Span,
+    Until,
+)
+from sim.sha.automaton import Distribution
+from tests.checking.worlds import AGE, TEMP, TIME, along, compare, eventually, flow, model, normal
+
+RISING = model([flow("linear", 0.0), flow("linear", 0.0)], [normal(0.1), normal(-0.1)])
+"""Up by 0.1 degC/s in q_0, down in q_1, without noise."""
+
+WHOLE = Span(0.0, 100.0)
+
+
+def holds(path: Path, events: Sequence[float] = (50.0,), bound: float = 100.0) -> bool:
+    """Whether the path holds on the course 20 + 0.1 t, which turns at each event."""
+    start = along(RISING, 20.0, bound, events)
+    drawn = sampler(start.world, (prepared(Probability(bound, path), start),), 0)
+    verdicts = drawn.draw(192)
+    assert verdicts.all() == verdicts.any()
+    return bool(verdicts.all())
+
+
+@pytest.mark.parametrize(
+    ("path", "expected"),
+    [
+        (Eventually(compare(">=", 24.99), WHOLE), True),
+        (Eventually(compare(">", 25.01), WHOLE), False),
+        (Eventually(compare(">=", 24.0), Span(0.0, 39.0)), False),
+        (Eventually(compare(">=", 24.0), Span(39.0, 41.0)), True),
+        (Eventually(compare("<=", 21.0), Span(11.0, 100.0)), True),
+        (Eventually(compare("==", 23.456), WHOLE), True),
+        (Eventually(Both(compare(">=", 22.0), compare("<=", 22.001)), Span(0.0, 30.0)), True),
+        (Always(compare("<=", 25.01), WHOLE), True),
+        (Always(compare("<=", 24.99), WHOLE), False),
+        (Always(Either(compare("<=", 23.0), compare(">=", 23.0)), WHOLE), True),
+        (Always(Either(compare("<", 23.0), compare(">", 23.0)), WHOLE), False),
+        (Eventually(Both(compare(">=", 60.0), compare("<=", 20.0)), WHOLE), False),
+        (Always(Constant(True), WHOLE), True),
+        (Eventually(Not(Constant(True)), WHOLE), False),
+    ],
+)
+def test_temperatures_are_met_in_continuous_time(path: Path, expected: bool) -> None:
+    assert holds(path) is expected
+
+
+@pytest.mark.parametrize(
+    ("inner", "expected"),
+    [
+        (Both(compare("==", 30.0, TIME), compare(">=", 22.999)), True),
+        (Both(compare("==", 30.0, TIME), compare(">=", 23.001)), False),
+        (Both(compare("==", 100.0, TIME), compare("<=", 20.001)), True),
+        (Both(At("q_1"), compare(">=", 50.0, AGE)), True),
+        (Both(At("q_1"), compare(">", 50.001, AGE)), False),
+        (Both(At("q_0"), compare(">", 50.001, TIME)), False),
+        (Both(At("q_1"), Both(compare("==", 10.0, AGE), compare(">=", 23.999))), True),
+        (Compare(">=", Operation("-", TEMP, Operation("*", Number(0.1), TIME)), Number(20.001)), False),
+        (Compare("<=", Operation("+", TEMP, Operation("*", Number(0.1), TIME)), Number(19.999)), False),
+        (Compare(">=", TEMP, Operation("+", Number(22.0), Operation("*", Number(0.05), TIME))), True),
+        (Compare(">=", Operation("*", Number(-2.0), TEMP), Number(-39.999)), False),
+        (Compare(">", Operation("*", TIME, TIME), Number(9990.0)), True),
+    ],
+)
+def test_clocks_and_moving_lines(inner: Formula, expected: bool) -> None:
+    assert holds(Eventually(inner, WHOLE)) is expected
+
+
+@pytest.mark.parametrize(
+    ("path", "expected"),
+    [
+        (Until(compare("<=", 24.0), compare(">=", 23.0), WHOLE), True),
+        (Until(compare("<=", 22.0), compare(">=", 23.0), WHOLE), False),
+        (Until(compare("<", 23.0), compare(">=", 23.0), WHOLE), True),
+        (Until(At("q_0"), compare(">=", 24.9), WHOLE), True),
+        (Until(At("q_0"), At("q_1"), WHOLE), True),
+        (Until(At("q_0"), At("q_1"), Span(0.0, 49.0)), False),
+        (Until(At("q_0"), compare("<=", 20.5), Span(60.0, 100.0)), False),
+        (Until(Constant(True), compare("<=", 20.5), Span(60.0, 100.0)), True),
+    ],
+)
+def test_until_needs_the_condition_up_to_the_goal(path: Path, expected: bool) -> None:
+    assert holds(path) is expected
+
+
+@pytest.mark.parametrize(
+    ("cause", "effect", "low", "high", "expected"),
+    [
+        (At("q_1"), compare("<=", 22.5), 0.0, 30.0, True),
+        (At("q_1"), compare("<=", 22.5), 0.0, 20.0, False),
+        (compare(">=", 24.0), compare("<=", 22.0), 0.0, 50.0, True),
+        (compare(">=", 24.0), compare("<=", 22.0), 0.0, 30.0, False),
+        (compare(">=", 30.0), compare("<=", 0.0), 0.0, 1.0, True),
+        (At("q_0"), At("q_1"), 0.0, 50.0, True),
+        (At("q_0"), At("q_1"), 0.0, 45.0, False),
+        (At("q_0"), compare(">=", 23.0), 10.0, 40.0, True),
+        (At("q_0"), compare(">=", 24.5), 0.0, 20.0, False),
+    ],
+)
+def test_every_cause_is_answered_in_time(
+    cause: Formula, effect: Formula, low: float, high: float, expected: bool
+) -> None:
+    assert holds(Response(cause, effect, Span(low, high))) is expected
+
+
+def test_a_cause_too_late_to_tell_counts_as_answered() -> None:
+    assert holds(Response(compare(">=", 98.0, TIME), compare(">=", 99.0), Span(0.0, 30.0)))
+
+
+def test_a_stay_of_no_length_is_visited() -> None:
+    assert holds(Eventually(At("q_1"), WHOLE), events=(50.0, 50.0))
+
+
+def test_wrong_formulas_are_refused_with_the_reason() -> None:
+    square = Compare(">=", Operation("*", TEMP, TEMP), Number(900.0))
+    for formula, words in ((square, "linear in the temperature"), (At("q_9"), "no location 'q_9'")):
+        with pytest.raises(ValueError, match=words):
+            compile_formulas((formula,), ("q_0",))
+    with pytest.raises(ValueError, match="symbolic"):
+        compile_formulas((Not(Deadlock()),), ("q_0",))
+
+
+def test_a_drawn_stay_ends_at_its_own_time_and_clock_conditions_are_seen_there() -> None:
+    """Exponential stays of 50 s: the age reaches 100 s within 400 s or not; every run's own clock counts."""
+    law = Distribution("exponential", {"mean": 50.0})
+    made = model([flow("constant"), flow("constant")], [None, None], first=normal(20.0), stay=law)
+    first = answer(
+        eventually(Both(At("q_0"), compare(">=", 100.0, AGE)), 101.0),
+        initial(made),
+        Settings(rule="fixed", runs=40_000),
+    )
+    assert first.numbers["low"] <= np.exp(-2.0) <= first.numbers["high"]
+
+
+def test_two_lines_on_both_sides_are_right_to_within_a_stated_error() -> None:
+    """P(W stays within +-1 for T = 1) = 0.3708 (Feller's series); rise and fall in one step are drawn apart.
+
+    In one step for all of T the error shows; in steps of 4 s, as Until has them, it is within the interval.
+    """
+    exact = sum(
+        4.0 / np.pi * (-1.0) ** k / (2 * k + 1) * np.exp(-((2 * k + 1) ** 2) * np.pi**2 / 8.0) for k in range(20)
+    )
+    band = Both(compare("<=", 30.0), compare(">=", 10.0))
+    start = along(model([flow("constant", 1.0)], [None]), 20.0, 100.0)
+    coarse = answer(Probability(100.0, Always(band, WHOLE)), start, Settings(rule="fixed", runs=100_000))
+    inside = Until(band, compare("==", 100.0, TIME), WHOLE)
+    fine = answer(Probability(100.0, inside), start, Settings(rule="fixed", runs=100_000))
+    assert abs(coarse.numbers["probability"] - exact) < 0.03
+    assert fine.numbers["low"] <= exact <= fine.numbers["high"]
+    assert any("independent" in note for note in coarse.notes)
+
+
+def test_clamps_rate_limits_and_resampled_entries_are_followed_and_counted() -> None:
+    hot = model([flow("linear", 0.1)], [normal(1.0)], high=30.0)
+    found = answer(eventually(compare(">=", 29.9), 100.0), along(hot, 20.0, 100.0), Settings(runs=100))
+    assert found.numbers["probability"] == 1.0 and any("range" in note for note in found.notes)
+    slow = model([flow("exponential", 0.0, k=0.1)], [normal(100.0)], max_rate=0.1)
+    found = answer(Expectation(100.0, 10, "max", TEMP), along(slow, 20.0, 100.0), Settings())
+    assert found.numbers["mean"] == pytest.approx(30.0)
+    assert any("maximum rate" in note for note in found.notes)
+    fresh = model([flow("constant", 0.0)] * 2, [normal(40.0), normal(70.0)], entry="resample")
+    found = answer(eventually(compare(">=", 69.0), 100.0), along(fresh, 20.0, 100.0, (50.0,)), Settings(runs=100))
+    assert found.numbers["probability"] == 1.0
