@@ -1,0 +1,217 @@
+"""UPPAAL's answers beside this program's own, for the same model, trace and jumps of the noise: one row a quantity."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import nan, sqrt
+
+import numpy as np
+from scipy import stats
+
+from sim.checking import query as q
+from sim.checking.answer import Settings, Start, initial
+from sim.checking.answer import answer as native_answer
+from sim.checking.parse import QueryError, parse_query
+from sim.sha import distributions
+from sim.sha.model import Model
+from sim.sha.moments import Prediction, moments
+from sim.sha.schedule import Policy, Schedule, schedule
+from sim.sha.simulate import Runs, simulate
+from sim.sha.trace import Array, Trace
+from sim.uppaal.document import Question
+from sim.uppaal.output import Answer, Course
+from sim.uppaal.queries import compatibility
+from sim.uppaal.replay import Replay
+
+LEVEL = 0.95
+NATIVE_RUNS = 4000
+INSTANTS = 4
+"""Times at which the simulated courses are compared, evenly over the replay, its end included."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One quantity: both figures, their difference (UPPAAL - native), and the interval of each (95 %, NaN: none).
+
+    `agree` says whether the intervals overlap; None where there is nothing to compare.
+    """
+
+    quantity: str
+    native: float
+    uppaal: float
+    difference: float
+    native_interval: tuple[float, float]
+    uppaal_interval: tuple[float, float]
+    agree: bool | None
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Native:
+    """This program's own runs over the replay, at each tick and event, and the closed-form moments there.
+
+    `answers` is where the checker's runs start; None where its policy for events without an edge is another.
+    """
+
+    replay: Replay
+    runs: Runs
+    moments: Prediction
+    answers: Start | None = None
+
+
+def native_runs(
+    model: Model, trace: Trace, replay: Replay, policy: Policy, tick: int, rng: np.random.Generator
+) -> Native:
+    """Runs with outputs where the exported model draws its noise; from the same start, along the same events."""
+    steps = _steps(model, trace, replay, policy, tick)
+    law = replay.x0
+    own = moments(steps, distributions.mean(law), distributions.variance(law))
+    known = policy == "resync" and distributions.variance(law) == 0
+    return Native(replay, simulate(steps, law, NATIVE_RUNS, rng), own, initial(model, trace) if known else None)
+
+
+def _steps(model: Model, trace: Trace, replay: Replay, policy: Policy, tick: int) -> Schedule:
+    """Outputs at each event and, from there on, every `tick` seconds, as the exported model's clock has it."""
+    begin = float(trace.times[np.isfinite(trace.signals[model.temperature])][0])
+    borders = np.unique(np.array([0.0, *replay.times, replay.duration, replay.bound]))
+    ticks = [np.arange(low, high, tick) for low, high in pairwise(borders)] if tick else []
+    outputs = np.unique(np.concatenate([borders, *ticks]))
+    return schedule(model, trace.events, begin + outputs, inputs=trace, policy=policy)
+
+
+def compare(questions: Sequence[Question], answers: Sequence[Answer], native: Native, model: Model) -> list[Row]:
+    """One row for each quantity that both have; a query that only UPPAAL can answer gets its verdict alone."""
+    rows: list[Row] = []
+    for question, answer in zip(questions, answers, strict=False):
+        try:
+            query = parse_query(question.formula, model)
+        except QueryError:
+            query = None  # about the players and counters, which only the exported model has
+        match query:
+            case q.Simulation():
+                rows += _courses(answer, native)
+            case q.Expectation(expression=q.Quantity(kind="temperature"), extreme=extreme):
+                rows.append(_expectation(question, answer, native, extreme))
+            case q.Probability(path=(q.Eventually() | q.Always()) as path) if (seen := _seen(path, native)) is not None:
+                rows.append(_probability(question, answer, seen))
+            case q.Probability() | q.Hypothesis() | q.Compared() if native.answers is not None:
+                rows.append(_checked(question, query, answer, native.answers))
+            case _:
+                rows.append(_verdict(question, answer, native))
+    return rows
+
+
+def _row(
+    quantity: str, native: float, own: tuple[float, float], uppaal: float, theirs: tuple[float, float], note: str = ""
+) -> Row:
+    known = bool(np.isfinite([*own, *theirs]).all())
+    agree = own[0] <= theirs[1] and theirs[0] <= own[1] if known else None
+    return Row(quantity, native, uppaal, uppaal - native, own, theirs, agree, note)
+
+
+def _courses(answer: Answer, native: Native) -> list[Row]:
+    """Mean temperature over UPPAAL's runs against the closed form, at instants that every run has reached."""
+    courses = answer.courses.get("m_1.Temp", ())
+    if not courses or not all(course.points for course in courses):
+        return [_row("simulate m_1.Temp", nan, (nan, nan), nan, (nan, nan), "no courses were printed")]
+    span = min(native.replay.duration, *(course.points[-1][0] for course in courses))
+    rows = []
+    clock = native.moments.times - native.moments.times[0]
+    for share in range(1, INSTANTS + 1):
+        at = int(np.searchsorted(clock, span * share / INSTANTS, side="right")) - 1
+        values = np.array([_value(course, float(clock[at])) for course in courses])
+        mean, width = _mean_interval(values)
+        exact = float(native.moments.mean[at])
+        rows.append(_row(f"mean Temp at {clock[at]:.1f} s", exact, (exact, exact), mean, width))
+    return rows
+
+
+def _value(course: Course, time: float) -> float:
+    """A course at a time; of several points at one instant the last counts, after the jump."""
+    times, values = (np.array(column) for column in zip(*course.points, strict=True))
+    before = int(np.searchsorted(times, time + 1e-6, side="right")) - 1
+    if before + 1 >= times.size or times[max(before, 0)] >= time:
+        return float(values[max(before, 0)])
+    return float(np.interp(time, times[before : before + 2], values[before : before + 2]))
+
+
+def _mean_interval(values: Array) -> tuple[float, tuple[float, float]]:
+    """The mean, and its Student interval; NaN bounds for a single value."""
+    mean = float(np.mean(values))
+    if values.size < 2:
+        return mean, (nan, nan)
+    half = float(stats.t.ppf((1 + LEVEL) / 2, values.size - 1) * np.std(values, ddof=1) / sqrt(values.size))
+    return mean, (mean - half, mean + half)
+
+
+def _expectation(question: Question, answer: Answer, native: Native, extreme: str) -> Row:
+    """The mean extreme of the runs; UPPAAL's interval is its half-width, or comes from its histogram."""
+    values = native.runs.temperatures.max(axis=1) if extreme == "max" else native.runs.temperatures.min(axis=1)
+    mean, own = _mean_interval(values)
+    if answer.mean is None:
+        return _row(question.formula, mean, own, nan, (nan, nan), "no estimate was printed")
+    half = answer.half_width if answer.half_width is not None else _half_width(answer)
+    theirs = (answer.mean - half, answer.mean + half)
+    return _row(question.formula, mean, own, answer.mean, theirs)
+
+
+def _half_width(answer: Answer) -> float:
+    """From the histogram, whose bins stand for their middles; 0 where all values are one; NaN without a histogram."""
+    bins = answer.histogram
+    total = sum(bins.counts) if bins else 0
+    if bins is None or total < 2:
+        return nan
+    counts = np.array(bins.counts)
+    middles = bins.low + bins.width * (np.arange(counts.size) + 0.5)
+    spread = float(np.sqrt(np.sum(counts * (middles - np.average(middles, weights=counts)) ** 2) / (total - 1)))
+    return float(stats.t.ppf((1 + LEVEL) / 2, total - 1)) * spread / sqrt(total)
+
+
+def _seen(path: q.Eventually | q.Always, native: Native) -> int | None:
+    """In how many of the native runs the path holds, where it is one comparison of the temperature over all time."""
+    inner = path.inner
+    if path.span != q.Span() or not isinstance(inner, q.Compare) or inner.left != q.Quantity("temperature"):
+        return None
+    if not isinstance(inner.right, q.Number):
+        return None
+    level, x = inner.right.value, native.runs.temperatures
+    held = {"<": x < level, "<=": x <= level, ">": x > level, ">=": x >= level}.get(inner.op)
+    if held is None:
+        return None
+    return int((held.any(axis=1) if isinstance(path, q.Eventually) else held.all(axis=1)).sum())
+
+
+def _probability(question: Question, answer: Answer, seen: int) -> Row:
+    """The share of runs; UPPAAL's own is successes / runs where it says so, else the middle of its interval."""
+    share = stats.binomtest(seen, NATIVE_RUNS).proportion_ci(LEVEL, method="exact")
+    own = (float(share.low), float(share.high))
+    if answer.low is None or answer.high is None:
+        return _row(question.formula, seen / NATIVE_RUNS, own, nan, (nan, nan), "no interval was printed")
+    counted = answer.successes is not None and bool(answer.runs)
+    theirs = (answer.successes or 0) / (answer.runs or 1) if counted else (answer.low + answer.high) / 2
+    return _row(question.formula, seen / NATIVE_RUNS, own, theirs, (answer.low, answer.high))
+
+
+def _checked(question: Question, query: q.Query, answer: Answer, start: Start) -> Row:
+    """A query that only the checker (docs/queries.md) answers here: its figure, or its verdict."""
+    own = native_answer(query, start, Settings(runs=None if isinstance(query, q.Hypothesis) else NATIVE_RUNS))
+    if own.verdict is not None:
+        same = answer.satisfied == own.verdict
+        return replace(_row(question.formula, nan, (nan, nan), nan, (nan, nan)), agree=same, note=_said(answer))
+    figures = (own.numbers.get("low", nan), own.numbers.get("high", nan))
+    low, high = (nan if end is None else end for end in (answer.low, answer.high))
+    return _row(question.formula, own.numbers.get("probability", nan), figures, (low + high) / 2, (low, high))
+
+
+def _said(answer: Answer) -> str:
+    return {True: "UPPAAL: satisfied", False: "UPPAAL: NOT satisfied", None: "UPPAAL: not decided"}[answer.satisfied]
+
+
+def _verdict(question: Question, answer: Answer, native: Native) -> Row:
+    """What only the exported model can be asked: UPPAAL's figure and verdict, and ours about acceptance."""
+    figure = answer.mean if answer.mean is not None else nan
+    row = Row(question.formula, nan, figure, nan, (nan, nan), (nan, nan), None, _said(answer))
+    if question.formula != compatibility().formula:
+        return row
+    said = "accepts every event" if native.replay.accepted else "does not accept every event"
+    return replace(row, agree=answer.satisfied == native.replay.accepted, note=f"{row.note}; native: {said}")

@@ -1,0 +1,220 @@
+"""A model and a trace as UPPAAL documents: the main one with flows and noise, the minimal one of compatibility."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil, isfinite
+from pathlib import Path
+
+import numpy as np
+
+from sim.artefacts.files import refused, replace_durably
+from sim.sha import distributions
+from sim.sha.automaton import SHA, transitions
+from sim.sha.correction import in_sensor_scale
+from sim.sha.entry import check_sha
+from sim.sha.events import alphabet_symbols
+from sim.sha.model import Model
+from sim.sha.open_loop import Start, open_loop
+from sim.sha.schedule import Policy
+from sim.sha.trace import UNKNOWN, Trace
+from sim.uppaal.document import Question, System, number, plain, xml_text
+from sim.uppaal.layout import in_a_row, on_a_circle
+from sim.uppaal.machine import Beginning, Move, Variables, machine, variables
+from sim.uppaal.players import event_arrays, input_declarations, input_player, player, skeleton
+from sim.uppaal.queries import asked, compatibility, default_questions, query_file
+from sim.uppaal.replay import Replay, replay_of
+from sim.uppaal.rules import check_rules
+from sim.uppaal.words import Names, spelled
+
+TICK = 1
+"""Seconds between two draws of the noise, at most: also between them the temperature may cross a limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """One exported file: base name, XML text, its queries, and sentences about what the reader should know."""
+
+    name: str
+    xml: str
+    questions: tuple[Question, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """Both documents of one trace, and what they replay."""
+
+    main: Document
+    minimal: Document
+    replay: Replay = field(repr=False)
+
+
+class ExportError(ValueError):
+    """A model cannot be exported, or its text breaks a rule of UPPAAL's parser."""
+
+
+def export(
+    model: Model,
+    trace: Trace,
+    *,
+    policy: Policy = "resync",
+    start: Start = "measured",
+    tick: int = TICK,
+    formulas: Sequence[str] = (),
+) -> Exported:
+    """The main and the minimal document of `model` replaying `trace`.
+
+    `policy` is what an event without an edge does in the main model (the minimal one stops there, that is its
+    question); `tick` (s) bounds the time between two draws of the noise, 0 draws it at events only; `formulas` are
+    queries (docs/queries.md) besides the default set. Raises ExportError, saying what is wrong,
+    for a model with guards or several targets for one event, an input or temperature that the trace does not have,
+    and a query that UPPAAL would refuse.
+    """
+    if tick < 0:
+        raise ExportError(f"the noise's tick must be at least 0 s, got {tick}")
+    try:
+        model = in_sensor_scale(model)
+        check_sha(model.sha)
+        replay = replay_of(model, trace, policy, start)
+        more, skeletal = asked(formulas, model)
+        peak = float(np.max(open_loop(model, trace, policy, start).mean))
+        main = _main(model, replay, tick, (*default_questions(replay, float(ceil(peak))), *more))
+        minimal = _minimal(model, replay, (compatibility(), *skeletal))
+    except ExportError:
+        raise
+    except ValueError as error:
+        raise ExportError(f"model {model.sha.name!r} cannot be exported along trace {trace.name!r}: {error}") from None
+    for document in (main, minimal):
+        broken = check_rules(document.xml, [question.formula for question in document.questions])
+        if broken:
+            raise ExportError(f"{document.name}: {'; '.join(broken)}")
+    return Exported(main, minimal, replay)
+
+
+def write(directory: Path, exported: Exported) -> list[Path]:
+    """Writes `NAME.xml`, `NAME.q`, `NAME_val.xml`, `NAME_val.q`; returns the paths. Raises ArtefactError."""
+    written = []
+    for document in (exported.main, exported.minimal):
+        texts = {f"{document.name}.xml": document.xml, f"{document.name}.q": query_file(document.questions)}
+        for name, text in texts.items():
+            try:
+                directory.mkdir(parents=True, exist_ok=True)
+                replace_durably(directory / name, text)
+            except OSError as error:
+                raise refused(directory / name, error) from None
+            written.append(directory / name)
+    return written
+
+
+def base_name(model: str, trace: str) -> str:
+    """The base name of an export's files: letters, digits, underscores and hyphens."""
+    return "_".join(
+        "".join(sign if sign.isalnum() and sign.isascii() else "_" for sign in part).strip("_") or "x"
+        for part in (model, trace)
+    )
+
+
+def _main(model: Model, replay: Replay, tick: int, questions: tuple[Question, ...]) -> Document:
+    sha = model.sha
+    names = Names(location.name for location in sha.locations)
+    known = variables(names, _signals(sha))
+    channels = _channels(model, replay.symbols, names)
+    moves = [*_edges(sha, channels), *((source, channels[symbol], target) for source, symbol, target in replay.added)]
+    law = replay.x0
+    drawn = distributions.variance(law) > 0
+    begin = Beginning(replay.location, replay.age, distributions.mean(law), law if drawn else None)
+    constants, template = machine(sha, names, known, moves, begin, tick)
+    ids = {symbol: index for index, symbol in enumerate(channels)}
+    feeder = input_player(replay.readings, known.inputs)
+    templates = [on_a_circle(template), in_a_row(player(channels, ids, replay.symbols, timed=True))]
+    templates += [in_a_row(feeder)] if feeder else []
+    instances = [("m_1", "Machine"), ("p_1", "Player"), *([("i_1", "Inputs")] if feeder else [])]
+    declared = _declared(sha, known, replay, channels, ids, constants, tick)
+    name = base_name(sha.name, replay.trace)
+    system = System(plain(f"{sha.name} along {replay.trace}"), declared, tuple(templates), tuple(instances), questions)
+    return Document(name, xml_text(system), questions, _notes(model, replay))
+
+
+def _declared(
+    sha: SHA,
+    known: Variables,
+    replay: Replay,
+    channels: Mapping[str, str],
+    ids: Mapping[str, int],
+    constants: str,
+    tick: int,
+) -> str:
+    """The global declarations of the main model."""
+    lines = [
+        f"// {plain(sha.name)} along {plain(replay.trace)}. Temperatures in degC, times in seconds since the start.",
+        f"const double {known.low} = {number(sha.low)};",
+        f"const double {known.high} = {number(sha.high)};",
+    ]
+    if isfinite(sha.max_rate):
+        lines.append(f"const double {known.max_rate} = {number(sha.max_rate)};")
+    if tick:
+        lines += [
+            "// The noise is drawn at each event, and after so many seconds without one.",
+            f"const int {known.tick} = {tick};",
+        ]
+    lines += [_chan("broadcast chan", channels, ids), event_arrays(replay.symbols, replay.times, ids)]
+    if known.inputs:
+        lines.append(input_declarations(replay.readings, known.inputs))
+    return "\n".join([*lines, constants])
+
+
+def _minimal(model: Model, replay: Replay, questions: tuple[Question, ...]) -> Document:
+    """Binary channels: over broadcast ones an event that no edge takes would be lost, and the question vacuous."""
+    sha = model.sha
+    names = Names(location.name for location in sha.locations)
+    channels = _channels(model, replay.all_symbols, names)
+    ids = {symbol: index for index, symbol in enumerate(channels)}
+    moves = _edges(sha, channels)
+    if UNKNOWN in replay.all_symbols:
+        moves += [(location.name, channels[UNKNOWN], sha.initial) for location in sha.locations]
+    templates = (
+        on_a_circle(skeleton([location.name for location in sha.locations], names, moves, sha.initial)),
+        in_a_row(player(channels, ids, replay.all_symbols, timed=False)),
+    )
+    title = f"{plain(sha.name)} along {plain(replay.trace)}: does it accept every event?"
+    declared = "\n".join([f"// {title}", _chan("chan", channels, ids), event_arrays(replay.all_symbols, None, ids)])
+    system = System(title, declared, templates, (("m_1", "Machine"), ("p_1", "Player")), questions)
+    return Document(f"{base_name(sha.name, replay.trace)}_val", xml_text(system), questions)
+
+
+def _signals(sha: SHA) -> list[str]:
+    return sorted({given.signal for location in sha.locations for given in location.flow.inputs})
+
+
+def _edges(sha: SHA, channels: Mapping[str, str]) -> list[Move]:
+    """The automaton's edges. One on UNKNOWN is left out: that event always leads to the initial location."""
+    moves = transitions(sha)
+    return [(source, channels[symbol], target) for (source, symbol), target in moves.items() if symbol != UNKNOWN]
+
+
+def _channels(model: Model, played: Iterable[str], names: Names) -> dict[str, str]:
+    """symbol -> channel, in the alphabet's order, then the edges', then the trace's."""
+    edges = [edge.symbol for edge in model.sha.edges]
+    symbols = list(dict.fromkeys([*alphabet_symbols(model.alphabet), *edges, *played]))
+    own = dict(model.alphabet.uppaal)
+    words = spelled([own.get(symbol, symbol) for symbol in symbols])
+    return {symbol: names.fresh(words[own.get(symbol, symbol)]) for symbol in symbols}
+
+
+def _chan(kind: str, channels: Mapping[str, str], ids: Mapping[str, int]) -> str:
+    """The channels' declarations, one a line, with the symbol and the number that EVENTS uses."""
+    return "\n".join(f"{kind} {channel};  // {ids[symbol]}: {plain(symbol)}" for symbol, channel in channels.items())
+
+
+def _notes(model: Model, replay: Replay) -> tuple[str, ...]:
+    """What the reader of the main model should know, one sentence each."""
+    found = []
+    own = [move for move in replay.added if move[1] != UNKNOWN]
+    if own:
+        shown = ", ".join(f"{source} -{symbol}-> {target}" for source, symbol, target in own[:5])
+        found.append(f"{len(own)} moves that the automaton has no edge for were added by the policy: {shown}")
+    if replay.dropped:
+        found.append(f"{replay.dropped} events without an edge are lost on broadcast channels, as the policy has it")
+    if isfinite(model.sha.max_rate):
+        found.append("under a rate limit the noise at events is that of the unlimited flow, as in this program")
+    return tuple(found)

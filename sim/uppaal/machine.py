@@ -1,0 +1,221 @@
+"""The automaton as a UPPAAL template: flows as rates, entries as random draws, noise as exact jumps in updates."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+from sim.sha.automaton import SHA, Distribution, Flow, Location
+from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
+from sim.sha.flows import RELAXING
+from sim.uppaal.document import Arrow, Place, Template, number, plain
+from sim.uppaal.words import Names, spelled
+
+Move = tuple[str, str, str]
+"""Source (a location's name), the channel on which it receives, target."""
+
+Constant = Callable[[str, float], str]
+"""Declares a constant of a kind and gives its identifier."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variables:
+    """The identifiers of the machine's own variables; `inputs` gives signal -> (value, flag that it was read)."""
+
+    mode: str
+    jump: str
+    since: str
+    clamps: str
+    taken: str
+    low: str
+    high: str
+    max_rate: str
+    tick: str
+    inputs: Mapping[str, tuple[str, str]]
+
+
+def variables(names: Names, signals: Iterable[str]) -> Variables:
+    """Names for the machine's own variables: what a location is called already is avoided."""
+    inputs = {
+        signal: (names.fresh(f"u_{word}"), names.fresh(f"known_{word}")) for signal, word in spelled(signals).items()
+    }
+    return Variables(
+        mode=names.fresh("m"),
+        jump=names.fresh("jump"),
+        since=names.fresh("since"),
+        clamps=names.fresh("clamps"),
+        taken=names.fresh("taken"),
+        low=names.fresh("LOW"),
+        high=names.fresh("HIGH"),
+        max_rate=names.fresh("MAX_RATE"),
+        tick=names.fresh("TICK"),
+        inputs=inputs,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One location in UPPAAL's words: its constants, its rate, and the updates when it is left and when entered.
+
+    `noisy` says whether there is noise to draw while the machine stays.
+    """
+
+    constants: tuple[str, ...]
+    rate: str
+    leave: tuple[str, ...]
+    enter: tuple[str, ...]
+    noisy: bool
+
+
+def part(location: Location, names: Names, known: Variables, max_rate: float) -> Part:
+    """The texts of one location. Raises ValueError for numbers that UPPAAL has no word for."""
+    identifier = names.locations[location.name]
+    word = spelled([identifier])[identifier]
+    constants: list[str] = []
+
+    def constant(kind: str, value: float) -> str:
+        name = names.fresh(f"{kind}_{word}")
+        constants.append(f"const double {name} = {number(value)};")
+        return name
+
+    flow = location.flow
+    own = {kind: constant(kind.upper(), flow.params[kind]) for kind in ("k", "t0") if kind in flow.params}
+    rate = _rate(flow, own, known, constant)
+    if isfinite(max_rate) and flow.kind != "constant":
+        rate = f"fmax(-{known.max_rate}, fmin({rate}, {known.max_rate}))"
+    deviation = _deviation(flow, own, known.since, constant)
+    jump = f"Temp + {deviation} * random_normal(0.0, 1.0)" if deviation else "Temp"
+    enter = _entered(location, known, constant)
+    return Part(tuple(constants), rate, (f"{known.jump} = {jump}", *clamp(known)), enter, bool(deviation))
+
+
+def _rate(flow: Flow, own: Mapping[str, str], known: Variables, constant: Constant) -> str:
+    """The right-hand side of Temp' without a limit."""
+    if flow.kind in RELAXING:
+        target = known.mode
+        for given in flow.inputs:
+            value, read = known.inputs[given.signal]
+            gain, reference = constant("GAIN", given.gain), constant("REF", given.reference)
+            target += f" + {read} * {gain} * ({value} - {reference})"
+        return f"{own['k']} * ({target} - Temp)"
+    if flow.kind == "logarithmic":
+        return f"{known.mode} / ({own['t0']} + age)"
+    return known.mode if flow.kind == "linear" else "0.0"
+
+
+def _deviation(flow: Flow, own: Mapping[str, str], since: str, constant: Constant) -> str:
+    """The standard deviation of what the noise has added since it was last drawn; empty without noise."""
+    if not flow.params["noise"]:
+        return ""
+    noise = constant("NOISE", flow.params["noise"])
+    if flow.kind in RELAXING:
+        return f"{noise} * sqrt((1.0 - exp(-2.0 * {own['k']} * {since})) / (2.0 * {own['k']}))"
+    return f"{noise} * sqrt({since})"
+
+
+def _entered(location: Location, known: Variables, constant: Constant) -> tuple[str, ...]:
+    """What entering does to X and to the mode parameter (the flow `constant` has no use for one)."""
+    fresh, law = drawn_temperature(location), drawn_parameter(location)
+    updates = [f"{known.jump} = {draw(fresh, constant)}", *clamp(known)] if fresh else []
+    if location.flow.kind != "constant":
+        mode = draw(law, constant) if law else constant("M", mode_parameter(location)[0])
+        updates.append(f"{known.mode} = {mode}")
+    return tuple(updates)
+
+
+def draw(law: Distribution, constant: Constant) -> str:
+    """One draw from a law, by the functions that UPPAAL has had since statistical model checking came."""
+    p = law.params
+    if law.kind in ("normal", "lognormal"):
+        middle = constant("MU", p["mu"])
+        normal = f"random_normal({middle}, {constant('SIGMA', p['sigma'])})" if p["sigma"] else middle
+        return f"exp({normal})" if law.kind == "lognormal" else normal
+    if law.kind == "exponential":
+        return f"-{constant('MEAN', p['mean'])} * ln(1.0 - random(1.0))"
+    shape, scale = constant("SHAPE", p["shape"]), constant("SCALE", p["scale"])
+    return f"{scale} * pow(-ln(1.0 - random(1.0)), 1.0 / {shape})"
+
+
+def clamp(known: Variables) -> tuple[str, ...]:
+    """Holds the jump variable inside the model's range and counts."""
+    x, low, high = known.jump, known.low, known.high
+    return (
+        f"{known.clamps} = {known.clamps} + ({x} < {low} || {x} > {high} ? 1 : 0)",
+        f"{x} = fmax({low}, fmin({x}, {high}))",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """Where the machine starts: location, seconds spent there already, first temperature, its law where it has one."""
+
+    location: str
+    age: float
+    temperature: float
+    law: Distribution | None = None
+
+
+def machine(
+    sha: SHA, names: Names, known: Variables, moves: Sequence[Move], begin: Beginning, tick: int
+) -> tuple[str, Template]:
+    """The machine's constants (for the global declarations) and its template `Machine`, not laid out yet.
+
+    `tick` (s) bounds the time between two draws of the noise; 0 draws it at events only. Raises ValueError for numbers
+    that UPPAAL has no word for.
+    """
+    parts = {location.name: part(location, names, known, sha.max_rate) for location in sha.locations}
+    places = [_place(location, names, known, parts[location.name], tick) for location in sha.locations]
+    start = Place(names.fresh("start"), kind="committed")
+    extra: list[str] = []
+
+    def constant(kind: str, value: float) -> str:
+        extra.append(f"const double {(name := names.fresh(f'{kind}_start'))} = {number(value)};")
+        return name
+
+    first = draw(begin.law, constant) if begin.law else "Temp"
+    opening = (f"{known.jump} = {first}", *clamp(known), f"Temp = {known.jump}", f"age = {number(begin.age)}")
+    mode = [update for update in parts[begin.location].enter if update.startswith(f"{known.mode} = ")]
+    arrows = [Arrow(start.name, names.locations[begin.location], update=joined(*opening, *mode))]
+    for source, channel, target in moves:
+        updates = (*parts[source].leave, *parts[target].enter, f"Temp = {known.jump}", f"{known.since} = 0", "age = 0")
+        text = joined(*updates, f"{known.taken} = {known.taken} + 1")
+        arrows.append(Arrow(names.locations[source], names.locations[target], sync=f"{channel}?", update=text))
+    arrows += [_tick(names.locations[name], known, each) for name, each in parts.items() if each.noisy and tick]
+    comments = [f"// {names.locations[one.name]}: {plain(one.name)}, {one.flow.kind}" for one in sha.locations]
+    constants = [
+        line for comment, each in zip(comments, parts.values(), strict=True) for line in (comment, *each.constants)
+    ]
+    declared = _declarations(known, begin.temperature)
+    return "\n".join([*constants, *extra]), Template("Machine", declared, (start, *places), tuple(arrows), start.name)
+
+
+def _declarations(known: Variables, temperature: float) -> str:
+    return "\n".join(
+        (
+            "// The temperature; seconds since the entry, since the noise was last drawn, since the start.",
+            f"hybrid clock Temp = {number(temperature)};",
+            f"clock age, {known.since}, time;",
+            "// The mode parameter of the present stay, and the temperature on its way through an update.",
+            f"double {known.mode} = 0.0;",
+            f"double {known.jump} = 0.0;",
+            "// How often the temperature was put back to the border of its range; how many events found an edge.",
+            f"int {known.clamps} = 0;",
+            f"int {known.taken} = 0;",
+        )
+    )
+
+
+def _place(location: Location, names: Names, known: Variables, each: Part, tick: int) -> Place:
+    bound = f"{known.since} <= {known.tick} && " if each.noisy and tick else ""
+    comment = f"{plain(location.name)}: {location.flow.kind}, entry {location.entry}"
+    return Place(names.locations[location.name], invariant=f"{bound}Temp' == {each.rate}", comment=comment)
+
+
+def _tick(place: str, known: Variables, each: Part) -> Arrow:
+    """Draws the noise of the seconds gone by; the stay goes on."""
+    text = joined(*each.leave, f"Temp = {known.jump}", f"{known.since} = 0")
+    return Arrow(place, place, guard=f"{known.since} >= {known.tick}", update=text)
+
+
+def joined(*updates: str) -> str:
+    """Updates in their order, as one label."""
+    return ", ".join(updates)

@@ -1,0 +1,146 @@
+"""What an exported model replays: where the run starts, the timed events, the held readings of the inputs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+
+from sim.sha.automaton import SHA, Distribution, transitions
+from sim.sha.model import Model
+from sim.sha.open_loop import Start, open_loop_schedule, start_law
+from sim.sha.schedule import Policy, resync_targets
+from sim.sha.trace import UNKNOWN, Array, Event, Trace
+
+DIGITS = 6
+"""Decimals of exported times (microseconds): a trace's clock, in seconds since 1970, has no more in a double."""
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """The input signals of driven flows: rows (n,) at `times` (s since the start), each held until the next.
+
+    `first` holds the values at the start; a signal that was not read by then is missing there.
+    """
+
+    times: Array
+    values: dict[str, Array]
+    first: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """One trace as the exported model plays it; times in seconds since the first reading of the temperature.
+
+    `location` is where the run starts and `age` for how long it has been there (s); `x0` the law of the first
+    temperature. `times` and `symbols` are the events from the start to the last reading, `duration` the time between
+    (s), `added` the moves (source, symbol, target) that the policy makes where the automaton has no edge, `dropped`
+    the number of events that it passes over. `all_symbols` are those of the whole trace, from the automaton's own
+    initial location on, for the compatibility model.
+    """
+
+    trace: str
+    location: str
+    age: float
+    x0: Distribution
+    times: tuple[float, ...]
+    symbols: tuple[str, ...]
+    duration: float
+    readings: Readings
+    added: tuple[tuple[str, str, str], ...]
+    dropped: int
+    all_symbols: tuple[str, ...]
+    accepted: bool
+
+    @property
+    def bound(self) -> int:
+        """The queries' time bound: whole seconds, at least 1, that hold the whole replay."""
+        return max(1, ceil(self.duration))
+
+
+def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Start = "measured") -> Replay:
+    """The replay of an encoded trace, over the span and from the start that `open_loop` has.
+
+    Raises ValueError as `open_loop_schedule` and `start_law` do: a model that is not deterministic or has guards, an
+    event without an edge under `reject`, a missing input, a trace without a temperature.
+    """
+    steps = open_loop_schedule(model, trace, policy)
+    law = start_law(model, trace, start)
+    begin, end = steps.start, float(steps.times[-1])
+    events = [event for event in trace.events if begin <= event.time <= end]
+    added, dropped = _moves(model.sha, trace.events, begin, end, policy)
+    return Replay(
+        trace=trace.name,
+        location=model.sha.locations[int(steps.location[0])].name,
+        age=round(float(steps.age[0]), DIGITS),
+        x0=law,
+        times=tuple(round(event.time - begin, DIGITS) for event in events),
+        symbols=tuple(event.symbol for event in events),
+        duration=round(end - begin, DIGITS),
+        readings=_readings(model, trace, begin, end),
+        added=added,
+        dropped=dropped,
+        all_symbols=tuple(event.symbol for event in trace.events),
+        accepted=_accepted(model.sha, trace.events),
+    )
+
+
+def _accepted(sha: SHA, events: Sequence[Event]) -> bool:
+    """Whether every event has an edge; UNKNOWN always leads to the initial location."""
+    moves, here = transitions(sha), sha.initial
+    for event in events:
+        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
+        if target is None:
+            return False
+        here = target
+    return True
+
+
+def _moves(
+    sha: SHA, events: Sequence[Event], begin: float, end: float, policy: Policy
+) -> tuple[tuple[tuple[str, str, str], ...], int]:
+    """The moves between `begin` and `end` for which the automaton has no edge, and how many events are passed over."""
+    moves, fallback, here = transitions(sha), resync_targets(sha), sha.initial
+    added: dict[tuple[str, str, str], None] = {}
+    dropped = 0
+    for event in events:
+        if event.time > end:
+            break
+        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
+        if target is None:
+            if policy == "ignore":
+                dropped += event.time >= begin
+                continue
+            target = fallback.get(event.symbol, sha.initial)
+        if event.time >= begin and (event.symbol == UNKNOWN or (here, event.symbol) not in moves):
+            added[here, event.symbol, target] = None
+        here = target
+    return tuple(added), dropped
+
+
+def _readings(model: Model, trace: Trace, begin: float, end: float) -> Readings:
+    """The rows in which a reading of a driving signal changed, from `begin` on."""
+    signals = sorted({given.signal for location in model.sha.locations for given in location.flow.inputs})
+    present = [signal for signal in signals if signal in trace.signals]
+    rows = np.flatnonzero((trace.times > begin) & (trace.times < end))
+    held: dict[str, Array] = {}
+    first: dict[str, float] = {}
+    wanted = np.zeros(rows.size, dtype=bool)
+    for signal in present:
+        column = _held(trace.signals[signal])
+        before = int(np.searchsorted(trace.times, begin, side="right")) - 1
+        now = column[before] if before >= 0 else np.nan
+        if not np.isnan(now):
+            first[signal] = float(now)
+        later = column[rows]
+        previous = np.concatenate([[now], later[:-1]])[: rows.size]
+        wanted |= ~np.isnan(later) & (later != previous)
+        held[signal] = later
+    times = np.round(trace.times[rows] - begin, DIGITS)
+    return Readings(times[wanted], {signal: column[wanted] for signal, column in held.items()}, first)
+
+
+def _held(column: Array) -> Array:
+    """Each reading until the next one; NaN before the first."""
+    last = np.maximum.accumulate(np.where(np.isnan(column), -1, np.arange(column.size)))
+    return np.where(last < 0, np.nan, column[last])
