@@ -54,7 +54,7 @@ def find_model(
     and the sensor is taken as perfect. `parameter` is that of `convert.to_sha`. Raises ArtefactError.
     """
     path = Path(where)
-    base = _artefact_base(path)
+    base = artefact_base(path)
     if base is None:
         model = _own_model(path)
         return Found(model.sha.name, model.sha, model)
@@ -89,7 +89,7 @@ def _nothing_there(path: Path) -> str:
     return f"there is no model directory, store, file or set of artefacts of this name{there}"
 
 
-def _artefact_base(path: Path) -> tuple[Path, str] | None:
+def artefact_base(path: Path) -> tuple[Path, str] | None:
     """(directory, base name) where `path` means artefacts; None where it means a model of our own.
 
     Raises ArtefactError where a directory holds several sets.

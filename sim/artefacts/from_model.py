@@ -9,7 +9,8 @@ from sim.artefacts.files import ArtefactError
 from sim.artefacts.flow_file import FlowFile, parse_equation
 from sim.artefacts.flow_kinds import equation_text, quoted
 from sim.artefacts.histogram import Histogram
-from sim.artefacts.report import Report, ReportedLaw, ReportedLocation
+from sim.artefacts.report import EMPTY_WORD, UNOBSERVED, Report, ReportedLaw, ReportedLocation, Row, Table
+from sim.learning.lsha.table import ObservationTable, TableRow
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet, Bins
@@ -24,11 +25,13 @@ Key = tuple[str, tuple[tuple[str, float], ...]]
 """A law's kind and parameters, by which equal laws are one."""
 
 
-def to_artefacts(model: Model, values: RawValues | None = None) -> Artefacts:
+def to_artefacts(
+    model: Model, values: RawValues | None = None, observations: ObservationTable | None = None
+) -> Artefacts:
     """Source, report, histogram and flow file of a model; base name is the automaton's.
 
-    Equal equations share a number, equal laws a name `D_i` (and their raw values). Raises ArtefactError for names that
-    the formats cannot hold.
+    `observations` is the observation table of a learner that has one. Equal equations share a number, equal laws a name
+    `D_i` (and their raw values). Raises ArtefactError for names that the formats cannot hold.
     """
     sha = model.sha
     equations = _numbered(equation_text(location.flow, model.temperature) for location in sha.locations)
@@ -37,6 +40,7 @@ def to_artefacts(model: Model, values: RawValues | None = None) -> Artefacts:
     report = Report(
         events=tuple(_events(model.alphabet)),
         distributions=tuple(_reported_laws(sha, laws)),
+        table=_table(observations, _cells(sha, equations, laws, model.temperature)) if observations else None,
         performance=(("SAMPLED TRACES", str(len(model.provenance.traces))),),
         locations=tuple(_line(location) for location in sha.locations),
         limits={"low": float(sha.low), "high": float(sha.high), "max_rate": float(sha.max_rate)},
@@ -75,6 +79,30 @@ def _source(sha: SHA, equations: Mapping[str, int], laws: Mapping[Key, int], sta
         nodes.append(SourceLocation(INIT))
         edges.append(Edge(INIT, "", sha.initial))
     return Source(tuple(nodes), tuple(edges))
+
+
+def _cells(sha: SHA, equations: Mapping[str, int], laws: Mapping[Key, int], state: str) -> dict[str, str]:
+    """The cell of each location: its flow and its distribution by their numbers."""
+    return {
+        location.name: f"(f_{equations[equation_text(location.flow, state)]},"
+        + (f"D_{laws[_key(location.distribution)]})" if location.distribution else f"{EMPTY_WORD})")
+        for location in sha.locations
+    }
+
+
+def _table(observations: ObservationTable, cells: Mapping[str, str]) -> Table:
+    """Words with their symbols run together, as the public learner writes them."""
+
+    def word(symbols: Sequence[str]) -> str:
+        return "".join(map(_plain_name, symbols)) or EMPTY_WORD
+
+    def rows(part: Sequence[TableRow]) -> tuple[Row, ...]:
+        return tuple(
+            Row(word(one.word), tuple(UNOBSERVED if cell is None else cells[cell] for cell in one.cells))
+            for one in part
+        )
+
+    return Table(tuple(map(word, observations.suffixes)), rows(observations.upper), rows(observations.lower))
 
 
 def _plain_name(name: str) -> str:

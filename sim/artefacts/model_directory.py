@@ -15,6 +15,7 @@ from sim.artefacts.files import at, read_text, refused, replace_durably, sync_di
 from sim.artefacts.from_model import RawValues, to_artefacts
 from sim.artefacts.json_reading import Node, parse_json
 from sim.artefacts.model_json import model_hash, model_text, parse_model
+from sim.learning.lsha.table import ObservationTable
 from sim.sha.model import Model
 
 MODEL_FILE = "model.json"
@@ -24,9 +25,11 @@ Facts = Mapping[str, str | float]
 """What a manifest says besides the files' hashes: method, data hash, parent, time of creation."""
 
 
-def directory_files(model: Model, histogram: RawValues | None = None) -> dict[str, str]:
+def directory_files(
+    model: Model, histogram: RawValues | None = None, observations: ObservationTable | None = None
+) -> dict[str, str]:
     """The content of a model directory by file name, without the manifest. Raises ArtefactError."""
-    return {MODEL_FILE: model_text(model)} | texts(to_artefacts(model, histogram))
+    return {MODEL_FILE: model_text(model)} | texts(to_artefacts(model, histogram, observations))
 
 
 def manifest_text(model: Model, files: Mapping[str, str], facts: Facts) -> str:
@@ -48,14 +51,22 @@ def write_files(directory: Path, files: Mapping[str, str]) -> None:
     sync_directory(directory)
 
 
-def write_model_directory(out: Path, model: Model, histogram: RawValues | None = None) -> Path:
+def write_model_directory(
+    out: Path,
+    model: Model,
+    histogram: RawValues | None = None,
+    *,
+    observations: ObservationTable | None = None,
+    more: Mapping[str, str] | None = None,
+) -> Path:
     """Writes a model with all its artefacts into `out`, which is made; returns the path of its `model.json`.
 
-    `histogram` has the raw parameter values by location. A model directory that is there already is replaced file by
+    `histogram` has the raw parameter values by location, `observations` the learner's table, `more` the content of
+    further files by their names (a learning report, say). A model directory that is there already is replaced file by
     file; files that no manifest lists are never touched, and a directory with other things in it is refused. Raises
     ArtefactError.
     """
-    files = directory_files(model, histogram)
+    files = dict(more or {}) | directory_files(model, histogram, observations)
     manifest = manifest_text(model, files, {})
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -16,6 +16,8 @@ from sim.artefacts.json_reading import Node, parse_json, written_number
 from sim.artefacts.model_parts import (
     alphabet_of,
     alphabet_part,
+    correction_of,
+    correction_part,
     edge_of,
     edge_part,
     law_of,
@@ -29,6 +31,7 @@ from sim.artefacts.model_parts import (
     stay_part,
 )
 from sim.sha.automaton import SHA
+from sim.sha.correction import in_sensor_scale
 from sim.sha.distributions import check_distribution
 from sim.sha.entry import check_sha
 from sim.sha.events import check_alphabet
@@ -60,6 +63,7 @@ KEYS = (
     "initial_temperature",
     "semi_markov",
     "calibration",
+    "correction",
     "provenance",
 )
 
@@ -97,6 +101,7 @@ def model_document(model: Model) -> dict[str, Any]:
             {"horizon": written_number(horizon), "factor": written_number(factor)}
             for horizon, factor in sorted(model.calibration.items())
         ],
+        **correction_part(model.correction),
         "provenance": provenance_part(model.provenance),
     }
 
@@ -115,6 +120,7 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
         semi_markov=root.get("semi_markov").table(stay_of),
         calibration=_calibration(root.get("calibration")),
         provenance=provenance_of(root.get("provenance")),
+        correction=correction_of(root),
     )
     try:
         _check(model)
@@ -167,6 +173,7 @@ def _check(model: Model) -> None:
     try:
         check_sha(model.sha)
         check_alphabet(model.alphabet)
+        in_sensor_scale(model)
         if model.initial is not None:
             check_distribution(model.initial)
         for name, stay in model.semi_markov.items():

@@ -8,7 +8,7 @@ from sim.artefacts.files import ArtefactError
 from sim.artefacts.json_reading import Node, written_number
 from sim.sha.automaton import Distribution, Edge, Entry, Flow, Input, Location
 from sim.sha.events import Alphabet, Bins, Switch
-from sim.sha.model import Provenance, Stay
+from sim.sha.model import Correction, Provenance, Stay
 
 ENTRIES: dict[str, Entry] = {"parameter": "parameter", "resample": "resample", "none": "none"}
 
@@ -152,6 +152,24 @@ def stay_of(node: Node) -> Stay:
 def _moments_of(node: Node) -> tuple[float, float]:
     node.only(("mean", "sigma"))
     return node.get("mean").number(), node.get("sigma").number()
+
+
+def correction_part(correction: Correction) -> dict[str, Any]:
+    """The entry of a correction; none for the identity, so that a model without one keeps its text and its hash."""
+    if correction.identity:
+        return {}
+    return {"correction": numbers_part({"gain": correction.gain, "offset": correction.offset})}
+
+
+def correction_of(root: Node) -> Correction:
+    """The correction of a model's document; the identity where it says nothing."""
+    if "correction" not in root.value:
+        return Correction()
+    node = root.get("correction").only(("gain", "offset"))
+    try:
+        return Correction(node.get("gain").number(), node.get("offset").number())
+    except ValueError as error:
+        raise node.error(str(error)) from None
 
 
 def provenance_part(provenance: Provenance) -> dict[str, Any]:

@@ -3,6 +3,7 @@
     STORE/store.json          says that this is a store
     STORE/versions/0001-1f2e3d4c/   number and start of the model's hash; a model directory with its manifest
     STORE/current             the name of the promoted version
+    STORE/forced.json         who promoted which version although it does not verify, when and why
     STORE/.lock               held while a version is written or promoted
 
 A version is written under a name that begins with a dot and renamed when all of it is on the disk; `current` is
@@ -16,11 +17,12 @@ import re
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from sim.artefacts.files import at, read_text, refused, replace_durably, sync_directory
 from sim.artefacts.from_model import RawValues
-from sim.artefacts.json_reading import parse_json
+from sim.artefacts.json_reading import Node, parse_json
 from sim.artefacts.model_directory import (
     MANIFEST,
     MODEL_FILE,
@@ -31,12 +33,23 @@ from sim.artefacts.model_directory import (
     write_files,
 )
 from sim.artefacts.model_json import model_hash, read_model_file
+from sim.checking.verify import verify
 from sim.sha.model import Model
 
 STORE_FILE = "store.json"
 CURRENT = "current"
+FORCED = "forced.json"
 VERSIONS = "versions"
 STORE_TEXT = json.dumps({"format": "decanter-model-store", "version": 1}) + "\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Force:
+    """Who promoted a version that does not verify, why, and when (seconds UTC)."""
+
+    by: str
+    reason: str
+    time: float
 
 
 def save(store: Path, model: Model, histogram: RawValues | None = None, *, created: float, parent: str = "") -> str:
@@ -108,14 +121,49 @@ def version_directory(store: Path, version: str | None = None) -> Path:
     return store / VERSIONS / name
 
 
-def promote(store: Path, version: str) -> None:
-    """Makes a version the current one, if its files are as they were written. Raises ArtefactError."""
-    load(store, version)
+def promote(store: Path, version: str, force: Force | None = None) -> None:
+    """Makes a version the current one, if its files are as they were written and its model verifies as deployable.
+
+    `force` promotes one that can be run but is not deployable; it is recorded in the store. Raises ArtefactError.
+    """
+    verification = verify(load(store, version))
+    reason = "; ".join(verification.reasons)
+    if not verification.executable:
+        raise at(store / VERSIONS / version, None, f"is not promoted, as it cannot be run at all: {reason}")
+    if reason and force is None:
+        raise at(
+            store / VERSIONS / version,
+            None,
+            f"is not promoted, as it does not verify: {reason}; mend the model, or force it with a name and a reason",
+        )
     try:
         with _locked(store):
+            if reason and force is not None:
+                known = {name: asdict(one) for name, one in _forces(store).items()}
+                replace_durably(store / FORCED, json.dumps(known | {version: asdict(force)}, indent=2) + "\n")
             replace_durably(store / CURRENT, version + "\n")
     except OSError as error:
         raise refused(store, error) from None
+
+
+def forced(path: Path) -> Force | None:
+    """Who forced the current version of the store at `path`; None for others, and for what is no store.
+
+    Raises ArtefactError.
+    """
+    return _forces(path).get(current(path)) if (path / STORE_FILE).is_file() else None
+
+
+def _forces(store: Path) -> dict[str, Force]:
+    file = store / FORCED
+    if not file.is_file():
+        return {}
+    return parse_json(read_text(file), file).table(_force_of)
+
+
+def _force_of(node: Node) -> Force:
+    node.only(("by", "reason", "time"))
+    return Force(node.get("by").text(), node.get("reason").text(), node.get("time").number())
 
 
 def read_model(path: Path) -> Model:

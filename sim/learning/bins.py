@@ -27,15 +27,14 @@ from sim.learning.data import in_order
 from sim.learning.free_run import Fit, fit_free_run
 from sim.learning.held_out import HeldOut, choose, cross_validate, folds, training_errors
 from sim.learning.noise import Noise, fit_noise
+from sim.learning.preparation import LEAST_READINGS, check_data, encoded, initial_law, splits, with_range
 from sim.learning.runs import Runs, first_switch, free_runs, sampled
 from sim.learning.semi_markov import fit_stays
 from sim.learning.structure import LearningError, bare_sha, level_signals
-from sim.sha.automaton import SHA, Distribution
-from sim.sha.events import Alphabet, check_alphabet, encode
+from sim.sha.events import Alphabet, check_alphabet
 from sim.sha.model import Model, Provenance
 from sim.sha.trace import Array, Trace
 
-LEAST_READINGS = 10
 CHOICE_BUDGET, FIT_BUDGET, PART_BUDGET = 3_000, 40_000, 6_000
 """Knots to which the runs are sampled for cross-validation, for the last fit and for the fits of the calibration."""
 CYCLE = 3600.0
@@ -105,7 +104,7 @@ def learn_bins(
     """
     told = progress or (lambda _stage, _share: None)
     check_alphabet(alphabet)
-    given = [_encoded(trace, alphabet) for trace in traces if trace.times.size]
+    given = [encoded(trace, alphabet) for trace in traces if trace.times.size]
     ordered, digest = in_order(given)
     told("reading the traces", 0.0)
     runs, base = _ground(ordered, alphabet, temperature)
@@ -129,13 +128,9 @@ def learn_bins(
     return Learned(model, fitted.values, table, fitted.locations, fitted.noise, coverage)
 
 
-def _encoded(trace: Trace, alphabet: Alphabet) -> Trace:
-    return trace if trace.events else replace(trace, events=encode(trace, alphabet))
-
-
 def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tuple[Runs, Ground]:
     """The free runs through the locations that the data can teach, and what candidates are built on."""
-    _check_data(traces, temperature)
+    check_data(traces, temperature)
     sha, signals = bare_sha(alphabet), level_signals(alphabet)
     switch = first_switch(alphabet)
     rising = switch.rising if switch else None
@@ -149,30 +144,6 @@ def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tu
             f"a model needs at least {LEAST_READINGS}, at different times"
         )
     return runs, ground(runs, alphabet)
-
-
-def _check_data(traces: Sequence[Trace], temperature: str) -> None:
-    if not traces:
-        raise LearningError("there is no trace to learn from")
-    having = [trace for trace in traces if temperature in trace.signals]
-    if not having:
-        known = sorted({name for trace in traces for name in trace.signals})
-        raise LearningError(f"no trace has the temperature {temperature!r}; their signals are {', '.join(known)}")
-    finite = [trace.signals[temperature][np.isfinite(trace.signals[temperature])] for trace in having]
-    readings = np.concatenate(finite)
-    if not readings.size:
-        raise LearningError(f"the temperature {temperature!r} has no reading in any trace")
-    if readings.size < LEAST_READINGS:
-        raise LearningError(
-            f"the temperature {temperature!r} has {readings.size} reading{'s' if readings.size > 1 else ''} in all; "
-            f"a model needs at least {LEAST_READINGS}"
-        )
-    if np.ptp(readings) == 0:
-        raise LearningError(
-            f"the temperature {temperature!r} is {readings[0]:g} in every row, so there is nothing to learn"
-        )
-    if not any(trace.events for trace in traces):
-        raise LearningError("no event of the alphabet happens in any trace, so no location is ever known")
 
 
 Scores = list[tuple[Candidate, HeldOut | None, int, tuple[float, float]]]
@@ -217,11 +188,11 @@ def _fit(
     told = well_seen(sha, shape, fit, base)
     learned = learned_sha(name, sha, shape, fit, noise, few, told)
     model = Model(
-        sha=_with_range(learned, runs),
+        sha=with_range(learned, runs),
         alphabet=base.alphabet,
         temperature=temperature,
         sensor_sigma=noise.sensor,
-        initial=_initial(traces, temperature),
+        initial=initial_law(traces, temperature),
     )
     return _Fitted(
         replace(model, semi_markov=fit_stays(model, traces)),
@@ -230,23 +201,6 @@ def _fit(
         fit,
         noise,
     )
-
-
-def _with_range(sha: SHA, runs: Runs) -> SHA:
-    """The usual range of 0 to 150 degC, wider by 50 degC on a side where the readings leave it."""
-    low, high = float(np.nanmin(runs.reading)), float(np.nanmax(runs.reading))
-    return replace(
-        sha, low=sha.low if low >= sha.low else low - 50.0, high=sha.high if high <= sha.high else high + 50.0
-    )
-
-
-def _initial(traces: Sequence[Trace], temperature: str) -> Distribution:
-    """The law of a trace's first temperature; with one trace its scatter is that of all its readings."""
-    columns = [trace.signals[temperature] for trace in traces if temperature in trace.signals]
-    finite = [column[np.isfinite(column)] for column in columns]
-    firsts = [float(column[0]) for column in finite if column.size]
-    sigma = np.std(firsts, ddof=1) if len(firsts) > 1 else np.std(np.concatenate(finite))
-    return Distribution("normal", {"mu": float(np.mean(firsts)), "sigma": max(float(sigma), 0.5)})
 
 
 def _held_out_forecasts(
@@ -259,7 +213,7 @@ def _held_out_forecasts(
     """
     rng = np.random.default_rng(seed)
     scored: list[Scored] = []
-    for known, asked, since in _splits(traces):
+    for known, asked, since in splits(traces):
         try:
             runs, base = _ground(known, alphabet, temperature)
         except LearningError:
@@ -267,31 +221,6 @@ def _held_out_forecasts(
         model = _fit("part", known, runs, base, candidate, None, temperature, PART_BUDGET).model
         scored += score_forecasts(model, asked, since, rng)
     return scored
-
-
-Split = tuple[Sequence[Trace], Sequence[Trace], Sequence[float]]
-
-
-def _splits(traces: Sequence[Trace]) -> list[Split]:
-    """(to learn from, to forecast, since when) of each part of the calibration."""
-    usable = [trace for trace in traces if trace.times.size > 1]
-    if len(usable) >= 6:
-        parts = [(usable[third::3], [t for n, t in enumerate(usable) if n % 3 != third]) for third in range(3)]
-        return [(others, part, [float(trace.times[0]) for trace in part]) for part, others in parts]
-    splits: list[Split] = []
-    for share in (0.5, 0.75):
-        cuts = [_moment(trace, share) for trace in usable]
-        ends = [_moment(trace, share + 0.25) for trace in usable]
-        known = [trace.between(trace.times[0], cut) for trace, cut in zip(usable, cuts, strict=True)]
-        asked = [
-            trace.between(trace.times[0], np.nextafter(end, np.inf)) for trace, end in zip(usable, ends, strict=True)
-        ]
-        splits.append(([trace for trace in known if trace.times.size], asked, cuts))
-    return splits
-
-
-def _moment(trace: Trace, share: float) -> float:
-    return float(trace.times[0] + share * (trace.times[-1] - trace.times[0]))
 
 
 def _row(

@@ -48,15 +48,15 @@ class Scored:
 
 
 def score_forecasts(
-    model: Model, traces: Sequence[Trace], since: Sequence[float], rng: np.random.Generator
+    model: Model, traces: Sequence[Trace], since: Sequence[float], rng: np.random.Generator, *, origins: int = ORIGINS
 ) -> list[Scored]:
-    """Forecasts with unknown events from moments at or after `since` (one per trace, absolute s), scored.
+    """`origins` forecasts with unknown events from moments at or after `since` (one per trace, absolute s), scored.
 
     The belief is filtered over each whole trace, as it would be on the plant; isolated spikes are no outcomes.
     """
     tracker = compiled(replace(model, calibration={}))
     usable = [max(float(trace.times[-1]) - first, 0.0) for trace, first in zip(traces, since, strict=True)]
-    every = max(sum(usable) / ORIGINS, 1e-9)
+    every = max(sum(usable) / origins, 1e-9)
     stride = max(sum(trace.times.size for trace in traces) // MOST_ROWS, 1)
     scored: list[Scored] = []
     for trace, first in zip(traces, since, strict=True):

@@ -319,6 +319,34 @@ def fit_free_run(runs: Runs, shape: Shape, *, begin: Array | None = None, loss: 
     return Fit(solved.linear, np.exp(log_rates), covariance, sigma, correlation, solved.mean, starts)
 
 
+@dataclass(frozen=True, slots=True)
+class Given:
+    """The linear parameters of greatest likelihood at given rates: `linear` (p,), `sigma` (degC), the Huber `loss`."""
+
+    linear: Array
+    sigma: float
+    loss: float
+
+
+def fit_at_rates(runs: Runs, shape: Shape, rates: Array, rounds: int = 3, scale: float | None = None) -> Given:
+    """`fit_free_run` without its search: the rates (r,) are given, and a few rounds of reweighting are enough.
+
+    `loss` is the mean of Huber's loss at `scale` (degC; default: the fit's own), so that rates can be compared.
+    """
+    rows = np.flatnonzero(np.isfinite(runs.reading))
+    bounds = np.flatnonzero(np.concatenate([[True], np.diff(runs.run[rows]) != 0]))
+    reading, logs = runs.reading[rows], np.log(rates)
+    noise = 0.1 * float(np.var(reading - np.median(reading))) + 1e-6
+    problem = _Problem(runs, shape, loads(runs, shape), rows, reading, bounds, np.ones(rows.size), noise)
+    for _ in range(rounds):
+        solved = _solve(problem, logs)
+        error = reading - solved.mean[rows]
+        sigma = robust_sigma(error)
+        problem = replace(problem, weight=_weights(error, sigma, "huber"), noise=sigma**2)
+    z = np.abs(error) / (scale or sigma)
+    return Given(solved.linear, sigma, float(np.mean(np.where(z < HUBER, 0.5 * z * z, HUBER * z - 0.5 * HUBER**2))))
+
+
 def _weights(error: Array, sigma: float, loss: Loss) -> Array:
     if loss == "squares":
         return np.ones(error.size)

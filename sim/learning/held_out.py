@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.learning.free_run import HUBER, Fit, Shape, fit_free_run, predict
+from sim.learning.free_run import HUBER, Fit, Shape, fit_at_rates, fit_free_run, predict
 from sim.learning.runs import Runs, pieces
 from sim.sha.trace import Array
 
@@ -60,8 +60,10 @@ def folds(runs: Runs) -> Runs | None:
     return cut if enough else None
 
 
-def cross_validate(runs: Runs, shape: Shape, begin: Array) -> HeldOut:
+def cross_validate(runs: Runs, shape: Shape, begin: Array, *, fixed: bool = False) -> HeldOut:
     """Fits `shape` to all folds but one and scores its free runs on that one, for each; `begin` (r,) are first rates.
+
+    With `fixed` these rates are kept, which costs a tenth: a rate that all runs share hardly changes without one fold.
 
     Run i goes to fold i modulo FOLDS, so every fold spans the whole time. The start temperature of a held-out run is
     its own (fitted to it), as in training: the comparison is about the flows, and all candidates are treated alike.
@@ -70,8 +72,13 @@ def cross_validate(runs: Runs, shape: Shape, begin: Array) -> HeldOut:
     mean = np.full(len(runs), np.nan)
     for held in range(min(FOLDS, int(order[-1]) + 1)):
         mine = order % FOLDS == held
-        fit = fit_free_run(runs.where(~mine), shape, begin=begin)
-        mean[mine] = predict(runs.where(mine), shape, fit.linear, fit.rates, fit.sigma)
+        rest = runs.where(~mine)
+        if fixed:
+            given = fit_at_rates(rest, shape, begin)
+            mean[mine] = predict(runs.where(mine), shape, given.linear, begin, given.sigma)
+        else:
+            fit = fit_free_run(rest, shape, begin=begin)
+            mean[mine] = predict(runs.where(mine), shape, fit.linear, fit.rates, fit.sigma)
     rows = np.flatnonzero(np.isfinite(runs.reading))
     return HeldOut((runs.reading - mean)[rows], np.unique(order[rows], return_inverse=True)[1])
 

@@ -1,6 +1,6 @@
 """Traces cut into free runs: exact steps from reading to reading, with location, inputs and stay, as flat arrays."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -62,8 +62,7 @@ class _Path:
     started: Array
 
 
-def _path(trace: Trace, sha: SHA, rising: str | None) -> _Path:
-    moves = transitions(sha)
+def _path(trace: Trace, sha: SHA, moves: Mapping[tuple[str, str], str], rising: str | None) -> _Path:
     index = {location.name: place for place, location in enumerate(sha.locations)}
     here, since = sha.initial, float(trace.times[0])
     places, entered, broken, started = [index[here]], [since], [], []
@@ -182,28 +181,39 @@ def free_runs(
     modelled: Mask | None = None,
     rising: str | None = None,
     cycle: float = 3600.0,
+    jumps: bool = False,
 ) -> Runs:
     """All free runs of the traces through `sha`, each from its first temperature reading to its last.
 
     A run ends where the trace ends, where the state becomes unknown, and where the location is not `modelled` (L,)
     (default: all but the initial one, if other locations exist). It also ends at an event `rising`, a start-up, once it
     has lasted `cycle` seconds: that is where one cycle ends and the next one's start temperature begins. Isolated
-    spikes of the temperature count as no reading. `signals` are the inputs to be held over the steps; a trace that
-    lacks one has it never read.
+    spikes of the temperature count as no reading; with `jumps` one that comes with an event is no spike, since events
+    may make the temperature jump. `signals` are the inputs to be held over the steps; a trace that lacks one has it
+    never read.
 
     Raises LearningError when an event has no edge or no run is left, ValueError when `sha` is not deterministic.
     """
     if modelled is None:
         modelled = np.array([location.name != sha.initial or len(sha.locations) == 1 for location in sha.locations])
+    moves = transitions(sha)
     parts = []
     for trace in traces:
         reading = trace.signals.get(temperature, np.empty(0))
         if not np.isfinite(reading).any():
             continue
         cleaned = without_spikes(reading, resolution(reading))
+        if jumps:
+            cleaned = np.where(_eventful(trace), reading, cleaned)
         known = replace(trace, signals={**_missing(trace, signals), **trace.signals})
-        parts.append(_trimmed(_of_trace(known, _path(known, sha, rising), signals, modelled, cleaned, cycle)))
+        parts.append(_trimmed(_of_trace(known, _path(known, sha, moves, rising), signals, modelled, cleaned, cycle)))
     return _joined(parts)
+
+
+def _eventful(trace: Trace) -> Mask:
+    """(n,) whether an event happened since the row before, up to the row's own time."""
+    times = np.array([event.time for event in trace.events], dtype=float)
+    return np.asarray(np.diff(np.searchsorted(times, trace.times, side="right"), prepend=0) > 0)
 
 
 def _missing(trace: Trace, signals: Sequence[str]) -> dict[str, Array]:

@@ -7,6 +7,7 @@ Names join the channels' labels with "/" in the alphabet's order: ON and OFF for
 """
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from itertools import pairwise, product
 
 from sim.sha.automaton import SHA, Edge, Flow, Location
@@ -24,6 +25,7 @@ class LearningError(ValueError):
     """The traces do not allow a model to be learned; the message is one sentence that says why."""
 
 
+@lru_cache(maxsize=64)
 def labels(channel: Switch | Bins) -> tuple[str, ...]:
     """The names of a channel's values: (OFF, ON) for a switch, one per bin for a level."""
     if isinstance(channel, Switch):

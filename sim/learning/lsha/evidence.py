@@ -1,0 +1,167 @@
+"""The hypothesis-test query: do two sets of segments come from one distribution of the parameter?
+
+A segment's parameter is measured with an error of known variance v, and differs from segment to segment by a scatter of
+variance tau^2. Each counts with the weight 1/(tau^2 + v). The mean's variance is the sandwich estimate (Huber 1967),
+which holds whatever the scatter is; so Welch's statistic with Satterthwaite's degrees of freedom is a two-sample test
+that takes the errors of measurement into account. All sums are additive, so merged sets need no second look at the
+data. Below `n_min` segments the scatter of the whole is assumed instead of the set's own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, nan, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import stdtr
+
+from sim.learning.lsha.segments import Segments
+from sim.learning.runs import Indices
+from sim.sha.trace import Array, Mask
+
+MEDIAN_CHI_SQUARE = 0.454936
+"""The median of a chi-square with one degree of freedom."""
+CERTAIN = 1e6
+"""Degrees of freedom that stand for a known variance."""
+
+
+Sums = tuple[float, float, float, float, float, float, float]
+"""Over a set of segments, m relative to a common centre: count, w, w m, w^2, w^2 m, w^2 m^2, w^2 v."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a set of segments says: their sums, and the mean that follows (NaN without any segment).
+
+    `variance` is that of the mean, with `freedom` degrees of freedom: the sandwich estimate from `n_min` segments on,
+    below that what the common scatter makes it.
+    """
+
+    sums: Sums
+    n_min: int
+    mean: float
+    variance: float
+    freedom: float
+
+    @property
+    def count(self) -> float:
+        """How many segments there are."""
+        return self.sums[0]
+
+    def joined(self, other: "Evidence") -> "Evidence":
+        """The evidence of both sets, each segment counted once."""
+        a, b = self.sums, other.sums
+        sums = (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6])
+        return evidence_of(sums, self.n_min)
+
+
+def evidence_of(sums: Sums, n_min: int) -> Evidence:
+    """The evidence of a set of segments with these sums."""
+    count, weight, total, square, square_total, square_square, error = sums
+    if not count:
+        return Evidence(sums, n_min, nan, inf, CERTAIN)
+    mean = total / weight
+    effective = weight * weight / square
+    if count < n_min or effective < 1.5:
+        return Evidence(sums, n_min, mean, 1.0 / weight, CERTAIN)
+    sandwich = square_square - 2.0 * mean * square_total + mean * mean * square
+    own = sandwich * effective / (effective - 1.0)
+    return Evidence(sums, n_min, mean, max(own, error) / (weight * weight), effective - 1.0)
+
+
+class Answer(NamedTuple):
+    """The answer of a hypothesis-test query: Welch's t beyond `delta`, its degrees of freedom and p (two-sided)."""
+
+    statistic: float
+    freedom: float
+    p: float
+    difference: float
+
+
+def same_distribution(one: Evidence, other: Evidence, delta: float) -> Answer:
+    """Whether the means of two sets differ by more than `delta` (in the parameter's unit); both have segments."""
+    difference = other.mean - one.mean
+    whole = one.variance + other.variance
+    beyond = max(abs(difference) - delta, 0.0)
+    statistic = beyond / sqrt(whole)
+    freedom = whole * whole / (one.variance**2 / one.freedom + other.variance**2 / other.freedom)
+    return Answer(statistic, freedom, 2.0 * float(stdtr(freedom, -statistic)), difference)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """Segments ready to be pooled: weights, values relative to `centre`, and the scatter that was assumed.
+
+    `scatter` is the robust standard deviation of the parameter from segment to segment of one state, `spread` that of
+    all segments together (both in the parameter's unit).
+    """
+
+    segments: Segments
+    weight: Array
+    value: Array
+    centre: float
+    scatter: float
+    spread: float
+
+    def pooled(self, of_state: Indices, size: int, n_min: int, use: Mask | None = None) -> list[Evidence]:
+        """The evidence of each of `size` classes; `of_state` gives the class of each state, `use` (N,) leaves out."""
+        rows = np.ones(self.value.size, dtype=bool) if use is None else use
+        place, w, m, v = (
+            of_state[self.segments.place[rows]],
+            self.weight[rows],
+            self.value[rows],
+            self.segments.variance[rows],
+        )
+        w2 = w * w
+        columns = (np.ones_like(w), w, w * m, w2, w2 * m, w2 * m * m, w2 * v)
+        sums = np.stack([np.bincount(place, column, size) for column in columns], axis=1)
+        return [evidence_of((*row,), n_min) for row in sums.tolist()]
+
+
+def sample_of(segments: Segments) -> Sample:
+    """The segments with weights: the scatter is the one that makes the residuals about their states' means typical."""
+    value, variance = segments.value, segments.variance
+    scatter = _scatter(segments)
+    weight = 1.0 / (scatter**2 + variance)
+    centre = float(np.average(value, weights=weight))
+    spread = float(np.sqrt(np.average((value - centre) ** 2, weights=weight)))
+    return Sample(segments, weight, value - centre, centre, scatter, max(spread, 1e-12))
+
+
+def _scatter(segments: Segments) -> float:
+    """tau by which half of (m - mean)^2 / (tau^2 + v) lie below a chi-square's median, over states with 2 or more."""
+    value, variance, place = segments.value, segments.variance, segments.place
+    _, inverse, count = np.unique(place, return_inverse=True, return_counts=True)
+    precision = 1.0 / variance
+    mean = np.bincount(inverse, precision * value) / np.bincount(inverse, precision)
+    several = count[inverse] >= 2
+    floor = 0.1 * float(np.sqrt(np.median(variance)))
+    if several.sum() < 3:
+        return max(float(np.std(value)), floor)
+    shrunk = count[inverse][several] / (count[inverse][several] - 1.0)
+    squares, v = (value - mean[inverse])[several] ** 2 * shrunk, variance[several]
+    low, high = 0.0, float(np.sqrt(squares.max())) + floor
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        if np.median(squares / (middle**2 + v)) > MEDIAN_CHI_SQUARE:
+            low = middle
+        else:
+            high = middle
+    return max(high, floor)
+
+
+def between(sample: Sample, rows: Sequence[bool] | Mask) -> tuple[float, float, float]:
+    """(mean, its standard error, scatter between segments apart from measurement error) of the chosen segments.
+
+    The scatter is the moment estimate of DerSimonian & Laird (1986) with the sample's weights, drawn towards the
+    sample's own scatter as if one more segment had shown that.
+    """
+    use = np.asarray(rows)
+    w, m, v = sample.weight[use], sample.value[use], sample.segments.variance[use]
+    mean = float(np.average(m, weights=w))
+    n = m.size
+    total = float(np.sum(w * (m - mean) ** 2)) * (n / (n - 1.0) if n > 1 else 1.0)
+    own = max((total - float(np.sum(w * v))) / float(w.sum()), 0.0) if n > 1 else sample.scatter**2
+    scatter = float(np.sqrt((n * own + sample.scatter**2) / (n + 1.0)))
+    error = float(np.sqrt(np.sum(w**2 * (scatter**2 + v)))) / float(w.sum())
+    return mean + sample.centre, error, scatter

@@ -1,0 +1,326 @@
+"""Which flow the plant has: hypotheses over a coarse structure, each judged by the free runs of held-out traces."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.learning.free_run import Given, Shape, fit_at_rates, steps
+from sim.learning.held_out import FOLDS, HeldOut, choose, cross_validate, folds
+from sim.learning.lsha.evidence import Sample, sample_of
+from sim.learning.lsha.ground import Ground, placed
+from sim.learning.lsha.merging import Partition, learn_partition
+from sim.learning.lsha.segments import Motion, levels, parameters, stays_after
+from sim.learning.lsha.words import Classes, History, classes_of
+from sim.learning.runs import Indices, Runs, sampled
+from sim.learning.shape import shape_of
+from sim.learning.structure import LearningError, distance, labels
+from sim.sha.automaton import SHA, Entry, Flow, Input, Location
+from sim.sha.events import Switch
+from sim.sha.trace import Array, Mask
+
+COARSE = 12
+"""Contexts that the flow hypotheses are compared on; the others count as the nearest of these."""
+ROUNDS = 2
+"""Rounds of reweighting while rates are compared."""
+DELTA = 0.05
+"""Merge tolerance of the structures on which flows are compared."""
+BUDGET = 3_000
+"""Knots to which the runs are sampled for the comparison."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlowHypothesis:
+    """A flow for all locations, how a location is entered, and whether one rate is shared by all or by position of the
+    first switch."""
+
+    kind: str
+    entry: Entry = "parameter"
+    by_switch: bool = False
+
+    @property
+    def label(self) -> str:
+        """In words, for tables."""
+        jump = ", resampled on entry" if self.entry == "resample" else ""
+        return self.kind + jump + (", rate per switch position" if self.by_switch else "")
+
+
+FLOW_HYPOTHESES: tuple[FlowHypothesis, ...] = (
+    FlowHypothesis("constant", "resample"),
+    FlowHypothesis("linear"),
+    FlowHypothesis("logarithmic"),
+    FlowHypothesis("exponential"),
+    FlowHypothesis("exponential", by_switch=True),
+    FlowHypothesis("driven"),
+    FlowHypothesis("driven", by_switch=True),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """A row of a table of rivals: held-out figures are NaN when there were too few data to hold any out.
+
+    `likelihood` is the held-out log-likelihood per reading (or segment), `parameters` how many it has; errors in degC.
+    """
+
+    label: str
+    parameters: int
+    likelihood: float
+    held_out_rmse: float
+    held_out_mae: float
+    chosen: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Flowing:
+    """A flow hypothesis with its rates and gains, and what the segments say under it.
+
+    `shape`, `given` and `rates` belong to the coarse structure whose location of each state `groups` (S,) tells; they
+    are None under `resample`, which has no rates.
+    """
+
+    hypothesis: FlowHypothesis
+    groups: Indices
+    shape: Shape | None
+    given: Given | None
+    rates: Mapping[str, float]
+    sample: Sample
+
+    def rates_of(self, groups: Sequence[str]) -> Array:
+        """(r,) the rates of the given groups; one that the coarse structure did not have gets the geometric mean."""
+        usual = float(np.exp(np.mean(np.log(list(self.rates.values()))))) if self.rates else 1.0
+        return np.array([self.rates.get(group, usual) for group in groups])
+
+
+def choose_flow(ground: Ground, kind: str | None, alpha: float, n_min: int) -> tuple[Flowing, tuple[Rival, ...]]:
+    """The hypothesis of greatest held-out likelihood (one-standard-error rule), of `kind` if one is given.
+
+    Each hypothesis gets the structure that suits it: words merged with the memory `direction` and the tolerance DELTA.
+    Raises LearningError when the data cannot show a flow of that kind.
+    """
+    groups, names = coarse(ground)
+    few = sampled(ground.runs, BUDGET)
+    cut = folds(few)
+    rivals = [each for each in FLOW_HYPOTHESES if kind in (None, each.kind) and _possible(each, ground, names)]
+    if not rivals:
+        raise LearningError(
+            f"the flow {kind!r} needs a level signal of the alphabet that moves, and there is none; "
+            "choose another default flow"
+        )
+    found = [flowing(each, ground, groups, names, few) for each in rivals]
+    classes = classes_of(ground.words, "direction")
+    scored = [_held_out(each, ground, classes, cut, alpha, n_min) for each in found]
+    sizes = [size for _, size in scored]
+    known = [held for held, _ in scored if held is not None]
+    best = choose(known, sizes) if len(known) == len(scored) else sizes.index(min(sizes))
+    table = (row(each.label, size, held) for each, (held, size) in zip(rivals, scored, strict=True))
+    return found[best], tuple(replace(one, chosen=number == best) for number, one in enumerate(table))
+
+
+def flowing(
+    hypothesis: FlowHypothesis, ground: Ground, groups: Indices, names: Sequence[History], few: Runs
+) -> Flowing:
+    """The hypothesis fitted to the coarse structure, and every segment's parameter under it."""
+    if hypothesis.entry == "resample":
+        return Flowing(hypothesis, groups, None, None, {}, sample_of(levels(ground.runs, ground.group)))
+    # One more location stands for all states without a law: runs begin where one of those ends.
+    where = [*(_position(key, ground) for key in names), ""]
+    shape, rated = flow_shape(hypothesis, ground, where, [True] * len(names) + [False])
+    rates, given = _rates(placed(few, groups), shape)
+    motion = _motion(placed(ground.runs, groups), shape, given, rates)
+    unit = float(np.median(shape.spread[np.unique(shape.target[shape.target >= 0])]))
+    segments = parameters(ground.runs, ground.group, motion, unit**2)
+    by_group = dict(zip(rated, rates.tolist(), strict=True))
+    return Flowing(hypothesis, groups, shape, given, by_group, sample_of(segments))
+
+
+def _rates(runs: Runs, shape: Shape) -> tuple[Array, Given]:
+    """The rates of least loss: all shifted together on a grid of the prior, then each by itself in halving steps."""
+    best = fit_at_rates(runs, shape, np.exp(shape.rate_centre))
+    logs, scale = shape.rate_centre, best.sigma
+    if not logs.size:
+        return np.empty(0), best
+    best = fit_at_rates(runs, shape, np.exp(logs), ROUNDS, scale)
+    shifts = [shift * shape.rate_spread for shift in (-1.0, 1.0, 2.0, 3.0, 4.0)]
+    for trial in [logs + shift for shift in shifts]:
+        logs, best = _better(runs, shape, trial, logs, best, scale)
+    for step in (0.5, 0.25, 0.12):
+        for one in np.eye(logs.size):
+            for sign in (-1.0, 1.0):
+                logs, best = _better(runs, shape, logs + sign * step * one * shape.rate_spread, logs, best, scale)
+    return np.exp(logs), best
+
+
+def _better(runs: Runs, shape: Shape, trial: Array, logs: Array, best: Given, scale: float) -> tuple[Array, Given]:
+    """The trial if its loss, with the prior's, is less."""
+    found = fit_at_rates(runs, shape, np.exp(trial), ROUNDS, scale)
+    return (trial, found) if found.loss < best.loss else (logs, best)
+
+
+def _held_out(
+    one: Flowing, ground: Ground, classes: Classes, cut: Runs | None, alpha: float, n_min: int
+) -> tuple[HeldOut | None, int]:
+    """(held-out free-run errors over the structure that suits the hypothesis, its number of parameters)."""
+    delta = DELTA * one.sample.spread
+    partition = merged(classes, one.sample, ground, delta=delta, alpha=alpha, n_min=n_min)
+    place = partition.location[classes.of_state]
+    if one.shape is None:
+        return (hold_out_levels(placed(cut, place)) if cut is not None else None), partition.laws
+    shape, rated = flow_shape(one.hypothesis, ground, positions(ground, place, partition.size), partition.modelled)
+    size = partition.laws + int((shape.gain >= 0).any()) * shape.gain.shape[1] + shape.rate_centre.size
+    if cut is None:
+        return None, size
+    return cross_validate(placed(cut, place), shape, one.rates_of(rated), fixed=True), size
+
+
+def merged(
+    classes: Classes, sample: Sample, ground: Ground, *, delta: float, alpha: float, n_min: int, use: Mask | None = None
+) -> Partition:
+    """The classes merged by what the segments (those to `use`) say of them; `delta` in the parameter's unit."""
+    modelled = np.zeros(len(classes), dtype=bool)
+    modelled[classes.of_state[ground.modelled]] = True
+    evidence = sample.pooled(classes.of_state, len(classes), n_min, use)
+    return learn_partition(classes, evidence, modelled, delta=delta, alpha=alpha, n_min=n_min)
+
+
+def positions(ground: Ground, place: Indices, size: int) -> list[str]:
+    """The position of the first switch in which each location spends most of its time."""
+    spent: list[dict[str, float]] = [{} for _ in range(size)]
+    seconds = np.bincount(ground.runs.place, ground.runs.dt, place.size)
+    for state, where, time in zip(ground.words.states, place.tolist(), seconds.tolist(), strict=True):
+        position = _position(state, ground)
+        spent[where][position] = spent[where].get(position, 0.0) + time
+    return [max(times, key=lambda name: times[name]) for times in spent]
+
+
+def row(label: str, size: int, held: HeldOut | None) -> Rival:
+    """A row of a table of rivals, not chosen yet."""
+    nan = float("nan")
+    figures = (held.score, held.rmse, held.mae) if held is not None else (nan, nan, nan)
+    return Rival(label, size, *figures, chosen=False)
+
+
+def _possible(hypothesis: FlowHypothesis, ground: Ground, names: Sequence[History]) -> bool:
+    """Whether the data can tell it from a simpler one: inputs that move, two positions of the switch."""
+    if hypothesis.kind == "driven" and not ground.prior.gain:
+        return False
+    return not hypothesis.by_switch or len({_position(key, ground) for key in names}) > 1
+
+
+def coarse(ground: Ground) -> tuple[Indices, tuple[History, ...]]:
+    """((S,) the coarse location of each state, what the states of each location have in common)."""
+    words, runs = ground.words, ground.runs
+    seconds = np.bincount(runs.place, runs.dt, len(words.states))
+    total: dict[History, float] = {}
+    for state, spent, there in zip(words.states, seconds.tolist(), ground.modelled.tolist(), strict=True):
+        if there:
+            key = History(state.context)
+            total[key] = total.get(key, 0.0) + spent
+    first = list(total)
+    kept = sorted(first, key=lambda key: (-total[key], first.index(key)))[:COARSE]
+    nearest = {key: min(kept, key=lambda other: distance(key.context, other.context, ground.alphabet)) for key in total}
+    number = {key: n for n, key in enumerate(kept)}
+    groups = [
+        number[nearest[History(s.context)]] if there else len(kept)
+        for s, there in zip(words.states, ground.modelled.tolist(), strict=True)
+    ]
+    return np.array(groups, dtype=np.intp), tuple(kept)
+
+
+def _position(state: History, ground: Ground) -> str:
+    """The position of the first switch, "" where there is none or it is not known."""
+    for value, channel in zip(state.context, ground.alphabet.channels, strict=True):
+        if isinstance(channel, Switch):
+            return "" if value is None else labels(channel)[value]
+    return ""
+
+
+def flow_shape(
+    hypothesis: FlowHypothesis,
+    ground: Ground,
+    positions: Sequence[str],
+    free: Sequence[bool],
+    kinds: Sequence[str] = (),
+) -> tuple[Shape, tuple[str, ...]]:
+    """(parameter vector of the `free` of L locations with that flow, the groups that its rates belong to).
+
+    `positions` (L,) are those of the first switch; the other locations count as constant. `kinds` (L,) are the flows of
+    the single locations where they differ; a rate is shared by locations of one kind only.
+
+    All locations share the gain of an input, and inputs count from their means over all time, so that a target means
+    the same in all of them.
+    """
+    inputs = tuple(
+        Input(signal, 0.0, centre)
+        for signal, centre in zip(ground.signals, ground.centre.tolist(), strict=True)
+        if hypothesis.kind == "driven" and signal in ground.prior.gain
+    )
+    each = list(kinds) or [hypothesis.kind] * len(positions)
+    names = [str(number) for number in range(len(positions))]
+    locations = [
+        Location(name, flow_of(kind, ground.prior.tau, inputs if kind == "driven" else ()))
+        for name, kind in zip(names, each, strict=True)
+    ]
+    sha = SHA("flows", tuple(locations), (), names[0])
+    rates = {
+        name: (position if hypothesis.by_switch else "all") + ("" if kind == hypothesis.kind else f" {kind}")
+        for name, position, kind in zip(names, positions, each, strict=True)
+    }
+    mine = [name for name, own in zip(names, free, strict=True) if own]
+    shape, known = shape_of(sha, mine, ground.signals, ground.prior, rates=rates, gains=dict.fromkeys(names, "all"))
+    return shape, known.rates
+
+
+def flow_of(kind: str, tau: float, inputs: tuple[Input, ...] = ()) -> Flow:
+    """A flow of that kind without noise; a driven one without inputs is exponential."""
+    rate = {"exponential": {"k": 1.0 / tau}, "driven": {"k": 1.0 / tau}, "logarithmic": {"t0": tau}}.get(kind, {})
+    if kind == "driven" and not inputs:
+        kind = "exponential"
+    return Flow(kind, {**rate, "noise": 0.0}, inputs)
+
+
+def hold_out_levels(runs: Runs) -> HeldOut:
+    """The held-out errors of a level for each place, entered anew at each event: the free run of `resample`.
+
+    Folds are those of `cross_validate`. A place that the other folds do not have gets the level of all.
+    """
+    there = np.isfinite(runs.reading)
+    order = (np.cumsum(runs.first) - 1)[there]
+    _, after = stays_after(runs)
+    place, reading = after[there], runs.reading[there]
+    mean = np.empty(reading.size)
+    for held in range(min(FOLDS, int(order[-1]) + 1)):
+        mine = order % FOLDS == held
+        count = np.bincount(place[~mine], minlength=int(place.max()) + 1)
+        total = np.bincount(place[~mine], reading[~mine], minlength=count.size)
+        level = np.where(count > 0, total / np.maximum(count, 1), reading[~mine].mean())
+        mean[mine] = level[place[mine]]
+    return HeldOut(reading - mean, np.unique(order, return_inverse=True)[1])
+
+
+def _motion(runs: Runs, shape: Shape, given: Given, rates: Array) -> Motion:
+    """The fitted flow's step at every knot, and what the gains add to its target."""
+    decay, pull = steps(runs, shape, np.log(rates))
+    decay = np.where(runs.first, 1.0, decay)
+    offset = np.zeros(len(runs))
+    for number in range(shape.gain.shape[1]):
+        column = shape.gain[runs.place, number]
+        gain = np.where(column >= 0, given.linear[column], 0.0)
+        offset += gain * np.nan_to_num(runs.inputs[:, number] - shape.reference[runs.place, number])
+    return Motion(decay, pull, offset)
+
+
+def flows_of(flowing: Flowing, ground: Ground) -> tuple[Motion, dict[str, Flow]]:
+    """(the motion under the chosen flow, the other flows that a location may have instead).
+
+    The rate of an alternative comes from the median length of the segments: it is only asked whether its shape fits.
+    """
+    if flowing.shape is None or flowing.given is None:
+        raise ValueError("a resampled level has no motion")
+    order = tuple(flowing.rates)
+    motion = _motion(placed(ground.runs, flowing.groups), flowing.shape, flowing.given, flowing.rates_of(order))
+    seconds = np.bincount(ground.runs.stay, ground.runs.dt)
+    typical = max(float(np.median(seconds[seconds > 0])), 1e-3)
+    kinds = ("constant", "linear", "logarithmic", "exponential")
+    own = "exponential" if flowing.hypothesis.kind == "driven" else flowing.hypothesis.kind
+    return motion, {kind: flow_of(kind, typical) for kind in kinds if kind != own}

@@ -1,0 +1,118 @@
+"""The traces made ready for the learner: one walk through the finest automaton, free runs, and who is held out when."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.learning.candidates import LEAST_SHARE
+from sim.learning.lsha.words import Words, words_of
+from sim.learning.preparation import LEAST_READINGS
+from sim.learning.runs import Indices, Runs, first_switch, free_runs, pieces
+from sim.learning.shape import Prior
+from sim.learning.structure import LearningError, level_signals
+from sim.sha.events import Alphabet
+from sim.sha.trace import Array, Mask, Trace
+
+CYCLE = 3600.0
+"""Seconds that a free run lasts at least before the next start-up begins a new one."""
+SPREAD = 40.0
+"""Spread of the prior of targets, in degC, and what an input moves a target by over one standard deviation of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """What every hypothesis is built on.
+
+    `runs` have a place in the finest automaton (`words`); `modelled` (S,) says which of its states may have a law of
+    their own. `group` (n,) is the part of the data that a knot is held out with: a trace, or a part of one where there
+    are fewer traces than `split`. `signals` are the inputs of the runs, `centre` (q,) their means over time.
+    """
+
+    words: Words
+    runs: Runs
+    modelled: Mask
+    group: Indices
+    signals: tuple[str, ...]
+    centre: Array
+    prior: Prior
+
+    @property
+    def alphabet(self) -> Alphabet:
+        """The alphabet of the words."""
+        return self.words.meaning.alphabet
+
+
+def ground_of(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_min: int, split: int) -> Ground:
+    """The encoded traces as words and free runs. Raises LearningError when they leave nothing to fit."""
+    words = words_of(traces, alphabet, n_min)
+    signals, switch = level_signals(alphabet), first_switch(alphabet)
+    rising = switch.rising if switch else None
+
+    def followed(modelled: Mask) -> Runs:
+        return free_runs(
+            traces,
+            words.sha,
+            temperature,
+            signals=signals,
+            modelled=modelled,
+            rising=rising,
+            cycle=CYCLE,
+            jumps=True,
+        )
+
+    something = np.array([any(value is not None for value in state.context) for state in words.states])
+    runs = followed(something)
+    modelled = _modelled(words, runs, something)
+    if np.any(~modelled[np.unique(runs.place)]):
+        runs = followed(modelled)
+    count = int(np.isfinite(runs.reading).sum())
+    if count < LEAST_READINGS or not runs.dt.sum() > 0:
+        raise LearningError(
+            f"only {count} readings of {temperature!r} fall into known locations, over {runs.dt.sum():.0f} s; "
+            f"a model needs at least {LEAST_READINGS}, at different times"
+        )
+    centre, spread = _moments(runs)
+    reading = runs.reading[np.isfinite(runs.reading)]
+    gains = {signal: SPREAD / s for signal, s in zip(signals, spread.tolist(), strict=True) if s > 0}
+    prior = Prior((float(np.median(reading)), SPREAD), gains)
+    return Ground(words, runs, modelled, _groups(runs, split), signals, centre, prior)
+
+
+def _modelled(words: Words, runs: Runs, something: Mask) -> Mask:
+    """States in which every channel is known, and those of contexts that hold a tenth of the readings all the same."""
+    there = np.isfinite(runs.reading) & ~runs.first
+    count = np.bincount(runs.place[there], minlength=len(words.states))
+    contexts = [state.context for state in words.states]
+    whole = dict.fromkeys(contexts, 0)
+    for context, readings in zip(contexts, count.tolist(), strict=True):
+        whole[context] += readings
+    enough = np.array([None not in context or whole[context] >= LEAST_SHARE * count.sum() for context in contexts])
+    return np.asarray(enough & something)
+
+
+def _moments(runs: Runs) -> tuple[Array, Array]:
+    """(means, standard deviations) of the inputs over time; 0 where one was never read."""
+    known = np.isfinite(runs.inputs)
+    weight = np.where(known, runs.dt[:, None], 0.0)
+    mass = np.maximum(weight.sum(axis=0), 1e-300)
+    values = np.nan_to_num(runs.inputs)
+    mean = (weight * values).sum(axis=0) / mass
+    return mean, np.sqrt((weight * (values - mean) ** 2).sum(axis=0) / mass)
+
+
+def _groups(runs: Runs, split: int) -> Indices:
+    if np.unique(runs.trace).size >= split:
+        return runs.trace
+    return pieces(runs, 2 * split).run
+
+
+def parts(ground: Ground, split: int) -> Indices:
+    """(n,) the part, 0 to split - 1, with which each knot is held out: whole groups, spread over the order."""
+    _, order = np.unique(ground.group, return_inverse=True)
+    return np.asarray(order % split)
+
+
+def placed(runs: Runs, place: Indices) -> Runs:
+    """The runs with their places renumbered: `place` (S,) is the new place of each."""
+    return replace(runs, place=place[runs.place])

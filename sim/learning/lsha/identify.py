@@ -1,0 +1,85 @@
+"""The model-identification query: which flow fits the segments of a location?
+
+Every segment is fitted by each flow with its start temperature and parameter free. Two flows are compared segment by
+segment, by the log of their residual squares: a paired t-test over the location's segments. The flow that was chosen
+for all locations is the default; another one takes its place only where it fits better at alpha / (number of queries).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from scipy.special import stdtr
+
+from sim.learning.lsha.segments import Motion, stay_fits
+from sim.learning.runs import Indices, Runs
+from sim.sha.automaton import Flow
+from sim.sha.flows import coefficients
+from sim.sha.trace import Array
+
+LEAST_READINGS = 4
+"""Readings of a segment that can tell flows apart: two unknowns, and two more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identified:
+    """The answer for one location: the `kind` that fits best, against the `default` one.
+
+    `segments` could be compared; `gain` is the mean gain in log-likelihood per segment, `p` its one-sided p-value
+    before the correction for `queries` of them. `kept` says that the default stays.
+    """
+
+    location: int
+    default: str
+    kind: str
+    segments: int
+    gain: float
+    p: float
+    queries: int
+    kept: bool
+
+
+def identify(
+    runs: Runs, size: int, default: str, motion: Motion, alternatives: Mapping[str, Flow], alpha: float, n_min: int
+) -> tuple[Identified, ...]:
+    """The answers for the locations 0..size-1 that have `n_min` segments of four readings or more."""
+    own = _log_squares(runs, motion)
+    rivals = {kind: _log_squares(runs, _uniform(runs, flow)) for kind, flow in sorted(alternatives.items())}
+    place, count = own[2], own[1]
+    asked = [
+        number for number in range(size) if np.count_nonzero((place == number) & (count >= LEAST_READINGS)) >= n_min
+    ]
+    queries = max(len(asked) * len(rivals), 1)
+    answers = []
+    for number in asked:
+        rows = (place == number) & (count >= LEAST_READINGS)
+        best = min(
+            (_compared(0.5 * count[rows] * (own[0][rows] - logs[rows]), kind) for kind, (logs, *_) in rivals.items())
+        )
+        p, gain, kind = best
+        kept = p >= alpha / queries
+        answers.append(Identified(number, default, default if kept else kind, int(rows.sum()), -gain, p, queries, kept))
+    return tuple(answers)
+
+
+def _compared(gain: Array, kind: str) -> tuple[float, float, str]:
+    """(one-sided p, minus the mean gain, kind) of paired gains in log-likelihood, each clipped to 10."""
+    clipped = np.clip(gain, -10.0, 10.0)
+    mean, error = float(clipped.mean()), float(clipped.std(ddof=1)) / sqrt(clipped.size)
+    if error == 0:
+        return (0.0 if mean > 0 else 1.0), -mean, kind
+    return float(stdtr(clipped.size - 1, -mean / error)), -mean, kind
+
+
+def _uniform(runs: Runs, flow: Flow) -> Motion:
+    decay, pull, _ = coefficients(flow, runs.age, runs.dt)
+    return Motion(decay, pull, np.zeros(len(runs)))
+
+
+def _log_squares(runs: Runs, motion: Motion) -> tuple[Array, Array, Indices]:
+    """(log of the mean squared residual, readings, place) of every stay; squares below 1e-9 of all are that."""
+    _, _, squares, count, begin = stay_fits(runs, motion)
+    mean = squares / np.maximum(count, 1.0)
+    usual = float(np.median(mean[count >= LEAST_READINGS])) if np.any(count >= LEAST_READINGS) else 1.0
+    return np.log(np.maximum(mean, 1e-3 * usual + 1e-12)), count, runs.place[begin]

@@ -1,0 +1,302 @@
+"""Which words lead to the same location: rows of the observation table compared, merged, or kept apart.
+
+Every class of words is a row. Rows are taken in the order of their evidence; each is compared with the locations known
+so far by hypothesis-test queries (closedness: a row that equals none of them becomes a location). A merge is only made
+together with all that it entails: if two words are one, so are their extensions by every observed symbol (consistency),
+and so on along all suffixes. Each pair of rows that meets on the way is tested as well. A cell without evidence decides
+nothing by itself, so equality is transitive and the automaton is deterministic, always.
+
+The error rate: K classes have `n_min` segments or more. Each merge is tested at alpha / K, its p being the smallest of
+the pairs that it entails times their number (Bonferroni). So the probability that any class is kept apart from the
+location to which it belongs is at most alpha (family-wise), as far as the tests' normal approximation holds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from sim.learning.lsha.evidence import Answer, Evidence, same_distribution
+from sim.learning.lsha.words import Classes
+from sim.learning.runs import Indices
+from sim.sha.trace import Mask
+
+TRIED = 6
+"""Locations with which a merge is tried, the best first, before a row becomes a location of its own."""
+
+Verdict = Literal["new", "merged", "default", "dissolved"]
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """Why class `row` is where it is. `other` is the class that its location began with (itself for a new one).
+
+    `new`: no location equals it, `answer` is that of the most similar one, which is `rival`; `suffix` is the word by
+    which that one was told apart, empty for the row's own segments. `merged`: the best location that nothing speaks
+    against. `default`: below `n_min`, the default hypothesis, not refuted. `dissolved`: a location that had too little
+    evidence in the end.
+    """
+
+    row: int
+    verdict: Verdict
+    other: int
+    evidence: int
+    answer: Answer | None = None
+    rival: int | None = None
+    suffix: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """A refused merge: the pair of classes whose evidence speaks against it, and the suffix on which they meet."""
+
+    answer: Answer | None
+    suffix: tuple[str, ...]
+    pair: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Partition:
+    """The result: `location` (C,) of each class, numbered from 0 in the classes' order; how it came about.
+
+    `modelled` (L,) says which locations have evidence; `queries` counts the hypothesis-test queries, `level` is the p
+    below which one told two rows apart.
+    """
+
+    location: Indices
+    modelled: Sequence[bool]
+    decisions: tuple[Decision, ...]
+    queries: int
+    level: float
+
+    @property
+    def size(self) -> int:
+        """How many locations there are."""
+        return len(self.modelled)
+
+    @property
+    def laws(self) -> int:
+        """How many locations have a law of their own."""
+        return sum(self.modelled)
+
+
+@dataclass(slots=True)
+class _State:
+    """The partition while it is made: union-find over classes, edges and evidence of each set; the rows done (C,)."""
+
+    parent: list[int]
+    edges: list[dict[str, int]]
+    evidence: list[Evidence]
+    fixed: set[int]
+    placed: Mask
+    delta: float
+    n_min: int
+    queries: int = 0
+    known: list[int] = field(default_factory=list)
+
+    def find(self, one: int) -> int:
+        while self.parent[one] != one:
+            self.parent[one] = self.parent[self.parent[one]]
+            one = self.parent[one]
+        return one
+
+    def compare(self, one: Evidence, other: Evidence) -> Answer:
+        self.queries += 1
+        return same_distribution(one, other, self.delta)
+
+
+@dataclass(slots=True)
+class _Fold:
+    """A merge on trial: what would be joined, over the state as it is."""
+
+    state: _State
+    parent: dict[int, int] = field(default_factory=dict)
+    edges: dict[int, dict[str, int]] = field(default_factory=dict)
+    evidence: dict[int, Evidence] = field(default_factory=dict)
+    answers: list[tuple[Answer, tuple[str, ...], tuple[int, int]]] = field(default_factory=list)
+
+    def find(self, one: int) -> int:
+        one = self.state.find(one)
+        while one in self.parent:
+            one = self.parent[one]
+        return one
+
+    def join(self, row: int, location: int) -> Query | None:
+        """Joins two sets with all that it entails; what speaks against it outright, if anything does."""
+        stack: list[tuple[int, int, tuple[str, ...]]] = [(location, row, ())]
+        while stack:
+            first, second, suffix = stack.pop()
+            keep, gone = self.find(first), self.find(second)
+            if keep == gone:
+                continue
+            keep, gone = self._ordered(keep, gone)
+            if gone in self.state.fixed or keep in self.state.fixed:
+                return Query(None, suffix, (keep, gone))
+            self._compare(keep, gone, suffix)
+            kept, lost = self.edges.get(keep, self.state.edges[keep]), self.edges.get(gone, self.state.edges[gone])
+            stack += [(kept[symbol], lost[symbol], (*suffix, symbol)) for symbol in sorted(kept.keys() & lost.keys())]
+            self.edges[keep] = {**lost, **kept}
+            self.parent[gone] = keep
+        return None
+
+    def _ordered(self, keep: int, gone: int) -> tuple[int, int]:
+        """A known location keeps its number."""
+        known = self.state.known
+        return (gone, keep) if gone in known and keep not in known else (keep, gone)
+
+    def _compare(self, keep: int, gone: int, suffix: tuple[str, ...]) -> None:
+        one, other = (self.evidence.get(each, self.state.evidence[each]) for each in (keep, gone))
+        if one.count and other.count:
+            self.answers.append((self.state.compare(one, other), suffix, (keep, gone)))
+        self.evidence[keep] = one.joined(other)
+
+    def worst(self) -> tuple[float, Query | None]:
+        """(p of the whole merge, the pair that speaks most against it)."""
+        if not self.answers:
+            return 1.0, None
+        answer, suffix, pair = min(self.answers, key=lambda item: item[0].p)
+        return min(1.0, answer.p * len(self.answers)), Query(answer, suffix, pair)
+
+    def commit(self) -> None:
+        state = self.state
+        for gone, keep in self.parent.items():
+            state.parent[gone] = keep
+            if gone in state.known:
+                state.known.remove(gone)
+        for one, edges in self.edges.items():
+            state.edges[one] = edges
+        for one, evidence in self.evidence.items():
+            state.evidence[one] = evidence
+
+
+def learn_partition(
+    classes: Classes,
+    evidence: Sequence[Evidence],
+    modelled: Mask,
+    *,
+    delta: float,
+    alpha: float,
+    n_min: int,
+) -> Partition:
+    """The classes merged into locations; `delta` in the parameter's unit. The result depends on the evidence alone.
+
+    Classes that are not `modelled` (C,), in which a channel is not known, stay what they are: nothing is merged with
+    them, so that not knowing never becomes knowing.
+    """
+    size = len(classes)
+    fixed = {number for number in range(size) if not modelled[number]}
+    edges = [dict(each) for each in classes.edges]
+    state = _State(list(range(size)), edges, list(evidence), fixed, np.zeros(size, dtype=bool), delta, n_min)
+    level = alpha / max(sum(one.count >= n_min for one in evidence), 1)
+    order = sorted((n for n in range(size) if n not in fixed), key=lambda n: (-evidence[n].count, n))
+    decisions: list[Decision] = []
+    for row in order:
+        # A merge before may have entailed where the row belongs.
+        if state.find(row) not in state.known:
+            decide = _decide if state.evidence[state.find(row)].count else _placed
+            decisions += decide(state, row, classes, level)
+        state.placed[row] = True
+    decisions += _dissolved(state, level)
+    return _numbered(state, tuple(decisions), level)
+
+
+def _decide(state: _State, row: int, classes: Classes, level: float) -> list[Decision]:
+    here = state.find(row)
+    mine = state.evidence[here]
+    answers = {one: state.compare(state.evidence[one], mine) for one in state.known}
+    default = _default(state, here, classes)
+    equal = sorted(
+        (one for one, answer in answers.items() if answer.p >= level), key=lambda one: (-answers[one].p, one)
+    )
+    if default in equal:
+        equal.remove(default)
+        equal.insert(0, default)
+    refused: Query | None = None
+    for one in equal[:TRIED]:
+        fold = _Fold(state)
+        query = fold.join(here, one)
+        p, against = fold.worst()
+        if query is None and p >= level:
+            fold.commit()
+            verdict: Verdict = "default" if one == default and mine.count < state.n_min else "merged"
+            return [Decision(row, verdict, one, int(mine.count), answers[one])]
+        refused = refused or query or against
+    return [_new(state, row, here, answers, equal, refused)]
+
+
+def _new(
+    state: _State, row: int, here: int, answers: dict[int, Answer], equal: Sequence[int], refused: Query | None
+) -> Decision:
+    """The row becomes a location: what was most like it, and what told them apart."""
+    state.known.append(here)
+    count = int(state.evidence[here].count)
+    if refused is not None:
+        return Decision(row, "new", here, count, refused.answer, equal[0], refused.suffix)
+    best = max(answers, key=lambda one: answers[one].p, default=None)
+    return Decision(row, "new", here, count, answers[best] if best is not None else None, best)
+
+
+def _placed(state: _State, row: int, classes: Classes, level: float) -> list[Decision]:
+    """A row without any evidence follows the default hypothesis, where determinism and the tests allow it."""
+    for one in _neighbours(state, row, classes):
+        fold = _Fold(state)
+        if fold.join(state.find(row), one) is None and fold.worst()[0] >= level:
+            fold.commit()
+            return [Decision(row, "default", one, 0)]
+    return []
+
+
+def _default(state: _State, row: int, classes: Classes) -> int | None:
+    """The default hypothesis: the location that began with the same context, or, below `n_min`, the nearest one."""
+    if state.evidence[row].count < state.n_min:
+        return next(iter(_neighbours(state, row, classes)), None)
+    key = classes.keys[row]
+    same = [one for one in state.known if classes.keys[one].context == key.context]
+    return min(same, key=lambda one: (classes.keys[one].direction != key.direction, one), default=None)
+
+
+def _neighbours(state: _State, row: int, classes: Classes) -> list[int]:
+    """The locations by how near the nearest words are that lead there, TRIED at most."""
+    near: dict[int, None] = {}
+    away = np.where(state.placed, classes.apart[row], np.inf)
+    for one in np.argsort(away, kind="stable")[: int(state.placed.sum())].tolist():
+        near.setdefault(state.find(one))
+        if len(near) == TRIED:
+            break
+    return [one for one in near if one in state.known]
+
+
+def _dissolved(state: _State, level: float) -> list[Decision]:
+    """Locations below `n_min` join the most likely location that determinism and the tests of the rest allow."""
+    decisions: list[Decision] = []
+    for one in sorted(state.known, key=lambda n: (state.evidence[n].count, n)):
+        mine = state.evidence[one]
+        if one not in state.known or mine.count >= state.n_min:
+            continue
+        others = [other for other in state.known if other != one and state.evidence[other].count >= state.n_min]
+        answers = {other: state.compare(state.evidence[other], mine) for other in others}
+        for other in sorted(others, key=lambda n: (answers[n].statistic, n))[:TRIED]:
+            fold = _Fold(state)
+            if fold.join(one, other) is None and _rest(fold, level):
+                fold.commit()
+                decisions.append(Decision(one, "dissolved", other, int(mine.count), answers[other]))
+                break
+    return decisions
+
+
+def _rest(fold: _Fold, level: float) -> bool:
+    """Whether nothing speaks against what a merge entails beyond the row itself."""
+    rest = [answer.p for answer, suffix, _ in fold.answers if suffix]
+    return not rest or min(rest) * len(rest) >= level
+
+
+def _numbered(state: _State, decisions: tuple[Decision, ...], level: float) -> Partition:
+    roots = [state.find(number) for number in range(len(state.parent))]
+    order: dict[int, int] = {}
+    for root in roots:
+        order.setdefault(root, len(order))
+    modelled = tuple(root in state.known for root in order)
+    return Partition(
+        np.array([order[root] for root in roots], dtype=np.intp), modelled, decisions, state.queries, level
+    )

@@ -1,0 +1,239 @@
+"""The learning report: what was asked, what the traces answered, and why locations were merged or kept."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from math import isfinite
+from typing import Any
+
+from sim.learning.lsha.learn import LshaReport
+from sim.learning.lsha.merging import Decision
+from sim.learning.lsha.words import Word
+
+VERDICTS: Mapping[str, str] = {
+    "new": "a location of its own",
+    "merged": "merged",
+    "default": "default hypothesis",
+    "dissolved": "location dissolved",
+}
+MOST_ROWS = 400
+"""Rows of a table that the text shows; the JSON form has all."""
+
+
+def report_document(report: LshaReport) -> dict[str, Any]:
+    """The whole report as plain values, for JSON: numbers that are none become None."""
+    rows = report.rows
+    document = {
+        "settings": asdict(report.settings),
+        "flow_hypotheses": [asdict(one) for one in report.flows],
+        "structure_hypotheses": [asdict(one) for one in report.structures],
+        "delta": report.delta,
+        "parameter_spread": report.spread,
+        "parameter_scatter": report.scatter,
+        "segments": report.segments,
+        "copies_left_out": report.copies,
+        "classes_of_words": [asdict(one) for one in rows],
+        "hypothesis_test_queries": report.queries,
+        "p_below_which_rows_differ": report.level,
+        "decisions": [_decision(one, report) for one in report.decisions],
+        "counterexamples": [_counterexample(one, report) for one in counterexamples(report)],
+        "model_identification_queries": [
+            {**asdict(one), "location": report.locations[one.location].name} for one in report.identified
+        ],
+        "observation_table": {
+            "suffixes": [list(suffix) for suffix in report.table.suffixes],
+            "upper": [asdict(one) for one in report.table.upper],
+            "lower": [asdict(one) for one in report.table.lower],
+        },
+        "locations": [asdict(one) for one in report.locations],
+        "edges": {"observed": report.observed_edges, "default": report.default_edges},
+        "acceptance": asdict(report.acceptance),
+        "coverage": [asdict(one) for one in report.coverage],
+    }
+    return {key: _plain(value) for key, value in document.items()}
+
+
+def counterexamples(report: LshaReport) -> list[Decision]:
+    """The decisions by which a word of a trace refuted the hypothesis so far: its row equalled no location."""
+    return [one for one in report.decisions if one.verdict == "new" and one.rival is not None]
+
+
+def report_text(report: LshaReport, name: str) -> str:
+    """The report for people, in Markdown."""
+    return "\n".join(_lines(report, name)) + "\n"
+
+
+def _lines(report: LshaReport, name: str) -> Iterator[str]:
+    laws = sum(one.mu == one.mu for one in report.locations)
+    accepted = report.acceptance
+    yield f"# How {name} was learned (L*_SHA)"
+    yield ""
+    yield (
+        f"{accepted.traces} traces with {accepted.events} events, {report.segments} segments that tell their parameter"
+        + (f"; {report.copies} identical copies were left out." if report.copies else ".")
+    )
+    yield (
+        f"{laws} locations with a law of their own, {len(report.locations) - laws} in which something is not known; "
+        f"{report.observed_edges} observed edges, {report.default_edges} default edges for what was never seen."
+    )
+    yield f"Every training trace is followed by the observed edges alone: {accepted.accepted} of {accepted.traces}."
+    yield ""
+    yield "## Which flow (held-out free runs)"
+    yield ""
+    columns = ("hypothesis", "parameters", "log-likelihood", "RMSE", "MAE", "")
+    yield from _grid(columns, _rivals(report.flows))
+    yield ""
+    yield "## Which memory and merge tolerance (held-out segments)"
+    yield ""
+    yield "Errors are in units of a segment's own uncertainty."
+    yield ""
+    yield from _grid(("hypothesis", "locations", *columns[2:]), _rivals(report.structures))
+    yield from _query_lines(report)
+    yield from _location_lines(report)
+    yield from _table_lines(report)
+
+
+def _rivals(rivals: Iterable[Any]) -> list[tuple[object, ...]]:
+    return [
+        (r.label, r.parameters, r.likelihood, r.held_out_rmse, r.held_out_mae, "chosen" if r.chosen else "")
+        for r in rivals
+    ]
+
+
+def _query_lines(report: LshaReport) -> Iterator[str]:
+    yield ""
+    yield "## Hypothesis-test queries"
+    yield ""
+    yield (
+        f"{report.queries} two-sample tests (Welch, weighted by measurement error). Two rows differ where p < "
+        f"{report.level:.3g}: all merges together keep a row apart wrongly with a probability of at most "
+        f"{report.settings.alpha:g}. Differences up to {report.delta * report.spread:.3g} count as none (delta "
+        f"{report.delta:g} of the spread {report.spread:.3g})."
+    )
+    yield ""
+    shown = [_decision(one, report) for one in report.decisions]
+    columns = ("words", "verdict", "with", "segments", "difference", "t", "p", "told apart by")
+    yield from _grid(columns, [tuple(one[key] for key in _COLUMNS) for one in shown])
+    yield ""
+    yield "## Counterexamples"
+    yield ""
+    found = counterexamples(report)
+    yield (
+        f"{len(found)} words of the traces refuted the hypothesis of their time and became locations."
+        if found
+        else "None."
+    )
+    for one in found:
+        example = _counterexample(one, report)
+        yield f"- {example['words']}: trace {example['trace']}, its first {example['events']} events"
+    if report.identified:
+        yield ""
+        yield "## Model-identification queries"
+        yield ""
+        rows = [
+            (
+                report.locations[q.location].name,
+                q.default,
+                q.kind,
+                q.segments,
+                q.gain,
+                q.p,
+                "kept" if q.kept else "changed",
+            )
+            for q in report.identified
+        ]
+        yield from _grid(("location", "default flow", "best fit", "segments", "gain per segment", "p", ""), rows)
+
+
+_COLUMNS = ("words", "verdict", "other", "segments", "difference", "statistic", "p", "suffix")
+
+
+def _decision(one: Decision, report: LshaReport) -> dict[str, object]:
+    other = one.rival if one.verdict == "new" else one.other
+    answer = one.answer
+    return {
+        "words": report.rows[one.row].name,
+        "verdict": VERDICTS[one.verdict],
+        "other": "" if other is None else report.rows[other].name,
+        "location": report.rows[one.row].location,
+        "segments": one.evidence,
+        "difference": answer.difference if answer else None,
+        "statistic": answer.statistic if answer else None,
+        "p": answer.p if answer else None,
+        "suffix": _word(one.suffix) if one.suffix else "",
+    }
+
+
+def _counterexample(one: Decision, report: LshaReport) -> dict[str, object]:
+    row = report.rows[one.row]
+    return {"words": row.name, "trace": row.trace, "events": row.events, "suffix": _word(one.suffix)}
+
+
+def _location_lines(report: LshaReport) -> Iterator[str]:
+    yield ""
+    yield "## Locations"
+    yield ""
+    columns = (
+        "location",
+        "flow",
+        "entry",
+        "mean",
+        "error of it",
+        "scatter",
+        "segments",
+        "readings",
+        "seconds",
+        "words",
+    )
+    rows = [
+        (e.name, e.flow, e.entry, e.mu, e.mu_error, e.scatter, e.segments, e.readings, e.seconds, ", ".join(e.words))
+        for e in report.locations
+    ]
+    yield from _grid(columns, rows)
+    if report.coverage:
+        yield ""
+        yield "## Bands on held-out data"
+        yield ""
+        bands = [(one.horizon, one.forecasts, one.covered, one.factor) for one in report.coverage]
+        yield from _grid(("horizon, s", "forecasts", "covered by the 90 % band", "factor"), bands)
+
+
+def _table_lines(report: LshaReport) -> Iterator[str]:
+    yield ""
+    yield "## Observation table"
+    yield ""
+    yield "Cells are the locations that word and suffix lead to; ε is the empty word, – was not observed."
+    yield ""
+    columns = ("word", *(_word(suffix) for suffix in report.table.suffixes))
+    for title, part in (("Access words", report.table.upper), ("Extensions", report.table.lower)):
+        yield f"### {title}"
+        yield ""
+        yield from _grid(columns, [(_word(row.word), *(cell or "–" for cell in row.cells)) for row in part])
+        yield ""
+
+
+def _word(word: Word) -> str:
+    return " ".join(word) or "ε"
+
+
+def _grid(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> Iterator[str]:
+    """A Markdown table; a sign that would end a cell is escaped."""
+    yield "| " + " | ".join(columns) + " |"
+    yield "|" + " --- |" * len(columns)
+    for row in rows[:MOST_ROWS]:
+        yield "| " + " | ".join(_cell(value) for value in row) + " |"
+    if len(rows) > MOST_ROWS:
+        yield f"| and {len(rows) - MOST_ROWS} more: see the JSON form |" + " |" * (len(columns) - 1)
+
+
+def _cell(value: object) -> str:
+    if value is None or (isinstance(value, float) and not isfinite(value)):
+        return "–"
+    return f"{value:.4g}" if isinstance(value, float) else str(value).replace("|", "\\|")
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,227 @@
+"""Words of the traces and what is remembered of them: the finest deterministic automaton, and coarser views of it.
+
+A word is the sequence of symbols since nothing was known (the trace's begin or an UNKNOWN). Segment(w) are the samples
+from the last event of w to the next one, over all traces that begin with w. Words that few stretches begin with have
+little evidence, so they fall back on the default hypothesis: words with the same memory are one class.
+
+- `context`: the last announced value of each channel;
+- `direction`: the context, and whether the last level that moved rose or fell;
+- `previous`: the context, and which channel moved last, from which value.
+
+Each memory is computed from itself and the next symbol, so every automaton of such classes is deterministic.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.learning.lsha.settings import Memory
+from sim.learning.runs import Indices
+from sim.learning.structure import SWITCH_STEPS, Context, LearningError, announcements, labels, name_of
+from sim.sha.automaton import SHA, Edge, Flow, Location
+from sim.sha.events import Alphabet, Switch
+from sim.sha.trace import UNKNOWN, Array, Trace
+
+Word = tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """What is remembered at most: the context, the direction of the last level that moved (-1, 0, 1), the last move.
+
+    `moved` is (channel, value before it), None before anything moved. `node` is the number of the word itself where
+    enough stretches begin with it, else -1.
+    """
+
+    context: Context
+    direction: int = 0
+    moved: tuple[int, int | None] | None = None
+    node: int = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """The alphabet as a table: symbol -> (channel, value), and which channels are levels."""
+
+    alphabet: Alphabet
+    symbols: Mapping[str, tuple[int, int]]
+    levels: tuple[bool, ...]
+
+    def after(self, history: History, symbol: str, node: int = -1) -> History:
+        """What is remembered once `symbol` has happened."""
+        channel, value = self.symbols[symbol]
+        before = history.context[channel]
+        context = (*history.context[:channel], value, *history.context[channel + 1 :])
+        direction, moved = history.direction, history.moved
+        if value != before:
+            moved = (channel, before)
+            if self.levels[channel] and before is not None:
+                direction = 1 if value > before else -1
+        return History(context, direction, moved, node)
+
+
+def meaning(alphabet: Alphabet) -> Meaning:
+    """The table of an alphabet's symbols."""
+    symbols = {
+        symbol: (channel, value)
+        for channel, each in enumerate(alphabet.channels)
+        for value, symbol in enumerate(announcements(each))
+    }
+    return Meaning(alphabet, symbols, tuple(not isinstance(each, Switch) for each in alphabet.channels))
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """The finest automaton of some traces: its states are numbered from 0, the state in which nothing is known.
+
+    `edges` counts how often each (state, symbol) was taken and says where it led. `first` is where each state was seen
+    first: trace and number of its events. `longest` is the number of events since UNKNOWN or the begin, at most.
+    """
+
+    meaning: Meaning
+    states: tuple[History, ...]
+    edges: Mapping[tuple[int, str], tuple[int, int]]
+    first: tuple[tuple[str, int], ...]
+    stretches: int
+
+    @property
+    def sha(self) -> SHA:
+        """The automaton with constant flows, by which `free_runs` follows traces."""
+        flow = Flow("constant", {"noise": 0.0})
+        locations = tuple(Location(str(number), flow, entry="none") for number in range(len(self.states)))
+        edges = [Edge(str(source), symbol, str(target)) for (source, symbol), (target, _) in self.edges.items()]
+        return SHA("words", locations, tuple(edges), "0")
+
+
+def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> Words:
+    """The finest automaton that follows the encoded traces; words that `n_min` stretches begin with are states.
+
+    Raises LearningError, naming trace and event, for a symbol that the alphabet does not have.
+    """
+    table = meaning(alphabet)
+    stretches = [stretch for trace in traces for stretch in _stretches(trace, table)]
+    nodes = _frequent([word for _, _, word in stretches], n_min)
+    start = History((None,) * len(alphabet.channels))
+    number: dict[History, int] = {start: 0}
+    first = [(traces[0].name, 0)]
+    edges: dict[tuple[int, str], tuple[int, int]] = {}
+    for name, offset, word in stretches:
+        here, history, node = 0, start, 0
+        for length, symbol in enumerate(word, 1):
+            node = nodes.get((node, symbol), -1)
+            history = table.after(history, symbol, node)
+            there = number.setdefault(history, len(number))
+            if there == len(first):
+                first.append((name, offset + length))
+            _, count = edges.get((here, symbol), (there, 0))
+            edges[here, symbol] = (there, count + 1)
+            here = there
+    return Words(table, tuple(number), edges, tuple(first), len(stretches))
+
+
+def _stretches(trace: Trace, table: Meaning) -> list[tuple[str, int, Word]]:
+    """(trace, number of events before it, word) of each stretch between UNKNOWNs."""
+    found: list[tuple[str, int, Word]] = []
+    begin = 0
+    symbols = [event.symbol for event in trace.events]
+    for number, symbol in enumerate([*symbols, UNKNOWN]):
+        if symbol == UNKNOWN:
+            if number > begin:
+                found.append((trace.name, begin, tuple(symbols[begin:number])))
+            begin = number + 1
+        elif symbol not in table.symbols:
+            raise LearningError(
+                f"trace {trace.name!r}: event {number} is {symbol!r}, which the alphabet does not have; encode the "
+                "trace with the alphabet that is learned with"
+            )
+    return found
+
+
+def _frequent(words: Sequence[Word], n_min: int) -> dict[tuple[int, str], int]:
+    """(node, symbol) -> node of the tree of the words that at least `n_min` stretches begin with; 0 is the empty one.
+
+    -1 has no successors: what is rare stays rare.
+    """
+    nodes: dict[tuple[int, str], int] = {}
+    front = {0: list(words)}
+    depth = 0
+    while front:
+        grown: dict[int, list[Word]] = {}
+        for node, through in front.items():
+            counts = Counter(word[depth] for word in through if len(word) > depth)
+            for symbol in sorted(symbol for symbol, count in counts.items() if count >= n_min):
+                nodes[node, symbol] = len(nodes) + 1
+                grown[nodes[node, symbol]] = [w for w in through if len(w) > depth and w[depth] == symbol]
+        front, depth = grown, depth + 1
+    return nodes
+
+
+@dataclass(frozen=True, slots=True)
+class Classes:
+    """The words seen through one memory: C classes with observed edges, deterministic.
+
+    `of_state` (S,) is the class of each state of the finest automaton, `keys` (C,) what its words share (`node` only
+    where a class is one word), `edges` (C,) symbol -> class. `apart` (C, C) is how far two classes are from each other:
+    bins apart, a switch or another direction counting for ten, not knowing for one.
+    """
+
+    memory: Memory
+    of_state: Indices
+    keys: tuple[History, ...]
+    edges: tuple[Mapping[str, int], ...]
+    apart: Array
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+
+def classes_of(words: Words, memory: Memory) -> Classes:
+    """The states of the finest automaton joined where `memory` does not tell them apart; class 0 knows nothing."""
+    number: dict[History, int] = {}
+    of_state = [number.setdefault(remembered(state, memory), len(number)) for state in words.states]
+    edges: list[dict[str, int]] = [{} for _ in number]
+    for (source, symbol), (target, _) in words.edges.items():
+        edges[of_state[source]][symbol] = of_state[target]
+    keys = tuple(number)
+    return Classes(memory, np.array(of_state, dtype=np.intp), keys, tuple(edges), apart(keys, keys, words.meaning))
+
+
+def apart(ones: Sequence[History], others: Sequence[History], table: Meaning) -> Array:
+    """(C, D) how far classes are from each other, as `structure.distance` counts, another direction like a switch."""
+    nan = float("nan")  # a channel that is not known
+    one, other = (
+        np.array([[nan if value is None else value for value in key.context] for key in keys], dtype=float)
+        for keys in (ones, others)
+    )
+    total = np.zeros((len(ones), len(others)))
+    for channel, level in enumerate(table.levels):
+        a, b = one[:, channel, None], other[None, :, channel]
+        away = np.abs(a - b) if level else SWITCH_STEPS * (a != b)
+        both = np.isnan(a) & np.isnan(b)
+        total += np.where(np.isnan(a) | np.isnan(b), np.where(both, 0.0, 1.0), away)
+    turn, other_turn = np.array([key.direction for key in ones])[:, None], np.array([key.direction for key in others])
+    unknown = (turn == 0) | (other_turn == 0)
+    return np.asarray(total + np.where(turn == other_turn, 0.0, np.where(unknown, 1.0, SWITCH_STEPS)))
+
+
+def remembered(history: History, memory: Memory) -> History:
+    """A history with only what `memory` keeps; a word that is a state of its own keeps its number."""
+    return History(
+        history.context,
+        history.direction if memory == "direction" else 0,
+        history.moved if memory == "previous" else None,
+        history.node,
+    )
+
+
+def described(key: History, alphabet: Alphabet) -> str:
+    """A class in words: "ON/200-300", "ON/200-300 rising", "ON/200-300 after 100-200"."""
+    text = name_of(key.context, alphabet)
+    if key.direction:
+        text += " rising" if key.direction > 0 else " falling"
+    if key.moved is not None:
+        channel, before = key.moved
+        text += f" after {'?' if before is None else labels(alphabet.channels[channel])[before]}"
+    return text

@@ -1,0 +1,87 @@
+"""What every learner does first and last: encode, refuse what cannot teach, range, initial law, parts to forecast."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim.learning.runs import Runs
+from sim.learning.structure import LearningError
+from sim.sha.automaton import SHA, Distribution
+from sim.sha.events import Alphabet, encode
+from sim.sha.trace import Trace
+
+LEAST_READINGS = 10
+
+
+def encoded(trace: Trace, alphabet: Alphabet) -> Trace:
+    """The trace with its events: those it has, else those of `alphabet`."""
+    return trace if trace.events else replace(trace, events=encode(trace, alphabet))
+
+
+def check_data(traces: Sequence[Trace], temperature: str) -> None:
+    """Raises LearningError, in one sentence, when the encoded traces cannot teach anything about `temperature`."""
+    if not traces:
+        raise LearningError("there is no trace to learn from")
+    having = [trace for trace in traces if temperature in trace.signals]
+    if not having:
+        known = sorted({name for trace in traces for name in trace.signals})
+        raise LearningError(f"no trace has the temperature {temperature!r}; their signals are {', '.join(known)}")
+    finite = [trace.signals[temperature][np.isfinite(trace.signals[temperature])] for trace in having]
+    readings = np.concatenate(finite)
+    if not readings.size:
+        raise LearningError(f"the temperature {temperature!r} has no reading in any trace")
+    if readings.size < LEAST_READINGS:
+        raise LearningError(
+            f"the temperature {temperature!r} has {readings.size} reading{'s' if readings.size > 1 else ''} in all; "
+            f"a model needs at least {LEAST_READINGS}"
+        )
+    if np.ptp(readings) == 0:
+        raise LearningError(
+            f"the temperature {temperature!r} is {readings[0]:g} in every row, so there is nothing to learn"
+        )
+    if not any(trace.events for trace in traces):
+        raise LearningError("no event of the alphabet happens in any trace, so no location is ever known")
+
+
+def with_range(sha: SHA, runs: Runs, margin: float = 0.0) -> SHA:
+    """The usual range of 0 to 150 degC, wider by 50 degC on a side where the readings leave it or come within `margin`
+    of its end."""
+    low, high = float(np.nanmin(runs.reading)) - margin, float(np.nanmax(runs.reading)) + margin
+    return replace(
+        sha, low=sha.low if low >= sha.low else low - 50.0, high=sha.high if high <= sha.high else high + 50.0
+    )
+
+
+def initial_law(traces: Sequence[Trace], temperature: str) -> Distribution:
+    """The law of a trace's first temperature; with one trace its scatter is that of all its readings."""
+    columns = [trace.signals[temperature] for trace in traces if temperature in trace.signals]
+    finite = [column[np.isfinite(column)] for column in columns]
+    firsts = [float(column[0]) for column in finite if column.size]
+    sigma = np.std(firsts, ddof=1) if len(firsts) > 1 else np.std(np.concatenate(finite))
+    return Distribution("normal", {"mu": float(np.mean(firsts)), "sigma": max(float(sigma), 0.5)})
+
+
+Split = tuple[Sequence[Trace], Sequence[Trace], Sequence[float]]
+
+
+def splits(traces: Sequence[Trace]) -> list[Split]:
+    """(to learn from, to forecast, since when) of each part of the calibration."""
+    usable = [trace for trace in traces if trace.times.size > 1]
+    if len(usable) >= 6:
+        parts = [(usable[third::3], [t for n, t in enumerate(usable) if n % 3 != third]) for third in range(3)]
+        return [(others, part, [float(trace.times[0]) for trace in part]) for part, others in parts]
+    found: list[Split] = []
+    for share in (0.5, 0.75):
+        cuts = [_moment(trace, share) for trace in usable]
+        ends = [_moment(trace, share + 0.25) for trace in usable]
+        known = [trace.between(trace.times[0], cut) for trace, cut in zip(usable, cuts, strict=True)]
+        asked = [
+            trace.between(trace.times[0], np.nextafter(end, np.inf)) for trace, end in zip(usable, ends, strict=True)
+        ]
+        found.append(([trace for trace in known if trace.times.size], asked, cuts))
+    return found
+
+
+def _moment(trace: Trace, share: float) -> float:
+    return float(trace.times[0] + share * (trace.times[-1] - trace.times[0]))

@@ -1,0 +1,347 @@
+"""Method `lsha` end to end: known automata come back, every trace is accepted, order is nothing, odd data end well."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sim.artefacts.bundle import read_artefacts
+from sim.artefacts.model_directory import read_model_directory, write_model_directory
+from sim.artefacts.model_json import model_hash
+from sim.learning.lsha.flow_hypotheses import choose_flow
+from sim.learning.lsha.ground import ground_of
+from sim.learning.lsha.learn import LearnedLsha, learn_lsha
+from sim.learning.lsha.report import counterexamples, report_document, report_text
+from sim.learning.lsha.settings import LshaSettings
+from sim.learning.lsha.structures import choose_structure
+from sim.learning.structure import LearningError, name_of
+from sim.sha.automaton import nondeterminism, transitions
+from sim.sha.entry import check_sha
+from sim.sha.events import Alphabet, Bins, Switch, alphabet_symbols, encode
+from sim.sha.open_loop import measured, open_loop
+from sim.sha.trace import UNKNOWN, Event, Trace
+from tests.learning.lsha_plants import PLANT, by_context, by_direction, random_traces
+
+ROOT = Path(__file__).resolve().parents[2]
+CNC = ROOT.parent / "shared" / "data" / "lsha_upstream" / "made_cnc"
+
+
+def learned(traces: Sequence[Trace], alphabet: Alphabet = PLANT, **given: object) -> LearnedLsha:
+    return learn_lsha(traces, alphabet, "T", seed=0, settings=LshaSettings(**given))
+
+
+@pytest.fixture(scope="module")
+def known() -> LearnedLsha:
+    return learned(random_traces(by_context, 3))
+
+
+def assert_sound(result: LearnedLsha, traces: Sequence[Trace]) -> None:
+    """Everything that whoever runs the model relies on."""
+    model, report = result.model, result.report
+    check_sha(model.sha)
+    assert nondeterminism(model.sha) == []
+    assert report.acceptance.accepted == report.acceptance.traces
+    moves = transitions(model.sha)
+    for trace in traces:
+        here = model.sha.initial
+        for event in trace.events:
+            here = moves[here, event.symbol]
+    assert model.sensor_sigma > 0
+    assert set(result.values) == {one.name for one in report.locations if np.isfinite(one.mu)}
+    for one in report.locations:
+        law = model.sha.by_name[one.name].distribution
+        assert (law is None) == (not np.isfinite(one.mu))
+        if law is not None:
+            assert law.params["sigma"] == pytest.approx(np.hypot(one.mu_error, one.scatter))
+            assert law.params["sigma"] > 0
+
+
+FOUR = {
+    frozenset({"OFF/0-1", "OFF/1-2"}),
+    frozenset({"OFF/2+"}),
+    frozenset({"ON/0-1", "ON/1-2"}),
+    frozenset({"ON/2+"}),
+}
+
+
+def found_again(seed: int) -> bool:
+    """Whether exactly the four locations of `by_context` come back, from traces that hold them evenly."""
+    traces = random_traces(by_context, seed)
+    chosen = LshaSettings()
+    ground = ground_of(traces, PLANT, "T", chosen.n_min, chosen.split)
+    flowing, _ = choose_flow(ground, chosen.default_flow, chosen.alpha, chosen.n_min)
+    structure, _ = choose_structure(ground, flowing.sample, chosen)
+    members: dict[int, set[str]] = {}
+    for key, location in zip(structure.classes.keys, structure.partition.location.tolist(), strict=True):
+        if structure.partition.modelled[location]:
+            members.setdefault(location, set()).add(name_of(key.context, PLANT))
+    return {frozenset(words) for words in members.values()} == FOUR and len(members) == 4
+
+
+def test_a_known_automaton_comes_back_for_nearly_every_seed() -> None:
+    # alpha = 0.05 family-wise says that one in twenty may have a location too many; 35 of the 40 seeds from 100 on came
+    # back. With that share fewer than 6 of 8 have a probability of 6.7 %; these eight seeds are what they are.
+    assert sum(found_again(seed) for seed in range(100, 108)) >= 6
+
+
+def test_targets_scatter_and_rate_of_a_known_automaton_are_right(known: LearnedLsha) -> None:
+    assert_sound(known, random_traces(by_context, 3))
+    assert known.model.provenance.settings["flow"] == "exponential"
+    laws = [one for one in known.report.locations if np.isfinite(one.mu)]
+    assert {frozenset(one.words) for one in laws} == FOUR
+    for one in laws:
+        mu = 20 if one.name.startswith("OFF") else 80 if one.name == "ON/2+" else 50
+        assert abs(one.mu - mu) < 4 * one.mu_error + 0.3
+        assert 1 / one.rate == pytest.approx(200.0, rel=0.1)
+        assert 0.5 < one.scatter < 2.0
+        assert one.segments >= 5
+    assert 0.05 < known.model.sensor_sigma < 0.2
+
+
+def test_what_depends_on_the_direction_of_a_level_is_told_apart() -> None:
+    result = learned(random_traces(by_direction, 4, count=16))
+    assert result.model.provenance.settings["memory"] in ("direction", "previous")
+    means = {word: one.mu for one in result.report.locations for word in one.words if np.isfinite(one.mu)}
+    up = [mu for word, mu in means.items() if word in ("ON/1-2 rising", "ON/1-2 after 0-1")]
+    down = [mu for word, mu in means.items() if word in ("ON/1-2 falling", "ON/1-2 after 2+")]
+    assert up
+    assert down
+    assert min(up) > 70
+    assert max(down) < 60
+
+
+def test_a_level_that_is_jumped_to_is_learned_as_a_resampled_one() -> None:
+    traces = random_traces(by_context, 5, jumps=True)
+    result = learned(traces)
+    assert_sound(result, traces)
+    assert result.model.provenance.settings["flow"] == "constant, resampled on entry"
+    entries = {one.entry for one in result.report.locations if np.isfinite(one.mu)}
+    assert entries == {"resample"}
+    assert result.model.sensor_sigma == pytest.approx(0.1, rel=0.2)
+    assert all(one.scatter == pytest.approx(1.0, abs=0.4) for one in result.report.locations if one.segments > 30)
+
+
+@pytest.mark.parametrize("kind", ["linear", "logarithmic", "driven"])
+def test_a_default_flow_that_is_given_is_taken(kind: str) -> None:
+    traces = random_traces(by_context, 6, count=6)
+    result = learned(traces, default_flow=kind, delta=0.1, memory="context")
+    assert_sound(result, traces)
+    assert str(result.model.provenance.settings["flow"]).startswith(kind)
+    assert result.model.provenance.settings["delta"] == 0.1
+
+
+def test_every_word_has_an_edge_and_what_was_never_seen_a_default_one() -> None:
+    wide = Alphabet((PLANT.channels[0], Bins("Load", (1.0, 2.0, 3.0), ("L_0", "L_1", "L_2", "L_3"))), gap=60.0)
+    traces = random_traces(by_context, 7, count=6)
+    result = learned(traces, wide)
+    moves = transitions(result.model.sha)
+    names = [location.name for location in result.model.sha.locations]
+    assert set(moves) == {(name, symbol) for name in names for symbol in (*alphabet_symbols(wide), UNKNOWN)}
+    high = {moves[name, "L_2"] for name in names if name.startswith("ON/") and (name, "L_3") in moves}
+    assert {moves[name, "L_3"] for name in names if name.startswith("ON/0-1")} <= high | {"?"}
+    assert result.report.default_edges > 0
+    bare = learned(traces, wide, complete=False)
+    assert bare.report.default_edges == 0
+    assert len(bare.model.sha.edges) == bare.report.observed_edges + len(bare.model.sha.locations)
+
+
+def test_the_order_of_the_traces_copies_and_names_of_copies_do_not_matter(known: LearnedLsha) -> None:
+    traces = random_traces(by_context, 3)
+    rng = np.random.default_rng(0)
+    mixed = [traces[number] for number in rng.permutation(len(traces))]
+    again = learned([*mixed, replace(traces[4], name="zz copy")])
+    assert again.report.copies == 1
+    assert again.values == known.values
+    assert again.model.provenance.data_hash == known.model.provenance.data_hash
+    assert replace(again.model, provenance=known.model.provenance) == known.model
+    assert report_document(replace(again.report, copies=0)) == report_document(known.report)
+
+
+@st.composite
+def wild_traces(draw: st.DrawFn) -> list[Trace]:
+    """Traces with any events at any rows, UNKNOWN and repeated symbols among them, and any temperature."""
+    symbols = (*alphabet_symbols(PLANT), UNKNOWN)
+    found = []
+    for number in range(draw(st.integers(1, 4))):
+        rows = draw(st.integers(15, 60))
+        seed = draw(st.integers(0, 2**32 - 1))
+        rng = np.random.default_rng(seed)
+        times = np.cumsum(rng.uniform(0.5, 20.0, rows))
+        at = np.sort(rng.choice(times, draw(st.integers(1, 30))))
+        words = draw(st.lists(st.sampled_from(symbols), min_size=at.size, max_size=at.size))
+        events = (Event(float(times[0]), "ON"), *(Event(float(t), s) for t, s in zip(at, words, strict=True)))
+        signals = {"T": 30 + np.cumsum(rng.normal(0, 1, rows)), "Load": rng.uniform(0, 3, rows)}
+        found.append(Trace(f"w{number}", times, signals, events))
+    return found
+
+
+@settings(max_examples=8, deadline=None)
+@given(wild_traces())
+def test_whatever_the_traces_the_automaton_is_deterministic_and_accepts_them_all(traces: list[Trace]) -> None:
+    try:
+        result = learned(traces, memory="direction", delta=0.1)
+    except LearningError as error:
+        assert "\n" not in str(error)
+    else:
+        assert_sound(result, traces)
+
+
+def test_the_observation_table_is_prefix_closed_closed_and_says_where_words_lead(known: LearnedLsha) -> None:
+    table, moves = known.report.table, transitions(known.model.sha)
+    words = {row.word for row in table.upper}
+    assert () in words
+    assert all(word[:-1] in words for word in words if word)
+    assert all(row.word[:-1] in words for row in table.lower)
+    assert {row.location for row in table.lower} <= {row.location for row in table.upper}
+    assert {row.location for row in table.upper} == {location.name for location in known.model.sha.locations}
+    for row in (*table.upper, *table.lower):
+        here = known.model.sha.initial
+        for symbol in row.word:
+            here = moves[here, symbol]
+        assert here == row.location
+    assert table.suffixes[0] == ()
+
+
+def test_the_report_says_why_every_location_is_one(known: LearnedLsha) -> None:
+    report = known.report
+    document = json.loads(json.dumps(report_document(report)))
+    assert document["acceptance"]["accepted"] == 12
+    assert sum(row["chosen"] for row in document["flow_hypotheses"]) == 1
+    assert len(document["decisions"]) == len(report.decisions)
+    assert {one["words"] for one in document["counterexamples"]} == {
+        report.rows[one.row].name for one in counterexamples(report)
+    }
+    for decision in document["decisions"]:
+        assert decision["location"] in known.model.sha.by_name
+    for one in counterexamples(report):
+        assert one.answer is None or one.suffix or one.answer.p < report.level
+    text = report_text(report, "plant")
+    assert "Every training trace is followed by the observed edges alone: 12 of 12." in text
+    assert all(f"| {location.name} |" in text for location in known.model.sha.locations)
+
+
+def test_the_artefacts_hold_the_table_and_read_back(known: LearnedLsha, tmp_path: Path) -> None:
+    more = {"learning_report.md": report_text(known.report, "plant")}
+    model = replace(known.model, sha=replace(known.model.sha, name="plant"))
+    write_model_directory(tmp_path / "m", model, known.values, observations=known.report.table, more=more)
+    assert model_hash(read_model_directory(tmp_path / "m")) == model_hash(model)
+    artefacts = read_artefacts(tmp_path / "m", "plant")
+    table = artefacts.report.table
+    assert table is not None
+    assert len(table.upper) == len(known.report.table.upper)
+    assert len(table.lower) == len(known.report.table.lower)
+    cells = {cell for row in table.upper for cell in row.cells}
+    laws = {law.name for law in artefacts.report.distributions}
+    assert {cell.split(",")[1].rstrip(")") for cell in cells} - {"ε"} == laws
+    write_model_directory(tmp_path / "m", model, known.values)
+    assert not (tmp_path / "m" / "learning_report.md").exists()
+
+
+def test_it_runs_freely_along_a_trace_it_has_never_seen(known: LearnedLsha) -> None:
+    error = []
+    for trace in random_traces(by_context, 99, count=4):
+        times, values = measured(trace, "T")
+        run = open_loop(known.model, trace, "reject")
+        error.append(run.mean[np.searchsorted(run.times, times, side="right") - 1] - values)
+    assert np.sqrt(np.mean(np.concatenate(error) ** 2)) < 1.5
+
+
+def plain(rows: int, name: str = "a", **signals: np.ndarray) -> Trace:
+    return Trace(name, np.arange(rows) * 4.0, {"On": np.ones(rows), "Load": np.full(rows, 0.5), **signals})
+
+
+RISING = np.linspace(20.0, 25.0, 50) + 0.05 * np.sin(np.arange(50))
+
+
+@pytest.mark.parametrize(
+    ("traces", "sentence"),
+    [
+        ([], "there is no trace to learn from"),
+        ([plain(50)], "no trace has the temperature 'T'; their signals are Load, On"),
+        ([plain(2, T=RISING[:2])], "the temperature 'T' has 2 readings in all; a model needs at least 10"),
+        ([plain(50, T=np.full(50, 20.0))], "the temperature 'T' is 20 in every row, so there is nothing to learn"),
+        ([Trace("x", np.arange(50.0), {"T": RISING})], "no event of the alphabet happens in any trace"),
+        (
+            [replace(plain(50, T=RISING), events=(Event(0.0, "ON"), Event(9.0, "B_7")))],
+            "trace 'a': event 1 is 'B_7', which the alphabet does not have",
+        ),
+        (
+            [replace(plain(50, T=RISING), events=(Event(0.0, UNKNOWN),))],
+            "no stretch of the traces has two temperature readings in a known location",
+        ),
+    ],
+)
+def test_what_cannot_be_learned_from_is_refused_in_one_sentence(traces: list[Trace], sentence: str) -> None:
+    with pytest.raises(LearningError) as caught:
+        learned(traces)
+    assert str(caught.value).startswith(sentence)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_driven_flow_without_an_input_that_moves_is_refused() -> None:
+    with pytest.raises(LearningError, match=r"the flow .driven. needs a level signal of the alphabet that moves"):
+        learned([plain(50, T=RISING)], default_flow="driven")
+
+
+@pytest.mark.parametrize(
+    ("alphabet", "traces"),
+    [
+        (PLANT, [plain(50, T=RISING)]),
+        (PLANT, random_traces(by_context, 1, count=1, stays=6)),
+        (Alphabet((Switch("On", "ON", "OFF"),)), random_traces(by_context, 1, count=3, stays=8)),
+        (Alphabet((Bins("Load", (), ("any",)),)), random_traces(by_context, 1, count=2, stays=8)),
+        (PLANT, [plain(50, T=RISING), plain(50, "b", T=RISING[::-1]), plain(3, "c")]),
+        (PLANT, [plain(50, T=np.where(np.arange(50) % 7, RISING, np.nan)), plain(1, "one", T=RISING[:1])]),
+    ],
+    ids=["one stay", "one trace", "one channel", "one value", "no temperature in one", "gaps and one row"],
+)
+def test_few_data_give_a_sound_model(alphabet: Alphabet, traces: list[Trace]) -> None:
+    again = [replace(trace, events=encode(replace(trace, events=()), alphabet)) for trace in traces]
+    assert_sound(learned(again, alphabet), again)
+
+
+def test_a_symbol_seen_once_gets_no_location_of_its_own() -> None:
+    traces = random_traces(by_context, 8)
+    load = traces[0].signals["Load"].copy()
+    off = np.flatnonzero(traces[0].signals["On"] == 0)[3:9]
+    wide = Alphabet((PLANT.channels[0], Bins("Load", (1.0, 2.0, 9.0), ("L_0", "L_1", "L_2", "L_3"))), gap=60.0)
+    load[off] = 10.0
+    rare = replace(traces[0], signals={**traces[0].signals, "Load": load}, events=())
+    again = [replace(one, events=encode(replace(one, events=()), wide)) for one in (rare, *traces[1:])]
+    result = learned(again, wide)
+    assert_sound(result, again)
+    lonely = [one for one in result.report.locations if np.isfinite(one.mu) and one.segments < 5]
+    assert lonely == []
+
+
+def test_progress_goes_from_0_to_1() -> None:
+    told: list[tuple[str, float]] = []
+    traces = random_traces(by_context, 1, count=2, stays=8)
+    learn_lsha(traces, PLANT, "T", seed=0, progress=lambda *step: told.append(step))
+    shares = [share for _, share in told]
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert shares == sorted(shares)
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+def test_the_cnc_traces_are_learned_whatever_their_order() -> None:
+    if not CNC.is_dir():
+        pytest.skip(f"{CNC} is not there")
+    from sim.validation.column_map import load_map
+    from sim.validation.traces import load_traces
+
+    column_map = load_map(ROOT / "config" / "traces" / "made_cnc.toml")
+    traces, _ = load_traces(CNC, column_map)
+    one = learn_lsha(traces, column_map.alphabet, column_map.temperature, seed=0)
+    other = learn_lsha(traces[::-1], column_map.alphabet, column_map.temperature, seed=0)
+    assert model_hash(one.model) == model_hash(other.model)
+    assert_sound(one, traces)
+    assert one.report.acceptance.accepted == 15
+    assert one.model.provenance.settings["flow"] == "constant, resampled on entry"
+    assert one.model.provenance.scores["held_out_rmse"] < 0.4

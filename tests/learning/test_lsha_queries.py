@@ -1,0 +1,201 @@
+"""The queries of L*_SHA: tests and their error rate, segments and their errors, merges and what they entail."""
+
+import numpy as np
+import pytest
+
+from sim.learning.lsha.evidence import Evidence, between, evidence_of, same_distribution, sample_of
+from sim.learning.lsha.identify import identify
+from sim.learning.lsha.merging import Partition, learn_partition
+from sim.learning.lsha.segments import Motion, Segments, levels, parameters
+from sim.learning.lsha.settings import LshaSettings
+from sim.learning.lsha.words import Classes, History, classes_of, words_of
+from sim.learning.runs import free_runs
+from sim.sha.automaton import Flow
+from sim.sha.flows import coefficients
+from tests.learning.lsha_plants import PLANT, by_context, random_traces
+
+N_MIN = 5
+
+
+def evidence(value: np.ndarray, variance: np.ndarray, scatter: float) -> Evidence:
+    w = 1.0 / (scatter**2 + variance)
+    rows = (np.ones_like(w), w, w * value, w**2, w**2 * value, w**2 * value**2, w**2 * variance)
+    return evidence_of(tuple(float(row.sum()) for row in rows), N_MIN)
+
+
+def drawn(rng: np.random.Generator, mu: float, count: int, scatter: float) -> tuple[np.ndarray, np.ndarray]:
+    """Segments of very different lengths: measurement variances over three decades."""
+    variance = 10.0 ** rng.uniform(-2, 1, count)
+    return mu + rng.normal(0, np.sqrt(scatter**2 + variance)), variance
+
+
+@pytest.mark.parametrize(("counts", "assumed"), [((12, 40), 1.0), ((8, 8), 0.3), ((30, 6), 3.0)])
+def test_equal_sets_are_told_apart_as_often_as_the_level_says(counts: tuple[int, int], assumed: float) -> None:
+    # The scatter that the weights assume may be wrong by a factor of three: the sandwich variance does not mind.
+    rng, rejected, trials = np.random.default_rng(1), 0, 1500
+    for _ in range(trials):
+        one, other = (evidence(*drawn(rng, 3.0, count, 1.0), assumed) for count in counts)
+        rejected += same_distribution(one, other, 0.0).p < 0.05
+    assert 0.025 < rejected / trials < 0.085
+
+
+def test_different_sets_are_told_apart_and_a_tolerance_forgives_what_it_says() -> None:
+    rng = np.random.default_rng(2)
+    one, other = (evidence(*drawn(rng, mu, 60, 0.5), 0.5) for mu in (0.0, 2.0))
+    assert same_distribution(one, other, 0.0).p < 1e-6
+    assert same_distribution(one, other, 2.2).p > 0.05
+
+
+def test_measured_badly_is_no_difference() -> None:
+    one = evidence(np.zeros(20), np.full(20, 0.01), 0.1)
+    poor = evidence(np.full(2, 5.0), np.full(2, 100.0), 0.1)
+    sharp = evidence(np.full(2, 5.0), np.full(2, 0.01), 0.1)
+    assert same_distribution(one, poor, 0.0).p > 0.3
+    assert same_distribution(one, sharp, 0.0).p < 1e-6
+
+
+def test_evidence_of_two_sets_is_that_of_all_their_segments() -> None:
+    rng = np.random.default_rng(3)
+    (a, va), (b, vb) = drawn(rng, 1.0, 9, 1.0), drawn(rng, 4.0, 7, 1.0)
+    both = evidence(np.append(a, b), np.append(va, vb), 1.0)
+    joined = evidence(a, va, 1.0).joined(evidence(b, vb, 1.0))
+    assert joined.count == 16
+    assert (joined.mean, joined.variance) == pytest.approx((both.mean, both.variance))
+
+
+def test_the_scatter_between_segments_is_kept_apart_from_their_errors() -> None:
+    rng = np.random.default_rng(4)
+    variance = 10.0 ** rng.uniform(-1, 1, 400)
+    value = 7.0 + rng.normal(0, np.sqrt(0.8**2 + variance))
+    rows = np.zeros(400, dtype=np.intp)
+    sample = sample_of(Segments(value, variance, rows, rows, rows, variance, variance, 0.1))
+    mean, error, scatter = between(sample, np.ones(400, dtype=bool))
+    assert mean == pytest.approx(7.0, abs=4 * error)
+    assert error < 0.2
+    assert scatter == pytest.approx(0.8, abs=0.25)
+
+
+def star(count: int) -> Classes:
+    """A root from which every class is reached by a symbol of its own, and which every class leads back to."""
+    keys = tuple(History((None,)) if n == 0 else History((n,)) for n in range(count + 1))
+    edges = ({f"s{n}": n for n in range(1, count + 1)}, *({} for _ in range(count)))
+    apart = np.abs(np.subtract.outer(np.arange(count + 1), np.arange(count + 1))).astype(float)
+    return Classes("context", np.arange(count + 1), keys, edges, apart)
+
+
+def partition(classes: Classes, found: list[Evidence], delta: float = 0.0, alpha: float = 0.05) -> Partition:
+    modelled = np.arange(len(classes)) > 0
+    nothing = evidence_of((0.0,) * 7, N_MIN)
+    return learn_partition(classes, [nothing, *found], modelled, delta=delta, alpha=alpha, n_min=N_MIN)
+
+
+def test_words_of_one_location_are_kept_apart_at_most_as_often_as_alpha_says() -> None:
+    # Family-wise: in how many worlds of 12 equal classes is any of them kept apart? 300 worlds, alpha 0.1.
+    rng, apart, worlds = np.random.default_rng(5), 0, 300
+    for _ in range(worlds):
+        found = [evidence(*drawn(rng, 2.0, int(rng.integers(6, 40)), 1.0), 1.0) for _ in range(12)]
+        apart += partition(star(12), found, alpha=0.1).laws > 1
+    assert apart / worlds <= 0.1 + 3 * np.sqrt(0.1 * 0.9 / worlds)
+
+
+def test_words_of_different_locations_are_kept_apart_when_the_evidence_suffices() -> None:
+    rng = np.random.default_rng(6)
+    means = [0.0, 0.0, 5.0, 5.0, 10.0, 0.0]
+    result = partition(star(6), [evidence(*drawn(rng, mu, 60, 0.5), 0.5) for mu in means])
+    place = result.location[1:].tolist()
+    assert result.laws == 3
+    assert len({place[0], place[1], place[5]}) == 1
+    assert len({place[2], place[3]}) == 1
+    verdicts = [decision.verdict for decision in result.decisions]
+    assert verdicts.count("new") == 3
+    assert verdicts.count("merged") == 3
+
+
+def test_a_row_below_n_min_follows_its_neighbour_unless_its_segments_refute_it() -> None:
+    rng = np.random.default_rng(7)
+    rich = [evidence(*drawn(rng, mu, 60, 0.3), 0.3) for mu in (0.0, 9.0)]
+    tight = np.full(2, 0.01)
+    fits, refutes = evidence(np.zeros(2), tight, 0.3), evidence(np.full(2, 9.0), tight, 0.3)
+    assert partition(star(3), [rich[0], fits, rich[1]]).location.tolist() == [0, 1, 1, 2]
+    assert partition(star(3), [rich[0], refutes, rich[1]]).location.tolist() == [0, 1, 2, 2]
+
+
+def test_a_merge_is_refused_when_a_suffix_speaks_against_it() -> None:
+    """1 and 2 look alike, but after `x` they do not; 5 and 6 look alike and agree in what follows."""
+    keys = tuple(History((None,) if n == 0 else (n,)) for n in range(7))
+    edges = ({f"s{n}": n for n in range(1, 7)}, {"x": 3}, {"x": 4}, {}, {}, {"x": 3}, {"x": 3})
+    away = np.abs(np.subtract.outer(np.arange(7), np.arange(7))).astype(float)
+    classes = Classes("context", np.arange(7), keys, edges, away)
+    rng = np.random.default_rng(8)
+    means = (0.0, 0.0, 20.0, 40.0, 60.0, 60.0)
+    result = partition(classes, [evidence(*drawn(rng, mu, 50, 0.3), 0.3) for mu in means])
+    place = result.location.tolist()
+    assert place[1] != place[2]
+    assert place[5] == place[6]
+    refused = [one for one in result.decisions if one.suffix]
+    assert [one.suffix for one in refused] == [("x",)]
+
+
+def test_every_segment_is_attached_once_and_to_one_class() -> None:
+    traces = random_traces(by_context, 0, count=4)
+    words = words_of(traces, PLANT, N_MIN)
+    runs = free_runs(traces, words.sha, "T", signals=("Load",), jumps=True)
+    found = levels(runs, runs.trace)
+    events = [[e.time for e in trace.events] for trace in traces]
+    stays = sum(
+        len({time for time in times if time < trace.times[-1]}) for times, trace in zip(events, traces, strict=True)
+    )
+    assert found.value.size == stays
+    assert found.readings.sum() == sum(trace.times.size for trace in traces)
+    for memory in ("context", "direction", "previous"):
+        classes = classes_of(words, memory)
+        pooled = sample_of(found).pooled(classes.of_state, len(classes), N_MIN)
+        assert sum(one.count for one in pooled) == stays
+
+
+def test_a_segment_s_parameter_and_its_error_are_right() -> None:
+    traces = random_traces(by_context, 1, count=20, scatter=0.0, tau=200.0)
+    words = words_of(traces, PLANT, N_MIN)
+    runs = free_runs(traces, words.sha, "T", signals=("Load",), jumps=True)
+    decay, pull, _ = coefficients(Flow("exponential", {"k": 1 / 200.0, "noise": 0.0}), runs.age, runs.dt)
+    found = parameters(runs, runs.trace, Motion(decay, pull, np.zeros(len(runs))), 1600.0)
+    truth = np.array([by_context(s.context[0] or 0, s.context[1] or 0, 0) for s in words.states])[found.place]
+    z = (found.value - truth) / np.sqrt(found.variance)
+    assert found.noise == pytest.approx(0.1, rel=0.05)
+    assert z.std() == pytest.approx(1.0, abs=0.1)
+    assert found.variance.max() > 20 * found.variance.min()
+
+
+def test_a_location_with_another_flow_is_identified_and_the_others_keep_the_default() -> None:
+    traces = random_traces(by_context, 2, count=10, tau=60.0, scatter=0.5)
+    words = words_of(traces, PLANT, N_MIN)
+    runs = free_runs(traces, words.sha, "T", signals=("Load",), jumps=True)
+    linear = Flow("linear", {"noise": 0.0})
+    rates = {"exponential": Flow("exponential", {"k": 1 / 60.0, "noise": 0.0}), "linear": linear}
+    motions = {
+        kind: Motion(*coefficients(flow, runs.age, runs.dt)[:2], np.zeros(len(runs))) for kind, flow in rates.items()
+    }
+    wrong = identify(
+        runs, len(words.states), "linear", motions["linear"], {"exponential": rates["exponential"]}, 0.05, 5
+    )
+    right = identify(runs, len(words.states), "exponential", motions["exponential"], {"linear": linear}, 0.05, 5)
+    assert {one.kind for one in wrong if not one.kept} == {"exponential"}
+    assert sum(not one.kept for one in wrong) > 0.5 * len(wrong)
+    assert all(one.kept for one in right)
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ({"delta": -0.1}, "delta is -0.1; it must be 0 or more"),
+        ({"delta": float("nan")}, "delta is nan"),
+        ({"memory": "all"}, "the memory 'all' is unknown; known are context, direction, previous"),
+        ({"default_flow": "cubic"}, "the default flow 'cubic' is unknown; known are constant, linear"),
+        ({"n_min": 1}, "n_min is 1; two segments are the least"),
+        ({"alpha": 1.0}, "alpha is 1.0; it must lie between 0 and 1"),
+        ({"split": 1}, "split is 1; the traces must be split into two parts at least"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(setting: dict[str, object], sentence: str) -> None:
+    with pytest.raises(ValueError, match="^" + sentence.replace(".", r"\.")):
+        LshaSettings(**setting)
