@@ -1,8 +1,8 @@
-"""`decanter model simulate`: a model let run along measured traces, and how far off it comes out."""
+"""`decanter model simulate`: a model let run along measured traces, and how far off it comes out; or along a word."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 @click.command(short_help="Let a model run along measured traces; say how far off it is.")
 @click.argument("directory")
-@click.option("--trace", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@click.option("--trace", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+@click.option("--word", help="Instead of traces: a timed word, as 'W_ON@0 A_2@30 @600', or a file with one.")
 @map_option
 @click.option(
     "--runs", type=click.IntRange(2, 1_000_000), default=1000, show_default=True, help="Stochastic runs a trace."
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 def simulate(
     directory: str,
     paths: Sequence[str],
+    word: str | None,
     map_name: str,
     runs: int,
     policy: "Policy",
@@ -50,7 +52,17 @@ def simulate(
 
     Errors are given at all readings, at the events (the thesis's way) and for the last reading, apart; the band is
     that of the stochastic runs, the sensor's noise included.
+
+    With --word the model runs without noise and without clamps along a timed word, such as a counterexample of
+    `decanter model verify`: each stay's m, inputs and temperature may stand behind its event (docs/verification.md).
     """
+    if bool(paths) == (word is not None):
+        raise click.UsageError("give --trace or --word, one of the two")
+    if word is not None:
+        from gateway.cli.word import replay_word
+
+        replay_word(directory, word, policy, as_json=as_json)
+        return
     from gateway.cli.simulation import simulate_traces
     from sim.artefacts.find import find_model
 
@@ -62,15 +74,15 @@ def simulate(
             chosen, traces, runs=runs, policy=policy, start=start, seed=seed, picture=picture, report=report
         )
     data = {"model": chosen.sha.name, "traces": rows, "picture": picture and str(picture)}
-
-    def show_rows() -> None:
-        columns = ("trace", "events", "rmse", "mae", "rmse at events", "final", "coverage 90 %", "clamps", "flags")
-        done = [[row[name] for name in columns] for row in rows if "error" not in row]
-        if done:
-            table("open loop (°C)", columns, done)
-        if picture is not None:
-            click.echo(f"picture: {picture}")
-
-    emit(data, show_rows, as_json_line=as_json)
+    emit(data, lambda: _show_rows(rows, picture), as_json_line=as_json)
     if any("error" in row for row in rows):
         fail("; ".join(str(row["error"]) for row in rows if "error" in row))
+
+
+def _show_rows(rows: Sequence[Mapping[str, Any]], picture: Path | None) -> None:
+    columns = ("trace", "events", "rmse", "mae", "rmse at events", "final", "coverage 90 %", "clamps", "flags")
+    done = [[row[name] for name in columns] for row in rows if "error" not in row]
+    if done:
+        table("open loop (°C)", columns, done)
+    if picture is not None:
+        click.echo(f"picture: {picture}")

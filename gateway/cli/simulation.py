@@ -8,6 +8,7 @@ import numpy as np
 
 from sim.sha.model import Model
 from sim.sha.open_loop import Start, errors, measured, open_loop, open_loop_schedule, start_law
+from sim.sha.review import beyond, standardised
 from sim.sha.schedule import Policy
 from sim.sha.simulate import simulate
 from sim.sha.trace import Array, Trace
@@ -50,6 +51,7 @@ def _simulate_one(
     times, values = measured(trace, model.temperature)
     place = np.searchsorted(sampled.times, times)
     inside = (values >= low[place]) & (values <= high[place])
+    outside = beyond(*standardised(mean, trace, model))
     if picture is not None:
         _draw(model, trace, (mean.times, mean.mean), (sampled.times, low, high), picture)
     return {
@@ -64,7 +66,11 @@ def _simulate_one(
         "final %": wrong.final_percent,
         "coverage 90 %": float(np.mean(inside)),
         "clamps": mean.clamps,
-        "flags": ", ".join(mean.flags),
+        "limited": mean.limited,
+        "beyond 3 sigma": outside.share,
+        "longest run beyond 3 sigma": outside.run,
+        "review": outside.review,
+        "flags": ", ".join((*mean.flags, *(["review"] if outside.review else []))),
     }
 
 

@@ -9,7 +9,7 @@ from sim.artefacts.files import ArtefactError
 from sim.artefacts.find import find_model
 from sim.artefacts.from_model import to_artefacts
 from sim.artefacts.model_directory import MODEL_FILE, write_model_directory
-from sim.artefacts.store import promote, save
+from sim.artefacts.store import Force, promote, save
 from tests.artefacts.models import decanter_model
 from tests.artefacts.real import REAL, SETS, real_data
 
@@ -19,7 +19,7 @@ MODEL = decanter_model()
 def test_a_model_directory_its_file_and_a_store_are_the_same_model(tmp_path: Path) -> None:
     write_model_directory(tmp_path / "plain", MODEL)
     first = save(tmp_path / "store", MODEL, created=1.0)
-    promote(tmp_path / "store", first)
+    promote(tmp_path / "store", first, Force("tests", "it has every flow kind, and some grow without bound", 0.0))
     for where in ("plain", f"plain/{MODEL_FILE}", "store", f"store@{first}"):
         found = find_model(tmp_path / where)
         assert found.runnable() == MODEL, where

@@ -16,11 +16,25 @@ from sim.artefacts import files
 from sim.artefacts.bundle import read_artefacts
 from sim.artefacts.files import ArtefactError
 from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, write_model_directory
-from sim.artefacts.store import CURRENT, VERSIONS, current, load, promote, read_model, save, version_directory, versions
+from sim.artefacts.store import (
+    CURRENT,
+    VERSIONS,
+    Force,
+    current,
+    load,
+    promote,
+    read_model,
+    save,
+    version_directory,
+    versions,
+)
 from sim.sha.model import Model
 from tests.artefacts.models import decanter_model
 
 ROOT = Path(__file__).parents[2]
+
+
+FORCE = Force("tests", "it has every flow kind, and some grow without bound", 0.0)
 
 
 def numbered(number: int) -> Model:
@@ -34,11 +48,11 @@ def test_versions_are_numbered_and_the_promoted_one_is_current(tmp_path: Path) -
     assert versions(store) == (first, second)
     with pytest.raises(ArtefactError, match=f"no version is promoted; promote one of: {first}, {second}"):
         load(store)
-    promote(store, second)
+    promote(store, second, FORCE)
     assert current(store) == second
     assert load(store) == read_model(store) == numbered(2)
     assert load(store, first) == numbered(1)
-    promote(store, first)
+    promote(store, first, FORCE)
     assert read_model(store) == numbered(1)
     manifest = (version_directory(store, second) / MANIFEST).read_text(encoding="utf-8")
     assert f'"parent": "{first}"' in manifest
@@ -94,19 +108,20 @@ WRITER = """
 import sys
 from pathlib import Path
 from sim.artefacts.store import promote, save
-from tests.artefacts.test_store import numbered
+from tests.artefacts.test_store import FORCE, numbered
 store = Path(sys.argv[1])
-print("ready", flush=True)
 number = 0
 while True:
-    promote(store, save(store, numbered(number % 3), {"off": [20.0] * 2000}, created=float(number)))
+    promote(store, save(store, numbered(number % 3), {"off": [20.0] * 2000}, created=float(number)), FORCE)
+    if number == 0:
+        print("ready", flush=True)
     number += 1
 """
 
 
 def test_a_kill_at_any_moment_leaves_the_store_readable_and_loses_no_version(tmp_path: Path) -> None:
     save(tmp_path, numbered(0), created=0.0)
-    promote(tmp_path, versions(tmp_path)[0])
+    promote(tmp_path, versions(tmp_path)[0], FORCE)
     seen: set[str] = set()
     for round_ in range(8):
         writer = subprocess.Popen(
@@ -152,7 +167,7 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing_behind(tmp_path: Path, m
     with pytest.raises(ArtefactError, match=r"cannot be written \(No space left on device\); make room there"):
         save(tmp_path / "store", numbered(2), created=2.0)
     with pytest.raises(ArtefactError, match="No space left on device"):
-        promote(tmp_path / "store", first)
+        promote(tmp_path / "store", first, FORCE)
     with pytest.raises(ArtefactError, match="No space left on device"):
         write_model_directory(tmp_path / "model", numbered(2))
     monkeypatch.undo()
