@@ -8,9 +8,14 @@ from statistics import median
 
 import pytest
 
+from gateway.cli.model import COMMANDS
+
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for room in ("drivers", "sim", "gateway") for path in (ROOT / room).rglob("*.py"))
-HEAVY = ("numpy", "pandas", "scipy", "matplotlib", "pymodbus", "pydantic", "rich", "structlog", "lark", "pydot")
+HEAVY = (
+    *("numpy", "pandas", "scipy", "matplotlib", "pymodbus", "pydantic", "rich", "structlog", "lark", "pydot"),
+    *("jinja2", "joblib", "optuna", "distributed", "dask"),
+)
 
 
 def functions(path: Path) -> list[tuple[str, int]]:
@@ -52,11 +57,12 @@ def modules_imported_by(code: str) -> set[str]:
     return set(done.stdout.splitlines()[-1].split())
 
 
-def test_help_imports_nothing_heavy() -> None:
+@pytest.mark.parametrize("command", [[], ["model"], *(["model", name] for name in COMMANDS)], ids=" ".join)
+def test_help_imports_nothing_heavy(command: list[str]) -> None:
     code = (
         "from click.testing import CliRunner\n"
         "from gateway.cli.main import main\n"
-        "assert CliRunner().invoke(main, ['--help']).exit_code == 0"
+        f"assert CliRunner().invoke(main, {[*command, '--help']}).exit_code == 0"
     )
     assert modules_imported_by(code).isdisjoint(HEAVY)
 

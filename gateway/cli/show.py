@@ -10,19 +10,57 @@ from gateway.cli.options import json_option
 from gateway.cli.output import emit, sentences, table
 
 if TYPE_CHECKING:
-    from sim.sha.model import Model
+    from sim.artefacts.find import Found
+    from sim.sha.automaton import SHA
+    from sim.sha.model import Model, Stay
 
 
 @click.command(short_help="Show a model and where it comes from.")
 @click.argument("name")
 @json_option
 def show(name: str, as_json: bool) -> None:
-    """Show a model: locations, flows, laws of parameters and stays, where it comes from."""
+    """Show a model: locations, flows, laws of parameters and stays, where it comes from.
+
+    Of artefacts that cannot be run the structure is shown, and why they cannot.
+    """
     from sim.artefacts.find import find_model
 
     with sentences():
-        shown = find_model(name).runnable()
-    emit(summary(shown), lambda: show_model(shown), as_json_line=as_json)
+        found = find_model(name)
+        if found.model is None or found.artefacts is not None:
+            emit(_artefacts(found), lambda: _show_artefacts(found), as_json_line=as_json)
+            return
+        shown = found.model
+        emit(summary(shown), lambda: show_model(shown), as_json_line=as_json)
+
+
+def _artefacts(found: "Found") -> dict[str, Any]:
+    edges = [
+        {"source": e.source, "symbol": e.symbol, "target": e.target, "guard": e.guard} for e in found.structure.edges
+    ]
+    return {
+        "name": found.name,
+        "initial": found.structure.initial,
+        "locations": _location_rows(found.structure, {}),
+        "edges": edges,
+        "runnable": found.model is not None,
+        "refusal": found.refusal,
+        "notes": list(found.notes),
+    }
+
+
+def _show_artefacts(found: "Found") -> None:
+    sha = found.structure
+    if found.model is None:
+        table(f"{found.name}: {len(sha.locations)} locations", ["location"], [[each.name] for each in sha.locations])
+    else:
+        rows = _location_rows(sha, {})
+        table(f"{found.name}: {len(rows)} locations", list(rows[0]), [list(row.values()) for row in rows])
+    table(f"{len(sha.edges)} edges", ["from", "symbol", "to"], [[e.source, e.symbol, e.target] for e in sha.edges])
+    for note in found.notes:
+        click.echo(note)
+    if found.refusal:
+        click.secho(f"it cannot be run: {found.refusal}", fg="yellow")
 
 
 def summary(shown: "Model") -> dict[str, Any]:
@@ -34,7 +72,8 @@ def summary(shown: "Model") -> dict[str, Any]:
         "hash": model_hash(shown),
         "temperature": shown.temperature,
         "sensor_sigma": shown.sensor_sigma,
-        "locations": _location_rows(shown),
+        "correction": {"gain": shown.correction.gain, "offset": shown.correction.offset},
+        "locations": _location_rows(shown.sha, shown.semi_markov),
         "edges": len(shown.sha.edges),
         "provenance": {
             "method": shown.provenance.method,
@@ -47,13 +86,13 @@ def summary(shown: "Model") -> dict[str, Any]:
     }
 
 
-def _location_rows(shown: "Model") -> list[dict[str, Any]]:
+def _location_rows(sha: "SHA", stays: "Mapping[str, Stay]") -> list[dict[str, Any]]:
     from sim.sha import distributions
 
     rows = []
-    for location in shown.sha.locations:
+    for location in sha.locations:
         law: Mapping[str, float] = location.distribution.params if location.distribution else {}
-        stay = shown.semi_markov.get(location.name)
+        stay = stays.get(location.name)
         row: dict[str, Any] = {"location": location.name, "flow": location.flow.kind}
         row |= {name: law.get(name, nan) for name in ("mu", "sigma")}
         row |= {name: location.flow.params.get(name, nan) for name in ("k", "noise")}
@@ -66,7 +105,7 @@ def _location_rows(shown: "Model") -> list[dict[str, Any]]:
 
 def show_model(shown: "Model") -> None:
     """Print the model's locations and where it comes from."""
-    rows = _location_rows(shown)
+    rows = _location_rows(shown.sha, shown.semi_markov)
     columns = list(rows[0])
     table(
         f"{shown.sha.name}: {len(rows)} locations, {len(shown.sha.edges)} edges",
@@ -77,5 +116,7 @@ def show_model(shown: "Model") -> None:
     click.echo(f"temperature {shown.temperature}, sensor sigma {shown.sensor_sigma:.3g} °C, method {origin.method}")
     if shown.calibration:
         click.echo("calibration " + ", ".join(f"{h:g} s x {f:.2f}" for h, f in sorted(shown.calibration.items())))
+    if not shown.correction.identity:
+        click.echo(f"correction T' = {shown.correction.gain:.4g} T {shown.correction.offset:+.3g} °C")
     synthetic = ", SYNTHETIC: not learned from a plant" if origin.synthetic else ""
     click.echo(f"{len(origin.traces)} traces, content {origin.data_hash[:12]}{synthetic}")

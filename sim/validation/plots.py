@@ -65,10 +65,14 @@ class _Clock:
         return (np.asarray(times, dtype=float) - self.origin) / self.seconds
 
 
-def draw(picture: Picture, path: Path) -> Path:
-    """Write the picture to `path` and return the path. Raises ValueError for another ending than ENDINGS, OSError."""
-    if path.suffix.lower() not in ENDINGS:
-        raise ValueError(f"{path}: cannot be a picture; give a name that ends in {', '.join(ENDINGS)}")
+def draw(picture: Picture, path: Path, *also: Path) -> Path:
+    """Write the picture to `path` (and, drawn once, to `also`) and return the path.
+
+    Raises ValueError for another ending than ENDINGS, and OSError.
+    """
+    for file in (path, *also):
+        if file.suffix.lower() not in ENDINGS:
+            raise ValueError(f"{file}: cannot be a picture; give a name that ends in {', '.join(ENDINGS)}")
     rows = 2 + bool(picture.inputs)
     heights = [4.2] + [1.6] * bool(picture.inputs) + [0.9]
     figure = Figure(figsize=(11, 1.6 + sum(heights)), layout="constrained")
@@ -84,10 +88,11 @@ def draw(picture: Picture, path: Path) -> Path:
     if picture.note:
         note = _shortened(picture.note)
         figure.supxlabel(note, fontsize=9, color=MEASURED, x=0.01, ha="left", parse_math=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
-        figure.savefig(path, dpi=110)
+        for file in (path, *also):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            figure.savefig(file, dpi=110)
     return path
 
 

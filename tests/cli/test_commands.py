@@ -23,18 +23,20 @@ from drivers.errors import (
 )
 from gateway.checked import ConfigError
 from gateway.cli.main import COMMANDS, main
+from gateway.cli.model import COMMANDS as MODEL_COMMANDS
 from gateway.cli.output import Exit, as_json, exit_code, sentence, sentences
 from gateway.cli.trace import trace
 from gateway.historian import HistorianError
 from sim.artefacts.files import ArtefactError
 from sim.validation.load_report import TraceError
+from tests.cli.artefact_set import files, written
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 from tests.gateway.support import plant_file
 from tests.plc.bench import running
 
 GATEWAY = (sys.executable, "-m", "gateway.cli.main")
 EVERY = [[], *([name] for name in COMMANDS), ["trace", "show"], ["trace", "synth"]]
-EVERY += [["model", "learn"], ["model", "show"], ["model", "simulate"]]
+EVERY += [["model", name] for name in MODEL_COMMANDS]
 
 
 @pytest.mark.parametrize("command", [words for words in EVERY if words != ["emulate"]], ids=" ".join)
@@ -279,3 +281,16 @@ def test_a_reader_that_goes_away_leaves_no_traceback(traces: Path) -> None:
         ["bash", "-c", command], capture_output=True, text=True, check=False, cwd=ROOT, env={**os.environ}
     )
     assert "Traceback" not in done.stderr
+
+
+def test_artefacts_are_shown_with_their_structure_also_when_they_cannot_be_run(tmp_path: Path) -> None:
+    name = str(written(tmp_path, files()))
+    shown = json.loads(decanter("model", "show", name, "--json").stdout)
+    assert [row["location"] for row in shown["locations"]] == ["q_0", "q_1", "__init__"]
+    assert shown["runnable"]
+    (tmp_path / "flow_conditions.txt").unlink()
+    shown = json.loads(decanter("model", "show", name, "--json").stdout)
+    assert len(shown["edges"]) == 12
+    assert not shown["runnable"]
+    assert "no flow_conditions.txt" in shown["refusal"]
+    assert "it cannot be run" in decanter("model", "show", name).stdout

@@ -1,0 +1,159 @@
+"""A validation campaign: 17 traces x 4 models x 1000 runs, simulation and metrics (stages 5 to 8), pictures apart.
+
+The traces are the SYNTHETIC cd1 to cd17. The models take the four ways through the simulator: the learned model, its
+counterpart under the thesis semantics, one whose targets are driven by the current, one with a rate limit. Worker
+processes are started and have imported everything before the clock starts. The yardstick, in the same run and process:
+the simulation of the same runs alone, without encoding, comparison, band, scores and intervals.
+
+The goal is 10 s on two cores. The thesis states 2 to 5 minutes a trace for its chain with UPPAAL, on another machine.
+
+A long trace (2.6 million rows, 30 days at one a second) shows that memory stays bounded: runs x readings would be
+21 GB.
+"""
+
+import os
+import resource
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from time import perf_counter, process_time
+
+import click
+import numpy as np
+
+from benchmarks.figures import Figure, best, give
+from benchmarks.processes import learned_model
+from sim.artefacts.find import find_model
+from sim.plant.scenarios import SCENARIOS, scenario
+from sim.sha.automaton import Input, Location
+from sim.sha.events import encode
+from sim.sha.flows import RELAXING
+from sim.sha.model import Model
+from sim.sha.open_loop import open_loop_schedule, start_law
+from sim.sha.simulate import simulate
+from sim.sha.trace import Trace
+from sim.validation.campaign import parallel, slim
+from sim.validation.pictures import draw_one, drawings
+from sim.validation.semantics import side_by_side
+from sim.validation.trace_run import Job, Outcome, Settings, run_job
+
+GOAL = 10.0
+RUNS = 1000
+LONG_ROWS = 2_600_000
+RATE = 0.05
+"""degC/s of the rate-limited model: few steps of these traces meet it, all pay for looking."""
+
+
+def models(folder: Path) -> dict[str, Model]:
+    """The four ways through the simulator, by name."""
+    learned = find_model(learned_model(folder)).runnable()
+    both = side_by_side(learned, None)
+    driven = tuple(_driven(location) for location in learned.sha.locations)
+    return {
+        "own": both["own"],
+        "thesis": both["thesis"],
+        "driven": replace(learned, sha=replace(learned.sha, locations=driven)),
+        "limited": replace(learned, sha=replace(learned.sha, max_rate=RATE)),
+    }
+
+
+def _driven(location: Location) -> Location:
+    if location.flow.kind not in RELAXING:
+        return location
+    inputs = (Input("Assorbimento", 0.02, 150.0),)
+    return replace(location, flow=replace(location.flow, kind="driven", inputs=inputs))
+
+
+def jobs(named: dict[str, Model], traces: Sequence[Trace], runs: int) -> list[Job]:
+    """Every model along every trace."""
+    return [
+        Job(name, name, model, slim(trace, model), Settings(runs)) for name, model in named.items() for trace in traces
+    ]
+
+
+def simulated_alone(todo: Sequence[Job]) -> None:
+    """The runs of the jobs and nothing else."""
+    rng = np.random.default_rng(0)
+    for job in todo:
+        encoded = replace(job.trace, events=encode(job.trace, job.model.alphabet))
+        simulate(open_loop_schedule(job.model, encoded), start_law(job.model, encoded), job.settings.runs, rng)
+
+
+def speeds(todo: Sequence[Job], repeats: int) -> tuple[list[Figure], list[Outcome]]:
+    """The campaign in one process and in one a core, and what it gave."""
+    cores = len(os.sched_getaffinity(0))
+    what = f"campaign, {len(todo)} jobs of {todo[0].settings.runs} runs"
+    outcomes: list[Outcome] = []
+
+    def here() -> None:
+        outcomes[:] = map(run_job, todo)
+
+    alone = best(lambda: simulated_alone(todo), repeats)
+    begin = process_time()
+    sequential = best(here, repeats)
+    worked = (process_time() - begin) / repeats
+    list(parallel(run_job, todo[: 4 * cores], cores))  # starts the processes, which import what they need
+    together = best(lambda: list(parallel(run_job, todo, cores)), repeats)
+    failed = [outcome.result.failure for outcome in outcomes if outcome.result.failure]
+    if failed:
+        raise click.ClickException(f"{len(failed)} jobs failed, the first: {failed[0]}")
+    return [
+        Figure(f"{what}, 1 process", sequential, "s", "the simulation of the same runs alone", alone),
+        Figure(f"{what}, processor time", worked, "s", "the goal on two cores", 2 * GOAL),
+        Figure(f"{what}, {cores} processes", together, "s", "the goal", GOAL),
+        Figure(f"{what}, {cores} processes", together, "s", "1 process", sequential),
+    ], outcomes
+
+
+def pictures(outcomes: Sequence[Outcome], count: int, folder: Path) -> Figure:
+    """Seconds for a PNG and a PDF of one trace."""
+    wanted = islice(drawings(folder, outcomes, "TCuscinettiRiduttore", {}).values(), count)
+    begin = perf_counter()
+    drawn = [draw_one(drawing) for drawing in wanted]
+    return Figure("picture of a trace, PNG and PDF", (perf_counter() - begin) / len(drawn), "s")
+
+
+def long_trace(model: Model, rows: int) -> list[Figure]:
+    """Time and memory of one long trace: cd17 over and over, one row a second."""
+    piece = scenario("cd17")
+    repeats = -(-rows // piece.times.size)
+    signals = {name: np.tile(column, repeats)[:rows] for name, column in piece.signals.items()}
+    trace = slim(Trace("long", 1.0 * np.arange(rows), signals, synthetic=True), model)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    begin = perf_counter()
+    outcome = run_job(Job("own", "own", model, trace, Settings(RUNS)))
+    seconds = perf_counter() - begin
+    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    if outcome.result.failure:
+        raise click.ClickException(outcome.result.failure)
+    return [
+        Figure(f"one trace of {rows:,} rows, {RUNS} runs", seconds, "s"),
+        Figure(f"peak resident size with {rows:,} rows", after, "MB", "before it", before),
+    ]
+
+
+def measure(folder: Path, repeats: int, count: int, rows: int) -> list[Figure]:
+    """All figures; `count` traces, a long trace of `rows`."""
+    named = models(folder)
+    traces = [scenario(name) for name in list(SCENARIOS)[:count]]
+    figures, outcomes = speeds(jobs(named, traces, RUNS), repeats)
+    own = [one for one in outcomes if one.result.semantics == "own"]
+    return [*figures, pictures(own, 6, folder / "pictures"), *long_trace(named["own"], rows)]
+
+
+@click.command(help=__doc__)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
+@click.option("--quick", is_flag=True, help="Four traces, once, and a shorter long trace.")
+@click.option("--model-folder", type=click.Path(path_type=Path), help="Where the learned model is kept between runs.")
+@click.option("--repeats", default=3, show_default=True, type=click.IntRange(1), help="Repetitions; the best counts.")
+def main(as_json: bool, quick: bool, model_folder: Path | None, repeats: int) -> None:
+    with tempfile.TemporaryDirectory(prefix="decanter-bench-") as own:
+        folder = model_folder or Path(own)
+        found = measure(folder, 1 if quick else repeats, 4 if quick else 17, 50_000 if quick else LONG_ROWS)
+    give("validation campaign", found, as_json=as_json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,116 @@
+"""Does every event have an edge: a walk through the automaton's skeleton that names what has none, and goes on."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sim.sha.automaton import SHA, transitions
+from sim.sha.schedule import Policy, resync_targets
+from sim.sha.trace import UNKNOWN, Event
+
+NAMED = 50
+"""So many events without an edge are kept one by one; the rest are only counted."""
+Places = frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """An event (its index and absolute time) that has no edge in `location`."""
+
+    index: int
+    time: float
+    location: str
+    symbol: str
+
+    def __str__(self) -> str:
+        return f"event {self.index} ({self.symbol!r} at {self.time:.3f} s) has no edge in location {self.location!r}"
+
+
+@dataclass(frozen=True, slots=True)
+class Compatibility:
+    """What became of the events of a trace. `pairs` counts the missing edges by (location, symbol)."""
+
+    events: int
+    missing: int
+    named: tuple[Missing, ...]
+    pairs: Mapping[tuple[str, str], int]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether every event has an edge."""
+        return self.missing == 0
+
+    @property
+    def sentence(self) -> str:
+        """About the first event without an edge, and how many more there are; empty when all have one."""
+        if self.accepted:
+            return ""
+        more = f", and {self.missing - 1} more of the {self.events} events have none" if self.missing > 1 else ""
+        return f"{self.named[0]}{more}"
+
+
+def compatibility(sha: SHA, events: Sequence[Event], policy: Policy = "ignore") -> Compatibility:
+    """Walk the events from the initial location; UNKNOWN leads back to it, as everywhere.
+
+    After an event without an edge the walk goes on as the policy says (`reject` as `ignore`), so that all of them are
+    found. Where several edges share a symbol the automaton is in several locations at once, and an event has an edge
+    when one of them has; guards are taken as true.
+    """
+    moves, fallback = _moves(sha), resync_targets(sha)
+    start = frozenset({sha.initial})
+    seen: dict[tuple[Places, str], Places] = {}
+    here, missing, named, pairs = start, 0, list[Missing](), Counter[tuple[str, str]]()
+    for index, event in enumerate(events):
+        if event.symbol == UNKNOWN:
+            here = start
+            continue
+        step = (here, event.symbol)
+        if step not in seen:
+            targets = (moves.get((place, event.symbol), ()) for place in here)
+            seen[step] = frozenset(target for ends in targets for target in ends)
+        if seen[step]:
+            here = seen[step]
+            continue
+        place = " or ".join(sorted(here))
+        missing += 1
+        pairs[place, event.symbol] += 1
+        if len(named) < NAMED:
+            named.append(Missing(index, event.time, place, event.symbol))
+        if policy == "resync":
+            here = frozenset({fallback.get(event.symbol, sha.initial)})
+    return Compatibility(len(events), missing, tuple(named), dict(pairs))
+
+
+def _moves(sha: SHA) -> dict[tuple[str, str], list[str]]:
+    moves: dict[tuple[str, str], list[str]] = {}
+    for edge in sha.edges:
+        moves.setdefault((edge.source, edge.symbol), []).append(edge.target)
+    return moves
+
+
+def dense_events(sha: SHA, full: Sequence[Event], filtered: Sequence[Event], policy: Policy) -> list[Event]:
+    """The events of the full encoding without those repeats that the automaton has no edge for.
+
+    The full encoding repeats the present symbol in every row in which nothing happens. A model learned from changes
+    alone may have no edge for a repeat: then the row changes nothing. A repeat that has an edge is taken, and an event
+    of the filtered encoding is always kept, whether it has an edge or not. Raises ValueError for an automaton that is
+    not deterministic.
+    """
+    moves, fallback = transitions(sha), resync_targets(sha)
+    here, place, kept = sha.initial, 0, []
+    for event in full:
+        real = place < len(filtered) and event == filtered[place]
+        place += real
+        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
+        if target is None and not real:
+            continue
+        kept.append(event)
+        if target is None and policy == "resync":
+            target = fallback.get(event.symbol, sha.initial)
+        here = target or here
+    return kept
+
+
+def symbols_of(sha: SHA) -> tuple[str, ...]:
+    """The symbols that stand at edges, in the order of their first."""
+    return tuple(dict.fromkeys(edge.symbol for edge in sha.edges))

@@ -1,0 +1,116 @@
+"""A campaign from prepared models and loaded traces to a complete folder, each stage told as it ends."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sim.sha.trace import Trace
+from sim.validation.campaign import Progress, Runner, Unread, outcomes_by_model, parallel
+from sim.validation.output_folder import COMPLETE, RESULTS, Folder, results_csv, results_json
+from sim.validation.pictures import draw_one, drawings
+from sim.validation.report import Campaign, Entry, ModelReport, index_html, model_html, shown
+from sim.validation.results import TraceResult
+from sim.validation.stage_records import records
+from sim.validation.stages import Prepared, Stage, timed
+from sim.validation.trace_run import Outcome, Settings
+
+PICTURES_HERE = 2
+"""Pictures that are drawn in this process: fewer are done before another process has started."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a campaign is to do. `units` of the signals by name, `pictures` whether to draw, `workers` processes."""
+
+    settings: Settings
+    run: Runner
+    workers: int
+    pictures: bool
+    units: Mapping[str, str]
+    campaign: Campaign
+
+
+def conduct(
+    prepared: Sequence[Prepared],
+    traces: Sequence[Trace],
+    without: Sequence[Unread],
+    loading: Stage,
+    plan: Plan,
+    folder: Folder,
+    tell: Callable[[str], None],
+    progress: Progress,
+) -> list[TraceResult]:
+    """Stages 5 to 9 of every model; returns all results in the order of models, semantics and traces.
+
+    Everything is written as soon as it is known; the index and the state "complete" come last. Raises OSError where the
+    folder can no longer be written.
+    """
+    log: list[Stage] = []
+
+    def note(stage: Stage) -> None:
+        log.append(stage)
+        tell(stage.line)
+        folder.write("campaign.log", "".join(f"{one.line}\n" for one in log))
+        if stage.model:
+            folder.stage(stage)
+
+    for one in prepared:
+        for stage in one.stages:
+            note(stage)
+    note(loading)
+    results: list[TraceResult] = []
+    entries: list[Entry] = []
+    for one, outcomes in outcomes_by_model(prepared, traces, without, plan.settings, plan.run, progress):
+        stages = records(one.label, outcomes)
+        for stage in stages:
+            note(stage)
+        results += [outcome.result for outcome in outcomes]
+        folder.write(f"{RESULTS}.json", results_json(results))
+        folder.write(f"{RESULTS}.csv", results_csv(results))
+        last, report = _reported(one, outcomes, (*one.stages, loading, *stages), plan, folder, progress)
+        note(last)
+        entries.append(Entry(folder.places[one.label], report))
+    folder.write("index.html", index_html(plan.campaign, entries, log))
+    folder.state(COMPLETE)
+    return results
+
+
+def _reported(
+    prepared: Prepared,
+    outcomes: Sequence[Outcome],
+    before: Sequence[Stage],
+    plan: Plan,
+    folder: Folder,
+    progress: Progress,
+) -> tuple[Stage, ModelReport]:
+    """Stage 9: pictures, then the report."""
+    last = Stage(9, prepared.label)
+    home = folder.path / folder.places[prepared.label]
+    with timed(last):
+        files = _draw(prepared, outcomes, plan, home / "pictures", progress) if plan.pictures else {}
+        results = [one.result for one in outcomes]
+        missing = Counter[str]()
+        for one in outcomes:
+            pairs = one.compatibility.pairs if one.compatibility else {}
+            missing.update({f"{symbol} in {place}": count for (place, symbol), count in pairs.items()})
+        pictures = shown(results, files, home)
+        report = ModelReport(plan.campaign, prepared, (*before, last), results, pictures, dict(missing.most_common(20)))
+        drawn = f"{2 * len(files)} pictures" if plan.pictures else "no pictures asked for"
+        last.found = f"{drawn}, report.html"
+        last.details = {"report": "report.html", "pictures": [str(file.relative_to(home)) for file in files.values()]}
+    folder.write(f"{folder.places[prepared.label]}/report.html", model_html(report))
+    return last, report
+
+
+def _draw(
+    prepared: Prepared, outcomes: Sequence[Outcome], plan: Plan, home: Path, progress: Progress
+) -> dict[tuple[str, str], Path]:
+    """The PNG of each (semantics, trace); the PDF lies beside it."""
+    wanted = drawings(home, outcomes, prepared.skeleton.temperature, plan.units)
+    todo = list(wanted.values())
+    here = plan.workers == 1 or len(todo) <= PICTURES_HERE
+    done = map(draw_one, todo) if here else parallel(draw_one, todo, plan.workers)
+    for number, file in enumerate(done, 1):
+        progress(f"{prepared.label}: picture {file.stem}", number / len(todo))
+    return {key: drawing.png for key, drawing in wanted.items()}

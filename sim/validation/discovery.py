@@ -1,0 +1,162 @@
+"""Stages 1 and 3: which files a model consists of, and whether its report agrees with the values it was made from."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import nan
+from pathlib import Path
+
+from sim.artefacts.bundle import SUFFIXES, Artefacts, file_names, read_artefacts
+from sim.artefacts.files import at
+from sim.artefacts.find import artefact_base
+from sim.artefacts.histogram import evidence, fit
+from sim.artefacts.model_directory import MANIFEST, MODEL_FILE
+from sim.artefacts.store import STORE_FILE, version_directory
+
+OPTIONAL = ("histogram", "flows")
+"""Artefacts that a set may lack. What cannot be done without them is said where it would be done."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileFacts:
+    """A file as it was found: its size in bytes and its SHA-256 (hex)."""
+
+    name: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Discovery:
+    """What lies under a MODEL argument: its `kind` in words, the directory, its files, and the names of absent ones."""
+
+    kind: str
+    directory: Path
+    files: tuple[FileFacts, ...]
+    absent: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """For the log."""
+        lacking = f"; there is no {' and no '.join(self.absent)}" if self.absent else ""
+        names = ", ".join(file.name for file in self.files) or "nothing"
+        return f"{self.kind} in {self.directory}: {names}{lacking}"
+
+
+def discover(where: str | Path) -> Discovery:
+    """The files of the model under `where` (as for `find_model`), before any of them is parsed.
+
+    Raises ArtefactError for a set of artefacts without source or report, and for a file whose name differs from the one
+    wanted in case alone. A path under which nothing is gives no files: `find_model` says what is wrong with it.
+    """
+    path = Path(where)
+    base = artefact_base(path)
+    if base is not None:
+        return _artefact_set(*base)
+    kind, directory = _own(path)
+    if directory.is_file():
+        return Discovery(kind, directory.parent, _facts(directory.parent, [directory.name]))
+    names = sorted(file.name for file in directory.iterdir() if file.is_file()) if directory.is_dir() else []
+    return Discovery(kind, directory, _facts(directory, [name for name in names if not name.startswith(".")]))
+
+
+def _artefact_set(directory: Path, name: str) -> Discovery:
+    present = {file.name for file in directory.iterdir()}
+    folded = {file.casefold(): file for file in sorted(present)}
+    names, absent = [], []
+    for kind, file in file_names(name).items():
+        if file in present:
+            names.append(file)
+        elif file.casefold() in folded:
+            other = folded[file.casefold()]
+            raise at(directory, None, f"{file} is missing, but there is {other}: upper and lower case count, rename it")
+        elif kind in OPTIONAL:
+            absent.append(file)
+        else:
+            others = ", ".join(sorted(one for one in present if one.casefold().startswith(name.casefold())))
+            raise at(directory, None, f"{file} is missing; of the set {name!r} there is {others or 'nothing'}")
+    return Discovery(f"artefacts {name!r}", directory, _facts(directory, names), tuple(absent))
+
+
+def _own(path: Path) -> tuple[str, Path]:
+    store, at_sign, version = str(path).rpartition("@")
+    if at_sign and not path.exists() and (Path(store) / STORE_FILE).is_file():
+        return f"version {version} of a store", version_directory(Path(store), version)
+    if (path / STORE_FILE).is_file():
+        directory = version_directory(path)
+        return f"version {directory.name} (promoted) of a store", directory
+    return ("model directory" if path.is_dir() else "model file"), path
+
+
+def _facts(directory: Path, names: Sequence[str]) -> tuple[FileFacts, ...]:
+    found = []
+    for name in names:
+        try:
+            content = (directory / name).read_bytes()
+        except OSError as error:
+            raise at(directory / name, None, f"cannot be read ({error.strerror}); make it a readable file") from None
+        found.append(FileFacts(name, len(content), hashlib.sha256(content).hexdigest()))
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class LawCheck:
+    """One reported distribution beside the values it was made from: means in its own unit, NaN where one is absent."""
+
+    name: str
+    reported: float
+    mean: float
+    sigma: float
+    values: int
+    distinct: int
+
+
+@dataclass(frozen=True, slots=True)
+class CrossCheck:
+    """The report's laws against the histogram's values; `origin` says which values, `disagreements` what is wrong."""
+
+    laws: tuple[LawCheck, ...]
+    runs: int
+    distinct_runs: int
+    origin: str
+    disagreements: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """For the log."""
+        if not self.runs:
+            return f"{len(self.laws)} distributions reported, no histogram to check them against"
+        appended = f" ({self.runs} runs appended, {self.distinct_runs} different)" if self.runs > 1 else ""
+        agree = "all agree" if not self.disagreements else f"{len(self.disagreements)} disagree"
+        first = f": {self.disagreements[0]}" if self.disagreements else ""
+        return f"{len(self.laws)} distributions against {self.origin}{appended}, {agree}{first}"
+
+
+def cross_check(artefacts: Artefacts) -> CrossCheck:
+    """Every reported distribution against the histogram's values (six decimals, as the report prints them)."""
+    reported = artefacts.report.distributions
+    if artefacts.histogram is None:
+        laws = tuple(LawCheck(law.name, law.mean, nan, nan, 0, 0) for law in reported)
+        return CrossCheck(laws, 0, 0, "no histogram", ())
+    used = evidence(artefacts.histogram, reported)
+    checks = tuple(_law_check(law.name, law.mean, used.values) for law in reported)
+    return CrossCheck(checks, used.runs, used.distinct, used.origin, used.disagreements)
+
+
+def _law_check(name: str, reported: float, values: Mapping[str, tuple[float, ...]]) -> LawCheck:
+    if not values.get(name):
+        return LawCheck(name, reported, nan, nan, 0, 0)
+    fitted = fit(values[name])
+    return LawCheck(name, reported, fitted.mean, fitted.sigma, fitted.count, fitted.distinct)
+
+
+def artefacts_beside(found: Discovery) -> Artefacts | None:
+    """The artefacts that a model directory of our own holds beside its model.json, if one set is whole.
+
+    Raises ArtefactError where they cannot be read.
+    """
+    names = {file.name for file in found.files}
+    if not {MODEL_FILE, MANIFEST} <= names:
+        return None
+    bases = [name.removesuffix(SUFFIXES["source"]) for name in names if name.endswith(SUFFIXES["source"])]
+    return read_artefacts(found.directory, bases[0], OPTIONAL) if len(bases) == 1 else None

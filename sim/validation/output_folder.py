@@ -1,0 +1,204 @@
+"""The folder of a campaign: what may be written over, records stage by stage, results as JSON and CSV, read back."""
+
+import csv
+import io
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any
+
+from sim.artefacts.files import replace_durably
+from sim.sha.open_loop import Score
+from sim.validation.results import Interval, TraceResult
+from sim.validation.stages import Stage
+
+CAMPAIGN = "campaign.json"
+RESULTS = "results"
+FORMAT = "decanter-validation"
+VERSION = 1
+RUNNING, COMPLETE = "running", "complete"
+OWN_FILES = ("index.html", f"{RESULTS}.json", f"{RESULTS}.csv", "campaign.log")
+MODEL_FILES = ("0[1-9]_*.json", "report.html", "pictures/*.png", "pictures/*.pdf")
+"""What a campaign writes, as patterns: beside campaign.json, and in the folder of each model."""
+
+
+@dataclass(slots=True)
+class Folder:
+    """A folder that this campaign owns, and what its campaign.json says. `places` names each model's own folder."""
+
+    path: Path
+    places: Mapping[str, str]
+    facts: dict[str, Any]
+
+    def write(self, name: str, text: str) -> Path:
+        """Put a file in place at one moment. Raises OSError."""
+        file = self.path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        replace_durably(file, text)
+        return file
+
+    def stage(self, stage: Stage) -> None:
+        """The record of a stage of one model, in the model's own folder."""
+        title = stage.name.replace(" ", "_")
+        record = {"stage": stage.number, "name": stage.name, "found": stage.found, "seconds": stage.seconds}
+        name = f"{self.places[stage.model]}/{stage.number:02d}_{title}.json"
+        self.write(name, json_text(record | dict(stage.details)))
+
+    def state(self, state: str, **facts: Any) -> None:
+        """Say in campaign.json how far the campaign is; the last thing that it does."""
+        self.facts |= facts
+        document = {"format": FORMAT, "version": VERSION, "state": state, "folders": dict(self.places), **self.facts}
+        replace_durably(self.path / CAMPAIGN, json_text(document))
+
+
+def check_folder(path: Path, *, overwrite: bool) -> list[Path]:
+    """The files of an earlier campaign in `path`, which a new one removes; none where the folder is new or empty.
+
+    Raises ValueError where the folder holds something else, where it holds results and `overwrite` is not asked for,
+    and where it is none. Nothing is touched.
+    """
+    if not path.exists():
+        return []
+    if not path.is_dir():
+        raise ValueError(f"{path}: this is a file; give a folder for the results")
+    present = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
+    if not present:
+        return []
+    if CAMPAIGN not in present:
+        raise ValueError(
+            f"{path}: the folder has other things in it ({', '.join(present[:3])}); give a new one or an empty one"
+        )
+    earlier = _earlier(path / CAMPAIGN)
+    if not overwrite:
+        state = "an unfinished campaign" if earlier.get("state") != COMPLETE else "a complete campaign"
+        raise ValueError(
+            f"{path}: holds the results of {state} of {earlier.get('created', 'unknown time')}; "
+            "give another folder, or --overwrite to replace them"
+        )
+    folders = earlier.get("folders")
+    names = [str(name) for name in folders.values()] if isinstance(folders, dict) else []
+    wanted = (*OWN_FILES, *(f"{name}/{pattern}" for name in names if name == slug(name) for pattern in MODEL_FILES))
+    return sorted(file for pattern in wanted for file in path.glob(pattern) if file.is_file())
+
+
+def _earlier(file: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, OSError):
+        document = None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise ValueError(f"{file}: this is no campaign of ours; give a new folder or an empty one")
+    return document
+
+
+def claim_folder(path: Path, stale: Sequence[Path], labels: Sequence[str], facts: Mapping[str, Any]) -> Folder:
+    """Mark the folder as being written, and remove the `stale` files of the campaign before. Raises ValueError."""
+    folder = Folder(path, places(labels), dict(facts))
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        folder.state(RUNNING)
+        for file in stale:
+            file.unlink(missing_ok=True)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise ValueError(f"{path}: cannot be written ({reason}); give a folder that this user may write") from None
+    return folder
+
+
+def places(names: Sequence[str]) -> dict[str, str]:
+    """A folder's or file's name for each of `names`, no two alike whatever the file system thinks of case."""
+    found: dict[str, str] = {}
+    taken = set[str]()
+    for name in names:
+        place = first = slug(name)
+        number = 2
+        while place.casefold() in taken:
+            place, number = f"{first}-{number}", number + 1
+        taken.add(place.casefold())
+        found[name] = place
+    return found
+
+
+def slug(name: str) -> str:
+    """The name as one harmless part of a path."""
+    return re.sub(r"[^\w.-]+", "_", name).strip("._-")[:80] or "unnamed"
+
+
+def plain(value: object) -> Any:
+    """A value as strict JSON has it: dataclasses and mappings as objects, numbers that are none as null."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    return value if value is None or isinstance(value, str | int) else str(value)
+
+
+def json_text(value: object) -> str:
+    """Strict JSON, indented."""
+    return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def results_json(results: Iterable[TraceResult]) -> str:
+    """All results, field by field as in `TraceResult`; undefined numbers are null."""
+    return json_text({"format": FORMAT, "version": VERSION, "results": [asdict(one) for one in results]})
+
+
+def results_csv(results: Iterable[TraceResult]) -> str:
+    """One row a result; a score or an interval takes several columns (at_events_mae, mae_low). Undefined is empty."""
+    rows = [_flat(asdict(one)) for one in results]
+    text = io.StringIO()
+    names = list(rows[0]) if rows else [field.name for field in fields(TraceResult)]
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in row.items():
+        if isinstance(value, Mapping):
+            flat |= {name if key == "value" else f"{name}_{key}": _cell(inner) for key, inner in value.items()}
+        else:
+            flat[name] = _cell(value)
+    return flat
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, tuple | list):
+        return "; ".join(str(inner) for inner in value)
+    return "" if isinstance(value, float) and not isfinite(value) else value
+
+
+def read_results(path: Path) -> list[TraceResult]:
+    """The results in a campaign's folder or in its results.json. Raises ValueError with the file and the reason."""
+    file = path / f"{RESULTS}.json" if path.is_dir() else path
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        return [_result(row) for row in document["results"]]
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise ValueError(f"{file}: cannot be read ({reason}); give the folder of a finished campaign") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{file}: these are no results of a campaign ({error!r})") from None
+
+
+def _result(row: Mapping[str, Any]) -> TraceResult:
+    known = {field.name: field.type for field in fields(TraceResult)}
+    values = {name: _restored(row[name], kind) for name, kind in known.items() if name in row}
+    return TraceResult(**values)
+
+
+def _restored(value: Any, kind: Any) -> Any:
+    if kind in (Score, Interval):
+        return kind(**{name: nan if inner is None else inner for name, inner in value.items()})
+    if isinstance(value, list):
+        return tuple(nan if inner is None else inner for inner in value)
+    return nan if value is None else value

@@ -1,0 +1,63 @@
+"""The pictures of a campaign: one PNG and one PDF a trace, measured, predicted, band, events and inputs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sim.validation.output_folder import places
+from sim.validation.plots import Curve, Picture, draw
+from sim.validation.results import TraceResult
+from sim.validation.trace_run import Course, Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """A picture that is to be drawn to a PNG and a PDF of the same name."""
+
+    picture: Picture
+    png: Path
+
+
+def drawings(
+    folder: Path, outcomes: Sequence[Outcome], temperature: str, units: Mapping[str, str]
+) -> dict[tuple[str, str], Drawing]:
+    """By semantics and trace, what is to be drawn into `folder` for the outcomes of one model that have a course."""
+    courses = {(one.result.semantics, one.result.trace): one for one in outcomes if one.course is not None}
+    several = len({semantics for semantics, _ in courses}) > 1
+    titles = {key: f"{key[1]}.{key[0]}" if several else key[1] for key in courses}
+    names = places(list(titles.values()))
+    return {
+        key: Drawing(_picture(one.result, one.course, temperature, units), folder / f"{names[titles[key]]}.png")
+        for key, one in courses.items()
+        if one.course is not None
+    }
+
+
+def draw_one(drawing: Drawing) -> Path:
+    """Draw it. Raises OSError."""
+    return draw(drawing.picture, drawing.png, drawing.png.with_suffix(".pdf"))
+
+
+def _picture(result: TraceResult, course: Course, temperature: str, units: Mapping[str, str]) -> Picture:
+    said = [
+        f"MAE {result.mae.value:.2f} °C",
+        f"final error {result.final_error:+.2f} °C",
+        f"band covers {result.coverage:.0%}",
+    ]
+    if course.seen > len(course.events):
+        said.append(f"{len(course.events)} of {course.seen} events shown")
+    if result.synthetic:
+        said.insert(0, "SYNTHETIC: not measured on a plant")
+    times, mean = course.mean
+    low, high = (np.interp(times, course.band[0], edge) for edge in course.band[1:])
+    return Picture(
+        f"{result.model} along {result.trace}, open loop, semantics {result.semantics}",
+        Curve(f"measured {temperature}", *course.measured),
+        predicted=Curve("predicted mean, 90 % band", times, mean, low, high),
+        inputs=[Curve(name, *columns) for name, columns in course.inputs.items()],
+        events=course.events,
+        note="; ".join(said),
+        units=units,
+    )

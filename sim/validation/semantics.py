@@ -1,0 +1,210 @@
+"""Two semantics of the same automaton: the temperature carried over an event, or drawn anew at each one (the thesis).
+
+Under the thesis' semantics (`resample`) a location begins with X ~ N(mu, sigma), whatever the temperature was before;
+under ours X goes on where it was, and what is drawn is the mode parameter of the stay. Each model gets its counterpart
+with the same locations, edges and flows, so that both can be run on the same traces and the difference be measured.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import Literal
+
+import numpy as np
+
+from sim.sha import distributions, flows
+from sim.sha.automaton import SHA, Distribution, Flow, Location
+from sim.sha.correction import in_sensor_scale
+from sim.sha.entry import mode_parameter
+from sim.sha.events import encode
+from sim.sha.flows import FIXED, RELAXING
+from sim.sha.model import Model
+from sim.sha.open_loop import measured
+from sim.sha.schedule import schedule
+from sim.sha.semi_markov import Chain, compile_chain, draw_paths, input_moments
+from sim.sha.trace import Array, Trace
+
+Semantics = Literal["own", "thesis"]
+OWN: Semantics = "own"
+THESIS: Semantics = "thesis"
+
+RUNS, SPAN = 200, 3600.0
+"""Semi-Markov runs from each location, and the seconds that each lasts, where no trace gives the entry laws."""
+ROUNDING = 1e-3
+"""Seconds that a summed-up entry time may lie before its own row of the trace."""
+STILL = Flow("constant", {"noise": 0.0})
+
+
+@dataclass(frozen=True, slots=True)
+class Entries:
+    """The temperatures (degC) at which each location was entered, by its name, and in words where they come from."""
+
+    temperatures: Mapping[str, Array]
+    source: str
+
+    @property
+    def pooled(self) -> Array:
+        """(n,) all of them."""
+        return np.concatenate([np.empty(0), *self.temperatures.values()])
+
+
+def side_by_side(model: Model, training: Sequence[Trace] | None, *, seed: int = 0) -> Mapping[str, Model]:
+    """The model under both semantics: "own" carries the temperature over events, "thesis" draws it on entry.
+
+    The one that `model` has is `model` itself. `training` gives the entry laws of a thesis counterpart (best the traces
+    that the model was learned from); without it they come from semi-Markov runs of the model itself, drawn by `seed`.
+    Raises ValueError where neither can give any.
+    """
+    if semantics_of(model) == THESIS:
+        return {OWN: carried(model), THESIS: model}
+    entries = entries_of_traces(model, training) if training is not None else entries_of_runs(model, seed)
+    return {OWN: model, THESIS: resampled(model, entries)}
+
+
+def semantics_of(model: Model) -> Semantics:
+    """ "thesis" as soon as one location draws the temperature on entry."""
+    return THESIS if any(location.entry == "resample" for location in model.sha.locations) else OWN
+
+
+def carried(model: Model) -> Model:
+    """The counterpart of a model that draws X on entry: X goes on, under the same flows.
+
+    Where the flow moves towards the law's temperature, that law becomes the target's, drawn once a stay. Elsewhere the
+    law said nothing but where X begins and is left out: under a flow that stands still X then never moves.
+    """
+    model = in_sensor_scale(model)
+    locations = tuple(_carried(location) for location in model.sha.locations)
+    return _counterpart(model, locations, "own: temperature carried over events", "the flows of the model")
+
+
+def _carried(location: Location) -> Location:
+    if location.entry != "resample":
+        return location
+    if location.flow.kind in RELAXING and FIXED not in location.flow.params:
+        return replace(location, entry="parameter")
+    return replace(location, distribution=None, entry="none")
+
+
+def resampled(model: Model, entries: Entries) -> Model:
+    """The counterpart of a model that carries X: X ~ N(mu, sigma) on entry, under the same flows at their mean m.
+
+    A location's law is that of its own entries. Its sigma counts the scatter of all entries as one entry more, so that
+    a single entry makes no certainty; a location that was never entered takes the law of all entries, unless the model
+    knows nothing of it either. Raises ValueError when there is no entry at all.
+    """
+    model, pooled = in_sensor_scale(model), entries.pooled
+    if not pooled.size:
+        raise ValueError(
+            f"model {model.sha.name!r}: no location is entered in {entries.source}, so there is no law of the "
+            "temperature on entry; give traces in which events happen while the temperature is read"
+        )
+    spread = float(np.std(pooled))
+    locations = tuple(
+        _resampled(location, entries.temperatures.get(location.name, np.empty(0)), pooled, spread)
+        for location in model.sha.locations
+    )
+    return _counterpart(model, locations, "thesis: temperature drawn on entry", entries.source)
+
+
+def _resampled(location: Location, own: Array, pooled: Array, spread: float) -> Location:
+    unknown = location.distribution is None and location.flow.kind == "constant"
+    if unknown and not own.size:
+        return location
+    values = own if own.size else pooled
+    deviations = float(np.sum((values - values.mean()) ** 2))
+    sigma = sqrt((deviations + spread**2) / values.size) if own.size else spread
+    law = Distribution("normal", {"mu": float(values.mean()), "sigma": sigma})
+    fixed = {**location.flow.params, FIXED: mode_parameter(location)[0]}
+    return Location(location.name, replace(location.flow, params=fixed), law, "resample")
+
+
+def _counterpart(model: Model, locations: tuple[Location, ...], semantics: str, laws: str) -> Model:
+    """The model with other locations, without what was measured with the old ones (scores, calibration)."""
+    settings = {**model.provenance.settings, "semantics": semantics, "entry_laws": laws}
+    provenance = replace(model.provenance, settings=settings, scores={})
+    return replace(model, sha=replace(model.sha, locations=locations), calibration={}, provenance=provenance)
+
+
+def entries_of_traces(model: Model, traces: Sequence[Trace]) -> Entries:
+    """The readings held at each entry along `traces`, encoded by the model's alphabet where they are not.
+
+    An event without an edge leads where its symbol does most often (`resync`). Where a trace begins nothing is entered:
+    X is given there. A trace without a reading of the model's temperature gives nothing.
+    """
+    bare = _skeleton(model.sha)
+    found: dict[str, list[float]] = defaultdict(list)
+    for trace in traces:
+        if not np.isfinite(trace.signals.get(model.temperature, np.empty(0))).any():
+            continue
+        for name, temperature in _entries(bare, model, trace):
+            found[name].append(temperature)
+    count = sum(map(len, found.values()))
+    columns = {name: np.array(values) for name, values in found.items()}
+    return Entries(columns, f"{count} entries along {len(traces)} traces")
+
+
+def _skeleton(sha: SHA) -> SHA:
+    """The same locations and edges; no flow, so that walking through them needs no input signal."""
+    return replace(sha, locations=tuple(Location(location.name, STILL, None, "none") for location in sha.locations))
+
+
+def _entries(bare: SHA, model: Model, trace: Trace) -> Iterator[tuple[str, float]]:
+    times, values = measured(trace, model.temperature)
+    events = trace.events or (encode(trace, model.alphabet) if model.alphabet.channels else ())
+    steps = schedule(bare, events, times, policy="resync")
+    begins = steps.start + np.concatenate([[0.0], np.cumsum(steps.dt[:-1])])
+    entered = np.flatnonzero(steps.entry)[1:]
+    held = np.searchsorted(times, begins[entered] + ROUNDING, side="right") - 1
+    for step, row in zip(entered.tolist(), held.tolist(), strict=True):
+        yield bare.locations[steps.location[step]].name, float(values[row])
+
+
+def entries_of_runs(model: Model, seed: int) -> Entries:
+    """What the model itself expects: semi-Markov runs over an hour from each location, begun by its initial law.
+
+    Raises ValueError for a model without sojourn laws or without an initial law.
+    """
+    if model.initial is None or not model.semi_markov:
+        lacking = "law of the first temperature" if model.initial is None else "law of its stays"
+        raise ValueError(
+            f"model {model.sha.name!r} has no {lacking}, so it cannot say at which temperatures its locations are "
+            "entered; give the traces that it was learned from"
+        )
+    initial, model = model.initial, in_sensor_scale(model)
+    chain, offsets = compile_chain(model), input_moments(model, {})[:, 0]
+    rng = np.random.default_rng(seed)
+    found: dict[int, list[Array]] = defaultdict(list)
+    for place, law in enumerate(chain.laws):
+        if law is None:
+            continue
+        x0 = distributions.draw(initial, RUNS, rng)
+        for location, temperatures in _run(model.sha, chain, place, x0, offsets, rng):
+            found[location].append(temperatures)
+    columns = {chain.names[place]: np.concatenate(parts) for place, parts in found.items()}
+    return Entries(columns, f"semi-Markov runs of the model itself, {RUNS} from each location over {SPAN:g} s")
+
+
+def _run(
+    sha: SHA, chain: Chain, start: int, x0: Array, offsets: Array, rng: np.random.Generator
+) -> Iterator[tuple[int, Array]]:
+    """(location, the temperatures of the runs that enter it), stay by stay, from the temperatures `x0` in `start`."""
+    x = x0.copy()
+    paths = draw_paths(chain, start, 0.0, SPAN, RUNS, rng)
+    ends = np.minimum(np.vstack([paths.entered[1:], np.full((1, RUNS), np.inf)]), SPAN)
+    for stay, (here, begin, end) in enumerate(zip(paths.location, paths.entered, ends, strict=True)):
+        for place in np.unique(here[np.isfinite(begin)]).tolist():
+            there = np.flatnonzero((here == place) & np.isfinite(begin))
+            if stay:
+                yield place, x[there]
+            x[there] = _stepped(sha, place, x[there], end[there] - begin[there], offsets[place], rng)
+
+
+def _stepped(sha: SHA, place: int, x: Array, dt: Array, offset: float, rng: np.random.Generator) -> Array:
+    """The temperatures after a stay of `dt` seconds in one location, each with an m of its own."""
+    location, age = sha.locations[place], np.zeros(x.size)
+    mean, variance = mode_parameter(location)
+    target = mean + offset + sqrt(variance) * rng.standard_normal(x.size)
+    after = flows.mean_step(location.flow, x, target, age, dt, sha.max_rate)
+    noise = np.sqrt(flows.coefficients(location.flow, age, dt)[2]) * rng.standard_normal(x.size)
+    return np.asarray(np.clip(after + noise, sha.low, sha.high))

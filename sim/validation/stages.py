@@ -1,0 +1,244 @@
+"""The nine stages by number and name, what each leaves behind, and the first four of them: from files to a model."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal
+
+from sim.artefacts.find import Found, find_model
+from sim.sha import distributions
+from sim.sha.automaton import SHA, Location, transitions
+from sim.sha.entry import check_sha
+from sim.sha.events import Alphabet, alphabet_symbols
+from sim.sha.model import Model, Provenance
+from sim.sha.trace import Trace
+from sim.validation.discovery import CrossCheck, Discovery, artefacts_beside, cross_check, discover
+from sim.validation.semantics import semantics_of, side_by_side
+
+STAGES: Mapping[int, str] = {
+    1: "discovery",
+    2: "parsing",
+    3: "distributions and flows",
+    4: "model generation",
+    5: "trace processing",
+    6: "compatibility and simulation",
+    7: "comparison",
+    8: "metrics",
+    9: "pictures and report",
+}
+Wanted = Literal["written", "own", "thesis", "both"]
+"""Which semantics to run: the one that the model is written in, one of the two, or both side by side."""
+
+
+@dataclass(slots=True)
+class Stage:
+    """One stage of one model: a sentence about what was found, the seconds it took, and plain values for its file.
+
+    `model` is empty where a stage is that of all models together.
+    """
+
+    number: int
+    model: str
+    found: str = ""
+    seconds: float = 0.0
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The stage's name."""
+        return STAGES[self.number]
+
+    @property
+    def line(self) -> str:
+        """For the log."""
+        whose = f"{self.model}: " if self.model else ""
+        return f"{self.number} {self.name:<28} {self.seconds:7.2f} s  {whose}{self.found}"
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A model after its first four stages. `variants` are what is simulated, by semantics; empty when nothing can be.
+
+    `skeleton` has the automaton for the compatibility of traces, whether it can be run or not; `refusals` say, by
+    semantics (empty for all), why nothing is simulated; `check` is that of stage 3, None without artefacts.
+    """
+
+    label: str
+    where: str
+    found: Found
+    skeleton: Model
+    variants: Mapping[str, Model]
+    refusals: Mapping[str, str]
+    stages: tuple[Stage, ...]
+    discovery: Discovery
+    check: CrossCheck | None = None
+
+
+@contextmanager
+def timed(stage: Stage) -> Iterator[Stage]:
+    """The block's seconds are the stage's."""
+    begin = perf_counter()
+    try:
+        yield stage
+    finally:
+        stage.seconds += perf_counter() - begin
+
+
+def prepare(
+    where: str,
+    alphabet: Alphabet,
+    temperature: str,
+    *,
+    wanted: Wanted = "written",
+    training: Sequence[Trace] | None = None,
+    seed: int = 0,
+) -> Prepared:
+    """Stages 1 to 4 of the model under `where`, an argument of `find_model`.
+
+    `alphabet` and `temperature` are the column map's, for models that have none of their own. Raises ArtefactError
+    where files are missing or cannot be read; an automaton that is read but cannot be run is refused in `refusals`.
+    """
+    one, two, three, four = stages = tuple(Stage(number, "") for number in (1, 2, 3, 4))
+    with timed(one):
+        discovery = discover(where)
+        one.found, one.details = discovery.sentence, _discovery_details(where, discovery)
+    with timed(two):
+        found = find_model(where, alphabet=alphabet, temperature=temperature)
+        two.found, two.details = _parsed(found)
+    with timed(three):
+        artefacts = found.artefacts or artefacts_beside(discovery)
+        check = cross_check(artefacts) if artefacts else None
+        three.found, three.details = _laws_and_flows(found, check)
+    with timed(four):
+        skeleton = _with_alphabet(found.model or _bare(found.structure, temperature), alphabet)
+        variants, refusals = _variants(found, skeleton, wanted, training, seed)
+        four.found, four.details = _generated(found, variants, refusals)
+    for stage in stages:
+        stage.model = found.name
+    return Prepared(found.name, where, found, skeleton, variants, refusals, stages, discovery, check)
+
+
+def relabelled(prepared: Sequence[Prepared]) -> list[Prepared]:
+    """The same with labels that differ: a name that several models share gets the end of its path, then a number."""
+    names = [one.label for one in prepared]
+    done: list[Prepared] = []
+    for one in prepared:
+        label = one.label if names.count(one.label) == 1 else f"{one.label} ({Path(one.where).name})"
+        number, first = 2, label
+        while label.casefold() in {other.label.casefold() for other in done}:
+            label, number = f"{first} {number}", number + 1
+        for stage in one.stages:
+            stage.model = label
+        done.append(replace(one, label=label))
+    return done
+
+
+def _discovery_details(where: str, discovery: Discovery) -> dict[str, Any]:
+    files = [{"file": one.name, "bytes": one.size, "sha256": one.sha256} for one in discovery.files]
+    absent = list(discovery.absent)
+    return {"where": where, "kind": discovery.kind, "directory": str(discovery.directory)} | {
+        "files": files,
+        "absent": absent,
+    }
+
+
+def _parsed(found: Found) -> tuple[str, dict[str, Any]]:
+    sha = found.structure
+    symbols = sorted({edge.symbol for edge in sha.edges})
+    sentence = f"{len(sha.locations)} locations, {len(sha.edges)} edges, {len(symbols)} symbols, start {sha.initial}"
+    edges = [{"source": edge.source, "symbol": edge.symbol, "target": edge.target} for edge in sha.edges]
+    names = [location.name for location in sha.locations]
+    return sentence, {"initial": sha.initial, "locations": names, "symbols": symbols, "edges": edges}
+
+
+def _laws_and_flows(found: Found, check: CrossCheck | None) -> tuple[str, dict[str, Any]]:
+    checked = check.sentence if check else "no artefacts with reported distributions"
+    if check and check.disagreements and found.artefacts is None:
+        checked += " (a model of our own fits all stays together; its histogram has one estimate a stay)"
+    details: dict[str, Any] = {"cross_check": check, "notes": list(found.notes)}
+    if found.model is None:
+        equations = found.artefacts.flows.equations if found.artefacts and found.artefacts.flows else {}
+        written = {str(number): equation.text for number, equation in equations.items()}
+        return f"{len(written)} flow equations; {checked}", details | {"equations": written}
+    rows = [location_row(location) for location in found.model.sha.locations]
+    kinds = sorted({row["flow"] for row in rows})
+    return f"flows {', '.join(kinds)}; {checked}", details | {"locations": rows}
+
+
+def location_row(location: Location) -> dict[str, Any]:
+    """A location as plain values: flow with its constants, law, entry mode."""
+    law = location.distribution
+    return {
+        "location": location.name,
+        "flow": location.flow.kind,
+        "constants": dict(location.flow.params),
+        "inputs": [given.signal for given in location.flow.inputs],
+        "law": law.kind if law else "",
+        "mean": distributions.mean(law) if law else None,
+        "sigma": distributions.variance(law) ** 0.5 if law else None,
+        "entry": location.entry,
+    }
+
+
+def _bare(structure: SHA, temperature: str) -> Model:
+    return Model(structure, Alphabet(()), temperature, 0.0, provenance=Provenance(method="artefacts"))
+
+
+def _with_alphabet(model: Model, alphabet: Alphabet) -> Model:
+    """The model with an alphabet: its own, else the map's. Edges that bear UPPAAL's channel names get the symbols."""
+    model = model if model.alphabet.channels else replace(model, alphabet=alphabet)
+    known, spoken = set(alphabet_symbols(model.alphabet)), {edge.symbol for edge in model.sha.edges}
+    symbol_of = {channel: symbol for symbol, channel in model.alphabet.uppaal if channel not in known}
+    if not spoken & set(symbol_of):
+        return model
+    edges = tuple(replace(edge, symbol=symbol_of.get(edge.symbol, edge.symbol)) for edge in model.sha.edges)
+    return replace(model, sha=replace(model.sha, edges=edges))
+
+
+def _variants(
+    found: Found, model: Model, wanted: Wanted, training: Sequence[Trace] | None, seed: int
+) -> tuple[dict[str, Model], dict[str, str]]:
+    """The models to run by semantics, and why others are not."""
+    if found.refusal:
+        return {}, {"": found.refusal}
+    try:
+        transitions(model.sha)
+        check_sha(model.sha)
+    except ValueError as error:
+        return {}, {"": str(error)}
+    own = semantics_of(model)
+    if wanted in ("written", own):
+        return {own: model}, {}
+    try:
+        both = side_by_side(model, training, seed=seed)
+    except ValueError as error:
+        other = "own" if own == "thesis" else "thesis"
+        return ({own: model} if wanted == "both" else {}), {other: str(error)}
+    return {name: each for name, each in both.items() if wanted in ("both", name)}, {}
+
+
+def _generated(found: Found, variants: Mapping[str, Model], refusals: Mapping[str, str]) -> tuple[str, dict[str, Any]]:
+    said = [f"runs as {name}{_entry_laws(model)}" for name, model in variants.items()]
+    said += [f"not simulated{f' as {name}' if name else ''}: {reason}" for name, reason in refusals.items()]
+    models = {
+        name: {
+            "temperature": model.temperature,
+            "sensor_sigma": model.sensor_sigma,
+            "method": model.provenance.method,
+            "synthetic": model.provenance.synthetic,
+            "training_traces": list(model.provenance.traces),
+            "data_hash": model.provenance.data_hash,
+            "limits": {"low": model.sha.low, "high": model.sha.high, "max_rate": model.sha.max_rate},
+            "entry_laws": model.provenance.settings.get("entry_laws", ""),
+            "locations": [location_row(location) for location in model.sha.locations],
+        }
+        for name, model in variants.items()
+    }
+    return "; ".join(said), {"variants": models, "refusals": dict(refusals), "notes": list(found.notes)}
+
+
+def _entry_laws(model: Model) -> str:
+    laws = model.provenance.settings.get("entry_laws", "")
+    return f" (entry laws from {laws})" if laws else ""

@@ -1,0 +1,145 @@
+"""What the figures of a campaign mean: a verdict on each trace with its reasons, and a summary of each model."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import isfinite, nan
+from statistics import fmean
+from typing import Literal
+
+from sim.validation.results import TraceResult
+
+Word = Literal["good", "review", "failed"]
+
+BEYOND = 0.01
+"""Share of readings beyond three sigma above which a trace is to be looked at (a normal law leaves 0.0027 there)."""
+COVERED = 0.75
+"""Coverage of the 90 % band below which a trace is to be looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """`failed`: no figures. `review`: somebody should look, for the `reasons`. `good`: nothing speaks against it."""
+
+    word: Word
+    reasons: tuple[str, ...] = ()
+
+
+def verdict(result: TraceResult) -> Verdict:
+    """What to say of one model on one trace."""
+    if result.failure:
+        return Verdict("failed", (f"stage {result.stage}: {result.failure}",))
+    said = []
+    if result.rejected:
+        said.append(result.rejected)
+    if result.beyond > BEYOND:
+        said.append(f"{result.beyond:.1%} of the readings lie beyond three sigma")
+    if result.coverage < COVERED:
+        said.append(f"the 90 % band covers {result.coverage:.0%} of the readings")
+    if result.mae.value >= result.persistence:
+        said.append(f"holding the first reading does as well (MAE {result.persistence:.2f} °C)")
+    said += [flag for flag in result.flags if not (result.rejected and flag.startswith("events:"))]
+    return Verdict("review" if said else "good", tuple(said))
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """One model under one semantics over all its traces; means over the traces that have figures, each counting once.
+
+    `better` counts the traces with a smaller MAE than persistence.
+    """
+
+    model: str
+    semantics: str
+    traces: int
+    scored: int
+    good: int
+    review: int
+    failed: int
+    accepted: int
+    mae: float
+    rmse: float
+    dense: float
+    at_events: float
+    final: float
+    final_percent: float
+    max_error: float
+    coverage: float
+    crps: float
+    persistence: float
+    better: int
+
+
+def summary(results: Sequence[TraceResult]) -> Summary:
+    """The summary of the results of one model and semantics. Raises ValueError without results."""
+    if not results:
+        raise ValueError("nothing can be summarised without results")
+    done = [one for one in results if not one.failure]
+    words = [verdict(one).word for one in results]
+    return Summary(
+        model=results[0].model,
+        semantics=results[0].semantics,
+        traces=len(results),
+        scored=len(done),
+        good=words.count("good"),
+        review=words.count("review"),
+        failed=words.count("failed"),
+        accepted=sum(one.accepted for one in results),
+        mae=mean(one.mae.value for one in done),
+        rmse=mean(one.rmse.value for one in done),
+        dense=mean(one.dense.mae for one in done),
+        at_events=mean(one.at_events.mae for one in done),
+        final=mean(abs(one.final_error) for one in done),
+        final_percent=mean(one.final_percent for one in done),
+        max_error=max((one.max_error for one in done), default=nan),
+        coverage=mean(one.coverage for one in done),
+        crps=mean(one.crps for one in done),
+        persistence=mean(one.persistence for one in done),
+        better=sum(one.mae.value < one.persistence for one in done),
+    )
+
+
+def summaries(results: Iterable[TraceResult]) -> list[Summary]:
+    """One summary for each model and semantics, in the order of their first result."""
+    groups: dict[tuple[str, str], list[TraceResult]] = {}
+    for one in results:
+        groups.setdefault((one.model, one.semantics), []).append(one)
+    return [summary(group) for group in groups.values()]
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """Thesis semantics against ours on the traces where both have figures; `wins` counts those with our MAE smaller."""
+
+    traces: int
+    wins: int
+    own: Summary
+    thesis: Summary
+
+    @property
+    def sentence(self) -> str:
+        """The gain with its numbers."""
+        ratio = f" ({self.thesis.mae / self.own.mae:.2g} times as much)" if self.own.mae > 0 else ""
+        return (
+            f"mean MAE {self.own.mae:.3f} °C with the temperature carried over events, {self.thesis.mae:.3f} °C with "
+            f"it drawn on entry{ratio}; carried is better on {self.wins} of {self.traces} traces; "
+            f"mean CRPS {self.own.crps:.3f} against {self.thesis.crps:.3f} °C, "
+            f"coverage of the 90 % band {self.own.coverage:.0%} against {self.thesis.coverage:.0%}"
+        )
+
+
+def gain(results: Sequence[TraceResult]) -> Gain | None:
+    """The two semantics of one model side by side; None unless both have figures on a common trace."""
+    own, thesis = (
+        {one.trace: one for one in results if one.semantics == name and not one.failure} for name in ("own", "thesis")
+    )
+    common = [name for name in own if name in thesis]
+    if not common:
+        return None
+    wins = sum(own[name].mae.value < thesis[name].mae.value for name in common)
+    return Gain(len(common), wins, summary([own[name] for name in common]), summary([thesis[name] for name in common]))
+
+
+def mean(values: Iterable[float]) -> float:
+    """The mean of the finite values; NaN without any."""
+    finite = [value for value in values if isfinite(value)]
+    return fmean(finite) if finite else nan

@@ -1,0 +1,153 @@
+"""`decanter model rank` and `model tune` from end to end, and their sentences for what cannot be used."""
+
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from gateway.cli.tune import interruptible
+from sim.artefacts.find import find_model
+from tests.cli.support import ROOT, decanter, misused, only_object, refused
+
+
+@pytest.fixture(scope="session")
+def rival(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
+    """A model of the same name as `model`, learned from cd1."""
+    folder = tmp_path_factory.mktemp("learned") / "rival"
+    assert decanter("model", "learn", "--traces", traces / "cd1.csv", "--out", folder).exit_code == 0
+    return folder
+
+
+def test_rank_runs_models_marks_what_they_were_trained_on_and_writes_page_and_picture(
+    model: Path, rival: Path, traces: Path, tmp_path: Path
+) -> None:
+    page, picture = tmp_path / "r.html", tmp_path / "r.png"
+    options = ("--traces", traces, "--runs", 100, "--semantics", "both", "--page", page, "--picture", picture)
+    found = only_object(decanter("model", "rank", model, rival, *options, "--json").stdout)
+    rows = {row["entrant"]: row for row in found["models"]}
+    assert set(rows) == {f"decanter ({name}) ({kind})" for name in ("model", "rival") for kind in ("own", "thesis")}
+    assert {row["in_sample"] for row in rows.values()} == {"in-sample (1 of 2 traces)"}
+    assert all(list(row["seen"].values()) == ["content"] for row in rows.values())
+    assert {row["verdict"] for row in rows.values()} == {"unfit"}  # learned from synthetic traces
+    assert all("nothing can be told from 2 traces" in pair["sentence"] for pair in found["pairs"])
+    assert "in-sample (1 of 2 traces)" in page.read_text(encoding="utf-8")
+    assert picture.stat().st_size > 10_000
+
+
+def test_rank_reads_an_earlier_campaign_with_what_it_knew_of_its_models(
+    model: Path, traces: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "campaign"
+    done = decanter("model", "validate", model, "--traces", traces, "--out", out, "--runs", 100, "--no-pictures")
+    assert done.exit_code == 0
+    (row,) = only_object(decanter("model", "rank", "--results", out, "--json").stdout)["models"]
+    kept = {one["criterion"]: one["kept"] for one in row["findings"]}
+    assert (kept["verified"], kept["from a plant"], kept["unseen"]) == (None, False, True)
+    assert row["seen"] == {"cd17": "name"}
+    fresh = only_object(decanter("model", "rank", model, "--traces", traces, "--runs", 100, "--json").stdout)
+    assert fresh["scores"]["decanter"] == pytest.approx(row_scores(out))
+    (checked,) = only_object(decanter("model", "rank", model, "--results", out, "--json").stdout)["models"]
+    assert next(one["kept"] for one in checked["findings"] if one["criterion"] == "verified") is not None
+    text = decanter("model", "rank", "--results", out, "--allow-synthetic", "--limit", "unseen", "2").stdout
+    assert "unseen not kept: 1 trace that it was not trained on (at least 2)" in text
+    assert "from a plant not kept" not in text
+
+
+def row_scores(out: Path) -> dict[str, float]:
+    found = only_object(decanter("model", "rank", "--results", out, "--json").stdout)
+    scores = found["scores"]["decanter"]
+    assert isinstance(scores, dict)
+    return scores
+
+
+def test_rank_says_what_it_cannot_use(model: Path, traces: Path, wrong: Path) -> None:
+    misused(decanter("model", "rank", model), "--traces, or --results")
+    misused(decanter("model", "rank", "--traces", traces), "--traces, or --results")
+    refused(decanter("model", "rank", "--results", wrong / "folder"), 2, "results.json", "finished campaign")
+    refused(decanter("model", "rank", "--results", wrong / "garbage"), 2, "no results of a campaign")
+    refused(decanter("model", "rank", wrong / "none", "--traces", traces), 2, "none")
+    some = ("model", "rank", model, "--traces", traces)
+    refused(decanter(*some, "--limit", "speed", "3"), 2, "no limit 'speed'", "coverage_low")
+    refused(decanter(*some, "--weights", 0, 0, 0), 2, "weights of the score")
+    refused(decanter(*some, "--picture", "r.txt"), 2, "r.txt: cannot be a picture")
+
+
+@pytest.mark.slow
+def test_tune_searches_writes_the_model_and_refuses_other_traces(traces: Path, tmp_path: Path) -> None:
+    file, out = tmp_path / "s.db", tmp_path / "best"
+    options = ("--map", "decanter", "--study", file, "--folds", 2)
+    command = ("model", "tune", "--traces", traces, *options)
+    found = only_object(decanter(*command, "--trials", 1, "--out", out, "--name", "best", "--json").stdout)
+    assert found["best"]["settings"] == {} and found["default"]["number"] == 0
+    assert found["sentence"] == "no settings were found that are better than the defaults"
+    learned = find_model(out).runnable()
+    assert learned.sha.name == "best"
+    assert learned.provenance.scores["tuning_crps"] == pytest.approx(found["best"]["value"])
+    again = decanter(*command, "--trials", 1)
+    assert again.exit_code == 0 and "bins: 1 trials; the best by held-out CRPS" in again.stdout
+    other = ("model", "tune", "--traces", traces / "cd1.csv", "--cycles", *options, "--trials", 2)
+    said = refused(decanter(*other), 2)
+    assert "usable traces" in said or "another data" in said
+
+
+def test_tune_says_what_it_cannot_use(traces: Path, wrong: Path) -> None:
+    single = ("model", "tune", "--traces", traces / "cd1.csv")
+    refused(decanter(*single, "--study", wrong / "s.db"), 2, "1 usable traces", "cut into cycles")
+    both = ("model", "tune", "--traces", traces)
+    refused(decanter(*both, "--study", wrong / "garbage"), 2, "is no study")
+    misused(decanter(*both), "--study")
+    misused(decanter(*both, "--study", wrong / "s.db", "--method", "magic"), "magic")
+
+
+class Dropping:
+    """Gets Control-C in its destructor, where Python drops the exception."""
+
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_a_control_c_that_a_callback_swallowed_still_stops_the_search() -> None:
+    before, said = signal.getsignal(signal.SIGINT), []
+    with interruptible(lambda what, _share: said.append(what)) as report:
+        report("trial 1", 0.0)
+        dropping = Dropping()
+        del dropping
+        with pytest.raises(KeyboardInterrupt):
+            report("trial 2", 0.1)
+    assert said == ["trial 1"]
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def begun(study: Path) -> bool:
+    """Whether the study has its first trial."""
+    if not study.exists():
+        return False
+    with closing(sqlite3.connect(study)) as database:
+        try:
+            return bool(database.execute("SELECT COUNT(*) FROM trials").fetchone()[0])
+        except sqlite3.OperationalError:  # its tables are still being made
+            return False
+
+
+@pytest.mark.slow
+def test_control_c_stops_a_search_with_a_sentence_and_its_own_code(traces: Path, tmp_path: Path) -> None:
+    file = tmp_path / "s.db"
+    words = ["model", "tune", "--traces", str(traces), "--study", str(file), "--folds", "2"]
+    command = [sys.executable, "-m", "gateway.cli.main", *words]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not begun(file):
+            assert process.poll() is None
+            time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        try:
+            out, said = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert process.returncode == 130
+    assert "the same command goes on with" in said and "Traceback" not in said
+    assert f"study: {file}" in out

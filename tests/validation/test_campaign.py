@@ -1,0 +1,155 @@
+"""Campaigns over many traces: the same numbers in one process, in several and on a cluster; a failure stops nobody."""
+
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.artefacts.find import Found
+from sim.sha.trace import Trace
+from sim.validation import campaign
+from sim.validation.campaign import Runner, Unread, cluster, jobs_of, outcomes_by_model, run_here, unread
+from sim.validation.discovery import Discovery
+from sim.validation.load_report import FileReport, LoadReport
+from sim.validation.output_folder import results_json
+from sim.validation.results import TraceResult
+from sim.validation.stages import Prepared
+from sim.validation.trace_run import Settings
+from tests.validation.small_plant import plant_model, plant_trace
+
+SETTINGS = Settings(runs=300)
+GOOD = [plant_trace(f"run{number}", noise=0.2, seed=number) for number in range(4)]
+COLD = Trace("cold", GOOD[0].times, {"Motor": GOOD[0].signals["Motor"]})
+
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+if __name__ == "__main__":
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as local:
+        print(local.scheduler_address, flush=True)
+        sys.stdin.read()
+"""
+SCHEDULER = """
+import asyncio, sys
+from distributed import Scheduler
+async def main():
+    async with Scheduler(host="127.0.0.1", port=0, dashboard=False) as scheduler:
+        print(scheduler.address, flush=True)
+        await asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)
+asyncio.run(main())
+"""
+
+
+def prepared(label: str, **options: float) -> Prepared:
+    model = plant_model(label, **options)
+    found = Found(label, model.sha, model)
+    return Prepared(label, label, found, model, {"own": model}, {}, (), Discovery("by hand", Path(), ()))
+
+
+MODELS = [prepared("sharp", sensor=0.2), prepared("wide", sensor=0.2, sigma=3.0, noise=0.1)]
+
+
+def results(run: Runner, traces: Sequence[Trace], without: Sequence[Unread] = ()) -> list[TraceResult]:
+    found = outcomes_by_model(MODELS, traces, without, SETTINGS, run, lambda what, share: None)
+    return [replace(outcome.result, seconds=0.0) for _, outcomes in found for outcome in outcomes]
+
+
+def as_text(found: Sequence[TraceResult]) -> str:
+    return results_json(found)
+
+
+@pytest.fixture
+def started() -> Iterator[list[subprocess.Popen[str]]]:
+    """Processes that a test starts; each ends when its input is closed."""
+    processes: list[subprocess.Popen[str]] = []
+    yield processes
+    for process in processes:
+        process.communicate(timeout=30)
+
+
+def start(script: str, processes: list[subprocess.Popen[str]]) -> str:
+    """Start it; returns the address that it prints."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    processes.append(process)
+    assert process.stdout is not None
+    return process.stdout.readline().strip()
+
+
+def test_several_processes_give_the_very_same_results_in_the_same_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    alone = results(run_here(1), [*GOOD, COLD])
+    monkeypatch.setattr(campaign, "TINY", 0)
+    assert as_text(results(run_here(2), [*GOOD, COLD])) == as_text(alone)
+    assert [(one.model, one.trace) for one in alone[:6]] == [
+        *(("sharp", name) for name in ("run0", "run1", "run2", "run3", "cold")),
+        ("wide", "run0"),
+    ]
+
+
+def test_a_result_depends_on_its_model_and_trace_and_not_on_what_runs_beside_them() -> None:
+    everything = {(one.model, one.trace): one for one in results(run_here(1), GOOD)}
+    backwards = results(run_here(1), GOOD[:1:-1])
+    assert as_text(backwards) == as_text([everything[one.model, one.trace] for one in backwards])
+
+
+def test_a_dask_cluster_gives_the_very_same_results(started: list[subprocess.Popen[str]]) -> None:
+    address = start(CLUSTER, started)
+    with cluster(address) as run:
+        found = results(run, [*GOOD, COLD])
+    assert as_text(found) == as_text(results(run_here(1), [*GOOD, COLD]))
+
+
+def test_a_scheduler_that_does_not_answer_or_has_no_worker_is_one_sentence(
+    started: list[subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(campaign, "REACHABLE_WITHIN", 1.0)
+    with (
+        pytest.raises(ValueError, match=r"tcp://127\.0\.0\.1:1: no Dask scheduler answers"),
+        cluster("tcp://127.0.0.1:1"),
+    ):
+        pass
+    with pytest.raises(ValueError, match="no Dask scheduler answers"), cluster("nonsense://x"):
+        pass
+    address = start(SCHEDULER, started)
+    with pytest.raises(ValueError, match="has no worker"), cluster(address):
+        pass
+
+
+def test_without_dask_the_sentence_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ValueError, match=r"decanter-gateway\[cluster\]"), cluster("tcp://127.0.0.1:1"):
+        pass
+
+
+def test_a_trace_that_fails_is_reported_and_the_others_go_on() -> None:
+    found = results(run_here(1), [COLD, *GOOD], [Unread("broken", "broken.csv: it has no header")])
+    failed = [(one.model, one.trace, one.stage) for one in found if one.failure]
+    assert failed == [(name, trace, 5) for name in ("sharp", "wide") for trace in ("cold", "broken")]
+    assert sum(np.isfinite(one.mae.value) for one in found) == 8
+
+
+def test_a_model_that_cannot_run_has_a_row_for_each_trace_that_says_why() -> None:
+    refused = replace(MODELS[0], variants={}, refusals={"": "its flow is quadratic"})
+    jobs = jobs_of(refused, GOOD, SETTINGS)
+    assert [(job.semantics, job.refusal) for job in jobs] == [("none", "its flow is quadratic")] * 4
+
+
+def test_only_the_signals_that_the_model_sees_travel_to_a_worker() -> None:
+    rich = replace(GOOD[0], signals={**GOOD[0].signals, "Vibration": GOOD[0].times})
+    (job,) = jobs_of(MODELS[0], [rich], SETTINGS)
+    assert set(job.trace.signals) == {"Motor", "T"}
+
+
+def test_a_part_of_a_trace_that_could_not_be_read_is_no_lost_trace(tmp_path: Path) -> None:
+    part = FileReport(tmp_path / "run0" / "part2.csv", error="part2.csv: it is empty")
+    lost = FileReport(tmp_path / "lost.csv", error="lost.csv: it is empty")
+    assert unread(LoadReport((part, lost)), GOOD) == (Unread("lost", "lost.csv: it is empty"),)

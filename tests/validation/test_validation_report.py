@@ -1,0 +1,146 @@
+"""The HTML report: whole without anything outside it, nothing from a file is markup, figures where they belong."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from sim.artefacts.find import Found
+from sim.sha.model import Provenance
+from sim.sha.trace import Trace
+from sim.validation.campaign import jobs_of
+from sim.validation.discovery import Discovery
+from sim.validation.pictures import draw_one, drawings
+from sim.validation.report import Campaign, Entry, ModelReport, error_boxes, index_html, model_html, shown
+from sim.validation.stage_records import records
+from sim.validation.stages import Prepared, Stage
+from sim.validation.trace_run import Outcome, Settings, run_job
+from sim.validation.verdicts import gain, verdict
+from tests.validation.small_plant import location, plant_model, plant_trace
+
+EVIL = '<script>alert(1)</script> & "quotes"'
+CAMPAIGN = Campaign("2026-01-01 00:00 UTC", {"runs": "200"})
+
+
+def prepared(label: str = "plant") -> Prepared:
+    model = plant_model("plant", sensor=0.2, sigma=1.0)
+    cold = replace(model, sha=replace(model.sha, locations=(location("off", 15.0), location("on", 40.0))))
+    found = Found(label, model.sha, model, None, (f"note {label}",))
+    variants = {"own": model, "thesis": cold}
+    return Prepared(label, label, found, model, variants, {}, (), Discovery("by hand", Path(label), ()))
+
+
+def outcomes(one: Prepared, name: str = "run") -> list[Outcome]:
+    traces = [replace(plant_trace(f"{name}{number}", noise=0.2, seed=number), synthetic=True) for number in (1, 2, 10)]
+    bad = Trace(f"{name}-cold", traces[0].times, {"Motor": traces[0].signals["Motor"]})
+    return [run_job(job) for job in jobs_of(one, [*traces, bad], Settings(runs=200))]
+
+
+@pytest.fixture(scope="module")
+def html(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The report of a model and of traces with nasty names, pictures and all."""
+    one = prepared(EVIL)
+    done = outcomes(one, EVIL)
+    home = tmp_path_factory.mktemp("report")
+    wanted = drawings(home / "pictures", done, "T", {})
+    for drawing in wanted.values():
+        draw_one(drawing)
+    results = [outcome.result for outcome in done]
+    pictures = shown(results, {key: drawing.png for key, drawing in wanted.items()}, home)
+    report = ModelReport(CAMPAIGN, one, [Stage(1, EVIL, EVIL), *records(EVIL, done)], results, pictures, {EVIL: 3})
+    return model_html(report)
+
+
+class Outside(HTMLParser):
+    """Collects tags, and every address that a browser would fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.fetched: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.fetched += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+
+
+def test_the_report_fetches_nothing_and_holds_its_pictures(html: str) -> None:
+    reader = Outside()
+    reader.feed(html)
+    assert len(reader.fetched) == 6 and all(one.startswith("data:image/png;base64,") for one in reader.fetched)
+    assert "url(" not in html and "@import" not in html
+
+
+def test_no_name_from_outside_becomes_markup(html: str) -> None:
+    reader = Outside()
+    reader.feed(html)
+    assert "script" not in reader.tags and "&lt;script&gt;" in html
+
+
+def test_the_report_has_each_trace_its_verdict_the_failures_sentence_and_says_synthetic(html: str) -> None:
+    assert html.count('class="word failed">failed<') == 4  # the table and the verdicts, two semantics
+    assert "has no signal" in html and "SYNTHETIC" in html
+    order = [html.index(f"run{number}") if f"run{number}" in html else -1 for number in (1, 2)]
+    assert order == sorted(order)
+    assert "temperature carried over events" in html
+
+
+def test_traces_stand_in_the_order_of_their_numbers() -> None:
+    done = outcomes(prepared())
+    report = ModelReport(CAMPAIGN, prepared(), [], [outcome.result for outcome in reversed(done)])
+    names = [one.trace for one, _ in report.judged]
+    assert names == ["run1", "run2", "run10", "run-cold"] * 2
+
+
+def test_a_box_lies_where_its_errors_are() -> None:
+    (result, *_) = [outcome.result for outcome in outcomes(prepared())]
+    boxes = error_boxes([replace(result, error_quantiles=(-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 4.0))])
+    assert boxes is not None
+    at = {text: x for x, text in boxes.ticks}
+    assert {"-2", "-1", "0", "+1", "+4"} <= set(at)
+    assert boxes.boxes[0].x[0] == pytest.approx(at["-2"]) and boxes.boxes[0].x[6] == pytest.approx(at["+4"])
+    assert boxes.zero == pytest.approx(at["0"]) == pytest.approx(boxes.boxes[0].x[3])
+
+
+@pytest.mark.parametrize("quantiles", [(0.0,) * 7, (5.0,) * 7, (-1e-9,) * 7, (1e6,) * 7])
+def test_boxes_without_width_are_drawn_all_the_same(quantiles: tuple[float, ...]) -> None:
+    (result, *_) = [outcome.result for outcome in outcomes(prepared())]
+    boxes = error_boxes([replace(result, error_quantiles=quantiles)])
+    assert boxes is not None and all(0 <= x <= boxes.width for x in boxes.boxes[0].x)
+    assert error_boxes([]) is None
+
+
+def test_verdicts_have_reasons_and_a_good_trace_has_none() -> None:
+    own, thesis = (
+        [one.result for one in outcomes(prepared()) if one.result.semantics == name] for name in ("own", "thesis")
+    )
+    assert verdict(own[0]).word == "good" and verdict(own[0]).reasons == ()
+    assert verdict(own[-1]).word == "failed" and verdict(own[-1]).reasons[0].startswith("stage 5: ")
+    off = verdict(thesis[0])
+    assert off.word == "review" and any("three sigma" in reason for reason in off.reasons)
+
+
+def test_the_gain_is_counted_on_the_traces_that_both_semantics_have() -> None:
+    results = [one.result for one in outcomes(prepared())]
+    found = gain(results)
+    assert found is not None and (found.traces, found.wins) == (3, 3)
+    assert found.own.mae < found.thesis.mae and f"{found.thesis.mae:.3f}" in found.sentence
+    assert gain([one for one in results if one.semantics == "own"]) is None
+
+
+def test_the_index_links_each_report_by_its_folder() -> None:
+    one = prepared()
+    entry = Entry("plant", ModelReport(CAMPAIGN, one, [], [outcome.result for outcome in outcomes(one)]))
+    text = index_html(CAMPAIGN, [entry], [Stage(1, "plant", "found")])
+    assert re.findall(r'href="([^"]+)"', text) == ["plant/report.html"] * 2
+
+
+def test_traces_that_the_model_was_learned_from_are_named() -> None:
+    one, results = prepared(), [outcome.result for outcome in outcomes(prepared())]
+    assert "In sample" not in model_html(ModelReport(CAMPAIGN, one, [], results))
+    origin = Provenance("bins", traces=("run2", "elsewhere"))
+    learned = replace(one, skeleton=replace(one.skeleton, provenance=origin))
+    text = model_html(ModelReport(CAMPAIGN, learned, [], results))
+    assert "learned from traces of the names run2;" in text
