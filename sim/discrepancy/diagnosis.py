@@ -1,0 +1,169 @@
+"""What a diagnosis found, as data: the report, the pictures and `diagnosis.json` are made from nothing else."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from sim.sha.trace import Array
+
+Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """A parameter of the given model that has moved: `change` is relative to its size (a target's: over rest).
+
+    `before` and `after` are its values in `unit`, `sigma` the size of the move over its standard error.
+    """
+
+    location: str
+    parameter: str
+    before: float
+    after: float
+    unit: str
+    change: float
+    sigma: float
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An effect of the catalogue against these data, and what became of it.
+
+    `gain` is the log-likelihood that it adds (nats), `confirmed` True where that is of a joint refit with the noise,
+    else of the screen. `visible` is the share of its part in the temperature that the model's own parameters cannot
+    imitate, `z` its strength over its standard error, `robust` the same by cycles (cluster-robust), `cycles` how many
+    cycles speak for it out of those that speak at all. `twins` are entries whose effect looks nearly the same here
+    (cosine >= 0.9), `rivals` those with 0.6 to 0.9. `fate` says why it was named or not, in words.
+    """
+
+    name: str
+    plain: str
+    step: int
+    gain: float
+    confirmed: bool
+    visible: float
+    z: float
+    robust: float
+    cycles: tuple[int, int]
+    params: Mapping[str, float]
+    twins: tuple[str, ...]
+    rivals: tuple[str, ...]
+    needs: tuple[str, ...]
+    experiment: str
+    fate: str
+
+
+@dataclass(frozen=True, slots=True)
+class NamedEffect:
+    """An effect that the diagnosis adds to the model.
+
+    `members` are the names that these data cannot tell apart (the first is `name`); `signal_to_noise` is the rms of
+    what it does that the model's parameters cannot imitate, over the sensor's sigma. `errors` are standard errors by
+    parameter.
+    """
+
+    name: str
+    members: tuple[str, ...]
+    confidence: float
+    gain: float
+    margin: float
+    params: Mapping[str, float]
+    errors: Mapping[str, float]
+    signals: Mapping[str, str]
+    signal_to_noise: float
+    plain: str
+    experiment: str
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place where unexplained heat lies: in `location`, `seconds` after the event `after`, by strata of a signal.
+
+    `share` is its part of all unexplained heat (energy), `heat` the mean there (degC/h), `cycles` (with the sign of the
+    mean, in all), `p` the family-wise probability under sign flips by cycle. `correlates` names a signal, or "".
+    """
+
+    location: str
+    after: str
+    seconds: tuple[float, float]
+    share: float
+    heat: float
+    cycles: tuple[int, int]
+    p: float
+    correlates: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ceiling:
+    """How much of the heat that is left a free learner can predict on cycles it has not seen.
+
+    `share` is the cross-validated share of its variance (at most 1, may be negative), `p` by sign flips of cycles,
+    `drivers` the features that it used most, with their importance.
+    """
+
+    share: float
+    p: float
+    drivers: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Free runs over cycles that were never fitted: root mean squares in degC, the noise floor, the excess removed.
+
+    `cycles` counts them, `per_cycle` holds (before, after, floor) of each.
+    """
+
+    cycles: int
+    rmse_before: float
+    rmse_after: float
+    noise_floor: float
+    excess_removed: float
+    ci95: tuple[float, float]
+    per_cycle: tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What the pictures show, over all windows (m,): absolute times, readings, free runs before and after.
+
+    `heat_before` and `heat_after` (m,) degC/h are the implied heats that the models leave; `location` names each
+    window's location, `since_event` (m,) the seconds since the last start or stop. NaN where there is none.
+    """
+
+    times: Array
+    reading: Array
+    before: Array
+    after: Array
+    held_out: Array
+    heat_before: Array
+    heat_after: Array
+    location: tuple[str, ...]
+    since_event: Array
+    cycle: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """All that a diagnosis found.
+
+    `sentence` is the verdict in words, `reasons` why it is none better, `untested` the effects that were off the table,
+    by name with the reason. `gap_sigma` is the rms of the refitted model's residual on the fitted cycles over the
+    sensor's sigma. `settings` holds seed, thresholds and noise, by name.
+    """
+
+    verdict: Verdict
+    sentence: str
+    reasons: tuple[str, ...]
+    effects: tuple[NamedEffect, ...]
+    shifts: tuple[Shift, ...]
+    places: tuple[Place, ...]
+    unexplained: tuple[Place, ...]
+    ceiling_before: Ceiling | None
+    ceiling_after: Ceiling | None
+    candidates: tuple[Candidate, ...]
+    untested: Mapping[str, str]
+    held_out: HeldOut | None
+    course: Course | None
+    settings: Mapping[str, float]
+    model_before: str
+    model_after: str | None

@@ -1,0 +1,219 @@
+"""What a free run's residual looks like when nothing is missing: the sensor, the process, and a rough plant's own heat.
+
+A residual r (measured - free run) of a model with the right flows obeys, between windows of readings,
+
+    dx/dt = -k x + h + c w + s dW,    h an Ornstein-Uhlenbeck heat,    c a scatter of each cycle,    r = x + v
+
+where k is the location's rate (0 where the flow does not relax), w the friction heat that a cycle's scatter
+multiplies, v the sensor's noise; x starts anew with each run. The precision is banded, so that weighing any number of
+columns by the inverse covariance costs one banded Cholesky decomposition (Rue & Held 2005, ch. 2), and the scatter of
+the cycles is a random effect on top (Woodbury).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve, cho_solve_banded, cholesky, cholesky_banded
+from scipy.optimize import minimize
+
+from sim.learning.runs import Indices
+from sim.sha.recursion import linear_recursion
+from sim.sha.trace import Array, Mask
+
+DIFFUSE = 1e4
+"""Variance (degC^2) of a run's first deviation: its start temperature is not believed in."""
+LEAST_HEAT, LEAST_PROCESS = 1e-7, 1e-5
+"""Floors of the heats (degC/s) and of the process noise (degC/sqrt(s)), below anything that a plant has."""
+SHORTEST, LONGEST = float(np.log(60.0)), float(np.log(1800.0))
+"""The rough heat's memory (log s): longer, it would imitate the slow effects that are looked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Standard deviations: `sensor` degC, `process` degC/sqrt(s), `rough` degC/s with the `memory` (s), `cycle` (1).
+
+    `cycle` is the relative scatter of the friction heat from cycle to cycle, `rest` the share of the rough heat that
+    acts at rest (0 to 1).
+    """
+
+    sensor: float
+    process: float
+    rough: float
+    cycle: float
+    memory: float = 600.0
+    rest: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """m windows of R runs, one after the other: `dt` (m,) s since the one before (of no meaning at a run's first).
+
+    `k` (m,) 1/s is the mean rate since then, `running` (m,) the share of that time in which the machine ran, `weight`
+    (m,) degC/s the heat that a cycle's scatter multiplies, `first` (m,) begins a run, `cycle` (m,) numbers the cycles.
+    `heats` (m, cycles) degC is what a scatter of 1 in each cycle does to the windows.
+    """
+
+    dt: Array
+    k: Array
+    running: Array
+    weight: Array
+    first: Mask
+    cycle: Indices
+    heats: Array
+
+
+def grid_of(dt: Array, k: Array, running: Array, weight: Array, first: Mask, cycle: Indices) -> Grid:
+    """The grid with its cycles' heats."""
+    decay, pull = decay_and_pull(k, dt)
+    decay, push = np.where(first, 0.0, decay), np.where(first, 0.0, pull * weight)
+    columns = [linear_recursion(decay, np.where(cycle == number, push, 0.0), 0.0) for number in np.unique(cycle)]
+    return Grid(dt, k, running, weight, first, cycle, np.asfortranarray(np.column_stack(columns)))
+
+
+def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:
+    """(e^{-k dt}, what a constant heat of 1 degC/s adds over dt in degC)."""
+    small = k * dt < 1e-8
+    pull = np.where(small, dt, -np.expm1(-k * dt) / np.where(small, 1.0, k))
+    return np.exp(-k * dt), pull
+
+
+class Weigher:
+    """The inverse covariance of the windows under one Noise."""
+
+    def __init__(self, grid: Grid, noise: Noise) -> None:
+        self.grid, self.noise = grid, noise
+        posterior, self._prior_logdet = _precision(grid, noise)
+        posterior[0, ::2] += 1.0 / noise.sensor**2
+        self._factor = cholesky_banded(posterior, lower=True, overwrite_ab=True, check_finite=False)
+        self._heats = grid.heats * noise.cycle
+        self._weighed_heats = self._within(self._heats)
+        gram = np.eye(self._heats.shape[1]) + self._heats.T @ self._weighed_heats
+        self._root = cholesky(gram, lower=True, check_finite=False)
+
+    def weigh(self, columns: Array) -> Array:
+        """V^-1 times the columns (m, c)."""
+        inner = self._within(columns)
+        part = cho_solve((self._root, True), self._heats.T @ inner, check_finite=False)
+        return np.asarray(inner - self._weighed_heats @ part)
+
+    @property
+    def logdet(self) -> float:
+        """ln |V| of the windows."""
+        sensor = 2.0 * self.grid.dt.size * np.log(self.noise.sensor)
+        banded = 2.0 * np.log(self._factor[0]).sum() - self._prior_logdet
+        return float(sensor + banded + 2.0 * np.log(np.diag(self._root)).sum())
+
+    def smoothed(self, residual: Array) -> Array:
+        """(m,) the residual without the sensor's noise: its mean given all readings, degC."""
+        return np.asarray(residual - self.noise.sensor**2 * self.weigh(residual[:, None])[:, 0])
+
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """(m, count) residuals of a plant that has nothing but this noise."""
+        grid, noise = self.grid, self.noise
+        size = (grid.dt.size, count)
+        heat, deviation = np.zeros(count), np.zeros(count)
+        keep, decay, pull, variance = _steps(grid, noise)
+        share = noise.rest + (1.0 - noise.rest) * grid.running
+        out = np.empty(size)
+        for row in range(size[0]):
+            if grid.first[row]:
+                heat, deviation = noise.rough * rng.standard_normal(count), np.zeros(count)
+            else:
+                fresh = keep[row] * heat + noise.rough * np.sqrt(1 - keep[row] ** 2) * rng.standard_normal(count)
+                deviation = decay[row] * deviation + pull[row] * share[row] * (heat + fresh) / 2.0
+                deviation = deviation + np.sqrt(variance[row]) * rng.standard_normal(count)
+                heat = fresh
+            out[row] = deviation
+        scatter = self._heats @ rng.standard_normal((self._heats.shape[1], count))
+        return out + scatter + noise.sensor * rng.standard_normal(size)
+
+    def _within(self, columns: Array) -> Array:
+        """The inverse covariance without the cycles' scatter, by the posterior of the states given the columns."""
+        precision = 1.0 / self.noise.sensor**2
+        pushed = np.zeros((2 * self.grid.dt.size, columns.shape[1]), order="F")
+        pushed[::2] = columns * precision
+        solved = cho_solve_banded((self._factor, True), pushed, overwrite_b=True, check_finite=False)
+        return np.asarray(columns * precision - solved[::2] * precision)
+
+
+def _steps(grid: Grid, noise: Noise) -> tuple[Array, Array, Array, Array]:
+    """(what the rough heat keeps, decay, pull, process variance) of the step to each window."""
+    decay, pull = decay_and_pull(grid.k, grid.dt)
+    variance = max(noise.process, LEAST_PROCESS) ** 2 * decay_and_pull(2 * grid.k, grid.dt)[1]
+    return np.exp(-grid.dt / noise.memory), decay, pull, variance
+
+
+def _precision(grid: Grid, noise: Noise) -> tuple[Array, float]:
+    """(4, 2m) the banded precision of the states (x, h) at the windows, lower form, and its log-determinant."""
+    m = grid.dt.size
+    keep, decay, pull, variance = _steps(grid, noise)
+    heat = max(noise.rough, LEAST_HEAT) ** 2
+    pull = pull * (noise.rest + (1.0 - noise.rest) * grid.running)
+    # Between two windows the heat is its mean of both ends' as seen from the first: half of what it loses, half fresh.
+    move = pull * (1.0 + keep) / 2.0
+    fresh = heat * (1.0 - keep**2)
+    qx, qh = variance + fresh * (pull / 2.0) ** 2, fresh
+    cross = fresh * pull / 2.0
+    qx, qh = np.where(grid.first, DIFFUSE, qx), np.where(grid.first, heat, qh)
+    cross = np.where(grid.first, 0.0, cross)
+    determinant = qx * qh - cross**2
+    a, b, d = qh / determinant, -cross / determinant, qx / determinant
+    f11, f12, f22 = (np.where(grid.first, 0.0, part) for part in (decay, move, keep))
+    band = np.zeros((4, 2 * m))
+    band[0, 0::2] += a
+    band[1, 0::2] += b
+    band[0, 1::2] += d
+    later, before = slice(1, None), slice(0, m - 1)
+    a, b, d, f11, f12, f22 = (part[later] for part in (a, b, d, f11, f12, f22))
+    band[0, 0::2][before] += f11 * a * f11
+    band[1, 0::2][before] += f11 * (a * f12 + b * f22)
+    band[0, 1::2][before] += f12 * (a * f12 + b * f22) + f22 * (b * f12 + d * f22)
+    band[2, 0::2][before] -= a * f11
+    band[3, 0::2][before] -= b * f11
+    band[1, 1::2][before] -= a * f12 + b * f22
+    band[2, 1::2][before] -= b * f12 + d * f22
+    return band, float(-np.log(determinant).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What is believed of the noise before the data: centres and spreads (of logarithms) of sensor .. memory."""
+
+    centre: Noise
+    spread: tuple[float, float, float, float, float] = (1.0, 2.0, 2.0, 1.5, 0.7)
+
+
+def vector(noise: Noise) -> Array:
+    """Unbounded coordinates: logarithms, and the logit of `rest`."""
+    logs = np.log([noise.sensor, noise.process, noise.rough, noise.cycle, noise.memory])
+    return np.append(logs, np.log(noise.rest / (1.0 - noise.rest)))
+
+
+def noise_of(point: Array) -> Noise:
+    """The inverse of `vector`."""
+    sensor, process, rough, cycle, memory = np.exp(point[:5]).tolist()
+    return Noise(sensor, process, rough, cycle, memory, float(1.0 / (1.0 + np.exp(-point[5]))))
+
+
+def fit_noise(
+    objective: Callable[[Noise], float], belief: Belief, begin: Noise, iterations: int = 12
+) -> tuple[Noise, float]:
+    """(the noise of least `objective` (minus a log-likelihood) plus the belief's, and that sum), from `begin`."""
+    centre = vector(belief.centre)
+    spread = np.array([*belief.spread, 1.0])
+    start = vector(begin)
+
+    def cost(point: Array) -> float:
+        return objective(noise_of(point)) + 0.5 * float(np.sum(((point - centre) / spread) ** 2))
+
+    bounds = [(value - 4.0, value + 4.0) for value in centre]
+    bounds[4] = SHORTEST, LONGEST
+    found = minimize(
+        cost,
+        np.clip(start, [low for low, _ in bounds], [high for _, high in bounds]),
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": iterations, "ftol": 2e-6, "eps": 1e-3},
+    )
+    return noise_of(found.x), float(found.fun)

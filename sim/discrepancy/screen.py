@@ -1,0 +1,240 @@
+"""Which effects would explain what the model leaves: every shape of every entry against the fitted noise.
+
+The columns are what an effect of unit strength does to the windows; the model's own parameters (and the effects that it
+has already) are projected out of them, in the product that the noise gives (generalised least squares). A shape's gain
+is the log-likelihood ratio of its best strength, 0 where the sign is not physics; that of an entry is the best of its
+shapes. The screen is conservative: the noise was fitted without the effect and has swallowed some of it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from sim.discrepancy.catalogue import Entry, Params, Signals, signals_of
+from sim.discrepancy.course import Named, filtered
+from sim.discrepancy.fit import Fitted
+from sim.discrepancy.noise import Weigher
+from sim.sha.trace import Array
+
+DRAWS = 20_000
+SIMPLEX = 60
+"""Evaluations at most when the shape of an effect is refined."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """One shape of an entry: signals by role, `params` without (in a `whole` entry: with) the strength."""
+
+    entry: Entry
+    signals: Signals
+    params: Mapping[str, float]
+
+    def named(self, strength: float) -> Named:
+        """The effect at a strength; a `whole` entry keeps the one of its shape."""
+        own = {} if self.entry.whole else {self.entry.strength: strength}
+        return Named(self.entry, self.signals, {**self.params, **own})
+
+
+class Projector:
+    """The linear problem around a fit with the fit's own parameters taken out of everything."""
+
+    def __init__(self, fitted: Fitted) -> None:
+        self.fitted = fitted
+        self._weigher = Weigher(fitted.grid, fitted.noise)
+        stacked = np.column_stack([fitted.residual, fitted.columns])
+        weighed = self._weigher.weigh(stacked)
+        prior = np.maximum(fitted.prior, 1e-12)
+        self._weighed = weighed[:, 1:]
+        self._factor = cho_factor(fitted.columns.T @ self._weighed + np.diag(prior))
+        best = cho_solve(self._factor, fitted.columns.T @ weighed[:, 0] - fitted.prior * fitted.off)
+        self.residual = fitted.residual - fitted.columns @ best
+        self.weighed_residual = weighed[:, 0] - self._weighed @ best
+
+    def clean(self, columns: Array) -> tuple[Array, Array, Array]:
+        """(columns without what the fit's parameters imitate, the same weighed, V^-1-size of the columns before)."""
+        weighed = self._weigher.weigh(columns)
+        part = cho_solve(self._factor, self._weighed.T @ columns)
+        before = np.einsum("ij,ij->j", columns, weighed)
+        return columns - self.fitted.columns @ part, weighed - self._weighed @ part, before
+
+
+@dataclass(frozen=True, slots=True)
+class Screen:
+    """c shapes with their projected problem: `normal` (c, c) = C'PC and `score` (c,) = C'Pr, P the projected V^-1.
+
+    `visible` (c,) is the share of each column's size that is left after projection. `by_cycle` (cycles, c) are the
+    parts of the scores and `information` (cycles, c) those of the normal matrix's diagonal. Columns are scaled to a
+    root mean square of 1 degC, `scale` (c,) being their own: degC for one unit of strength.
+    """
+
+    shapes: tuple[Shape, ...]
+    scale: Array
+    normal: Array
+    score: Array
+    visible: Array
+    by_cycle: Array
+    information: Array
+
+    @property
+    def signed(self) -> Array:
+        """(c,) the best strengths over their standard errors."""
+        return np.asarray(self.score / np.sqrt(np.maximum(np.diag(self.normal), 1e-300)))
+
+    @property
+    def strength(self) -> Array:
+        """(c,) the best strength of each shape alone, in the parameter's unit."""
+        return np.asarray(self.score / np.maximum(np.diag(self.normal) * self.scale, 1e-300))
+
+    @property
+    def gain(self) -> Array:
+        """(c,) nats of each shape alone, 0 where its sign is not physics or where nothing of it is visible."""
+        return self.gains(self.signed)
+
+    def gains(self, z: Array) -> Array:
+        """(..., c) nats of signed strengths over standard errors."""
+        sign = np.array([shape.entry.sign for shape in self.shapes])
+        allowed = (self.visible > 0) & ((sign == 0) | (sign * z > 0))
+        return np.where(allowed, 0.5 * z**2, 0.0)
+
+    def best(self) -> dict[str, int]:
+        """entry name -> its best shape's number, in the order of their gains."""
+        gain = self.gain
+        order = np.argsort(-gain, kind="stable").tolist()
+        chosen: dict[str, int] = {}
+        for number in order:
+            chosen.setdefault(self.shapes[number].entry.name, number)
+        return chosen
+
+
+def smooth_course(fitted: Fitted) -> Array:
+    """(n,) degC the temperature at the knots without the sensor's noise: free run plus the smoothed residual."""
+    record = fitted.frame.record
+    smoothed = Weigher(fitted.grid, fitted.noise).smoothed(fitted.residual)
+    out = fitted.state.mean.copy()
+    runs, run = record.runs, record.runs.run[record.rows[record.begins]]
+    times = record.times
+    for number in np.unique(run):
+        here, knots = run == number, runs.run == number
+        out[knots] += np.interp(runs.time[knots], times[here], smoothed[here])
+    return out
+
+
+def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
+    """(m, c) degC what one unit of strength of each shape does to the windows."""
+    record, state = fitted.frame.record, fitted.state
+    out = []
+    for shape in shapes:
+        if shape.entry.drive is not None:
+            loss, heat = shape.entry.drive(record, shape.signals, shape.params, smooth)
+            out.append(record.windowed(filtered(fitted.frame, state, heat - loss * smooth)[:, 0]))
+        if shape.entry.sense is not None:
+            sensed = shape.entry.sense(record, shape.named(1.0).params, state.mean)
+            out.append(record.windowed(sensed - state.mean))
+    return np.column_stack(out)
+
+
+def shapes_of(fitted: Fitted, entries: Sequence[Entry], roles: Mapping[str, str], smooth: Array) -> Iterator[Shape]:
+    """Every shape of every entry whose signals are there."""
+    record = fitted.frame.record
+    for entry in entries:
+        signals = signals_of(entry, roles)
+        if signals is not None:
+            for params in entry.shapes(record, signals, smooth):
+                yield Shape(entry, signals, params)
+
+
+def screen(fitted: Fitted, entries: Sequence[Entry], roles: Mapping[str, str]) -> Screen:
+    """Every shape of every entry against what the fit leaves."""
+    smooth = smooth_course(fitted)
+    shapes = tuple(shapes_of(fitted, entries, roles, smooth))
+    return judged(fitted, shapes, columns_of(fitted, shapes, smooth))
+
+
+def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
+    """The projected problem of the shapes' columns (m, c)."""
+    projector = Projector(fitted)
+    scale = np.sqrt(np.mean(columns**2, axis=0))
+    scaled = columns / np.where(scale > 1e-12, scale, 1.0)
+    cleaned, weighed, before = projector.clean(scaled)
+    normal = scaled.T @ weighed
+    left = np.maximum(np.diag(normal), 0.0)
+    visible = np.where((scale > 1e-12) & (before > 0), np.sqrt(left / np.maximum(before, 1e-300)), 0.0)
+    cycles = np.unique(fitted.grid.cycle, return_inverse=True)[1]
+    parts = np.zeros((int(cycles.max()) + 1, columns.shape[1]))
+    shares = np.zeros_like(parts)
+    np.add.at(parts, cycles, cleaned * projector.weighed_residual[:, None])
+    np.add.at(shares, cycles, cleaned * weighed)
+    return Screen(
+        shapes, scale, 0.5 * (normal + normal.T), scaled.T @ projector.weighed_residual, visible, parts, shares
+    )
+
+
+def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
+    """The effect with its shape where the gain is greatest, searched from a shape of the screen."""
+    smooth = smooth_course(fitted)
+    projector = Projector(fitted)
+    names = [name for name in shape.entry.refine if name in shape.params]
+    if not names:
+        return shape.named(strength)
+    best: list[tuple[float, Shape, float]] = []
+
+    def loss(point: Array) -> float:
+        trial = Shape(shape.entry, shape.signals, {**shape.params, **_values(shape, names, point)})
+        column = columns_of(fitted, [trial], smooth)
+        _, weighed, _ = projector.clean(column)
+        size = float(column[:, 0] @ weighed[:, 0])
+        score = float(column[:, 0] @ projector.weighed_residual)
+        if size <= 0:
+            return 0.0
+        wrong = shape.entry.sign * score < 0
+        gain = 0.0 if wrong else score - 0.5 * size if shape.entry.whole else 0.5 * score**2 / size
+        best.append((gain, trial, score / size))
+        return -gain
+
+    begin = _point(shape, names)
+    simplex = np.vstack([begin, begin + np.diag(np.full(begin.size, 0.3))])
+    minimize(
+        loss,
+        begin,
+        method="Nelder-Mead",
+        options={"maxfev": SIMPLEX, "xatol": 0.02, "fatol": 0.05, "initial_simplex": simplex},
+    )
+    _, found, value = max(best, key=lambda one: one[0])
+    return found.named(value)
+
+
+def _point(shape: Shape, names: Sequence[str]) -> Array:
+    """Coordinates for the search: logarithms of times and powers, temperatures in tens of degrees."""
+    values = [shape.params[name] for name in names]
+    return np.array([np.log(max(v, 1.0)) if _is_time(n) else v / 10.0 for n, v in zip(names, values, strict=True)])
+
+
+def _values(shape: Shape, names: Sequence[str], point: Array) -> Params:
+    values = {}
+    for name, coordinate in zip(names, point.tolist(), strict=True):
+        low, high = shape.entry.refine[name]
+        value = float(np.exp(min(coordinate, 20.0))) if _is_time(name) else 10.0 * coordinate
+        values[name] = min(max(value, low), high)
+    return values
+
+
+def _is_time(name: str) -> bool:
+    return name in ("tau", "delay", "lag")
+
+
+def null_maximum(found: Screen, seed: int, draws: int = DRAWS) -> Array:
+    """(draws,) the greatest gain over the whole catalogue when nothing is missing.
+
+    Under the fitted noise, random heats included, the scores are jointly normal with the covariance `normal`: this is
+    the parametric bootstrap of the linear problem, drawn without simulating a single residual.
+    """
+    scale = np.sqrt(np.maximum(np.diag(found.normal), 1e-300))
+    correlation = found.normal / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(correlation)
+    keep = values > 1e-8
+    rng = np.random.default_rng(seed)
+    z = rng.standard_normal((draws, int(keep.sum()))) @ (vectors[:, keep] * np.sqrt(values[keep])).T
+    return np.asarray(np.max(found.gains(z), axis=1, initial=0.0))
