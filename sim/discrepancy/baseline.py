@@ -102,3 +102,8 @@ def _centred(model: Model, shape: Shape, names: Names) -> Shape:
         rate_centre=np.log(np.array(rates)) if rates else np.empty(0),
         rate_spread=np.full(len(rates), LOG_RATE_SPREAD),
     )
+
+
+def on(frame: Frame, record: Record) -> Frame:
+    """The same parameters over another record of the same model."""
+    return Frame(record, frame.shape, frame.names, loads(record.runs, frame.shape))

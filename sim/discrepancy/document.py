@@ -1,0 +1,111 @@
+"""`diagnosis.json`: what other programs read of a diagnosis, as strict JSON in which an undefined number is null."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from sim.discrepancy.diagnosis import Candidate, Course, Diagnosis, HeldOut, NamedEffect, Place
+from sim.discrepancy.heat_map import LONGEST
+
+FORMAT, VERSION = "decanter-diagnosis", 1
+
+
+def document(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The diagnosis as JSON's own types. The keys from `verdict` to `model_after` are the stable interface.
+
+    `sentence` and all that follows may gain keys. The course of the pictures is left out.
+    """
+    one = diagnosis
+    held_out = None if one.held_out is None else _held_out(one.held_out)
+    content = {
+        "verdict": one.verdict,
+        "effects": [_effect(effect) for effect in one.effects],
+        "parameter_shift": [asdict(shift) for shift in one.shifts],
+        "unexplained": [_place(place, one.course) for place in one.unexplained],
+        "localisation": [_place(place, one.course) for place in one.places],
+        "held_out": held_out,
+        "model_before": one.model_before,
+        "model_after": one.model_after,
+        "format": FORMAT,
+        "version": VERSION,
+        "sentence": one.sentence,
+        "reasons": one.reasons,
+        "untested": one.untested,
+        "candidates": [_candidate(candidate) for candidate in one.candidates],
+        "ceiling": {"before": one.ceiling_before, "after": one.ceiling_after},
+        "settings": one.settings,
+    }
+    plainly = plain(content)
+    assert isinstance(plainly, dict)  # noqa: S101
+    return plainly
+
+
+def document_text(diagnosis: Diagnosis) -> str:
+    """The document as indented strict JSON."""
+    return json.dumps(document(diagnosis), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _effect(one: NamedEffect) -> dict[str, Any]:
+    return {
+        "name": one.name,
+        "class": one.members,
+        "confidence": one.confidence,
+        "gain_nats": one.gain,
+        "parameters": one.params,
+        "needs": list(dict.fromkeys(one.signals.values())),
+        "distinguish_by": one.experiment,
+        "plain": one.plain,
+        "margin_nats": one.margin,
+        "standard_errors": one.errors,
+        "signals": one.signals,
+        "signal_to_noise": one.signal_to_noise,
+    }
+
+
+def _place(one: Place, course: Course | None) -> dict[str, Any]:
+    """`cycles` as "9/11"; a span without an end goes to the longest time that was seen there."""
+    low, high = one.seconds
+    if not isfinite(high):
+        high = _longest(one.location, course)
+    return asdict(one) | {"seconds": [low, max(low, high)], "cycles": f"{one.cycles[0]}/{one.cycles[1]}"}
+
+
+def _longest(location: str, course: Course | None) -> float:
+    """Seconds since the last start or stop that were seen in a location; 0 where none were."""
+    if course is None:
+        return 0.0
+    since = course.since_event[np.array(course.location) == location]
+    since = since[np.isfinite(since) & (since <= LONGEST)]
+    return float(since.max()) if since.size else 0.0
+
+
+def _candidate(one: Candidate) -> dict[str, Any]:
+    fields = asdict(one)
+    fields["gain_nats"] = fields.pop("gain")
+    fields["parameters"] = fields.pop("params")
+    fields["distinguish_by"] = fields.pop("experiment")
+    return fields | {"cycles": f"{one.cycles[0]}/{one.cycles[1]}"}
+
+
+def _held_out(one: HeldOut) -> dict[str, Any]:
+    names = ("before", "after", "noise_floor")
+    return asdict(one) | {"per_cycle": [dict(zip(names, row, strict=True)) for row in one.per_cycle]}
+
+
+def plain(value: object) -> object:
+    """A value as strict JSON has it: records as objects, numpy's scalars as Python's, numbers that are none as null."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if hasattr(value, "item"):
+        value = value.item()
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    return value if value is None or isinstance(value, str | int) else str(value)

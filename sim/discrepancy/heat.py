@@ -1,0 +1,119 @@
+"""The heat that a fit leaves unexplained: how fast the residual moves beyond what the flow itself would do to it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.discrepancy.fit import Fitted
+from sim.discrepancy.noise import Weigher, decay_and_pull
+from sim.discrepancy.record import Record
+from sim.discrepancy.screen import Projector
+from sim.learning.runs import Indices, first_switch
+from sim.sha.trace import Array
+
+BLOCK = 600.0
+"""Seconds over which the heat is averaged: shorter, the sensor's noise hides it."""
+HOUR = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """b stretches of about ten minutes inside one location: the mean implied heat of each and where it was.
+
+    `heat` (b,) degC/h, `seconds` (b,) its length, `time` (b,) absolute s of its middle, `location` (b,) the index,
+    `cycle` (b,), `since_start` and `since_stop` (b,) s, `running` (b,), `course` (b,) degC the temperature, `signals`
+    (b, q) their means. Only blocks with a step inside are there.
+    """
+
+    heat: Array
+    seconds: Array
+    time: Array
+    location: Indices
+    cycle: Indices
+    since_start: Array
+    since_stop: Array
+    running: Array
+    course: Array
+    signals: Array
+
+
+def implied_heat(fitted: Fitted) -> Array:
+    """(m,) degC/s over the step to each window: (x' - decay x) / pull of the smoothed residual; NaN at a run's first.
+
+    The part that the model's own parameters would take up is taken out before.
+    """
+    left = Projector(fitted).residual
+    smoothed = Weigher(fitted.grid, fitted.noise).smoothed(left)
+    grid = fitted.grid
+    decay, pull = decay_and_pull(grid.k, grid.dt)
+    before = np.concatenate([smoothed[:1], smoothed[:-1]])
+    heat = (smoothed - decay * before) / np.maximum(pull, 1e-9)
+    return np.where(grid.first, np.nan, heat)
+
+
+def since_switch(record: Record) -> Array:
+    """(n,) s since the machine last stopped, or since the run began while it never did."""
+    runs, on = record.runs, record.running > 0.5
+    changed = runs.first | (np.diff(on.astype(int), prepend=int(on[0]) if on.size else 0) != 0)
+    moment = (runs.time - runs.dt)[changed][np.cumsum(changed) - 1]
+    return np.asarray(runs.time - runs.dt - moment)
+
+
+def blocks_of(fitted: Fitted, length: float = BLOCK) -> Blocks:
+    """The implied heat of a fit in blocks of at most `length` seconds."""
+    record = fitted.frame.record
+    runs = record.runs
+    heat = implied_heat(fitted)
+    last = record.rows[np.append(record.begins[1:], record.rows.size) - 1]
+    place, times = runs.place[last], record.times
+    phase = since_switch(record)[last]
+    new = np.isnan(heat) | (np.diff(place, prepend=-1) != 0) | (np.diff(record.window_cycle, prepend=-1) != 0)
+    new |= np.diff(np.floor(phase / length), prepend=-1) != 0
+    new |= np.concatenate([[True], np.isnan(heat[:-1])])
+    begins = np.flatnonzero(new)
+    weight = np.where(np.isnan(heat), 0.0, fitted.grid.dt)
+    total = np.add.reduceat(weight, begins)
+    signals = record.windowed(np.nan_to_num(runs.inputs)) if runs.inputs.shape[1] else np.empty((times.size, 0))
+
+    def mean(column: Array) -> Array:
+        weights = weight if column.ndim == 1 else weight[:, None]
+        divisor = np.maximum(total, 1e-9)
+        return np.asarray(
+            np.add.reduceat(weights * np.nan_to_num(column), begins, axis=0)
+            / (divisor if column.ndim == 1 else divisor[:, None])
+        )
+
+    kept = total > 0
+    on = record.windowed(record.running)
+    stopped = np.where(on > 0.5, 0.0, record.windowed(since_switch(record)))
+    columns = (heat * HOUR, times, record.windowed(np.minimum(record.since, 1e6)), stopped, on, record.reading)
+    implied, middle, started, stop, running, course = (mean(column)[kept] for column in columns)
+    return Blocks(
+        implied,
+        total[kept],
+        middle,
+        place[begins][kept],
+        record.window_cycle[begins][kept],
+        started,
+        stop,
+        running,
+        course,
+        mean(signals)[kept],
+    )
+
+
+def event_names(record: Record) -> tuple[str, str]:
+    """The symbols of a start and of a stop; ("", "") without a switch."""
+    switch = first_switch(record.model.alphabet)
+    return (switch.rising, switch.falling) if switch else ("", "")
+
+
+def flips(parts: Array, seed: int, draws: int) -> Array:
+    """(draws + 1, cycles) signs: every flip of the cycles where they are few, else random ones; the first is none."""
+    cycles = parts.shape[0]
+    if 2**cycles <= draws:
+        bits = (np.arange(2**cycles)[:, None] >> np.arange(cycles)) & 1
+        return np.asarray(1.0 - 2.0 * bits)
+    rng = np.random.default_rng(seed)
+    signs = rng.choice([-1.0, 1.0], size=(draws, cycles))
+    return np.vstack([np.ones(cycles), signs])

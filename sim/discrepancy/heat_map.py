@@ -1,0 +1,90 @@
+"""Where the unexplained heat lies: its mean by location and by the time since the last start or stop."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.discrepancy.diagnosis import Course
+from sim.sha.trace import Array
+
+EDGES = (0.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
+"""Seconds since the last start or stop at which columns begin; the last one has no end."""
+LONGEST = 30 * 86_400.0
+"""Seconds beyond which the last start or stop counts as not seen."""
+ROWS = 24
+"""Locations at most: those with the most windows."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeatMap:
+    """Mean heat (degC/h) that a model leaves, by r `locations` and c spans of time since the last start or stop.
+
+    `edges` (c + 1,) are seconds, the last inf. `before` and `after` are (r, c), NaN where nothing was seen; `after` is
+    None where there is no model after. `windows` (r, c) counts; `left_out` are locations beyond ROWS.
+    """
+
+    locations: tuple[str, ...]
+    edges: tuple[float, ...]
+    before: Array
+    after: Array | None
+    windows: NDArray[np.intp]
+    left_out: int
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The spans in words, such as "2-5 min"."""
+        return tuple(span(low, high) for low, high in zip(self.edges[:-1], self.edges[1:], strict=True))
+
+    @property
+    def largest(self) -> float:
+        """The largest mean of either map without its sign, degC/h; 0 without any."""
+        both = np.abs(self.before if self.after is None else np.concatenate([self.before, self.after]))
+        return float(np.nanmax(both)) if np.isfinite(both).any() else 0.0
+
+
+def heat_map(course: Course) -> HeatMap | None:
+    """The map of a course; None where no window has a heat and a start or stop before it."""
+    since = np.asarray(course.since_event, dtype=float)
+    known = np.isfinite(course.heat_before) & np.isfinite(since) & (since >= 0) & (since <= LONGEST)
+    if not known.any():
+        return None
+    names, place = np.unique(np.array(course.location)[known], return_inverse=True)
+    counts = np.bincount(place, minlength=names.size)
+    kept = np.argsort(-counts, kind="stable")[:ROWS]
+    order = sorted(kept.tolist(), key=lambda number: natural(str(names[number])))
+    column = np.searchsorted(EDGES, since[known], side="right") - 1
+    shape = (names.size, len(EDGES))
+    windows = np.zeros(shape, dtype=np.intp)
+    np.add.at(windows, (place, column), 1)
+    used = np.flatnonzero(windows[order].any(axis=0))
+    spans = slice(0, int(used[-1]) + 1)
+    before = _means(course.heat_before[known], place, column, shape)[order, spans]
+    after = None
+    if np.isfinite(course.heat_after).any():
+        after = _means(course.heat_after[known], place, column, shape)[order, spans]
+    edges = (*EDGES, np.inf)[: int(used[-1]) + 2]
+    found = tuple(str(names[number]) for number in order)
+    return HeatMap(found, edges, before, after, windows[order, spans], names.size - len(found))
+
+
+def _means(values: Array, place: NDArray[np.intp], column: NDArray[np.intp], shape: tuple[int, int]) -> Array:
+    there = np.isfinite(values)
+    sums, counts = np.zeros(shape), np.zeros(shape)
+    np.add.at(sums, (place[there], column[there]), values[there])
+    np.add.at(counts, (place[there], column[there]), 1.0)
+    return np.asarray(np.divide(sums, counts, out=np.full(shape, np.nan), where=counts > 0))
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """A key that sorts digits as numbers."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name)]
+
+
+def span(low: float, high: float) -> str:
+    """A span of seconds in words: "0-60 s", "2-5 min", "over 160 min"."""
+    unit, size = ("s", 1.0) if max(low, high if np.isfinite(high) else low) <= 120.0 else ("min", 60.0)
+    if not np.isfinite(high):
+        return f"over {low / size:g} {unit}"
+    return f"{low / size:g}–{high / size:g} {unit}"

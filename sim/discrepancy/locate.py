@@ -1,0 +1,105 @@
+"""Where the unexplained heat lies: by location, by time since the last start or stop, and what it goes with.
+
+The unit that is trusted is the cycle: a cell's heat is summed cycle by cycle, and its z is that of the cycles' sums.
+The family of all cells keeps one error rate: p is where the greatest z of all cells would fall if each cycle's signs
+were thrown (Westfall & Young 1993).
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sim.discrepancy.diagnosis import Place
+from sim.discrepancy.fit import Fitted
+from sim.discrepancy.heat import Blocks, blocks_of, event_names, flips
+from sim.discrepancy.record import Record
+from sim.sha.trace import Array, Mask
+
+PHASES = (0.0, 240.0, 900.0, 3600.0, np.inf)
+"""Seconds since a start or a stop at which cells are cut."""
+DRAWS, FAMILY = 4000, 0.05
+LEAST_CYCLES, LEAST_SHARE = 3, 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class _Cell:
+    location: int
+    after: str
+    seconds: tuple[float, float]
+    rows: Mask
+
+
+def places(fitted: Fitted, seed: int) -> tuple[Place, ...]:
+    """The cells in which the heat is not chance, the greatest share first."""
+    record = fitted.frame.record
+    blocks = blocks_of(fitted, 240.0)
+    cells = _cells(blocks, record)
+    if not cells:
+        return ()
+    numbers, order = np.unique(blocks.cycle, return_inverse=True)
+    energy = blocks.heat * blocks.seconds
+    sums = np.zeros((numbers.size, len(cells)))
+    for column, cell in enumerate(cells):
+        np.add.at(sums[:, column], order[cell.rows], energy[cell.rows])
+    z = _z(sums, np.ones((1, numbers.size)))[0]
+    signs = flips(sums, seed, DRAWS)
+    greatest = np.max(np.abs(_z(sums, signs)), axis=1)
+    total = float(np.sum(blocks.heat**2 * blocks.seconds))
+    found = []
+    for column, cell in enumerate(cells):
+        p = float(np.mean(greatest >= abs(z[column]) - 1e-12))
+        speaking = sums[:, column] != 0
+        share = float(np.sum((blocks.heat**2 * blocks.seconds)[cell.rows])) / max(total, 1e-300)
+        if p <= FAMILY and share >= LEAST_SHARE:
+            same = np.sign(sums[speaking, column]) == np.sign(z[column])
+            heat = float(np.sum(energy[cell.rows]) / np.sum(blocks.seconds[cell.rows]))
+            found.append(
+                Place(
+                    record.model.sha.locations[cell.location].name,
+                    cell.after,
+                    cell.seconds,
+                    share,
+                    heat,
+                    (int(same.sum()), int(speaking.sum())),
+                    p,
+                    correlate(blocks, record, cell.rows),
+                )
+            )
+    return tuple(sorted(found, key=lambda place: -place.share))
+
+
+def _z(sums: Array, signs: Array) -> Array:
+    """(draws, cells) the cycles' signed sums over their root sum of squares."""
+    spread = np.sqrt(np.sum(sums**2, axis=0))
+    return np.asarray(signs @ sums / np.where(spread > 0, spread, 1.0))
+
+
+def _cells(blocks: Blocks, record: Record) -> list[_Cell]:
+    start, stop = event_names(record)
+    cells = []
+    for location in np.unique(blocks.location).tolist():
+        here = blocks.location == location
+        running = bool(np.median(blocks.running[here]) > 0.5)
+        phase = blocks.since_start if running else blocks.since_stop
+        for low, high in pairwise(PHASES):
+            rows = here & (phase >= low) & (phase < high)
+            if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
+                cells.append(_Cell(location, start if running else stop, (low, high), rows))
+    return cells
+
+
+def correlate(blocks: Blocks, record: Record, rows: Mask) -> str:
+    """The signal that the heat in `rows` goes with most (rank correlation of at least 0.3 in size), or ""."""
+    heat = np.argsort(np.argsort(blocks.heat[rows])).astype(float)
+    best, chosen = 0.3, ""
+    columns = [(name, blocks.signals[rows, number]) for number, name in enumerate(record.signals)]
+    columns += [(record.model.temperature, blocks.course[rows])]
+    for name, column in columns:
+        if column.size < 8 or np.ptp(column) == 0 or np.ptp(heat) == 0:
+            continue
+        rank = np.argsort(np.argsort(column)).astype(float)
+        size = abs(float(np.corrcoef(heat, rank)[0, 1]))
+        if size > best:
+            best, chosen = size, name
+    return chosen

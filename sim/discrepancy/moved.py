@@ -1,0 +1,59 @@
+"""Parameters of the given model that have moved: a finding of its own, and no missing effect."""
+
+import numpy as np
+
+from sim.discrepancy.diagnosis import Shift
+from sim.discrepancy.fit import Fitted
+from sim.learning.free_run import RATES
+from sim.sha.trace import Array
+
+SIGMAS, LEAST_CHANGE = 4.0, 0.01
+"""A move is told from so many standard errors on, and from so large a change."""
+BOTH = 2.0
+"""Variance of the difference over that of one fit: the given value is as uncertain as the fitted one."""
+
+
+def shifts(fitted: Fitted) -> tuple[Shift, ...]:
+    """The moved parameters of a fit, the surest first."""
+    frame = fitted.frame
+    p, r = frame.count
+    errors = np.sqrt(np.maximum(np.diag(fitted.covariance)[: p + r], 1e-300) * BOTH)
+    off = fitted.off[: p + r]
+    found = [
+        _shift(fitted, number, float(off[number]), float(off[number] / errors[number]))
+        for number in np.flatnonzero(np.abs(off) >= SIGMAS * errors).tolist()
+    ]
+    told = [one for one in found if abs(one.change) >= LEAST_CHANGE]
+    return tuple(sorted(told, key=lambda one: -abs(one.sigma)))
+
+
+def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
+    frame = fitted.frame
+    targets, gains, rates = frame.names.targets, frame.names.gains, frame.names.rates
+    by_name = frame.record.model.sha.by_name
+    before = float(frame.centre[number])
+    if number < len(targets):
+        name = targets[number]
+        kind = by_name[name].flow.kind
+        unit = {"linear": "degC/s", "logarithmic": "degC"}.get(kind, "degC")
+        size = _over_rest(frame.shape.centre, targets, number) if kind in RATES and RATES[kind] == "k" else before
+        what = {"linear": "drift", "logarithmic": "factor"}.get(kind, "target")
+        return Shift(name, what, before, before + off, unit, off / max(abs(size), 1e-9), sigma)
+    if number < len(targets) + len(gains):
+        group, signal = gains[number - len(targets)]
+        return Shift(group, f"gain of {signal}", before, before + off, "degC per unit", _share(off, before), sigma)
+    group = rates[number - len(targets) - len(gains)]
+    rate = RATES[by_name[group].flow.kind]
+    old, new = float(np.exp(before)), float(np.exp(before + off))
+    return Shift(group, rate, old, new, "1/s" if rate == "k" else "s", new / old - 1.0, sigma)
+
+
+def _over_rest(centre: Array, targets: tuple[str, ...], number: int) -> float:
+    """How far a target lies above the lowest of all: the heat that it stands for."""
+    lowest = float(np.min(centre[: len(targets)]))
+    height = float(centre[number]) - lowest
+    return height if height > 1.0 else float(centre[number])
+
+
+def _share(off: float, before: float) -> float:
+    return off / abs(before) if abs(before) > 1e-9 else float(np.sign(off))

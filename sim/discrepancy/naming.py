@@ -1,0 +1,174 @@
+"""One step towards a name: the catalogue screened, the likeliest confirmed by joint refits and weighed."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.discrepancy.catalogue import CATALOGUE, Entry
+from sim.discrepancy.course import Named
+from sim.discrepancy.fit import Fitted, fit
+from sim.discrepancy.screen import Screen, Shape, columns_of, judged, null_maximum, refined, screen, smooth_course
+from sim.sha.trace import Array
+
+CONFIRMED, WORTH = 4, 1.0
+"""Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""
+SURE, LEAST_GAIN = 0.99, 7.0
+"""The share of draws without an effect whose greatest gain must lie below a name's, and the gain it needs at least."""
+SAME, NEAR = 0.9, 0.6
+"""Cosines from which two effects are of one class, or rivals."""
+MARGIN = 6.0
+"""Nats by which a name must beat every rival outside its class."""
+INVISIBLE = 0.05
+MATERIAL = 0.5
+"""Sensor sigmas below which an effect is too small to be missing (rms beyond what the model's parameters imitate)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """An entry against what a fit leaves: its best shape, its gain (nats), and the joint refit where there was one.
+
+    `visible`, `z`, `robust` and `cycles` are those of `diagnosis.Candidate`. `spread` is over how many cycles its
+    information is spread, `carried` the gain (nats, linearised) when each cycle's strength is that of the others.
+    `amplitude` is its rms (degC) beyond what the parameters imitate.
+    """
+
+    entry: Entry
+    shape: Shape
+    gain: float
+    visible: float
+    z: float
+    robust: float
+    cycles: tuple[int, int]
+    spread: float
+    carried: float
+    amplitude: float
+    fitted: Fitted | None
+
+    @property
+    def confirmed(self) -> bool:
+        """True when the gain is that of the joint refit."""
+        return self.fitted is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step from a fit: the evidence of every entry with its signals, best first; the threshold; and cosines.
+
+    `cosines` gives, for the best entry, the cosine of each other entry's effect with its own, the model's parameters
+    projected out of both.
+    """
+
+    before: Fitted
+    evidence: tuple[Evidence, ...]
+    threshold: float
+    cosines: Mapping[str, float]
+
+    @property
+    def best(self) -> Evidence | None:
+        """The entry of the greatest gain."""
+        return self.evidence[0] if self.evidence else None
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """The best entry's name and those of its class that do not lie a whole margin behind it."""
+        if self.best is None:
+            return ()
+        top = self.best.gain
+        close = [one for one in self.evidence[1:] if abs(self.cosines.get(one.entry.name, 0.0)) >= SAME]
+        return (self.best.entry.name, *(one.entry.name for one in close if top - one.gain < MARGIN))
+
+    @property
+    def margin(self) -> float:
+        """Nats by which the best beats every entry outside its members."""
+        if self.best is None:
+            return 0.0
+        others = [one.gain for one in self.evidence[1:] if one.entry.name not in self.members]
+        return self.best.gain - max(others, default=0.0)
+
+
+def step(before: Fitted, entries: Sequence[Entry], roles: Mapping[str, str], seed: int) -> Step:
+    """Screen and confirm `entries` on top of a fit."""
+    found = screen(before, entries, roles)
+    threshold = max(float(np.quantile(null_maximum(found, seed), SURE)), LEAST_GAIN)
+    best = found.best()
+    evidence = [_evidence(found, number) for number in best.values()]
+    chosen = [one for one in evidence[:CONFIRMED] if one.gain >= WORTH]
+    confirmed = [confirm(before, one) for one in chosen]
+    rest = [one for one in evidence if one.entry.name not in {each.entry.name for each in confirmed}]
+    order = tuple(sorted([*confirmed, *rest], key=lambda one: -one.gain))
+    return Step(before, order, threshold, _cosines(before, order))
+
+
+def _evidence(found: Screen, number: int) -> Evidence:
+    shape = found.shapes[number]
+    parts, shares = found.by_cycle[:, number], np.maximum(found.information[:, number], 0.0)
+    total, mass = float(parts.sum()), float(shares.sum())
+    spread = mass**2 / max(float(np.sum(shares**2)), 1e-300)
+    speaking = shares > 0.02 * mass / max(spread, 1.0)
+    same = np.sign(parts[speaking]) == np.sign(total)
+    others = (total - parts) / np.maximum(mass - shares, 1e-300)
+    carried = float(np.sum(parts * others - 0.5 * shares * others**2))
+    return Evidence(
+        shape.entry,
+        shape,
+        float(found.gain[number]),
+        float(found.visible[number]),
+        float(found.signed[number]),
+        total / max(float(np.sqrt(np.sum(parts**2))), 1e-300),
+        (int(same.sum()), int(speaking.sum())),
+        float(spread),
+        carried,
+        0.0,
+        None,
+    )
+
+
+def confirm(before: Fitted, one: Evidence) -> Evidence:
+    """The evidence with its shape refined and everything fitted anew together."""
+    strength = _first_strength(before, one)
+    named = refined(before, one.shape, strength)
+    fitted = fit(before.frame, [*before.state.named, named], before, rounds=3, iterations=8)
+    shape = Shape(one.entry, one.shape.signals, _without_strength(fitted.state.named[-1]))
+    gain, last = fitted.likelihood - before.likelihood, fitted.state.named[-1]
+    return replace(one, shape=shape, gain=gain, amplitude=amplitude(before, shape, last), fitted=fitted)
+
+
+def amplitude(before: Fitted, shape: Shape, named: Named) -> float:
+    """degC rms over the windows of what an effect does that the parameters of the fit before cannot imitate."""
+    column = columns_of(before, (shape,), smooth_course(before))[:, 0]
+    left = column - before.columns @ np.linalg.lstsq(before.columns, column, rcond=None)[0]
+    strength = 1.0 if named.entry.whole else named.strength
+    return float(abs(strength) * np.sqrt(np.mean(left**2)))
+
+
+def _first_strength(before: Fitted, one: Evidence) -> float:
+    smooth = smooth_course(before)
+    found = judged(before, (one.shape,), columns_of(before, (one.shape,), smooth))
+    return float(found.strength[0])
+
+
+def _without_strength(named: Named) -> dict[str, float]:
+    if named.entry.whole:
+        return dict(named.params)
+    return {name: value for name, value in named.params.items() if name != named.entry.strength}
+
+
+def _cosines(before: Fitted, evidence: Sequence[Evidence]) -> dict[str, float]:
+    """Under the noise of the best entry's refit, where there is one."""
+    if not evidence:
+        return {}
+    top = evidence[0]
+    around = before if top.fitted is None else replace(before, noise=top.fitted.noise)
+    smooth = smooth_course(around)
+    shapes = tuple(one.shape for one in evidence)
+    found = judged(around, shapes, columns_of(around, shapes, smooth))
+    size = np.sqrt(np.maximum(np.diag(found.normal), 1e-300))
+    cosine: Array = found.normal[0] / (size * size[0])
+    return {one.entry.name: float(cosine[number]) for number, one in enumerate(evidence) if number}
+
+
+def entries_besides(named: Sequence[Named], besides: Sequence[str] = ()) -> tuple[Entry, ...]:
+    """The catalogue without the effects that are named already, and without others by name."""
+    taken = {one.entry.name for one in named} | set(besides)
+    return tuple(entry for entry in CATALOGUE if entry.name not in taken)

@@ -1,0 +1,235 @@
+"""The pictures of a diagnosis as PNG: where the heat is, held-out cycles before and after, all of it on one sheet."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from textwrap import wrap
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure, SubFigure
+
+from sim.discrepancy.diagnosis import Course, Diagnosis, HeldOut
+from sim.discrepancy.heat_map import HeatMap, heat_map
+from sim.sha.trace import Array, Mask
+
+WHERE, CYCLES, ERRORS, SHEET = "where.png", "held_out_cycles.png", "held_out_errors.png", "diagnosis.png"
+FILES = (WHERE, CYCLES, ERRORS, SHEET)
+MEASURED, BEFORE, AFTER, FLOOR = "#555555", "#c65d1e", "#1f6fb4", "#2a8c6a"
+SHOWN = 6
+"""Held-out cycles that are drawn as curves."""
+ANNOTATED = 160
+"""Cells of a map at most in which the number stands too."""
+DPI = 110
+
+
+def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
+    """Draw what the diagnosis has to show into `folder`; gives the files by their names. Raises OSError."""
+    course, held_out = _to_show(diagnosis)
+    found = None if course is None else heat_map(course)
+    shown = [] if course is None else cycles_to_show(course)
+    labels = [] if course is None else held_out_cycles(course)
+    jobs: list[tuple[str, Figure]] = []
+    if found is not None:
+        figure = _figure(_map_width(found), _map_height(found))
+        draw_where(figure, found)
+        jobs.append((WHERE, figure))
+    if course is not None and shown:
+        figure = _figure(11.0, 4.6)
+        draw_cycles(figure, course, shown, held_out)
+        jobs.append((CYCLES, figure))
+    if held_out is not None and held_out.per_cycle:
+        figure = _figure(8.0, 3.2)
+        draw_errors(figure.subplots(), held_out, labels)
+        jobs.append((ERRORS, figure))
+    if len(jobs) > 1:
+        jobs.append((SHEET, _sheet(diagnosis, title, found, shown)))
+    return {name: _save(figure, folder / name) for name, figure in jobs}
+
+
+def _to_show(diagnosis: Diagnosis) -> tuple[Course | None, HeldOut | None]:
+    """Course and errors, without an "after" where nothing was added to the model."""
+    course, held_out = diagnosis.course, diagnosis.held_out
+    if not diagnosis.effects:
+        if course is not None:
+            nothing = np.full(course.times.shape, np.nan)
+            course = replace(course, after=nothing, heat_after=nothing)
+        if held_out is not None:
+            held_out = replace(held_out, per_cycle=tuple((one[0], np.nan, one[2]) for one in held_out.per_cycle))
+    return course, held_out
+
+
+def _sheet(diagnosis: Diagnosis, title: str, found: HeatMap | None, shown: Sequence[int]) -> Figure:
+    """All of it on one sheet, the verdict on top."""
+    course, held_out = _to_show(diagnosis)
+    errors = held_out is not None and bool(held_out.per_cycle)
+    heights = [_map_height(found)] if found else []
+    heights += [4.6] if course is not None and shown else []
+    heights += [3.2] if errors else []
+    figure = _figure(11.5, sum(heights) + 0.9)
+    parts = iter(figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0])
+    if found is not None:
+        draw_where(next(parts), found)
+    if course is not None and shown:
+        draw_cycles(next(parts), course, shown, held_out)
+    if held_out is not None and errors:
+        draw_errors(next(parts).subplots(), held_out, [] if course is None else held_out_cycles(course))
+    figure.suptitle(f"{title}\n{_wrapped(diagnosis.sentence)}", fontsize=12, x=0.01, ha="left", parse_math=False)
+    return figure
+
+
+def _wrapped(text: str, width: int = 120) -> str:
+    return "\n".join(wrap(text, width)[:3])
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
+        figure.savefig(path, dpi=DPI)
+    return path
+
+
+# -------------------------------------------------------------------- where
+
+
+def _map_height(found: HeatMap) -> float:
+    return 1.7 + 0.34 * len(found.locations)
+
+
+def _map_width(found: HeatMap) -> float:
+    return 11.0 if found.after is not None else 8.0
+
+
+def draw_where(figure: Figure | SubFigure, found: HeatMap) -> None:
+    """The map before, and beside it the map after, on one scale of colours."""
+    maps = [("before: heat that the refitted model leaves", found.before)]
+    if found.after is not None:
+        maps.append(("after: with what was added", found.after))
+    axes = figure.subplots(1, len(maps), sharey=True, squeeze=False)[0]
+    limit = found.largest or 1.0
+    norm = Normalize(-limit, limit)
+    for axis, (title, values) in zip(axes, maps, strict=True):
+        image = axis.imshow(values, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")
+        _numbers(axis, values, limit)
+        axis.set_title(title, fontsize=10, loc="left")
+        axis.set_xticks(range(len(found.columns)), found.columns, rotation=35, ha="right", fontsize=8)
+        axis.set_yticks(range(len(found.locations)), [_short(name) for name in found.locations], fontsize=8)
+        axis.set_xlabel("time since the last start or stop", fontsize=9)
+        axis.set_facecolor("#eceff2")
+    bar = figure.colorbar(image, ax=list(axes), fraction=0.03, pad=0.01)
+    bar.set_label("mean heat, °C/h", fontsize=9)
+
+
+def _numbers(axis: Axes, values: Array, limit: float) -> None:
+    """The means in the cells, where there are few enough to be read."""
+    if values.size > ANNOTATED:
+        return
+    digits = 0 if limit >= 20 else 1 if limit >= 2 else 2
+    for row, column in zip(*np.nonzero(np.isfinite(values)), strict=True):
+        value = float(values[row, column])
+        colour = "white" if abs(value) > 0.6 * limit else "#333333"
+        text = f"{value:+.{digits}f}" if round(abs(value), digits) else "0"
+        axis.text(int(column), int(row), text, ha="center", va="center", fontsize=7, color=colour)
+
+
+def _short(name: str, most: int = 28) -> str:
+    """Neither a formula ($) nor too long."""
+    return (name if len(name) <= most else f"{name[: most - 1]}…").replace("$", r"\$")
+
+
+# -------------------------------------------------------------------- cycles
+
+
+def cycles_to_show(course: Course, most: int = SHOWN) -> list[int]:
+    """The numbers of held-out cycles to draw, spread evenly; of all cycles where none is held out."""
+    seen = np.isfinite(course.before) & np.isfinite(course.reading)
+    chosen = seen & (course.held_out > 0.5)
+    cycles = np.unique(course.cycle[chosen if chosen.any() else seen])
+    counts = np.array([np.count_nonzero(course.cycle[seen] == number) for number in cycles])
+    cycles = cycles[counts > 1] if cycles.size else cycles
+    if cycles.size > most:
+        cycles = cycles[np.round(np.linspace(0, cycles.size - 1, most)).astype(int)]
+    return [int(number) for number in cycles]
+
+
+def held_out_cycles(course: Course) -> list[int]:
+    """The numbers of the held-out cycles, in the order of time."""
+    return [int(number) for number in np.unique(course.cycle[course.held_out > 0.5])]
+
+
+def draw_cycles(figure: Figure | SubFigure, course: Course, shown: Sequence[int], held_out: HeldOut | None) -> None:
+    """A column a cycle: measured and free runs above, their errors below, with the noise floor as a band."""
+    axes = figure.subplots(2, len(shown), squeeze=False, sharex="col", sharey="row", height_ratios=(1.5, 1.0))
+    for number, (cycle, (above, below)) in enumerate(zip(shown, axes.T, strict=True)):
+        rows = np.asarray(course.cycle == cycle)
+        kind = "held out" if course.held_out[rows].max() > 0.5 else "fitted"
+        hours = (course.times[rows] - course.times[rows][0]) / 3600.0
+        _curves(above, course, rows, hours)
+        _errors(below, course, rows, hours, held_out)
+        above.set_title(f"cycle {cycle + 1}, {kind}", fontsize=9, loc="left")
+        below.set_xlabel("h", fontsize=8)
+        for axis in (above, below):
+            axis.grid(alpha=0.25)
+            axis.tick_params(labelsize=8)
+        if not number:
+            above.set_ylabel("temperature (°C)", fontsize=9)
+            below.set_ylabel("free run −\nmeasured (°C)", fontsize=9)
+            found = [axis.get_legend_handles_labels() for axis in (above, below)]
+    figure.legend(
+        found[0][0] + found[1][0],
+        found[0][1] + found[1][1],
+        loc="outside upper left",
+        ncols=4,
+        fontsize=8,
+        frameon=False,
+    )
+
+
+def _curves(axis: Axes, course: Course, rows: Mask, hours: Array) -> None:
+    axis.plot(hours, course.reading[rows], ".", color=MEASURED, markersize=2.5, label="measured")
+    axis.plot(hours, course.before[rows], color=BEFORE, linewidth=1.3, label="free run before (refitted)")
+    if np.isfinite(course.after).any():
+        axis.plot(hours, course.after[rows], color=AFTER, linewidth=1.3, label="free run after")
+
+
+def _errors(axis: Axes, course: Course, rows: Mask, hours: Array, held_out: HeldOut | None) -> None:
+    if held_out is not None and np.isfinite(held_out.noise_floor):
+        floor = held_out.noise_floor
+        axis.axhspan(-floor, floor, color=FLOOR, alpha=0.15, linewidth=0, label="noise floor (rms)")
+    axis.axhline(0.0, color="#999999", linewidth=0.7)
+    axis.plot(hours, course.before[rows] - course.reading[rows], color=BEFORE, linewidth=1.1)
+    if np.isfinite(course.after).any():
+        axis.plot(hours, course.after[rows] - course.reading[rows], color=AFTER, linewidth=1.1)
+
+
+def draw_errors(axis: Axes, held_out: HeldOut, cycles: Sequence[int]) -> None:
+    """A pair of bars a held-out cycle, before and after, and a line at the noise floor of each.
+
+    `cycles` are their numbers; another count than there are bars, and they are counted from 1.
+    """
+    rows = np.array(held_out.per_cycle, dtype=float).reshape(-1, 3)
+    place = np.arange(rows.shape[0])
+    after = bool(np.isfinite(rows[:, 1]).any())
+    width = 0.38 if after else 0.6
+    shift = width / 2 if after else 0.0
+    axis.bar(place - shift, rows[:, 0], width, color=BEFORE, label="before")
+    if after:
+        axis.bar(place + shift, rows[:, 1], width, color=AFTER, label="after")
+    axis.hlines(rows[:, 2], place - 0.45, place + 0.45, color=FLOOR, linewidth=2.0, label="noise floor")
+    names = [number + 1 for number in (cycles if len(cycles) == place.size else place.tolist())]
+    few = place[:: max(1, place.size // 30)]
+    axis.set_xticks(few, [str(names[number]) for number in few], fontsize=8)
+    axis.set_xlabel("held-out cycle", fontsize=9)
+    axis.set_ylabel("free-run rms error (°C)", fontsize=9)
+    axis.set_ylim(bottom=0.0)
+    axis.grid(alpha=0.25, axis="y")
+    axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=3, fontsize=8, frameon=False)

@@ -1,0 +1,117 @@
+"""The likelihood of a rough plant's residuals against brute force, and its draws against its own covariance."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from sim.discrepancy.noise import DIFFUSE, Belief, Grid, Noise, Weigher, fit_noise, grid_of
+from sim.sha.trace import Array
+
+NOISE = Noise(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)
+
+
+def small_grid(seed: int = 1, size: int = 40) -> Grid:
+    rng = np.random.default_rng(seed)
+    first = np.zeros(size, dtype=bool)
+    first[[0, size // 2]] = True
+    running = rng.integers(0, 2, size).astype(float)
+    return grid_of(
+        rng.uniform(20.0, 200.0, size), np.where(rng.random(size) < 0.2, 0.0, 1e-3), running, 1e-3 * running, first,
+        np.cumsum(rng.random(size) < 0.1),
+    )  # fmt: skip
+
+
+def dense(grid: Grid, noise: Noise) -> Array:
+    """V as the product of the steps that the model states, without any of the tricks."""
+    size = grid.dt.size
+    state = np.zeros((2 * size, 2 * size))
+    for row in range(size):
+        here = slice(2 * row, 2 * row + 2)
+        if grid.first[row]:
+            state[here, here] = np.diag([DIFFUSE, noise.rough**2])
+            continue
+        dt, k = grid.dt[row], grid.k[row]
+        decay = np.exp(-k * dt)
+        pull = (1 - decay) / k if k else dt
+        share = noise.rest + (1 - noise.rest) * grid.running[row]
+        keep = np.exp(-dt / noise.memory)
+        move = np.array([[decay, pull * share * (1 + keep) / 2], [0.0, keep]])
+        fresh = noise.rough**2 * (1 - keep**2)
+        variance = noise.process**2 * ((1 - decay**2) / (2 * k) if k else dt)
+        jump = np.array([pull * share / 2, 1.0])
+        before = slice(2 * row - 2, 2 * row)
+        state[here, :] = move @ state[before, :]
+        state[:, here] = state[here, :].T
+        state[here, here] = move @ state[before, before] @ move.T + fresh * np.outer(jump, jump)
+        state[2 * row, 2 * row] += variance
+    heats = grid.heats * noise.cycle
+    return np.asarray(state[::2, ::2] + heats @ heats.T + noise.sensor**2 * np.eye(size))
+
+
+def test_weighing_and_determinant_are_those_of_the_dense_covariance() -> None:
+    grid = small_grid()
+    covariance = dense(grid, NOISE)
+    columns = np.random.default_rng(0).standard_normal((grid.dt.size, 3))
+    weigher = Weigher(grid, NOISE)
+    np.testing.assert_allclose(weigher.weigh(columns), np.linalg.solve(covariance, columns), rtol=1e-6, atol=1e-9)
+    assert weigher.logdet == pytest.approx(np.linalg.slogdet(covariance)[1], abs=1e-6)
+
+
+def test_the_scatter_of_a_cycle_is_its_heat_let_run_through_the_rate() -> None:
+    grid = small_grid()
+    row = int(np.flatnonzero(grid.first)[1])
+    column = int(np.searchsorted(np.unique(grid.cycle), grid.cycle[row + 1]))
+    k, dt, heat = grid.k[row + 1], grid.dt[row + 1], grid.weight[row + 1]
+    step = expm(np.array([[-k, heat], [0.0, 0.0]]) * dt) @ np.array([0.0, 1.0])
+    assert grid.heats[row + 1, column] == pytest.approx(step[0], rel=1e-9)
+
+
+def test_draws_have_the_covariance_that_they_are_weighed_by() -> None:
+    grid = small_grid()
+    drawn = Weigher(grid, NOISE).draw(np.random.default_rng(3), 6000)
+    starts = np.flatnonzero(grid.first)
+    covariance = dense(grid, NOISE)
+    # A run's first deviation is drawn as 0, the diffuse start being no part of a plant's noise.
+    conditional = covariance - sum(
+        DIFFUSE * np.outer(c, c) for c in (_decay_from(grid, int(start)) for start in starts)
+    )
+    spread = np.sqrt(np.diag(conditional))
+    np.testing.assert_allclose(drawn.std(axis=1), spread, rtol=0.06)
+
+
+def _decay_from(grid: Grid, start: int) -> Array:
+    out = np.zeros(grid.dt.size)
+    out[start] = 1.0
+    for row in range(start + 1, grid.dt.size):
+        if grid.first[row]:
+            break
+        out[row] = out[row - 1] * np.exp(-grid.k[row] * grid.dt[row])
+    return out
+
+
+def test_the_smoothed_residual_is_closer_to_the_truth_than_the_reading() -> None:
+    grid = small_grid(size=200)
+    rng = np.random.default_rng(5)
+    truth = Weigher(grid, Noise(1e-6, 0.004, 0.002, 0.3, 500.0, 0.4)).draw(rng, 1)[:, 0]
+    read = truth + 0.05 * rng.standard_normal(truth.size)
+    smoothed = Weigher(grid, NOISE).smoothed(read)
+    assert np.std(smoothed - truth) < 0.9 * np.std(read - truth)
+
+
+def test_the_noise_is_found_again_from_its_own_draws() -> None:
+    rng = np.random.default_rng(11)
+    size = 1500
+    running = (np.arange(size) % 100 < 60).astype(float)
+    first = np.arange(size) == 0
+    grid = grid_of(np.full(size, 60.0), np.full(size, 8e-4), running, 1e-2 * running, first, np.arange(size) // 100)
+    truth = Noise(0.04, 0.003, 0.001, 0.05, 400.0, 0.2)
+    residual = Weigher(grid, truth).draw(rng, 1)
+
+    def cost(trial: Noise) -> float:
+        weigher = Weigher(grid, trial)
+        return 0.5 * float(residual[:, 0] @ weigher.weigh(residual)[:, 0] + weigher.logdet)
+
+    found, _ = fit_noise(cost, Belief(Noise(0.1, 0.01, 3e-4, 0.02)), Noise(0.1, 0.01, 3e-4, 0.02), 40)
+    assert found.sensor == pytest.approx(truth.sensor, rel=0.15)
+    assert found.rough == pytest.approx(truth.rough, rel=0.4)
+    assert found.cycle == pytest.approx(truth.cycle, rel=0.7)
