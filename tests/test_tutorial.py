@@ -14,19 +14,28 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 
 
-def commands() -> list[str]:
-    text = (DOCS / "tutorial.md").read_text(encoding="utf-8")
+PAGES = {
+    "tutorial.md": ("cd8.png", "simulated.png", "model/model.json"),
+    "laboratory.md": ("lsha/learning_report.md", "campaign/index.html", "ranking.html", "uppaal/decanter_cd1.xml"),
+}
+"""The pages that are followed, and what must be there in the end."""
+
+
+def commands(page: str) -> list[str]:
+    text = (DOCS / page).read_text(encoding="utf-8")
     return re.findall(r"^\$ (.+)$", text, flags=re.MULTILINE)
 
 
 @pytest.mark.slow
-def test_the_tutorial_can_be_followed_literally(tmp_path: Path) -> None:
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("page", PAGES)
+def test_a_tutorial_can_be_followed_literally(page: str, tmp_path: Path) -> None:
     environment = os.environ | {
         "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
         "CONFIG": str(ROOT / "config"),
     }
-    assert len(commands()) >= 8
-    for command in commands():
+    assert len(commands(page)) >= 8
+    for command in commands(page):
         done = subprocess.run(
             ["bash", "-c", command],
             cwd=tmp_path,
@@ -38,7 +47,7 @@ def test_the_tutorial_can_be_followed_literally(tmp_path: Path) -> None:
         )
         assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
         assert "Traceback" not in done.stderr
-    for made in ("cd8.png", "simulated.png", "model/model.json"):
+    for made in PAGES[page]:
         assert (tmp_path / made).stat().st_size > 1000
 
 

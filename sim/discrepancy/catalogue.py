@@ -16,6 +16,8 @@ from sim.sha.recursion import linear_recursion
 from sim.sha.trace import Array, Mask
 
 KELVIN = 273.15
+JUMPS, JUMP_APART = 16, 5
+"""Moments at which an offset is looked for besides the regular ones, and windows between them."""
 DAY = 86400.0
 
 Params = dict[str, float]
@@ -34,7 +36,9 @@ class Entry:
     `drive(record, signals, params, course)` is (loss, heat) of one unit along a course (n,) degC: 1/s and degC/s, held
     over each step, as dX/dt += heat - loss * X. `sense(record, params, course)` is the course as it is read, given the
     whole of `params`. `refine` gives the range of each shape parameter that is searched further; `plain` says what the
-    effect is, `experiment` what would tell it from its twins.
+    effect is, `experiment` what would tell it from its twins. `scan(record, pull)` gives further shapes where the pull
+    (m,) of the residual is greatest (the residual weighed by its inverse covariance); `burden` (nats) is what looking
+    at so many places costs.
     """
 
     name: str
@@ -48,6 +52,8 @@ class Entry:
     drive: Drive | None = None
     sense: Sense | None = None
     refine: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    scan: Callable[[Record, Array], Sequence[Params]] | None = None
+    burden: float = 0.0
 
     @property
     def whole(self) -> bool:
@@ -232,7 +238,20 @@ def _sense_lag(record: Record, params: Mapping[str, float], course: Array) -> Ar
 
 def _offset_step(record: Record, _signals: Signals, _smooth: Array) -> Sequence[Params]:
     time = record.runs.time
-    return [{"at": float(time[int(share * time.size)])} for share in np.arange(0.04, 0.97, 0.04).tolist()]
+    return [{"at": float(time[int(share * time.size)])} for share in np.arange(0.05, 0.96, 0.1).tolist()]
+
+
+def _jumps(record: Record, pull: Array) -> Sequence[Params]:
+    """The moments from which an offset would lower the misfit most: extremes of the pull summed to the end."""
+    summed = np.abs(np.cumsum(pull[::-1])[::-1])
+    times = record.times
+    found: list[int] = []
+    for place in np.argsort(-summed, kind="stable").tolist():
+        if all(abs(place - other) > JUMP_APART for other in found):
+            found.append(place)
+        if len(found) == JUMPS:
+            break
+    return [{"at": float(times[place])} for place in found]
 
 
 def _sense_offset(record: Record, params: Mapping[str, float], course: Array) -> Array:
@@ -445,6 +464,8 @@ CATALOGUE: tuple[Entry, ...] = (
         "from some moment on the sensor reads higher or lower by a constant",
         "a reading at long rest, against a second thermometer",
         sense=_sense_offset,
+        scan=_jumps,
+        burden=7.5,
     ),
     Entry(
         "thermostatic-cooling",

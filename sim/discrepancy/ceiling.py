@@ -68,6 +68,7 @@ def _features(blocks: Blocks, record: Record) -> tuple[tuple[str, ...], Array]:
 def _out_of_fold(features: Array, heat: Array, blocks: Blocks, cycles: Indices, seed: int) -> Array:
     """(b,) the trees' prediction of each block's heat, learned on the other folds' cycles."""
     from sklearn.ensemble import HistGradientBoostingRegressor  # slow to import
+    from threadpoolctl import threadpool_limits
 
     rng = np.random.default_rng(seed)
     fold = rng.permutation(np.arange(cycles.size) % min(FOLDS, cycles.size))[np.searchsorted(cycles, blocks.cycle)]
@@ -83,8 +84,9 @@ def _out_of_fold(features: Array, heat: Array, blocks: Blocks, cycles: Indices, 
             early_stopping=False,
             random_state=0,
         )
-        trees.fit(features[~out], heat[~out])
-        predicted[out] = trees.predict(features[out])
+        with threadpool_limits(1):  # threads that wait for one another cost more than so few rows gain
+            trees.fit(features[~out], heat[~out])
+            predicted[out] = trees.predict(features[out])
     return predicted
 
 

@@ -7,12 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.discrepancy.diagnosis import Course
-from sim.sha.trace import Array
+from sim.sha.trace import Array, Mask
 
 EDGES = (0.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
 """Seconds since the last start or stop at which columns begin; the last one has no end."""
 LONGEST = 30 * 86_400.0
 """Seconds beyond which the last start or stop counts as not seen."""
+FEW = 3
+"""Cycles below which a mean is shown but not relied on."""
 ROWS = 24
 """Locations at most: those with the most windows."""
 
@@ -22,14 +24,15 @@ class HeatMap:
     """Mean heat (degC/h) that a model leaves, by r `locations` and c spans of time since the last start or stop.
 
     `edges` (c + 1,) are seconds, the last inf. `before` and `after` are (r, c), NaN where nothing was seen; `after` is
-    None where there is no model after. `windows` (r, c) counts; `left_out` are locations beyond ROWS.
+    None where there is no model after. `cycles` (r, c) counts those that a mean is taken over; `left_out` are locations
+    beyond ROWS.
     """
 
     locations: tuple[str, ...]
     edges: tuple[float, ...]
     before: Array
     after: Array | None
-    windows: NDArray[np.intp]
+    cycles: NDArray[np.intp]
     left_out: int
 
     @property
@@ -39,9 +42,16 @@ class HeatMap:
 
     @property
     def largest(self) -> float:
-        """The largest mean of either map without its sign, degC/h; 0 without any."""
-        both = np.abs(self.before if self.after is None else np.concatenate([self.before, self.after]))
-        return float(np.nanmax(both)) if np.isfinite(both).any() else 0.0
+        """The largest mean of the map before without its sign, degC/h, where cycles are not few; 0 without any."""
+        for values in (np.where(self.few, np.nan, self.before), self.before):
+            if np.isfinite(values).any():
+                return float(np.nanmax(np.abs(values)))
+        return 0.0
+
+    @property
+    def few(self) -> Mask:
+        """(r, c) True where a mean is taken over fewer than FEW cycles, so that it says little."""
+        return np.asarray(self.cycles < FEW)
 
 
 def heat_map(course: Course) -> HeatMap | None:
@@ -56,9 +66,10 @@ def heat_map(course: Course) -> HeatMap | None:
     order = sorted(kept.tolist(), key=lambda number: natural(str(names[number])))
     column = np.searchsorted(EDGES, since[known], side="right") - 1
     shape = (names.size, len(EDGES))
-    windows = np.zeros(shape, dtype=np.intp)
-    np.add.at(windows, (place, column), 1)
-    used = np.flatnonzero(windows[order].any(axis=0))
+    seen = np.unique(np.column_stack([place, column, course.cycle[known].astype(np.intp)]), axis=0)
+    cycles = np.zeros(shape, dtype=np.intp)
+    np.add.at(cycles, (seen[:, 0], seen[:, 1]), 1)
+    used = np.flatnonzero(cycles[order].any(axis=0))
     spans = slice(0, int(used[-1]) + 1)
     before = _means(course.heat_before[known], place, column, shape)[order, spans]
     after = None
@@ -66,7 +77,7 @@ def heat_map(course: Course) -> HeatMap | None:
         after = _means(course.heat_after[known], place, column, shape)[order, spans]
     edges = (*EDGES, np.inf)[: int(used[-1]) + 2]
     found = tuple(str(names[number]) for number in order)
-    return HeatMap(found, edges, before, after, windows[order, spans], names.size - len(found))
+    return HeatMap(found, edges, before, after, cycles[order, spans], names.size - len(found))
 
 
 def _means(values: Array, place: NDArray[np.intp], column: NDArray[np.intp], shape: tuple[int, int]) -> Array:

@@ -130,7 +130,7 @@ def confirm(before: Fitted, one: Evidence) -> Evidence:
     named = refined(before, one.shape, strength)
     fitted = fit(before.frame, [*before.state.named, named], before, rounds=3, iterations=8)
     shape = Shape(one.entry, one.shape.signals, _without_strength(fitted.state.named[-1]))
-    gain, last = fitted.likelihood - before.likelihood, fitted.state.named[-1]
+    gain, last = fitted.likelihood - before.likelihood - one.entry.burden, fitted.state.named[-1]
     return replace(one, shape=shape, gain=gain, amplitude=amplitude(before, shape, last), fitted=fitted)
 
 

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Rectangle
 
 from sim.discrepancy.diagnosis import Course, Diagnosis, HeldOut
 from sim.discrepancy.heat_map import HeatMap, heat_map
@@ -119,12 +120,17 @@ def draw_where(figure: Figure | SubFigure, found: HeatMap) -> None:
     norm = Normalize(-limit, limit)
     for axis, (title, values) in zip(axes, maps, strict=True):
         image = axis.imshow(values, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")
-        _numbers(axis, values, limit)
+        for row, column in zip(*np.nonzero(found.few & np.isfinite(values)), strict=True):
+            frame = (float(column) - 0.5, float(row) - 0.5)
+            axis.add_patch(Rectangle(frame, 1, 1, fill=False, hatch="////", edgecolor="#b8c0c8", linewidth=0))
+        _numbers(axis, np.where(found.few, np.nan, values), limit)
         axis.set_title(title, fontsize=10, loc="left")
         axis.set_xticks(range(len(found.columns)), found.columns, rotation=35, ha="right", fontsize=8)
         axis.set_yticks(range(len(found.locations)), [_short(name) for name in found.locations], fontsize=8)
         axis.set_xlabel("time since the last start or stop", fontsize=9)
         axis.set_facecolor("#eceff2")
+    if found.left_out:
+        axes[0].set_ylabel(f"{found.left_out} rarer locations are left out", fontsize=8)
     bar = figure.colorbar(image, ax=list(axes), fraction=0.03, pad=0.01)
     bar.set_label("mean heat, °C/h", fontsize=9)
 
@@ -169,14 +175,16 @@ def held_out_cycles(course: Course) -> list[int]:
 def draw_cycles(figure: Figure | SubFigure, course: Course, shown: Sequence[int], held_out: HeldOut | None) -> None:
     """A column a cycle: measured and free runs above, their errors below, with the noise floor as a band."""
     axes = figure.subplots(2, len(shown), squeeze=False, sharex="col", sharey="row", height_ratios=(1.5, 1.0))
+    spans = [np.ptp(course.times[course.cycle == cycle]) for cycle in shown]
+    unit, size = ("min", 60.0) if max(spans) < 5400.0 else ("h", 3600.0)
     for number, (cycle, (above, below)) in enumerate(zip(shown, axes.T, strict=True)):
         rows = np.asarray(course.cycle == cycle)
         kind = "held out" if course.held_out[rows].max() > 0.5 else "fitted"
-        hours = (course.times[rows] - course.times[rows][0]) / 3600.0
-        _curves(above, course, rows, hours)
-        _errors(below, course, rows, hours, held_out)
+        clock = (course.times[rows] - course.times[rows][0]) / size
+        _curves(above, course, rows, clock)
+        _errors(below, course, rows, clock, held_out)
         above.set_title(f"cycle {cycle + 1}, {kind}", fontsize=9, loc="left")
-        below.set_xlabel("h", fontsize=8)
+        below.set_xlabel(unit, fontsize=8)
         for axis in (above, below):
             axis.grid(alpha=0.25)
             axis.tick_params(labelsize=8)
@@ -194,21 +202,21 @@ def draw_cycles(figure: Figure | SubFigure, course: Course, shown: Sequence[int]
     )
 
 
-def _curves(axis: Axes, course: Course, rows: Mask, hours: Array) -> None:
-    axis.plot(hours, course.reading[rows], ".", color=MEASURED, markersize=2.5, label="measured")
-    axis.plot(hours, course.before[rows], color=BEFORE, linewidth=1.3, label="free run before (refitted)")
+def _curves(axis: Axes, course: Course, rows: Mask, clock: Array) -> None:
+    axis.plot(clock, course.reading[rows], ".", color=MEASURED, markersize=2.0, zorder=3, label="measured")
+    axis.plot(clock, course.before[rows], color=BEFORE, linewidth=1.3, label="free run before (refitted)")
     if np.isfinite(course.after).any():
-        axis.plot(hours, course.after[rows], color=AFTER, linewidth=1.3, label="free run after")
+        axis.plot(clock, course.after[rows], color=AFTER, linewidth=1.3, label="free run after")
 
 
-def _errors(axis: Axes, course: Course, rows: Mask, hours: Array, held_out: HeldOut | None) -> None:
+def _errors(axis: Axes, course: Course, rows: Mask, clock: Array, held_out: HeldOut | None) -> None:
     if held_out is not None and np.isfinite(held_out.noise_floor):
         floor = held_out.noise_floor
         axis.axhspan(-floor, floor, color=FLOOR, alpha=0.15, linewidth=0, label="noise floor (rms)")
     axis.axhline(0.0, color="#999999", linewidth=0.7)
-    axis.plot(hours, course.before[rows] - course.reading[rows], color=BEFORE, linewidth=1.1)
+    axis.plot(clock, course.before[rows] - course.reading[rows], color=BEFORE, linewidth=1.1)
     if np.isfinite(course.after).any():
-        axis.plot(hours, course.after[rows] - course.reading[rows], color=AFTER, linewidth=1.1)
+        axis.plot(clock, course.after[rows] - course.reading[rows], color=AFTER, linewidth=1.1)
 
 
 def draw_errors(axis: Axes, held_out: HeldOut, cycles: Sequence[int]) -> None:

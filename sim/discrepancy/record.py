@@ -113,11 +113,24 @@ def record_of(
     ]
     if not having:
         raise LearningError(f"no trace has a reading of {model.temperature!r}, the model's temperature")
-    runs = thinned(free_runs(having, model.sha, model.temperature, signals=tuple(signals)), knots)
+    runs = thinned(
+        free_runs(having, model.sha, model.temperature, signals=tuple(signals), modelled=known(model)), knots
+    )
     running, since, cycle = _machine(runs, having, first_switch(model.alphabet))
     window = max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER)
     rows, begins = _windows(runs, cycle, running, window)
-    return Record(model, tuple(signals), runs, running, since, cycle, window, rows, begins)
+    return Record(model, given, runs, running, since, cycle, window, rows, begins)
+
+
+def known(model: Model) -> Mask:
+    """(L,) which locations say how the temperature moves: all but an initial one in which nothing is known yet."""
+    sha = model.sha
+    return np.array(
+        [
+            location.name != sha.initial or location.flow.kind != "constant" or len(sha.locations) == 1
+            for location in sha.locations
+        ]
+    )
 
 
 def _machine(runs: Runs, traces: Sequence[Trace], switch: Switch | None) -> tuple[Array, Array, Indices]:

@@ -2,7 +2,7 @@
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from shlex import quote
@@ -54,7 +54,6 @@ class Occasion:
     folder: Path
     synthetic: str = ""
     verification: tuple[str, ...] | None = None
-    notes: Sequence[str] = field(default=())
 
     @property
     def model(self) -> str:
@@ -79,15 +78,11 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
             errors=data.get(ERRORS),
             places=[place_sentence(place) for place in diagnosis.places[:TOLD]],
             unexplained=[place_sentence(place) for place in diagnosis.unexplained],
-            candidates=sorted(diagnosis.candidates, key=lambda one: (one.step, -_finite(one.gain))),
+            candidates=diagnosis.candidates,
             best=max(best, 1e-9),
             rivals={effect.name: rivals_of(effect, diagnosis.candidates) for effect in diagnosis.effects},
         )
     )
-
-
-def _finite(value: float) -> float:
-    return value if isfinite(value) else float("-inf")
 
 
 def _embedded(path: Path) -> str:
@@ -127,8 +122,7 @@ def _environment() -> Environment:
 def _number(value: float | None, digits: int = 2, sign: bool = False) -> str:
     if value is None or not isfinite(value):
         return "–"
-    text = f"{value:{'+' if sign else ''}.{digits}f}"
-    return f"{value:{'+' if sign else ''}.{max(digits, 2)}g}" if value and float(text) == 0 else text
+    return f"{value:{'+' if sign else ''}.{digits}f}"
 
 
 def _share(value: float | None, digits: int = 0, sign: bool = False) -> str:

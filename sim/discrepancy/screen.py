@@ -23,6 +23,9 @@ DRAWS = 20_000
 SIMPLEX = 60
 """Evaluations at most when the shape of an effect is refined."""
 
+LEAST_BAND = 0.2
+"""degC between the opening and the closing of a thermostat, at least."""
+
 
 @dataclass(frozen=True, slots=True)
 class Shape:
@@ -97,7 +100,8 @@ class Screen:
         """(..., c) nats of signed strengths over standard errors."""
         sign = np.array([shape.entry.sign for shape in self.shapes])
         allowed = (self.visible > 0) & ((sign == 0) | (sign * z > 0))
-        return np.where(allowed, 0.5 * z**2, 0.0)
+        burden = np.array([shape.entry.burden for shape in self.shapes])
+        return np.where(allowed, np.maximum(0.5 * z**2 - burden, 0.0), 0.0)
 
     def best(self) -> dict[str, int]:
         """entry name -> its best shape's number, in the order of their gains."""
@@ -139,11 +143,14 @@ def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
 def shapes_of(fitted: Fitted, entries: Sequence[Entry], roles: Mapping[str, str], smooth: Array) -> Iterator[Shape]:
     """Every shape of every entry whose signals are there."""
     record = fitted.frame.record
+    pull = Projector(fitted).weighed_residual
     for entry in entries:
         signals = signals_of(entry, roles)
-        if signals is not None:
-            for params in entry.shapes(record, signals, smooth):
-                yield Shape(entry, signals, params)
+        if signals is None:
+            continue
+        further = entry.scan(record, pull) if entry.scan is not None else []
+        for params in [*entry.shapes(record, signals, smooth), *further]:
+            yield Shape(entry, signals, params)
 
 
 def screen(fitted: Fitted, entries: Sequence[Entry], roles: Mapping[str, str]) -> Screen:
@@ -218,6 +225,8 @@ def _values(shape: Shape, names: Sequence[str], point: Array) -> Params:
         low, high = shape.entry.refine[name]
         value = float(np.exp(min(coordinate, 20.0))) if _is_time(name) else 10.0 * coordinate
         values[name] = min(max(value, low), high)
+    if "closes" in values:
+        values["closes"] = min(values["closes"], values["opens"] - LEAST_BAND)
     return values
 
 

@@ -14,7 +14,7 @@ from sim.discrepancy.baseline import frame_of, on
 from sim.discrepancy.catalogue import CATALOGUE, ROLES
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.course import Named
-from sim.discrepancy.diagnosis import Ceiling, Diagnosis, HeldOut, Verdict
+from sim.discrepancy.diagnosis import Ceiling, Diagnosis, Verdict
 from sim.discrepancy.evidence import candidates_of, effect_of
 from sim.discrepancy.fit import Fitted, fit
 from sim.discrepancy.held_out import Trial, by_cycles, compared
@@ -123,7 +123,7 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: P
     for number in range(most):
         told(f"looking for effect {number + 1}", 0.25 + 0.6 * number / most)
         one = step(fitted, entries_besides(fitted.state.named), present, seed + number)
-        refusal = refused(one)
+        refusal = insignificant(one) or dubious(one)
         steps.append((one, refusal))
         best = one.best
         if refusal or best is None or best.fitted is None:
@@ -132,8 +132,8 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: P
     return Found(base, fitted, tuple(steps))
 
 
-def refused(one: Step) -> str:
-    """Why the best entry of a step is not taken, or ""."""
+def insignificant(one: Step) -> str:
+    """Why the best entry of a step is no more than chance, or a trifle; "" where something is missing."""
     best = one.best
     if best is None or not best.confirmed or best.gain < one.threshold:
         gain = best.gain if best is not None else 0.0
@@ -141,10 +141,20 @@ def refused(one: Step) -> str:
     sigma = max(one.before.frame.record.model.sensor_sigma, 1e-6)
     if best.amplitude < MATERIAL * sigma:
         return f"is there but moves the temperature by {best.amplitude:.3f} degC only, less than the sensor's noise"
+    return ""
+
+
+def dubious(one: Step) -> str:
+    """Why the best entry of a step does not deserve its name though something is missing; "" where it does."""
+    best = one.best
+    if best is None:
+        return "there is nothing to name"
     if best.spread >= SPREAD and best.robust < ROBUST and best.entry.sign != 0:
         return f"rests on few cycles ({best.cycles[0]} of {best.cycles[1]} speak for it)"
     if best.spread >= SPREAD and best.carried <= 0:
         return "does not carry over from cycle to cycle"
+    if one.margin < MARGIN:
+        return f"beats its rivals outside its class by {one.margin:.1f} nats only"
     return ""
 
 
@@ -161,7 +171,7 @@ def _judged(
     base, after = found.base, found.fitted
     held, first, second = compared(base, after, held_out, seed)
     left = ceiling(after, seed) if found.taken else before
-    reasons = doubts(found, held, first, second, before, left)
+    reasons = doubts(found, first, second, left)
     named = after.state.named
     verdict: Verdict = "agree"
     if named and reasons:
@@ -169,8 +179,10 @@ def _judged(
         held, first, second = compared(base, base, held_out, seed)
     elif named:
         verdict = "named" if all(len(one.members) == 1 for one in found.taken) else "class"
+    elif found.steps and not insignificant(found.steps[0][0]):
+        verdict, reasons = "unexplained", (f"{found.steps[0][0].members[0]} {found.steps[0][1]}",)
     elif systematic(before):
-        verdict, reasons = "unexplained", ("the free learner predicts heat on cycles that it has not seen",)
+        verdict, reasons = "unexplained", ("a free learner predicts heat on cycles that it has not seen",)
     told("where the heat is", 0.95)
     where = places(base, seed)
     remaining = places(after, seed) if named else where
@@ -204,20 +216,13 @@ def systematic(one: Ceiling | None) -> bool:
     return one is not None and one.p <= CEILING_P and one.share >= CEILING_SHARE
 
 
-def doubts(
-    found: Found, held: HeldOut, first: Trial, second: Trial, before: Ceiling | None, left: Ceiling | None
-) -> tuple[str, ...]:
+def doubts(found: Found, first: Trial, second: Trial, left: Ceiling | None) -> tuple[str, ...]:
     """Why names that the likelihood offers are not given after all."""
     reasons = []
-    for one in found.taken:
-        if one.margin < MARGIN:
-            reasons.append(f"{one.members[0]} beats its rivals by {one.margin:.1f} nats only")
     if found.taken and second.likelihood <= first.likelihood:
         reasons.append("the held-out cycles are not better foreseen with it")
-    if found.taken and systematic(left):
-        reasons.append(
-            f"a free learner still predicts {left.share:.0%} of the heat on cycles that it has not seen" if left else ""
-        )
+    if found.taken and left is not None and systematic(left):
+        reasons.append(f"a free learner still predicts {left.share:.0%} of the heat on cycles that it has not seen")
     return tuple(reasons)
 
 

@@ -1,0 +1,87 @@
+"""A small plant with one hidden effect at will: one mass, two levels of heat, rough as plants are."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
+from sim.sha.events import Alphabet, Bins, Switch, encode
+from sim.sha.model import Model
+from sim.sha.trace import UNKNOWN, Array, Trace
+
+ALPHABET = Alphabet(
+    (Switch("MarciaDecanter", "W_ON", "W_OFF"), Bins("Assorbimento", (200.0,), ("A_0", "A_1"))), gap=600.0
+)
+TARGETS = {"OFF": (17.0, 1 / 3600), "LOW": (48.0, 1 / 1500), "HIGH": (62.0, 1 / 1500)}
+PERIOD = 30.0
+
+
+def model(shift: float = 0.0) -> Model:
+    """The plant's own structure and parameters; `shift` moves the targets of the running locations (share)."""
+    edges = [Edge(source, "W_OFF", "OFF") for source in TARGETS]
+    edges += [Edge("OFF", "W_ON", "LOW"), Edge("OFF", "A_1", "OFF"), Edge("OFF", "A_0", "OFF")]
+    edges += [
+        Edge(source, symbol, target)
+        for source in ("LOW", "HIGH")
+        for symbol, target in (("A_0", "LOW"), ("A_1", "HIGH"))
+    ]
+    edges += [Edge(source, UNKNOWN, "OFF") for source in TARGETS]
+    locations = tuple(
+        Location(
+            name,
+            Flow("exponential", {"k": k, "noise": 0.004}),
+            Distribution("normal", {"mu": target * (1 + shift * (name != "OFF")), "sigma": 0.5}),
+        )
+        for name, (target, k) in TARGETS.items()
+    )
+    return Model(SHA("small", locations, tuple(edges), "OFF"), ALPHABET, "T", 0.06)
+
+
+def plant(seed: int, days: int = 4, *, pump: float = 0.0, churning: float = 0.0, offset: float = 0.0) -> Trace:
+    """`days` days of three cycles. `pump` 1/s cools towards 19 degC, `churning` degC/s dies away after each start over
+    400 s as a logistic, `offset` degC is read too much from 40 % of the time on."""
+    rng = np.random.default_rng(seed)
+    size = int(days * 86400 / PERIOD)
+    on, current, pumping = _operation(rng, size)
+    temperature = np.empty(size)
+    x, heat, friction, since = 17.0, 0.0, 1.0, 1e9
+    for row in range(size):
+        temperature[row] = x
+        if row and on[row] > on[row - 1]:
+            friction, since = 1.0 + 0.01 * rng.standard_normal(), 0.0
+        target, k = TARGETS["OFF" if not on[row] else "LOW" if current[row] < 200 else "HIGH"]
+        keep = np.exp(-PERIOD / 400.0)
+        heat = keep * heat + 4e-4 * np.sqrt(1 - keep**2) * rng.standard_normal()
+        drive = k * (target - x) + on[row] * ((friction - 1) * k * (target - 17.0) + heat)
+        drive -= pump * pumping[row] * (x - 19.0)
+        drive += churning * on[row] / (1 + np.exp(min((since - 400.0) / 100.0, 50.0)))
+        x += PERIOD * drive + 0.003 * np.sqrt(PERIOD) * rng.standard_normal()
+        since += PERIOD
+    read = temperature + 0.06 * rng.standard_normal(size)
+    read[int(0.4 * size) :] += offset
+    signals = {
+        "MarciaDecanter": on,
+        "Assorbimento": current,
+        "MarciaPmpFango": pumping,
+        "TAmbiente": 17.0 + np.cumsum(0.02 * rng.standard_normal(size)),
+        "T": np.round(read, 1),
+    }
+    trace = Trace(f"plant{seed}", 1.7e9 + PERIOD * np.arange(size), signals, origin="a test's plant", synthetic=True)
+    return replace(trace, events=encode(trace, ALPHABET))
+
+
+def _operation(rng: np.random.Generator, size: int) -> tuple[Array, Array, Array]:
+    on, current, pumping = np.zeros(size), np.zeros(size), np.zeros(size)
+    hour = 3600 / PERIOD
+    for begin in range(int(5 * hour), size, int(24 * hour)):
+        at = begin
+        for _ in range(3):
+            end = min(at + int(rng.uniform(2.5, 3.5) * hour), size)
+            on[at:end] = 1
+            while at < end:
+                until = min(end, at + int(rng.uniform(0.3, 0.8) * hour))
+                current[at:until] = rng.choice([150.0, 250.0]) + 5 * rng.standard_normal()
+                pumping[at:until] = rng.random() < 0.6
+                at = until
+            at = end + int(rng.uniform(1.0, 2.0) * hour)
+    return on, current, pumping

@@ -1,0 +1,101 @@
+"""The whole diagnosis on small plants: nothing missing is nothing named, a hidden effect is found, named and added."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.discrepancy.augment import augmented, named_of
+from sim.discrepancy.workflow import Outcome, diagnose
+from sim.learning.structure import LearningError
+from sim.sha.open_loop import open_loop
+from tests.discrepancy.plants import model, plant
+
+
+@pytest.fixture(scope="module")
+def pumped() -> Outcome:
+    return diagnose(model(), [plant(3, pump=2e-4)], seed=0)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
+    found = diagnose(model(), [plant(seed)], seed=0).diagnosis
+    assert found.verdict == "agree", found.sentence
+    assert found.effects == ()
+
+
+def test_moved_parameters_are_a_shift_and_no_missing_effect() -> None:
+    found = diagnose(model(shift=0.06), [plant(4)], seed=0).diagnosis
+    assert found.verdict == "agree"
+    assert {one.location for one in found.shifts if one.parameter == "target"} >= {"LOW", "HIGH"}
+    assert all(one.change < 0 for one in found.shifts if one.parameter == "target" and one.location != "OFF")
+
+
+def test_a_hidden_pump_is_named_with_its_strength_and_the_gap_shrinks(pumped: Outcome) -> None:
+    found = pumped.diagnosis
+    assert (found.verdict, [one.name for one in found.effects]) == ("named", ["pump-cooling"])
+    assert found.effects[0].params["loss"] == pytest.approx(2e-4, rel=0.25)
+    assert found.effects[0].margin > 6
+    held = found.held_out
+    assert held is not None
+    assert held.rmse_after < 0.6 * held.rmse_before
+    assert held.ci95[0] > 0.5
+    assert found.places and found.places[0].location in ("LOW", "HIGH")
+
+
+def test_the_augmented_model_runs_as_the_diagnosis_ran(pumped: Outcome) -> None:
+    assert pumped.fitted is not None
+    fitted = pumped.fitted
+    made = augmented(fitted, name="augmented")
+    assert [effect.kind for effect in made.sha.effects] == ["pump-cooling"]
+    trace = plant(3, pump=2e-4)
+    record = fitted.frame.record
+    cut = trace.between(float(record.runs.time[0]), float(record.runs.time[-1]) + 1.0)
+    start = float(fitted.state.course[0])
+    signals = {**cut.signals, "T": np.concatenate([[start], cut.signals["T"][1:]])}
+    events = tuple(event for event in trace.events if event.time <= cut.times[-1])
+    run = open_loop(made, replace(cut, signals=signals, events=events), policy="resync")
+    ours = np.interp(run.times, record.runs.time, fitted.state.mean)
+    assert np.max(np.abs(run.mean - ours)) < 0.02
+
+
+def test_an_augmented_model_is_diagnosed_again_and_then_agrees(pumped: Outcome) -> None:
+    assert pumped.fitted is not None
+    made = augmented(pumped.fitted)
+    assert [one.entry.name for one in named_of(made)] == ["pump-cooling"]
+    again = diagnose(made, [plant(5, pump=2e-4)], seed=0).diagnosis
+    assert again.verdict == "agree", again.sentence
+
+
+def test_an_offset_of_the_sensor_is_told_from_wear() -> None:
+    found = diagnose(model(), [plant(6, offset=0.8)], seed=0).diagnosis
+    assert [one.name for one in found.effects] == ["sensor-offset-step"]
+    assert found.effects[0].params["size"] == pytest.approx(0.8, abs=0.25)
+
+
+def test_churning_of_another_shape_than_the_catalogues_is_recognised() -> None:
+    found = diagnose(model(), [plant(7, churning=0.006)], seed=0).diagnosis
+    assert [one.name for one in found.effects] == ["startup-churning"]
+
+
+def test_a_cycle_or_two_are_too_little() -> None:
+    found = diagnose(model(), [plant(8, days=1)], seed=0).diagnosis
+    assert found.verdict == "too-little-data"
+    assert "too little" in found.sentence.lower()
+
+
+def test_missing_signals_take_their_effects_off_the_table_and_the_report_says_which(pumped: Outcome) -> None:
+    assert "TFango" in pumped.diagnosis.untested["feed-temperature-coupling"]
+    assert "pump-cooling" not in pumped.diagnosis.untested
+
+
+def test_the_same_seed_gives_the_same_diagnosis(pumped: Outcome) -> None:
+    again = diagnose(model(), [plant(3, pump=2e-4)], seed=0).diagnosis
+    assert again.effects == pumped.diagnosis.effects
+
+
+def test_traces_without_the_temperature_get_a_sentence() -> None:
+    trace = plant(9, days=1)
+    bare = replace(trace, signals={name: column for name, column in trace.signals.items() if name != "T"})
+    with pytest.raises(LearningError, match="no trace has a reading of 'T'"):
+        diagnose(model(), [bare], seed=0)
