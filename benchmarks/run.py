@@ -30,7 +30,10 @@ BENCHMARKS = (
     "campaign",
     "smc",
     "semantics",
+    "verification",
 )
+LONGEST = 600.0
+"""Seconds after which a benchmark is given up: many times what it takes on a quiet machine."""
 WITH_MODEL = frozenset({"latency", "footprint", "campaign"})
 LIBRARIES = ("pymodbus", "numpy", "scipy", "pydantic", "structlog", "click")
 ROOT = Path(__file__).parents[1]
@@ -66,9 +69,9 @@ def machine() -> Machine:
 
 
 def figures_of(name: str, options: Sequence[str]) -> list[Figure]:
-    """Run one benchmark. Raises CalledProcessError when it fails; its words are on standard error then."""
+    """Run one benchmark. Raises SubprocessError when it fails or takes LONGEST; its words are on standard error."""
     command = [sys.executable, "-m", f"benchmarks.{name}", "--json", *options]
-    done = subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    done = subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.PIPE, text=True, timeout=LONGEST)
     return taken(done.stdout)
 
 
@@ -94,7 +97,7 @@ def main(as_json: bool, quick: bool, only: Sequence[str]) -> None:
             options += ["--model-folder", folder] if name in WITH_MODEL else []
             try:
                 found[name] = figures_of(name, options)
-            except subprocess.CalledProcessError:
+            except subprocess.SubprocessError:
                 failed.append(name)
     if as_json:
         plain = {name: [figure.plain() for figure in figures] for name, figures in found.items()}

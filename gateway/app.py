@@ -116,6 +116,7 @@ async def _stopped(gateway: Gateway) -> None:
     await _heard(gateway)
     if gateway.outlook is not None:
         await gateway.outlook.close()
+    await gateway.pickup.close()
     gateway.save(gateway.clock.now())
     await gateway.driver.close()
     complete = await asyncio.to_thread(gateway.historian.close)
@@ -174,6 +175,7 @@ def snapshot(gateway: Gateway) -> dict[str, Any]:
         "values": _values(gateway),
         "prediction": _prediction(gateway),
         "forecast": _forecast(gateway),
+        "model": gateway.model_report(),
         "guards": gateway.guard_report(),
         "events": tally.events,
         "recent_events": [list(event) for event in tally.recent],

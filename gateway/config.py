@@ -74,6 +74,10 @@ class AlarmSection(Section):
     tags: Names = Field((), description="the tags of the temperatures to watch")
     p_limit: float = Field(0.5, gt=0, le=1, description="the probability of passing the limit that is worth an alarm")
     anomaly: float = Field(3.0, gt=0, description="the anomaly score worth an alarm (3: once in a thousand windows)")
+    drift: float | None = Field(
+        None, gt=0, description="degC of a cycle's free-run error that is drift, or no key for the model's own band"
+    )
+    drift_cycles: int = Field(3, ge=1, le=100, description="the cycles running beyond that which are worth an alarm")
 
 
 class HistorianSection(Section):

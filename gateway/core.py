@@ -14,6 +14,7 @@ from gateway.ensemble import Ensemble
 from gateway.guards import Guards
 from gateway.historian import open_historian
 from gateway.outlook import Outlook, block_values
+from gateway.pickup import Pickup, Ready
 from gateway.predict import ZONES, Prediction, Predictor
 from gateway.scan import Scan
 from gateway.startup import (
@@ -57,6 +58,7 @@ class Gateway:
     def _open(self, numbers: dict[str, int]) -> None:
         config, now = self.config, self.clock.now()
         self.predictor, self.outlook, self.guards = self._new_model()
+        self.pickup = Pickup(config, self.loaded)
         for one in (self.loaded, *self.members):
             if one is not None and one.warning:
                 self.log.warning("a model runs that does not verify", reason=one.warning)
@@ -78,20 +80,24 @@ class Gateway:
         self._clamped = False
         self._saved = self._cleaned = now
         self._restore(now)
-        name = self.loaded.hash if self.loaded else ""
+        self._begin_run(now)
+
+    def _begin_run(self, now: float) -> None:
+        config, name = self.config, self.loaded.hash if self.loaded else ""
         run = (now, config.model.temperature, name, config.scan.period, config.historian.max_interval)
         self.historian.put("runs", [run])
 
-    def _new_model(self) -> tuple[Predictor | None, Outlook | None, Guards | None]:
+    def _new_model(self, ready: Predictor | None = None) -> tuple[Predictor | None, Outlook | None, Guards | None]:
+        """All that follows the loaded model, begun anew; `ready` is a predictor of it that has followed scans."""
         if self.loaded is None:
             return None, None, None
         config, period = self.config, self.config.scan.period
-        predictor = Predictor(self.loaded.model, config.model.temperature)
+        predictor = ready or Predictor(self.loaded.model, config.model.temperature)
         models = [one.model for one in self.members]
         hashes = [one.hash for one in (self.loaded, *self.members)]
         ensemble = Ensemble(predictor, hashes, models, config.ensemble, config.forecast, period) if models else None
         outlook = Outlook(predictor, config.forecast, config.alarms.limit, period, ensemble)
-        return predictor, outlook, Guards(self.loaded.model, config.forecast.horizons)
+        return predictor, outlook, Guards(self.loaded.model, config.forecast.horizons, config.alarms.drift)
 
     # ---------------------------------------------------------------- one scan
 
@@ -104,12 +110,49 @@ class Gateway:
         self._alarm({f"over limit {name}": scan.good(name) for name in self.config.watched}, scan.time)
         self.historian.put("scans", [records.scan_row(scan)])
         self.historian.put("samples", self.keeper.rows(scan))
+        self._pick_up(scan.time)
         made = self._predict(scan)
         self._alarm(self._findings(scan, made), scan.time)
         await self._write_back(scan, made)
         self._foresee(scan)
+        self.pickup.keep(scan)
+        self.pickup.look(scan.time, [one.hash for one in self.members])
         if scan.time - self._saved >= SAVE_SECONDS:
             self.save(scan.time)
+
+    def _pick_up(self, now: float) -> None:
+        """Let a model that was promoted meanwhile take over, between two scans and two forecasts."""
+        refused = self.pickup.collect()
+        found = None if self.outlook is None or self.outlook.busy else self.pickup.taken()
+        if isinstance(found, Ready):
+            self._take_over(found, now)
+        elif found or refused:
+            reason = found or refused
+            self.log.error("the promoted model is refused and the former one goes on", reason=reason)
+            self.historian.put("audit", [(now, "promoted model refused", self.pickup.running, reason)])
+
+    def _take_over(self, found: Ready, now: float) -> None:
+        """The other models of an ensemble go on as they are; what their evidence was held against begins anew."""
+        others = self.outlook.ensemble.members if self.outlook and self.outlook.ensemble else []
+        former, self.loaded = self.loaded, found.loaded
+        self.predictor, self.outlook, self.guards = self._new_model(found.predictor)
+        if self.outlook is not None and self.outlook.ensemble is not None:
+            self.outlook.ensemble.members = others
+        self.conditions = make_conditions(self.config, found.predictor.inputs)
+        self._clamped = False
+        self._begin_run(now)
+        version, before = found.loaded.version, former.version if former else ""
+        self.historian.put("audit", [(now, f"model {version} runs", version, f"promoted; {before} ran before")])
+        self.log.info("a promoted model runs from now on", version=version, before=before, hash=found.loaded.hash)
+        if found.loaded.warning:
+            self.log.warning("a model runs that does not verify", reason=found.loaded.warning)
+
+    def model_report(self) -> dict[str, Any] | None:
+        """The model that runs, and why the newest promotion does not, as plain values; None without a model."""
+        one = self.loaded
+        if one is None:
+            return None
+        return {"name": one.model.sha.name, "hash": one.hash, "version": one.version, "refused": self.pickup.refused}
 
     def _watch_link(self, scan: Scan) -> None:
         good = any(sample.quality.is_good for sample in scan.samples.values())
@@ -169,7 +212,8 @@ class Gateway:
             while self.outlook.ensemble and self.outlook.ensemble.complaints:
                 name, reason = self.outlook.ensemble.complaints.pop(0)
                 self.log.warning("a model of the ensemble failed and is left out for now", member=name, reason=reason)
-            self.outlook.begin(scan.time, known=p.known and p.inputs_good, measured=p.measured)
+            if self.pickup.ready is None:  # a model that waits takes over between two forecasts
+                self.outlook.begin(scan.time, known=p.known and p.inputs_good, measured=p.measured)
 
     def _findings(self, scan: Scan, made: Forecast | None) -> dict[str, float | None]:
         """What the alarms beside the threshold look at; None where it is not known."""
@@ -182,6 +226,7 @@ class Gateway:
             "predicted over limit": limit,
             "anomaly": p.anomaly if p.known and p.inputs_good else None,
             "review": float(self.guards.flagged) if self.guards and p.known and p.inputs_good else None,
+            "drift": float(self.guards.drift.running) if self.guards else None,
             "inputs bad": float(p.worst),
         }
 

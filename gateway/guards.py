@@ -1,9 +1,10 @@
-"""The guards of the model while it runs: 3-sigma reviews of its predictions, and how often it left its range."""
+"""The guards of the model while it runs: 3-sigma reviews of its predictions, its drift, how often it left its range."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from gateway.drift import Drift, follow_cycle, restored, rule_of
 from gateway.predict import Prediction, Predictor
 from sim.sha.calibration import Calibration
 from sim.sha.forecast import Forecast
@@ -11,14 +12,19 @@ from sim.sha.model import Model
 from sim.sha.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, share
 
 _Z90 = 1.6448536269514722
-INNOVATIONS = "one step"
+INNOVATIONS, DRIFT = "one step", "drift"
 
 
 class Guards:
-    """Reviews by what is looked at: the one-step prediction, and the forecasts of each horizon ("60 s")."""
+    """Reviews by what is looked at: the one-step prediction, and the forecasts of each horizon ("60 s").
 
-    def __init__(self, model: Model, horizons: tuple[float, ...]) -> None:
+    `drift` follows the free run from cycle to cycle, against `limit` (degC) or the model's own band (None).
+    """
+
+    def __init__(self, model: Model, horizons: tuple[float, ...], limit: float | None = None) -> None:
         self.model = model
+        self.drift = Drift()
+        self._rule = rule_of(model, limit)
         self.reviews = {INNOVATIONS: Review()} | {f"{horizon:g} s": Review() for horizon in horizons}
         self.forecast_clamps = 0
         self.forecasts_clamped = 0
@@ -27,6 +33,8 @@ class Guards:
     def look(self, prediction: Prediction, calibration: Calibration) -> None:
         """Take a scan's reading in, before `calibration` settles it. Without a good reading nothing is learned."""
         p = prediction
+        if self._rule is not None:
+            self.drift = follow_cycle(self._rule, self.drift, p)
         if p.measured is None:
             return
         if p.mean is not None and p.high is not None and p.high > p.mean:
@@ -52,6 +60,7 @@ class Guards:
         correction = self.model.correction
         return {
             "review": self.flagged,
+            "drift": {"cycles": self.drift.running, "error": self.drift.error, "limit": self.drift.limit},
             "reviews": {name: _plain(name, review) for name, review in self.reviews.items()},
             "clamps": {
                 "belief": belief,
@@ -63,12 +72,13 @@ class Guards:
         }
 
     def snapshot(self) -> dict[str, Any]:
-        """The reviews as JSON can carry them."""
-        return {name: asdict(review) for name, review in self.reviews.items()}
+        """The reviews and the drift as JSON can carry them."""
+        return {name: asdict(review) for name, review in self.reviews.items()} | {DRIFT: asdict(self.drift)}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from a snapshot, for what is still looked at. Raises TypeError for what `snapshot` did not write."""
         self.reviews |= {name: Review(**one) for name, one in saved.items() if name in self.reviews}
+        self.drift = restored(saved[DRIFT]) if DRIFT in saved else self.drift
 
 
 def _plain(name: str, review: Review) -> dict[str, Any]:

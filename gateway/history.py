@@ -1,10 +1,12 @@
 """Reading a historian: prediction beside measurement, forecasts beside what came, and back to traces to learn from."""
 
 import json
+import re
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from math import nan
 from pathlib import Path
 
@@ -14,6 +16,9 @@ from drivers.tag import Quality, Sample
 from gateway.historian import HistorianError
 from gateway.schema import APPLICATION_ID
 from sim.sha.trace import Array, Event, Mask, Trace
+
+SPANS = {"d": 86_400.0, "h": 3600.0, "m": 60.0, "s": 1.0}
+"""Seconds of a span's unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,14 +147,49 @@ def to_trace(path: Path, name: str = "historian", start: float = -1e18, end: flo
         times = np.array([row[0] for row in clock], dtype=float)
         signals: dict[str, Array] = {}
         bad: dict[str, Mask] = {}
+        reach = connection.execute("SELECT max(max_interval + 10 * period) FROM runs").fetchone()[0] or 3600.0
         for number, tag in connection.execute("SELECT id, name FROM tags ORDER BY id").fetchall():
             rows = connection.execute(
-                "SELECT time, value, quality FROM samples WHERE tag = ? AND typeof(value) != 'text' ORDER BY time",
-                (number,),
+                "SELECT time, value, quality FROM samples WHERE tag = ? AND time >= ? AND time < ? "
+                "AND typeof(value) != 'text' ORDER BY time",
+                (number, start - reach, end),
             ).fetchall()
             if rows:
                 signals[tag], bad[tag] = _column(times, rows)
     return Trace(name, times, signals, bad=bad, origin=str(path))
+
+
+def recent(path: Path, since: str) -> Trace:
+    """The measurements `since` a time (ISO 8601, UTC where it names no zone) or over the last span (7d, 36h, 90m, 30s).
+
+    A span ends with the newest scan. Raises HistorianError, and ValueError for another `since` or where there is
+    nothing after it.
+    """
+    with reading(path) as connection:
+        first, last = connection.execute("SELECT min(time), max(time) FROM scans").fetchone()
+    if last is None:
+        raise ValueError(f"{path}: this historian has no scan yet; let the gateway run first")
+    start = _moment(since, float(last))
+    trace = to_trace(path, start=start)
+    if trace.times.size < 2:
+        raise ValueError(f"{path}: there is nothing since {since}; it has {_date(first)} to {_date(last)}")
+    return trace
+
+
+def _moment(since: str, last: float) -> float:
+    """Seconds UTC."""
+    span = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([dhms])", since.strip())
+    if span is not None:
+        return last - float(span[1]) * SPANS[span[2]]
+    try:
+        moment = datetime.fromisoformat(since.strip())
+    except ValueError:
+        raise ValueError(f"{since!r} is neither a time nor a span; give one like 2026-03-01T06:00, 7d or 36h") from None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def _date(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M")
 
 
 def _column(times: Array, rows: list[tuple[float, float | None, int]]) -> tuple[Array, Mask]:

@@ -53,6 +53,11 @@ class Outlook:
         self._void = False
         self._measured: float | None = None
 
+    @property
+    def busy(self) -> bool:
+        """Whether a forecast is being made, or waits to be collected."""
+        return self._task is not None
+
     def settle(self, time: float, measured: float | None) -> None:
         """A reading came (or did not): forecasts that were due are scored, and the bands learn."""
         self.calibration = settle(self.calibration, time, float("nan") if measured is None else measured)

@@ -1,13 +1,23 @@
 """From scans to what the model expects: events, belief, a prediction for every scan, the free run beside it."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from math import sqrt
 from typing import Any, Literal
 
 from drivers.tag import Quality
 from gateway.scan import Scan
-from sim.sha.belief import Belief, Innovation, advance, anomaly, observe, on_event, start, with_inputs
+from sim.sha.belief import (
+    Belief,
+    advance,
+    anomaly,
+    belief_of,
+    observe,
+    on_event,
+    restarted,
+    start,
+    with_inputs,
+)
 from sim.sha.events import Encoder, EncoderState, Switch
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event
@@ -54,6 +64,7 @@ class Prediction:
     zone: Zone
     events: tuple[Event, ...]
     reset: bool
+    free_sigma: float | None = None
 
 
 class Predictor:
@@ -119,6 +130,7 @@ class Predictor:
             zone=_zone(score, len(self.belief.recent)) if usable else "none",
             events=tuple(events),
             reset=any(event.symbol == UNKNOWN for event in events),
+            free_sigma=None if free_run is None or self.free is None else sqrt(self.free.xx + self.tracker.sensor),
         )
 
     def _expected(self, time: float, events: list[Event], signals: Mapping[str, float]) -> Belief:
@@ -140,7 +152,7 @@ class Predictor:
             if measured is None or None in self.encoder.state.announced:
                 self.free = None
                 return None
-            self.free = replace(expected, x=measured, xx=self.tracker.sensor, xm=0.0, seen=True, clamps=0)
+            self.free = restarted(self.tracker, expected, measured)
             self._restart = False
             return None
         if self.free is None:
@@ -173,20 +185,15 @@ class Predictor:
 
         Raises KeyError, TypeError or ValueError for a snapshot of another alphabet or model.
         """
-        belief = _belief(saved["belief"])
+        belief = belief_of(saved["belief"])
         if not 0.0 <= now - belief.time <= self.model.alphabet.gap or belief.location not in self._index:
             return False
         encoder: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in saved["encoder"].items()}
         self.encoder = Encoder(self.model.alphabet, state=EncoderState(**encoder))
         self.belief = belief
-        self.free = _belief(saved["free"]) if saved["free"] else None
+        self.free = belief_of(saved["free"]) if saved["free"] else None
         self._restart = self.free is None
         return True
-
-
-def _belief(saved: Mapping[str, Any]) -> Belief:
-    last = Innovation(**saved["last"]) if saved["last"] else None
-    return Belief(**{**saved, "last": last, "recent": tuple(saved["recent"]), "signals": dict(saved["signals"])})
 
 
 def _zone(score: float, errors: int) -> Zone:

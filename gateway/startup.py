@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from shlex import join
 from typing import Any
 
 import structlog
@@ -18,7 +19,7 @@ from gateway.predict import Predictor
 from gateway.quality import STALE_PERIODS
 from gateway.writeback import Arming, Writer
 from sim.artefacts.model_json import model_hash
-from sim.artefacts.store import forced, read_model
+from sim.artefacts.store import current, forced, is_store, load, read_model
 from sim.checking.verify import verify
 from sim.sha.model import Model
 
@@ -26,16 +27,22 @@ _HERE = frozenset({"soft"})
 """Drivers without an address: everything that they need stands in the device's own file."""
 
 
+DRIFT_SINCE = "14d"
+"""The span of the historian that a diagnosis is offered for: ten cycles or more of a plant that runs every day."""
 REVIEW = "the readings lie beyond 3 sigma of the model too often: look at the sensor, then learn or correct the model"
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedModel:
-    """A model, the SHA-256 of its content, and a sentence where it runs although it does not verify."""
+    """A model, the SHA-256 of its content, and a sentence where it runs although it does not verify.
+
+    `version` is the store's that it was, "" for a model that comes from no store.
+    """
 
     model: Model
     hash: str
     warning: str = ""
+    version: str = ""
 
 
 def load_model(config: Config) -> LoadedModel | None:
@@ -66,9 +73,10 @@ def load_members(config: Config, first: LoadedModel | None) -> tuple[LoadedModel
 def _load(config: Config, path: Path, key: str) -> LoadedModel:
     """The model at `path`, which the configuration gives under `key`."""
     try:
-        model = read_model(path)
+        version = current(path) if is_store(path) else ""
+        model = load(path, version) if version else read_model(path)
         predictor = Predictor(model, config.model.temperature)
-        problem, warning = _unverified(config, model, path, key)
+        problem, warning = _unverified(config, model, path, key, version)
     except (OSError, ValueError) as error:
         raise ConfigError([f"{config.path}: {key}: {error}"]) from None
     problems = [problem] if problem else []
@@ -83,10 +91,10 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
     ]
     if problems:
         raise ConfigError([f"{config.path}: {problem}" for problem in problems])
-    return LoadedModel(model, model_hash(model), warning)
+    return LoadedModel(model, model_hash(model), warning, version)
 
 
-def _unverified(config: Config, model: Model, path: Path, key: str) -> tuple[str, str]:
+def _unverified(config: Config, model: Model, path: Path, key: str, version: str) -> tuple[str, str]:
     """(why the model is not run, what to say when it is run all the same); both empty for a deployable one.
 
     One that was promoted by force is run, but nothing of it is written to a plant. Raises ArtefactError.
@@ -94,9 +102,9 @@ def _unverified(config: Config, model: Model, path: Path, key: str) -> tuple[str
     reason = "; ".join(verify(model).reasons)
     if not reason:
         return "", ""
-    force = forced(path)
+    force = forced(path, version) if version else None
     if force is None:
-        remedy = f"see `decanter model verify {path}`, mend the model, or leave {key} out to run without it"
+        remedy = f"see `decanter model verify {path}`, give another model, or leave {key} out to run without it"
         return f"{key}: the model at {path} is not run, as it does not verify: {reason}; {remedy}", ""
     said = f"the model at {path} does not verify ({reason}); {force.by} promoted it by force: {force.reason}"
     if config.writeback.mode == "armed":
@@ -140,9 +148,18 @@ def make_conditions(config: Config, inputs: tuple[str, ...]) -> dict[str, Condit
             Condition("predicted over limit", config.model.temperature, 1, a.p_limit, a.p_limit / 2, 0.0, a.off_delay),
             Condition("anomaly", config.model.temperature, 2, a.anomaly, a.anomaly / 3, 0.0, a.off_delay, 3),
             Condition("review", config.model.temperature, 5, 0.5, 0.0, 0.0, a.off_delay, 3, REVIEW),
+            Condition("drift", config.model.temperature, 3, a.drift_cycles - 0.5, priority=3, response=_offer(config)),
         ]
     bad = Condition("inputs bad", ", ".join(inputs), 4, 0.5, 0.0, STALE_PERIODS * period, 0.0)
     return {condition.name: condition for condition in (*conditions, bad)}
+
+
+def _offer(config: Config) -> str:
+    """What an operator is told when the model drifts: the command that diagnoses the historian's recent cycles."""
+    command = ["decanter", "diagnose", "--model", str(config.model.path), "--historian", str(config.historian.path)]
+    command += ["--since", DRIFT_SINCE, "--out", str(config.historian.path.parent / "diagnosis")]
+    said = f"the model's free run is beyond its limit on {config.alarms.drift_cycles} cycles running"
+    return f"{said}; find out what has changed with: {join(command)}"
 
 
 def restored_alarms(

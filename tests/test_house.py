@@ -57,7 +57,9 @@ def modules_imported_by(code: str) -> set[str]:
     return set(done.stdout.splitlines()[-1].split())
 
 
-@pytest.mark.parametrize("command", [[], ["model"], *(["model", name] for name in COMMANDS)], ids=" ".join)
+@pytest.mark.parametrize(
+    "command", [[], ["diagnose"], ["model"], *(["model", name] for name in COMMANDS)], ids=" ".join
+)
 def test_help_imports_nothing_heavy(command: list[str]) -> None:
     code = (
         "from click.testing import CliRunner\n"

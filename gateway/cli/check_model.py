@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gateway.cli.options import finite, json_option, map_option, picture_option
-from gateway.cli.output import Exit, emit, progress, sentences
+from gateway.cli.output import Exit, emit, progress, sentences, table
 from gateway.cli.traces import load
 
 if TYPE_CHECKING:
@@ -232,7 +232,7 @@ def _plain(found: "Answer", text: str, csv: Path | None, picture: Path | None) -
         "runs": found.runs,
         "seed": found.seed,
         "start": found.start,
-        "levels": list(found.levels),
+        "levels": [{"temperature": level, "chance": chance} for level, chance in found.levels],
         "notes": list(found.notes),
         "csv": csv and str(csv),
         "picture": picture and str(picture),
@@ -240,18 +240,31 @@ def _plain(found: "Answer", text: str, csv: Path | None, picture: Path | None) -
 
 
 def _say(found: "Answer", text: str, csv: Path | None, picture: Path | None) -> None:
-    """The answer on one screen."""
+    """The answer on one screen: what was asked, the answer, how it came about, what limits it."""
     click.echo(text)
     click.secho(f"  {found.sentence}", bold=True)
-    if found.kind == "simulation":
-        for name, number in found.numbers.items():
-            click.echo(f"  {name}: {number:.6g}")
+    _say_rows(found)
+    click.echo(f"  method   {found.rule}")
     if found.runs:
-        click.echo(f"  rule   {found.rule}; {found.runs} runs, seed {found.seed}")
+        click.echo(f"  runs     {found.runs}, seed {found.seed}")
     if found.start:
-        click.echo(f"  start  {found.start}")
+        click.echo(f"  start    {found.start}")
     for note in found.notes:
-        click.echo(f"  note   {note}")
+        click.echo(f"  note     {note}")
     for name, path in (("csv", csv), ("picture", picture)):
         if path is not None:
             click.echo(f"{name}: {path}")
+
+
+def _say_rows(found: "Answer") -> None:
+    """The figures of a simulation's expressions, or the levels of importance splitting."""
+    from sim.checking.query import Simulation
+
+    if isinstance(found.query, Simulation):
+        kinds = ("least", "greatest", "mean at the end")
+        rows = [[label, *(f"{found.numbers[f'{label}: {kind}']:.5g}" for kind in kinds)] for label in found.query.labels]
+        table("courses", ["expression", *kinds], rows)
+    if found.levels:
+        chance = found.numbers.get("violation", found.numbers["probability"])
+        rows = [[f"{level:.4g} °C", f"{share:.2e}"] for level, share in found.levels]
+        table("way", ["level", "chance to reach it"], [*rows, ["the event", f"{chance:.2e}"]])

@@ -47,17 +47,48 @@ INTERRUPTED = 130
     "[default: the whole trace, in 34 s or as long as it takes]",
 )
 @seed_option
-@click.option("--out", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True)
+@click.option("--discrepancy", is_flag=True, help="The other demonstration: a hidden effect is found, named and added.")
+@click.option("--out", type=click.Path(path_type=Path), help="[default: out/demo, out/demo-discrepancy]")
 @click.option("--json", "as_json", is_flag=True, help="Only one JSON object at the end.")
 def demo(
-    paths: Sequence[str], map_name: str, limit: float | None, seconds: float | None, seed: int, out: Path, as_json: bool
+    paths: Sequence[str],
+    map_name: str,
+    limit: float | None,
+    seconds: float | None,
+    seed: int,
+    discrepancy: bool,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
     """Run the main job end to end: PLC over Modbus TCP, events, prediction, registers written back.
 
     A software PLC replays a trace and the gateway reads it over a real socket, as two processes. The model is learned
     before: from three synthetic days for 56 minutes of another one, or from the first 60 % of a trace of yours for
     the rest. Half way the PLC refuses its connections for two seconds.
+
+    With --discrepancy: a model is learned, then something in its (simulated) plant changes that it knows nothing of.
+    Where they disagree is found, the missing effect named and added, and the error on new days shown before and after.
     """
+    if discrepancy:
+        if paths or limit is not None or seconds is not None:
+            raise click.UsageError("--discrepancy simulates its own plant; leave --trace, --limit and --seconds out")
+        from gateway.cli.demo_gap import demonstrate
+
+        demonstrate(seed, out or Path("out/demo-discrepancy"), as_json=as_json)
+        return
+    _main_job(paths, map_name, limit, seconds, seed, out or Path("out/demo"), as_json=as_json)
+
+
+def _main_job(
+    paths: Sequence[str],
+    map_name: str,
+    limit: float | None,
+    seconds: float | None,
+    seed: int,
+    out: Path,
+    *,
+    as_json: bool,
+) -> None:
     from rich.console import Console
 
     from gateway.demo.folder import held

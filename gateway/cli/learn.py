@@ -10,6 +10,7 @@ import click
 from gateway.cli.options import json_option, map_option, seed_option
 from gateway.cli.output import emit, progress, sentences, table
 from gateway.cli.show import show_model, summary
+from gateway.cli.threads import one_thread
 from gateway.cli.traces import load
 
 if TYPE_CHECKING:
@@ -31,7 +32,9 @@ REPORT = "learning_report"
 @seed_option
 @click.option("--delta", type=click.FloatRange(0.0), help="lsha: merge tolerance, share of the parameters' spread.")
 @click.option("--default-flow", type=click.Choice(FLOWS), help="lsha: the flow of all locations to begin with.")
-@click.option("--memory", type=click.Choice(["context", "direction", "previous"]), help="lsha: what rare words share.")
+@click.option(
+    "--memory", type=click.Choice(["context", "direction", "previous", "word"]), help="lsha: what rare words share."
+)
 @click.option("--n-min", type=click.IntRange(2), help="lsha: segments below which a word says nothing by itself [5].")
 @click.option("--alpha", type=click.FloatRange(0, 1, min_open=True, max_open=True), help="lsha: error rate [0.05].")
 @click.option("--split", type=click.IntRange(2), help="lsha: parts of the traces, each held out once [5].")
@@ -56,6 +59,7 @@ def learn(
     `lsha`: L*_SHA. Words of events that the traces do not tell apart lead to one location; flow, memory and merge
     tolerance are chosen by the held-out likelihood unless given. The directory gets a learning report besides.
     """
+    one_thread()
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     settings |= {"complete": False} if observed_edges else {}
     with sentences(), progress(f"learning ({method})") as report:

@@ -18,6 +18,10 @@ COMMANDS: Table = {
         "gateway.cli.emulate:emulate",
         "Start the software PLC, which replays a trace, as a process of its own.",
     ),
+    "diagnose": (
+        "gateway.cli.diagnose:diagnose",
+        "Find where a model and traces disagree, name what is missing, add it, prove it.",
+    ),
     "trace": ("gateway.cli.trace:trace", "Make and look at traces."),
     "model": ("gateway.cli.model:model", "The model laboratory: learn, validate, check and export models."),
 }

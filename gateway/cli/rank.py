@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gateway.cli.interrupt import STOPPED, interruptible
 from gateway.cli.options import json_option, map_option, seed_option
-from gateway.cli.output import emit, progress, sentences, table
+from gateway.cli.output import emit, fail, progress, sentences, table
 from gateway.cli.places import shipped
 
 if TYPE_CHECKING:
@@ -110,14 +111,17 @@ def rank(
 
     if bool(paths) == bool(folders) or (paths and not models):
         raise click.UsageError("Give MODEL... with --traces, or --results of an earlier campaign.")
-    with sentences(), progress("ranking") as report:
-        if picture is not None:
-            check_picture(picture)
-        used, bounds = Weights(*weights), limits_of(limits, synthetic=allow_synthetic)
-        wish = Campaign(models, paths, folders, shipped("traces", map_name), wanted, training, runs, jobs, seed)
-        seen = compared(wish, report)
-        found = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed)
-        data = _written(found, seen, page, picture)
+    try:
+        with sentences(), progress("ranking") as bar, interruptible(bar) as report:
+            if picture is not None:
+                check_picture(picture)
+            used, bounds = Weights(*weights), limits_of(limits, synthetic=allow_synthetic)
+            wish = Campaign(models, paths, folders, shipped("traces", map_name), wanted, training, runs, jobs, seed)
+            seen = compared(wish, report)
+            found = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed)
+            data = _written(found, seen, page, picture)
+    except KeyboardInterrupt:
+        fail("stopped before the end; nothing was written", STOPPED)
     emit(data, lambda: _show(found, page, picture), as_json_line=as_json)
 
 

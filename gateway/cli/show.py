@@ -75,6 +75,16 @@ def summary(shown: "Model") -> dict[str, Any]:
         "correction": {"gain": shown.correction.gain, "offset": shown.correction.offset},
         "locations": _location_rows(shown.sha, shown.semi_markov),
         "edges": len(shown.sha.edges),
+        "effects": [
+            {
+                "kind": effect.kind,
+                "params": dict(effect.params),
+                "signals": dict(effect.signals),
+                "locations": list(effect.locations),
+                "event": effect.event,
+            }
+            for effect in shown.sha.effects
+        ],
         "provenance": {
             "method": shown.provenance.method,
             "data_hash": shown.provenance.data_hash,
@@ -104,7 +114,9 @@ def _location_rows(sha: "SHA", stays: "Mapping[str, Stay]") -> list[dict[str, An
 
 
 def show_model(shown: "Model") -> None:
-    """Print the model's locations and where it comes from."""
+    """Print the model's locations, its effects and where it comes from."""
+    from sim.sha.effects import told
+
     rows = _location_rows(shown.sha, shown.semi_markov)
     columns = list(rows[0])
     table(
@@ -112,6 +124,8 @@ def show_model(shown: "Model") -> None:
         columns,
         [list(row.values()) for row in rows],
     )
+    for effect in shown.sha.effects:
+        click.echo(f"effect {told(effect)}")
     origin = shown.provenance
     click.echo(f"temperature {shown.temperature}, sensor sigma {shown.sensor_sigma:.3g} °C, method {origin.method}")
     if shown.calibration:

@@ -1,18 +1,16 @@
 """`decanter model tune`: the best settings of a learning method by cross-validation over traces, resumable."""
 
-import signal
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from gateway.cli.interrupt import STOPPED, interruptible
 from gateway.cli.options import json_option, map_option, seed_option
 from gateway.cli.output import emit, progress, sentences, table
+from gateway.cli.threads import one_thread
 from gateway.cli.traces import load
 
 if TYPE_CHECKING:
@@ -20,10 +18,7 @@ if TYPE_CHECKING:
     from sim.validation.column_map import ColumnMap
     from sim.validation.tuning import Objective, Plan, Tuning
 
-Report = Callable[[str, float], None]
 SHOWN = 10
-STOPPED = 130
-"""The exit code after Control-C, as a shell gives it."""
 
 
 @click.command(short_help="Search a learning method's best settings by cross-validation over traces.")
@@ -74,6 +69,7 @@ def tune(
     standard error, paired by trace. A search that was stopped or killed goes on with the same command; a study of
     other traces, another method or other settings is refused.
     """
+    one_thread()
     from sim.validation.tuning import Plan
     from sim.validation.tuning import tune as searched
 
@@ -96,37 +92,6 @@ def tune(
             report("learning with the best settings", 1.0)
             written = _write(found, traces, column_map, plan, name, out)
     _tell(found, plan, study, written, as_json=as_json)
-
-
-@contextmanager
-def interruptible(report: Report) -> Iterator[Report]:
-    """A report that raises KeyboardInterrupt when Control-C was pressed and the exception never arrived.
-
-    Python drops an exception that a signal raises inside a destructor or a weak reference's callback, and says so with
-    a traceback: that is kept quiet here, and the search ends with the present trial.
-    """
-    pressed: list[int] = []
-
-    def press(number: int, _frame: FrameType | None) -> None:
-        pressed.append(number)
-        raise KeyboardInterrupt
-
-    def checked(what: str, share: float) -> None:
-        if pressed:
-            raise KeyboardInterrupt
-        report(what, share)
-
-    def dropped(what: "sys.UnraisableHookArgs") -> None:
-        if what.exc_type is not KeyboardInterrupt:
-            loud(what)
-
-    loud, sys.unraisablehook = sys.unraisablehook, dropped
-    before = signal.signal(signal.SIGINT, press)
-    try:
-        yield checked
-    finally:
-        signal.signal(signal.SIGINT, before)
-        sys.unraisablehook = loud
 
 
 def _traces(paths: Sequence[str], map_name: str, *, cycles: bool) -> "tuple[list[Trace], ColumnMap]":

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gateway.cli.interrupt import STOPPED, interruptible
 from gateway.cli.options import json_option, map_option, seed_option
 from gateway.cli.output import Exit, emit, fail, progress, sentences, table
 from gateway.cli.places import shipped
@@ -35,7 +36,11 @@ TOLD = 5
     show_default=True,
     help="The temperature is carried over events (own) or drawn on entry (thesis); both side by side.",
 )
-@click.option("--training", multiple=True, help="Traces that give the thesis semantics its entry laws.")
+@click.option(
+    "--training",
+    multiple=True,
+    help="Traces to learn `bins` or `lsha` from, and to give the thesis semantics its entry laws.",
+)
 @click.option(
     "--policy",
     type=click.Choice(["reject", "ignore", "resync"]),
@@ -67,19 +72,25 @@ def validate(
 ) -> None:
     """Validate models along measured traces: artefacts checked, every event followed, open-loop runs compared.
 
-    MODEL is a model directory, a store, STORE@VERSION, a model.json, or DIR/NAME of a set of artefacts. --out gets the
-    record of each of the nine stages, results as JSON and CSV, pictures, one HTML report a model and an index. A trace
-    that fails is reported and the others go on; the exit code is 1 only when nothing could be simulated.
+    MODEL is a model directory, a store, STORE@VERSION, a model.json, or DIR/NAME of a set of artefacts; `bins` or
+    `lsha`, where nothing of that name is there, is learned from --training first. --out gets the record of each of the
+    nine stages, results as JSON and CSV, pictures, one HTML report a model and an index. A trace that fails is reported
+    and the others go on; the exit code is 1 only when nothing could be simulated.
     """
-    from gateway.cli.validation import Request, campaign
-    from sim.validation.trace_run import Settings
+    try:
+        with sentences(), progress("validating") as bar, interruptible(bar) as report:
+            from gateway.cli.validation import Request, campaign
+            from sim.validation.trace_run import Settings
 
-    place, settings = shipped("traces", map_name), Settings(runs, policy, seed)
-    request = Request(
-        models, paths, place, out, overwrite, wanted, training, settings, jobs, address, pictures, time.time()
-    )
-    with sentences(), progress("validating") as report:
-        _, results = campaign(request, _quiet if as_json else click.echo, report)
+            place, settings = shipped("traces", map_name), Settings(runs, policy, seed)
+            request = Request(
+                models, paths, place, out, overwrite, wanted, training, settings, jobs, address, pictures, time.time()
+            )
+            _, results = campaign(request, _quiet if as_json else click.echo, report)
+    except KeyboardInterrupt:
+        begun = (out / "campaign.json").is_file()
+        left = f"what was done lies in {out}, and --overwrite begins anew there" if begun else "nothing was written"
+        fail(f"stopped before the end; {left}", STOPPED)
     emit(_data(out, results), lambda: _show(out, results), as_json_line=as_json)
     if all(one.failure for one in results):
         fail(f"no model could be run along any trace; {results[0].trace}: {results[0].failure}", Exit.CHECK_FAILED)

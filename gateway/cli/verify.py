@@ -7,9 +7,11 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from gateway.cli.options import finite, json_option, map_option
 from gateway.cli.output import Exit, emit, sentences, table
+from gateway.cli.places import shipped
 from gateway.cli.traces import load
 
 if TYPE_CHECKING:
@@ -18,7 +20,9 @@ if TYPE_CHECKING:
     from sim.checking.verify import Check, Verification
     from sim.checking.word import TimedWord
     from sim.sha.schedule import Policy
+    from sim.validation.column_map import ColumnMap
 
+GROWS = "A flow that relaxes cannot grow: learn with --method bins, or with --method lsha --default-flow exponential."
 STAYS, CASES, WIDTH = 12, 4, 150
 """What the text shows of a counterexample and of a check's cases, and signs a case; --json has all of them."""
 
@@ -101,19 +105,28 @@ def verify(
     from sim.checking.envelope import Assumptions
 
     with sentences():
-        traces, column_map = load(paths, map_name) if paths else ([], None)
+        traces, column_map = load(paths, map_name) if paths else ([], _named_map(map_name))
         if column_map is None:
             found = find_model(model)
         else:
             found = find_model(model, alphabet=column_map.alphabet, temperature=column_map.temperature)
         assumptions = Assumptions(z, sojourn, inputs, start, policy, not known)
         result = _verified(found, traces, bounds, assumptions)
-        words = [word for check in result.checks for word in check.words]
-        if out is not None and words:
-            _save(out, words[0])
+        worst = _counterexample(result)
+        if out is not None and worst is not None:
+            _save(out, worst[1])
     emit(plain(result, found), lambda: _show(result, found, model, out), as_json_line=as_json)
     if not result.deployable:
         sys.exit(Exit.CHECK_FAILED)
+
+
+def _named_map(map_name: str) -> "ColumnMap | None":
+    """The column map, if it was named: artefacts take their alphabet from it, also without a trace."""
+    if click.get_current_context().get_parameter_source("map_name") is not ParameterSource.COMMANDLINE:
+        return None
+    from sim.validation.column_map import load_map
+
+    return load_map(shipped("traces", map_name))
 
 
 def _verified(
@@ -175,11 +188,20 @@ def _show(result: "Verification", found: "Found", model: str, out: Path | None) 
         _show_check(one)
     if result.bounds is not None:
         click.echo(f"assumed: {'; '.join(result.assumptions)}")
-    words = [word for one in result.checks for word in one.words]
-    if words:
-        _show_word(words[0], model, out)
-    said = "deployable" if result.deployable else f"NOT deployable: {'; '.join(one.name for one in _against(result))}"
-    click.secho(said, fg="green" if result.deployable else "red", bold=True)
+    worst = _counterexample(result)
+    if worst is not None:
+        _show_word(*worst, model, out)
+    against = [one.name for one in _against(result)]
+    said = f"NOT deployable: {'; '.join(against)}" if against else "deployable"
+    click.secho(said, fg="red" if against else "green", bold=True)
+    if "growth" in against and result.executable:
+        click.echo(GROWS)
+
+
+def _counterexample(result: "Verification") -> "tuple[str, TimedWord] | None":
+    """(check, word) of the first counterexample: one that decides comes before one that only informs."""
+    ordered = sorted(result.checks, key=lambda one: not one.blocking)
+    return next(((one.name, word) for one in ordered for word in one.words), None)
 
 
 def _against(result: "Verification") -> "list[Check]":
@@ -196,15 +218,14 @@ def _show_check(one: "Check") -> None:
         click.echo(f"    ... and {len(one.details) - CASES} more (--json has them all)")
 
 
-def _show_word(word: "TimedWord", model: str, out: Path | None) -> None:
+def _show_word(check: str, word: "TimedWord", model: str, out: Path | None) -> None:
     from sim.checking.word import word_text
 
-    text = word_text(word)
+    text, size = word_text(word), f"{len(word.steps)} stays"
     if out is not None:
-        click.echo(
-            f"counterexample of {len(word.steps)} stays: {out}; replay it: decanter model simulate {model} --word {out}"
-        )
+        replayed = f"decanter model simulate {model} --word {out}"
+        click.echo(f"counterexample to {check}, of {size}: {out}; replay it: {replayed}")
     elif len(word.steps) <= STAYS:
-        click.echo(f"counterexample: decanter model simulate {model} --word '{text}'")
+        click.echo(f"counterexample to {check}: decanter model simulate {model} --word '{text}'")
     else:
-        click.echo(f"a counterexample of {len(word.steps)} stays was found; --word FILE writes it, for model simulate")
+        click.echo(f"a counterexample to {check}, of {size}, was found; --word FILE writes it, for model simulate")

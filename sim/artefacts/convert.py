@@ -25,7 +25,7 @@ from sim.artefacts.files import ArtefactError
 from sim.artefacts.flow_file import FlowFile
 from sim.artefacts.flow_kinds import flow_of, same_equation
 from sim.artefacts.histogram import evidence, fit
-from sim.artefacts.report import ReportedLaw, ReportedLocation
+from sim.artefacts.report import EFFECT, ReportedLaw, ReportedLocation
 from sim.sha.automaton import SHA, Distribution, Entry, Flow, Input, Location, nondeterminism
 from sim.sha.entry import check_sha
 from sim.sha.flows import FIXED, FLOWS, RELAXING
@@ -78,7 +78,16 @@ def to_sha(artefacts: Artefacts, parameter: Parameter = "rate") -> Converted:
             raise ArtefactError(f"{artefacts.name}, location {node.name!r}: {error}") from None
         locations.append(location)
     sha = _sha(artefacts.name, tuple(locations), artefacts.source, start, artefacts.report.limits)
-    return Converted(sha, (*notes, *nondeterminism(sha)))
+    return Converted(sha, (*notes, *_lost_effects(artefacts), *nondeterminism(sha)))
+
+
+def _lost_effects(artefacts: Artefacts) -> list[str]:
+    """What the report names and these files cannot hold."""
+    return [
+        f"the report names an effect that only the model's JSON holds, and that is left out here: {text}"
+        for key, text in artefacts.report.performance
+        if key.startswith(EFFECT)
+    ]
 
 
 def _start(source: Source) -> str:
@@ -96,7 +105,7 @@ def _sha(name: str, locations: tuple[Location, ...], source: Source, start: str,
     edges = tuple(edge for edge in source.edges if edge.source != INIT or start == INIT)
     known = {key: value for key, value in limits.items() if key in ("max_rate", "low", "high")}
     try:
-        sha = SHA(name, locations, edges, start, **known)
+        sha = SHA(name, locations, edges, start, effects=(), **known)
         check_sha(sha)
     except ValueError as error:
         raise ArtefactError(str(error)) from None

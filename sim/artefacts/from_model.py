@@ -9,10 +9,11 @@ from sim.artefacts.files import ArtefactError
 from sim.artefacts.flow_file import FlowFile, parse_equation
 from sim.artefacts.flow_kinds import equation_text, quoted
 from sim.artefacts.histogram import Histogram
-from sim.artefacts.report import EMPTY_WORD, UNOBSERVED, Report, ReportedLaw, ReportedLocation, Row, Table
+from sim.artefacts.report import EFFECT, EMPTY_WORD, UNOBSERVED, Report, ReportedLaw, ReportedLocation, Row, Table
 from sim.learning.lsha.table import ObservationTable, TableRow
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
+from sim.sha.effects import told
 from sim.sha.events import Alphabet, Bins
 from sim.sha.flows import FIXED
 from sim.sha.model import Model
@@ -30,8 +31,9 @@ def to_artefacts(
 ) -> Artefacts:
     """Source, report, histogram and flow file of a model; base name is the automaton's.
 
-    `observations` is the observation table of a learner that has one. Equal equations share a number, equal laws a name
-    `D_i` (and their raw values). Raises ArtefactError for names that the formats cannot hold.
+    `observations` is the observation table of a learner that has one. These formats have no place for effects: the
+    report names them, a line `EFFECT` each, and only the model's JSON holds them. Equal equations share a number, equal
+    laws a name `D_i` (and their raw values). Raises ArtefactError for names that the formats cannot hold.
     """
     sha = model.sha
     equations = _numbered(equation_text(location.flow, model.temperature) for location in sha.locations)
@@ -41,12 +43,16 @@ def to_artefacts(
         events=tuple(_events(model.alphabet)),
         distributions=tuple(_reported_laws(sha, laws)),
         table=_table(observations, _cells(sha, equations, laws, model.temperature)) if observations else None,
-        performance=(("SAMPLED TRACES", str(len(model.provenance.traces))),),
+        performance=(("SAMPLED TRACES", str(len(model.provenance.traces))), *_effects(sha)),
         locations=tuple(_line(location) for location in sha.locations),
         limits={"low": float(sha.low), "high": float(sha.high), "max_rate": float(sha.max_rate)},
     )
     flows = FlowFile({number: parse_equation(text) for text, number in equations.items()})
     return Artefacts(sha.name, source, report, _histogram(sha, laws, values or {}), flows)
+
+
+def _effects(sha: SHA) -> Iterator[tuple[str, str]]:
+    return ((f"{EFFECT} {number}", told(effect)) for number, effect in enumerate(sha.effects, start=1))
 
 
 def _numbered(keys: Iterator[K]) -> dict[K, int]:

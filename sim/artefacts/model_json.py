@@ -20,6 +20,8 @@ from sim.artefacts.model_parts import (
     correction_part,
     edge_of,
     edge_part,
+    effects_of,
+    effects_part,
     law_of,
     law_part,
     location_of,
@@ -39,6 +41,8 @@ from sim.sha.model import Model
 
 FORMAT = "decanter-sha-model"
 VERSION = 1
+EFFECTS_VERSION = 2
+"""A model with effects: a program that does not know them must refuse it, never run it without."""
 UNITS: Mapping[str, str] = {
     "temperature": "degC",
     "time": "s",
@@ -59,6 +63,7 @@ KEYS = (
     "initial_location",
     "locations",
     "edges",
+    "effects",
     "alphabet",
     "initial_temperature",
     "semi_markov",
@@ -85,7 +90,7 @@ def model_document(model: Model) -> dict[str, Any]:
     sha = model.sha
     return {
         "format": FORMAT,
-        "version": VERSION,
+        "version": EFFECTS_VERSION if sha.effects else VERSION,
         "units": dict(UNITS),
         "name": sha.name,
         "temperature": model.temperature,
@@ -94,6 +99,7 @@ def model_document(model: Model) -> dict[str, Any]:
         "initial_location": sha.initial,
         "locations": [location_part(location) for location in sha.locations],
         "edges": [edge_part(edge) for edge in sha.edges],
+        **effects_part(sha.effects),
         "alphabet": alphabet_part(model.alphabet),
         "initial_temperature": law_part(model.initial) if model.initial else None,
         "semi_markov": {name: stay_part(stay) for name, stay in sorted(model.semi_markov.items())},
@@ -139,9 +145,12 @@ def _check_header(root: Node) -> None:
     form, version = root.get("format").text(), root.get("version").integer()
     if form != FORMAT:
         raise root.get("format").error(f"this is {form!r}; a model has {FORMAT!r}")
-    if version != VERSION:
-        raise root.get("version").error(f"version {version} is unknown; this program reads version {VERSION}")
+    if version not in (VERSION, EFFECTS_VERSION):
+        known = f"{VERSION} and {EFFECTS_VERSION} (with effects)"
+        raise root.get("version").error(f"version {version} is unknown; this program reads the versions {known}")
     root.only(KEYS)
+    if version == VERSION and "effects" in root.value:
+        raise root.get("effects").error(f"a model with effects has version {EFFECTS_VERSION}, here it is {version}")
     units = root.get("units").table(Node.text)
     if units != UNITS:
         raise root.get("units").error(f"the units must be {dict(UNITS)}; convert the model's numbers and say so here")
@@ -153,8 +162,9 @@ def _sha(root: Node) -> SHA:
     locations = tuple(location_of(node) for node in root.get("locations").each())
     edges = tuple(edge_of(node) for node in root.get("edges").each())
     bounds = {key: limits.get(key).number() for key in ("max_rate", "low", "high")}
+    effects = effects_of(root)
     try:
-        return SHA(name, locations, edges, initial, **bounds)
+        return SHA(name, locations, edges, initial, effects=effects, **bounds)
     except ValueError as error:
         raise root.error(str(error)) from None
 

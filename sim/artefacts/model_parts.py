@@ -6,7 +6,8 @@ from typing import Any
 
 from sim.artefacts.files import ArtefactError
 from sim.artefacts.json_reading import Node, written_number
-from sim.sha.automaton import Distribution, Edge, Entry, Flow, Input, Location
+from sim.sha.automaton import Distribution, Edge, Effect, Entry, Flow, Input, Location
+from sim.sha.effects import check_effect
 from sim.sha.events import Alphabet, Bins, Switch
 from sim.sha.model import Correction, Provenance, Stay
 
@@ -76,6 +77,47 @@ def edge_of(node: Node) -> Edge:
     node.only(("source", "symbol", "target", "guard"))
     guard = node.get("guard").text() if "guard" in node.value else None
     return Edge(node.get("source").text(), node.get("symbol").text(), node.get("target").text(), guard)
+
+
+def effects_part(effects: tuple[Effect, ...]) -> dict[str, Any]:
+    """The entry of the effects; none without them, so that a model without any keeps its text and its hash."""
+    if not effects:
+        return {}
+    return {
+        "effects": [
+            {
+                "kind": effect.kind,
+                "params": numbers_part(effect.params),
+                "signals": dict(sorted(effect.signals.items())),
+                "locations": list(effect.locations),
+                "event": effect.event,
+            }
+            for effect in effects
+        ]
+    }
+
+
+def effects_of(root: Node) -> tuple[Effect, ...]:
+    """The effects of a model's document; none where it says nothing."""
+    if "effects" not in root.value:
+        return ()
+    return tuple(_effect_of(node) for node in root.get("effects").each())
+
+
+def _effect_of(node: Node) -> Effect:
+    node.only(("kind", "params", "signals", "locations", "event"))
+    effect = Effect(
+        node.get("kind").text(),
+        node.get("params").table(Node.number),
+        node.get("signals").table(Node.text),
+        tuple(one.text() for one in node.get("locations").each()),
+        node.get("event").text(),
+    )
+    try:
+        check_effect(effect)
+    except ValueError as error:
+        raise node.error(str(error)) from None
+    return effect
 
 
 def alphabet_part(alphabet: Alphabet) -> dict[str, Any]:

@@ -58,6 +58,10 @@ UNOBSERVED = "(ε,ε)"
 EMPTY_WORD = "ε"
 
 
+EFFECT = "EFFECT"
+"""How the lines begin, in the section of performance data, that name a model's effects: no other place holds them."""
+
+
 @dataclass(frozen=True, slots=True)
 class ReportedLaw:
     """A learned distribution: its mean and, for `N_i`, its variance, in the unit of the flow's parameter."""

@@ -134,7 +134,8 @@ def promote(store: Path, version: str, force: Force | None = None) -> None:
         raise at(
             store / VERSIONS / version,
             None,
-            f"is not promoted, as it does not verify: {reason}; mend the model, or force it with a name and a reason",
+            f"is not promoted, as it does not verify: {reason}; see `decanter model verify {store}@{version}`, learn "
+            "another model, or force it with a name and a reason",
         )
     try:
         with _locked(store):
@@ -146,12 +147,31 @@ def promote(store: Path, version: str, force: Force | None = None) -> None:
         raise refused(store, error) from None
 
 
-def forced(path: Path) -> Force | None:
-    """Who forced the current version of the store at `path`; None for others, and for what is no store.
+def forced(path: Path, version: str | None = None) -> Force | None:
+    """Who forced a version of the store at `path`, by default the current one; None for others, and for no store.
 
     Raises ArtefactError.
     """
-    return _forces(path).get(current(path)) if (path / STORE_FILE).is_file() else None
+    return _forces(path).get(version or current(path)) if is_store(path) else None
+
+
+def is_store(path: Path) -> bool:
+    """Whether a store lies at `path`."""
+    return (path / STORE_FILE).is_file()
+
+
+def promotion(store: Path) -> tuple[tuple[int, int] | None, ...]:
+    """What changes when a version is promoted or forced, and else does not: to be compared, cheap enough to poll."""
+    return tuple(_stamp(store / name) for name in (CURRENT, FORCED))
+
+
+def _stamp(file: Path) -> tuple[int, int] | None:
+    """A file's inode and time of change (ns): each rename puts another file there. None where there is none."""
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 def _forces(store: Path) -> dict[str, Force]:
@@ -169,7 +189,7 @@ def _force_of(node: Node) -> Force:
 def read_model(path: Path) -> Model:
     """The model at `path`: a JSON file, a model directory, or a store (its current version). Raises ArtefactError."""
     if path.is_dir():
-        if (path / STORE_FILE).is_file():
+        if is_store(path):
             return load(path)
         if (path / MODEL_FILE).is_file():
             return read_model_directory(path)

@@ -12,6 +12,10 @@ from sim.sha.automaton import SHA
 __all__ = ["Answer", "Rule", "Settings", "Start", "answer", "believed", "decided", "initial"]
 
 
+MOST_RUNS = 100_000_000
+"""Runs that a query may ask for."""
+
+
 def quiet(_what: str, _share: float) -> None:
     """No progress."""
 
@@ -27,6 +31,9 @@ def answer(query: q.Query, start: Start, settings: Settings | None = None, repor
         raise ValueError("a symbolic query is decided over the locations, not answered by runs")
     if chosen.rare and not isinstance(query, q.Probability):
         raise ValueError("importance splitting answers Pr[...](<> ...) and Pr[...]([] ...) without a comparison")
+    asked = max((one for one in (chosen.runs, _runs(query)) if one is not None), default=1)
+    if not 1 <= asked <= MOST_RUNS:
+        raise ValueError(f"{asked} runs cannot be made; ask for a number from 1 to {MOST_RUNS}")
     if isinstance(query, q.Probability):
         return probability(query, start, chosen, report)
     if isinstance(query, q.Hypothesis):
@@ -38,6 +45,15 @@ def answer(query: q.Query, start: Start, settings: Settings | None = None, repor
     return simulation(query, start, chosen, report)
 
 
+def _runs(query: q.Probability | q.Hypothesis | q.Compared | q.Expectation | q.Simulation) -> int | None:
+    """The greatest number of runs that the query itself asks for."""
+    if isinstance(query, q.Hypothesis):
+        return query.question.runs
+    if isinstance(query, q.Compared):
+        return max(query.left.runs or 1, query.right.runs or 1)
+    return query.runs
+
+
 def decided(query: q.Symbolic, sha: SHA) -> Answer:
     """The answer to a symbolic query, with the word that shows it where one does. Raises ValueError as `decide`."""
     found = decide(query, sha)
@@ -47,7 +63,7 @@ def decided(query: q.Symbolic, sha: SHA) -> Answer:
         if found.loop:
             said += f", then again and again {_route(found.loop_path, found.loop)}"
     numbers = {"locations looked at": float(found.explored)}
-    return Answer(query, "symbolic", said, found.holds, numbers, "exhaustive", 0, 0, "", found.notes)
+    return Answer(query, "symbolic", said, found.holds, numbers, f"exhaustive, {found.explored} locations looked at", 0, 0, "", found.notes)
 
 
 def _route(places: tuple[str, ...], word: tuple[str, ...]) -> str:

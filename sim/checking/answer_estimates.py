@@ -128,10 +128,11 @@ def rare(one: Watch, start: Start, query: q.Probability, settings: Settings, rep
     else:
         said = f"Pr = {said}"
     numbers["relative error"] = found.relative
-    levels = ", ".join(f"{level:.5g}" for level in found.levels) or "none"
-    notes = [*made.notes, *approximations(one), f"levels: {levels} degC, from a pilot of its own"]
+    notes = [*made.notes, *approximations(one)]
+    if settings.runs or query.runs:
+        notes.append("splitting makes as many runs as it needs: the number asked for was not looked at")
     if not estimate.probability:
-        notes.append("no repetition reached the event: the interval says nothing, the event is rarer than can be seen")
+        notes.append("no repetition reached the event: it is rarer than can be seen, and the interval says nothing")
     return Answer(
         query,
         "probability",

@@ -36,7 +36,8 @@ class Answer:
     """What a query's runs say. `verdict` is that of a hypothesis, comparison or symbolic query, None elsewhere and
     where it stays undecided. `numbers` are the figures by name, `notes` what limits them, one sentence each.
 
-    `passages` (n,) are the moments (s) of the goal in each run, inf without; `courses` those of a simulation.
+    `passages` (n,) are the moments (s) of the goal in each run, inf without; `courses` those of a simulation; `levels`
+    those of importance splitting, (degC, the chance to reach it).
     """
 
     query: q.Query
@@ -51,7 +52,7 @@ class Answer:
     notes: tuple[str, ...] = ()
     passages: Array | None = None
     courses: tuple[Course, ...] = ()
-    levels: tuple[float, ...] = ()
+    levels: tuple[tuple[float, float], ...] = ()
 
 
 def run_notes(totals: Totals) -> tuple[str, ...]:
@@ -82,4 +83,4 @@ def percent(settings: Settings) -> str:
 
 def interval(probability: float, low: float, high: float, settings: Settings) -> str:
     """A figure with its interval as text."""
-    return f"{probability:.6g}, {percent(settings)} interval [{low:.6g}, {high:.6g}]"
+    return f"{probability:.4g}, {percent(settings)} interval [{low:.4g}, {high:.4g}]"

@@ -7,7 +7,8 @@ from math import inf
 
 import numpy as np
 
-from sim.checking.monitor import Courses, Extreme, Monitor, Totals, follow
+from sim.checking.monitor import Answered, Extreme, Monitor, Totals, follow
+from sim.checking.monitor_course import Courses
 from sim.checking.monitor_formula import split
 from sim.checking.monitor_path import Watch, cuts
 from sim.checking.paths import LONGEST, Engine, World
@@ -19,6 +20,12 @@ from sim.sha.trace import Array, Mask
 SMALLEST, LARGEST = 64, 16384
 """Runs of the first chunk, and of the large ones: each is twice the one before it. A chunk's rows fit the cache."""
 
+MOST_KEPT = 6_000_000
+"""Numbers that a chunk keeps of the pieces of its runs, for paths that are judged at the end."""
+
+MOST_MOMENTS = 1_000_000
+"""Runs whose moment of the goal is kept, for a picture."""
+
 Report = Callable[[str, float], None]
 
 
@@ -27,9 +34,9 @@ def engine(world: World, where: Cuts) -> Engine:
     return known(world, where) if world.trace is not None else semi_markov(world, where)
 
 
-def chunk_size(number: int) -> int:
+def chunk_size(number: int, largest: int = LARGEST) -> int:
     """Runs of chunk `number`, from 0."""
-    return min(SMALLEST << min(number, 20), LARGEST)
+    return min(SMALLEST << min(number, 20), largest)
 
 
 def generator(seed: int, number: int) -> np.random.Generator:
@@ -42,7 +49,8 @@ class Sampler:
     """Verdicts of one run after another on some paths, all seen on the same runs (common random numbers).
 
     `verdicts` are the chunks drawn and not yet handed out; `drawn` counts the runs handed out, `when` keeps the moments
-    of the first path's goal, chunk by chunk.
+    of the first path's goal, chunk by chunk. Chunks have `largest` runs at most: what the ones before had to keep says
+    how many.
     """
 
     engine: Engine
@@ -53,6 +61,7 @@ class Sampler:
     chunks: int = 0
     drawn: int = 0
     unclear: int = 0
+    largest: int = LARGEST
     when: list[Array] = field(default_factory=list)
 
     def draw(self, runs: int) -> Mask:
@@ -68,18 +77,21 @@ class Sampler:
         return np.concatenate(parts)
 
     def _chunk(self) -> Mask:
-        runs = chunk_size(self.chunks)
+        runs = chunk_size(self.chunks, self.largest)
         monitors = [one.start(runs) for one in self.watches]
         self.totals = added(self.totals, follow(self.engine, monitors, runs, generator(self.seed, self.chunks)))
         self.chunks += 1
         self.unclear += sum(getattr(monitor, "unclear", 0) for monitor in monitors)
+        for monitor in monitors:
+            if isinstance(monitor, Answered):
+                self.largest = min(self.largest, max(MOST_KEPT // (3 * len(monitor.causes)), 1))
         moments = self.watches[0].when(monitors[0])
-        if moments is not None:
+        if moments is not None and sum(part.size for part in self.when) < MOST_MOMENTS:
             self.when.append(moments)
         return np.stack([one.verdict(monitor) for one, monitor in zip(self.watches, monitors, strict=True)], axis=1)
 
     def passages(self) -> Array:
-        """(runs handed out,) the moment (s) of the first path's goal in each run, inf without."""
+        """The moment (s) of the first path's goal in each run handed out (the first million of them), inf without."""
         return np.concatenate([*self.when, np.empty(0)])[: self.drawn]
 
 
@@ -95,23 +107,42 @@ def sampler(world: World, watches: tuple[Watch, ...], seed: int) -> Sampler:
     return Sampler(made, watches, seed, np.empty((0, len(watches)), dtype=np.bool_), Totals(0, 0, 0))
 
 
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Mean, sum of squared deviations, least and greatest of `runs` values."""
+
+    runs: int = 0
+    mean: float = 0.0
+    squares: float = 0.0
+    least: float = inf
+    greatest: float = -inf
+
+    def joined(self, values: Array) -> "Summary":
+        """With these values too (Chan, Golub & LeVeque 1979)."""
+        mean, runs = float(values.mean()), self.runs + values.size
+        off = mean - self.mean
+        squares = self.squares + float(np.square(values - mean).sum()) + off**2 * self.runs * values.size / runs
+        least, greatest = min(self.least, float(values.min())), max(self.greatest, float(values.max()))
+        return Summary(runs, self.mean + off * values.size / runs, squares, least, greatest)
+
+
 def extremes(
     world: World, expression: Expression, bound: float, runs: int, seed: int, *, greatest: bool, report: Report
-) -> tuple[Array, Totals, tuple[str, ...]]:
-    """(runs,) the greatest (or least) value of an expression on each run; what happened to them; the engine's notes."""
+) -> tuple[Summary, Totals, tuple[str, ...]]:
+    """The greatest (or least) values of an expression on the runs; what happened to them; the engine's notes."""
     factor, rest = split(expression)
     looked = ((0.0, bound),) if factor else ()
     made = engine(world, Cuts(bound, (), (), looked))
     sign = 1.0 if greatest else -1.0
-    found, totals, number = [np.empty(0)], Totals(0, 0, 0), 0
-    while sum(part.size for part in found) < runs:
+    found, totals, number = Summary(), Totals(0, 0, 0), 0
+    while found.runs < runs:
         size = chunk_size(number)
         monitor = Extreme(factor, rest, sign, np.full(size, -inf))
         totals = added(totals, follow(made, [monitor], size, generator(seed, number)))
-        found.append(sign * monitor.best)
+        found = found.joined(sign * monitor.best[: runs - found.runs])
         number += 1
-        report("runs", min(sum(part.size for part in found) / runs, 1.0))
-    return np.concatenate(found)[:runs], totals, made.notes
+        report("runs", found.runs / runs)
+    return found, totals, made.notes
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +174,7 @@ def courses(
             f"{runs} courses of {rows} steps with {len(expressions)} expressions are too many numbers; "
             f"ask for fewer runs or a shorter bound"
         )
-    monitor: Courses = Courses(tuple(expressions))
+    monitor: Courses = Courses(tuple(expressions), tuple(place.name for place in world.sha.locations))
     monitors: list[Monitor] = [monitor]
     totals = follow(made, monitors, runs, generator(seed, 0))
     return _sorted(monitor, runs), totals, made.notes

@@ -15,26 +15,25 @@ def expectation(query: q.Expectation, start: Start, settings: Settings, report: 
     """The mean of a course's extreme over the runs, with a Student interval."""
     runs = settings.runs or query.runs
     greatest = query.extreme == "max"
-    values, totals, notes = extremes(
+    found, totals, notes = extremes(
         start.world, query.expression, query.bound, runs, settings.seed, greatest=greatest, report=report
     )
-    mean, numbers = float(values.mean()), {}
+    mean, numbers = found.mean, {}
+    said = f"E({query.extreme}) = {mean:.4g} (one run)"
     if runs > 1:
-        deviation = float(values.std(ddof=1))
+        deviation = sqrt(found.squares / (runs - 1))
         half = float(stdtrit(runs - 1, 1.0 - settings.alpha / 2.0)) * deviation / sqrt(runs)
         numbers = {"low": mean - half, "high": mean + half, "sigma": deviation}
-    said = f"E({query.extreme}) = {mean:.6g} (one run)"
-    if numbers:
         said = f"E({query.extreme}) = {interval(mean, numbers['low'], numbers['high'], settings)}"
-        said += f"; over the runs sigma {numbers['sigma']:.4g}, from {values.min():.6g} to {values.max():.6g}"
-    numbers = {"mean": mean, **numbers, "least": float(values.min()), "greatest": float(values.max())}
+        said += f"; over the runs sigma {deviation:.4g}, from {found.least:.4g} to {found.greatest:.4g}"
+    numbers = {"mean": mean, **numbers, "least": found.least, "greatest": found.greatest}
     return Answer(
         query,
         "expectation",
         said,
         None,
         numbers,
-        f"{runs} runs, Student's t",
+        "mean of the runs, Student's t",
         runs,
         settings.seed,
         start.words,
@@ -56,5 +55,5 @@ def simulation(query: q.Simulation, start: Start, settings: Settings, report: Re
     said = f"{runs} courses of {', '.join(query.labels)} over {query.bound:.6g} s"
     notes = (*notes, *run_notes(totals))
     return Answer(
-        query, "simulation", said, None, numbers, f"{runs} runs", runs, settings.seed, start.words, notes, courses=found
+        query, "simulation", said, None, numbers, "courses of the runs, at the ends of their steps", runs, settings.seed, start.words, notes, courses=found
     )

@@ -8,11 +8,15 @@ from typing import Literal
 import numpy as np
 
 from sim.checking.counterexample import BEYOND, escape
-from sim.checking.envelope import Assumptions, Range, envelopes, start_range
+from sim.checking.envelope import Assumptions, Envelope, Range, envelopes, start_range
 from sim.checking.reach import Bound, Graph, climb, intervals, make_graph, side_of
 from sim.checking.structure import moves
 from sim.checking.word import TimedWord, parse_word, replay, word_text
+from sim.sha.automaton import Location
 from sim.sha.correction import in_sensor_scale
+from sim.sha.distributions import mean
+from sim.sha.effects import refuse
+from sim.sha.entry import drawn_temperature, mode_parameter
 from sim.sha.events import alphabet_symbols
 from sim.sha.flows import RELAXING
 from sim.sha.model import Model
@@ -67,25 +71,30 @@ class Bounds:
         return max((abs(one.reach - (self.high if one.up else self.low)) for one in self.escapes), default=0.0)
 
 
-def find_bounds(model: Model, low: float, high: float, assumptions: Assumptions, *, typical: bool = False) -> Bounds:
+def find_bounds(
+    model: Model, low: float, high: float, assumptions: Assumptions, *, doubt: float | None = None
+) -> Bounds:
     """The claim decided for a model that can be run; temperatures are the sensor's (`sim.sha.correction`).
 
-    `typical` takes every random number at its mean (its median, for laws that are not normal), but stays as they are
-    assumed. Proven means up to 0.001 degC, what rounding can hide in the slowest loops. Raises ValueError for an empty
-    range, and UnboundedInput for a driven flow whose input nobody bounds.
+    With `doubt` (degC) the start and what is drawn are at their means, and only a target that lies outside of
+    `low`..`high` is moved towards it, by as much as the location's own law allows at z but at most by `doubt`; inputs
+    and stays are as assumed. Proven means up to 0.001 degC, what rounding can hide in the slowest loops. Raises
+    ValueError for an empty range, and UnboundedInput for a driven flow whose input nobody bounds.
     """
     if not low < high:
         raise ValueError(f"no temperature lies within {low:g} to {high:g} degC; give LOW below HIGH")
     model = in_sensor_scale(model)
+    refuse(model.sha, "the proof of bounds")
     symbols = alphabet_symbols(model.alphabet)
     onward = moves(model.sha, symbols, assumptions.policy, unknown=assumptions.unknown)
     rooms = envelopes(model, assumptions, onward)
-    if typical:
-        means = envelopes(model, replace(assumptions, z=0.0), onward)
-        rooms = tuple(replace(mean, sojourn=room.sojourn) for mean, room in zip(means, rooms, strict=True))
-        assumptions = replace(assumptions, z=0.0)
-    graph = make_graph(rooms, onward, model.sha.initial, model.sha.max_rate)
     start = start_range(model, assumptions, low, high)
+    if doubt is not None:
+        given = model.initial if assumptions.start is None else None
+        start = start if given is None else (mean(given), mean(given))
+        places = zip(rooms, model.sha.locations, strict=True)
+        rooms = tuple(_kindest(room, location, (low, high), doubt) for room, location in places)
+    graph = make_graph(rooms, onward, model.sha.initial, model.sha.max_rate)
     upper, lower = climb(side_of(graph, up=True), start[1]), climb(side_of(graph, up=False), -start[0])
     escapes = [
         _escape(model, graph, bound, start[int(up)], (low, high), up, assumptions)
@@ -97,6 +106,21 @@ def find_bounds(model: Model, low: float, high: float, assumptions: Assumptions,
     if any(one.word is not None for one in escapes):
         verdict = "refuted"
     return Bounds(low, high, start, verdict, intervals(graph, upper, lower), tuple(escapes), settled)
+
+
+def _kindest(room: Envelope, location: Location, within: Range, doubt: float) -> Envelope:
+    """The location with means for what is drawn, and its targets as near to the range as its own doubt lets them be.
+
+    The upper and the lower side are each given the benefit apart, so that the ends of `m` may change places.
+    """
+    middle, law = mode_parameter(location)[0], drawn_temperature(location)
+    plain = replace(room, m=(middle, middle), fresh=None if law is None else (mean(law), mean(law)))
+    if room.flow.kind not in RELAXING:
+        return plain
+    below, above = (min(max(way, 0.0), doubt) for way in (middle - room.m[0], room.m[1] - middle))
+    up = min(max(plain.target(up=True) - within[1], 0.0), below)
+    down = min(max(within[0] - plain.target(up=False), 0.0), above)
+    return replace(plain, m=(middle + down, middle - up))
 
 
 def _escape(

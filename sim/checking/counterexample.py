@@ -25,6 +25,8 @@ _PATIENCE = (5.0, 10.0, 20.0, 40.0)
 """Time constants for which a relaxing flow is followed; after the last a float cannot tell it from its target."""
 _LONGEST = (1e4, 1e6, 1e8)
 """Seconds for which a drift outwards is followed; the shortest that does is taken."""
+_PACE = 200
+"""Stays after which it is asked whether, at the pace of as many stays before, the rest can be enough."""
 _FOREVER = 1e12
 
 
@@ -47,12 +49,16 @@ def _way_out(side: Side, start: float, border: float) -> list[tuple[int, str]]:
     entry, leaving = np.full((2, side.target.size), -inf)
     entry[graph.initial] = start
     ways: list[NDArray[np.int32]] = []
-    changed = [graph.initial]
-    for _ in range(MOST_STAYS):
+    changed, highest = [graph.initial], -inf
+    for number in range(MOST_STAYS):
         peaks = {place: side.peak(place, float(entry[place])) for place in changed}
         best = max(peaks, key=lambda place: peaks[place])
         if peaks[best] > border:
             return _back(graph, ways, best)
+        if number % _PACE == _PACE - 1:
+            if (peaks[best] - highest) * (MOST_STAYS - number) / _PACE < border - peaks[best]:
+                return []
+            highest = peaks[best]
         for place in changed:
             leaving[place] = side.leave(place, float(entry[place]))
         offered, row = best_moves(graph, leaving)

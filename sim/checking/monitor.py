@@ -18,8 +18,8 @@ from sim.sha.semi_markov import MOST_STAYS
 from sim.sha.trace import Array, Mask
 
 Watched = tuple[list[tuple[Value, Value]], list[tuple[Value, Value]]]
-KEEP = 0.75
-"""Decided runs are left out when fewer than this share are undecided."""
+KEEP, EVERY = 0.75, 8
+"""Decided runs are left out when fewer than KEEP of them are undecided, which is looked at after EVERY rows."""
 
 
 class Monitor(Protocol):
@@ -54,6 +54,8 @@ def follow(engine: Engine, monitors: Sequence[Monitor], runs: int, rng: np.rando
     for row in range(engine.clock.size - 1):
         for piece in engine.advance(row, state, rng):
             show(piece, who if piece.rows is None else who[piece.rows], monitors, rng)
+        if row % EVERY != EVERY - 1:
+            continue
         undecided = [monitor.open() for monitor in monitors]
         if any(one is None for one in undecided):
             continue
@@ -101,7 +103,8 @@ def _watched(lines: Lines, piece: Piece) -> Watched:
 
 @dataclass(slots=True)
 class Reach:
-    """Whether a formula comes true within low..high (s), and when (s; inf where not): to within a piece."""
+    """Whether a formula comes true within low..high (s), and by when (s; inf where not): the end of that piece, or its
+    begin where it is true from there on."""
 
     lines: Lines
     low: float
@@ -123,8 +126,10 @@ class Reach:
         rows = np.arange(who.size) if met is True else np.flatnonzero(met)
         new = rows[~self.found[who[rows]]]
         self.found[who[new]] = True
-        middle = piece.middle
-        self.when[who[new]] = middle[new] if isinstance(middle, np.ndarray) else middle
+        if new.size:
+            part = _part(piece, new)
+            at_start = _true_in(table(self.lines, 0, part), region(self.lines, part, at_end=False))
+            self.when[who[new]] = np.where(at_start, part.begin, part.begin + part.dt)
 
     def open(self) -> Mask | None:
         """The runs in which it has not been true."""
@@ -169,7 +174,8 @@ class Holds:
         self.unclear += int(np.count_nonzero(torn & alive))
         success = alive & (at_once | ((rise | fall) & ~torn))
         self.found[who[success]] = True
-        self.when[who[success]] = np.broadcast_to(piece.middle, (n,))[success]
+        by = np.where(at_once, piece.begin, piece.begin + piece.dt)
+        self.when[who[success]] = by[success]
         self.broken[who[alive & ~success & (up | down)]] = True
 
     def open(self) -> Mask | None:
@@ -255,6 +261,17 @@ class Answered:
         return failed
 
 
+def _part(piece: Piece, rows: Indices) -> Piece:
+    """Some rows of a piece, without its extremes."""
+
+    def of(column: Value) -> Value:
+        return column[rows] if isinstance(column, np.ndarray) else column
+
+    location = piece.location if isinstance(piece.location, int) else piece.location[rows]
+    times = of(piece.begin), of(piece.dt), of(piece.age)
+    return Piece(None, *times, location, piece.start[rows], piece.end[rows], of(piece.bridge))
+
+
 def _true_in(truth: Mask, where: Indices) -> Mask:
     return np.asarray(truth[where] if truth.ndim == 1 else truth[where, np.arange(where.size)])
 
@@ -295,35 +312,6 @@ class Extreme:
         bridge = (piece.bridge[rows] if isinstance(piece.bridge, np.ndarray) else piece.bridge) * self.factor**2
         top = 0.5 * (first[rows] + last[rows] + np.sqrt((last[rows] - first[rows]) ** 2 + 2.0 * bridge * e))
         self.best[who[rows]] = np.maximum(self.best[who[rows]], top)
-
-    def open(self) -> Mask | None:
-        """All."""
-        return None
-
-
-@dataclass(slots=True)
-class Courses:
-    """The values of some expressions at both ends of every piece: (begin, end, who, values at begin, at end)."""
-
-    expressions: tuple[Expression, ...]
-    times: list[tuple[Array, Array, Indices]] = field(default_factory=list)
-    values: list[tuple[Array, Array]] = field(default_factory=list)
-
-    def watch(self, piece: Piece, who: Indices) -> Watched:
-        """Nothing: courses are shown at the ends of pieces."""
-        return [], []
-
-    def see(self, piece: Piece, who: Indices) -> None:
-        """Keep both ends."""
-        begin, stop = (
-            np.broadcast_to(np.asarray(one, dtype=float), who.shape) for one in (piece.begin, piece.begin + piece.dt)
-        )
-        self.times.append((begin, stop, who))
-        age = np.asarray(piece.age)
-        self.values.append((self._at(piece.start, begin, age), self._at(piece.end, stop, age + piece.dt)))
-
-    def _at(self, x: Array, time: Array, age: Array) -> Array:
-        return np.stack([np.broadcast_to(value(one, x, time, age), x.shape) for one in self.expressions])
 
     def open(self) -> Mask | None:
         """All."""

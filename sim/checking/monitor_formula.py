@@ -8,11 +8,14 @@ regions from its lowest to its highest.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
 from sim.checking.paths import Indices, Piece
 from sim.checking.query import (
+    Arithmetic,
     At,
     Both,
     Compare,
@@ -22,6 +25,7 @@ from sim.checking.query import (
     Either,
     Expression,
     Formula,
+    Indicator,
     Not,
     Number,
     Operation,
@@ -40,6 +44,14 @@ _ARITHMETIC: dict[str, Callable[[Value, Value], Value]] = {
     "*": lambda a, b: a * b,
     "/": lambda a, b: np.divide(a, b),
 }
+_COMPARED: dict[Comparison, Callable[[Value, Value], Mask]] = {
+    "<": np.less,
+    "<=": np.less_equal,
+    "==": np.equal,
+    "!=": np.not_equal,
+    ">=": np.greater_equal,
+    ">": np.greater,
+}
 _SIGNS: dict[Comparison, tuple[bool, bool, bool]] = {
     "<": (True, False, False),
     "<=": (True, True, False),
@@ -53,18 +65,55 @@ _MIRRORED: dict[Comparison, Comparison] = {"<": ">", "<=": ">=", "==": "==", "!=
 
 
 def value(expression: Expression, temperature: Value, time: Value, age: Value) -> Value:
-    """The expression's value; arguments broadcast. A division by 0 gives an infinite or undefined number."""
+    """The expression's value; arguments broadcast. A division by 0 gives an infinite or undefined number.
+
+    Raises ValueError for an indicator, which only a simulation's courses have (`sim.checking.monitor_course`).
+    """
+    if isinstance(expression, Indicator):
+        raise ValueError("a condition stands where a number is needed; only simulate takes it for 0 or 1")
     if isinstance(expression, Number):
         return expression.value
     if isinstance(expression, Quantity):
         return {"temperature": temperature, "time": time, "age": age}[expression.kind]
     left, right = (value(side, temperature, time, age) for side in (expression.left, expression.right))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return _ARITHMETIC[expression.op](left, right)
+    return combined(expression.op, left, right)
+
+
+def combined(op: Arithmetic, left: Value, right: Value) -> Value:
+    """`left op right`. A division by 0 gives an infinite or undefined number."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return _ARITHMETIC[op](left, right)
+
+
+def holds_at(
+    formula: Formula, temperature: Value, time: Value, age: Value, location: int | Indices, names: tuple[str, ...]
+) -> Mask:
+    """Whether the formula holds at single instants; arguments broadcast. Raises ValueError as `compile_formulas`."""
+
+    def compared(part: Compare) -> Mask:
+        left, right = (value(side, temperature, time, age) for side in (part.left, part.right))
+        return np.asarray(_COMPARED[part.op](left, right))
+
+    check_formula(formula, names)
+    return _truth(formula, compared, lambda place: np.asarray(location == names.index(place)))
+
+
+def _truth(formula: Formula, compared: Callable[[Compare], Mask], at: Callable[[str], Mask]) -> Mask:
+    """The formula's truth, given that of its comparisons and of being in a location."""
+    if isinstance(formula, Compare):
+        return compared(formula)
+    if isinstance(formula, At):
+        return at(formula.location)
+    if isinstance(formula, Not):
+        return np.logical_not(_truth(formula.inner, compared, at))
+    if isinstance(formula, Both | Either):
+        join = np.logical_and if isinstance(formula, Both) else np.logical_or
+        return np.asarray(join(_truth(formula.left, compared, at), _truth(formula.right, compared, at)))
+    return np.asarray(isinstance(formula, Constant) and formula.value)
 
 
 def quantities(expression: Expression) -> set[str]:
-    """The kinds of quantities in an expression."""
+    """The kinds of quantities in an expression that has no indicators."""
     if isinstance(expression, Operation):
         return quantities(expression.left) | quantities(expression.right)
     return {expression.kind} if isinstance(expression, Quantity) else set()
@@ -79,6 +128,8 @@ def split(expression: Expression) -> tuple[float, Expression]:
         return 0.0, expression
     if isinstance(expression, Quantity):
         return 1.0, ZERO
+    if isinstance(expression, Indicator):
+        raise ValueError("a condition stands where a number is needed; only simulate takes it for 0 or 1")
     (a, rest), (b, other) = split(expression.left), split(expression.right)
     if expression.op in "+-":
         return (a + b if expression.op == "+" else a - b), Operation(expression.op, rest, other)
@@ -162,7 +213,7 @@ def compile_formulas(formulas: tuple[Formula, ...], names: tuple[str, ...]) -> L
     watched = set()
     every = [one for formula in formulas for one, _ in comparisons(formula)]
     for formula in formulas:
-        _check(formula, names)
+        check_formula(formula, names)
         for compare, positive in comparisons(formula):
             factor, rest = split(Operation("-", compare.left, compare.right))
             if factor == 0.0:
@@ -190,7 +241,8 @@ def _line(at: Expression) -> Line:
     return Line(at, None) if quantities(at) else Line(ZERO, float(np.asarray(value(at, 0.0, 0.0, 0.0))))
 
 
-def _check(formula: Formula, names: tuple[str, ...]) -> None:
+def check_formula(formula: Formula, names: tuple[str, ...]) -> None:
+    """Raises ValueError for a deadlock and for a location that is not among `names`."""
     if isinstance(formula, Deadlock):
         raise ValueError("deadlock belongs to symbolic queries (E<>, A[], A<>, -->): it is decided, not estimated")
     if isinstance(formula, At) and formula.location not in names:
@@ -198,7 +250,7 @@ def _check(formula: Formula, names: tuple[str, ...]) -> None:
     for part in ("left", "right", "inner"):
         inner = getattr(formula, part, None)
         if inner is not None and not isinstance(formula, Compare):
-            _check(inner, names)
+            check_formula(inner, names)
 
 
 def table(lines: Lines, which: int, piece: Piece) -> Mask:
@@ -231,24 +283,14 @@ def _table(lines: Lines, which: int, piece: Piece, clocks: tuple[bool | Mask, ..
     runs = piece.start.size if isinstance(piece.location, np.ndarray) else None
     shape = regions[:, None] if ranks.ndim == 2 or runs is not None or _wide(clocks) else regions
 
-    def truth(formula: Formula) -> Mask:
-        if isinstance(formula, Compare):
-            if formula not in lines.place:
-                return np.asarray(known[formula])
-            index, op = lines.place[formula]
-            side = np.sign(shape - (2 * ranks[index] + 1))
-            return np.asarray(np.take(_SIGNS[op], side + 1))
-        if isinstance(formula, At):
-            return np.asarray(piece.location == lines.names.index(formula.location))
-        if isinstance(formula, Not):
-            return np.logical_not(truth(formula.inner))
-        if isinstance(formula, Both):
-            return np.logical_and(truth(formula.left), truth(formula.right))
-        if isinstance(formula, Either):
-            return np.logical_or(truth(formula.left), truth(formula.right))
-        return np.asarray(isinstance(formula, Constant) and formula.value)
+    def compared(compare: Compare) -> Mask:
+        if compare not in lines.place:
+            return np.asarray(known[compare])
+        index, op = lines.place[compare]
+        side = np.sign(shape - (2 * ranks[index] + 1))
+        return np.asarray(np.take(_SIGNS[op], side + 1))
 
-    found = truth(lines.formulas[which])
+    found = _truth(lines.formulas[which], compared, lambda at: np.asarray(piece.location == lines.names.index(at)))
     size = (regions.size,) if shape.ndim == 1 else (regions.size, piece.start.size)
     return np.broadcast_to(found, size)
 
@@ -269,10 +311,9 @@ def _ranks(lines: Lines, piece: Piece) -> Indices:
 def reached(line: Line, piece: Piece, *, up: bool, strict: bool) -> Mask:
     """(n,) whether a run touches the line (`strict`: is beyond it) in the piece, from below or from above."""
     first, last = line.ends(piece)
-    if up:
-        touched = (piece.start > first) | (piece.end > last) if strict else (piece.start >= first) | (piece.end >= last)
-    else:
-        touched = (piece.start < first) | (piece.end < last) if strict else (piece.start <= first) | (piece.end <= last)
+    beyond = (np.greater if strict else np.greater_equal) if up else (np.less if strict else np.less_equal)
+    touched = beyond(piece.end, last)
+    touched |= beyond(piece.start, first)
     drawn = piece.rise if up else piece.fall
     if drawn is not None:
         rows, e = drawn
@@ -288,14 +329,12 @@ def exists(lines: Lines, which: int, piece: Piece) -> Mask | bool:
     """(n,) whether formula `which` is true at some instant of the piece; one answer where it is the same for all."""
     truth = table(lines, which, piece)
     if truth.ndim == 1:
-        if not truth.any() or truth.all():
-            return bool(truth[0])
-        if np.all(truth[1:] >= truth[:-1]):
-            first = int(np.argmax(truth))
-            return reached(lines.lines[(first - 1) // 2], piece, up=True, strict=first % 2 == 0)
-        if np.all(truth[1:] <= truth[:-1]):
-            last = int(np.count_nonzero(truth)) - 1
-            return reached(lines.lines[last // 2], piece, up=False, strict=last % 2 == 0)
+        found = _border(truth.tobytes())
+        if isinstance(found, bool):
+            return found
+        if found is not None:
+            line, up, strict = found
+            return reached(lines.lines[line], piece, up=up, strict=strict)
     low, high = visited(lines, piece)
     counts = np.cumsum(
         np.vstack([np.zeros_like(truth[:1]), truth]) if truth.ndim == 2 else np.append(False, truth), axis=0
@@ -304,6 +343,22 @@ def exists(lines: Lines, which: int, piece: Piece) -> Mask | bool:
         return np.asarray(counts[high + 1] > counts[low])
     columns = np.arange(truth.shape[1])
     return np.asarray(counts[high + 1, columns] > counts[low, columns])
+
+
+@lru_cache(maxsize=1024)
+def _border(truth: bytes) -> bool | tuple[int, bool, bool] | None:
+    """Where a table of regions is true: everywhere or nowhere, or beyond one line (which, above it, without the line
+    itself); None where it is more than that."""
+    if not any(truth) or all(truth):
+        return bool(truth[0])
+    changes = sum(one != other for one, other in pairwise(truth))
+    if changes > 1:
+        return None
+    if truth[-1]:
+        first = truth.index(1)
+        return (first - 1) // 2, True, first % 2 == 0
+    last = truth.index(0) - 1
+    return last // 2, False, last % 2 == 0
 
 
 def visited(lines: Lines, piece: Piece) -> tuple[Indices, Indices]:

@@ -64,7 +64,7 @@ def cuts(watches: tuple[Watch, ...], bound: float) -> Cuts:
         whole = isinstance(one.path, Until | Response)
         low, high = (0.0, bound) if isinstance(one.path, Response) else (span.low, min(span.high, bound))
         instants |= {time for time in (low, high) if isfinite(time) and 0.0 < time <= bound}
-        if one.lines.lines:
+        if one.lines.lines or _bent(one):
             looked.append((0.0 if whole else min(low, bound), high))
         for compare in one.lines.clocks:
             found = affine(Operation("-", compare.left, compare.right))
@@ -72,16 +72,22 @@ def cuts(watches: tuple[Watch, ...], bound: float) -> Cuts:
                 clocks.add(found)
         instants |= {-line[0] / line[1] for line in clocks if line[2] == 0.0}
     mixed = tuple(sorted(line for line in clocks if line[2] != 0.0))
-    longest = LONGEST if any(isinstance(one.path, Until | Response) and one.lines.lines for one in watches) else inf
+    ordered = any(isinstance(one.path, Until | Response) and one.lines.lines for one in watches)
+    longest = LONGEST if ordered or any(map(_bent, watches)) else inf
     inside = tuple(sorted(time for time in instants if 0.0 <= time <= bound))
     return Cuts(bound, inside, mixed, tuple(looked), longest)
+
+
+def _bent(one: Watch) -> bool:
+    """Whether a condition on clocks is not linear in them."""
+    return any(affine(Operation("-", compare.left, compare.right)) is None for compare in one.lines.clocks)
 
 
 def approximations(one: Watch) -> tuple[str, ...]:
     """What is not exact in following this path, one sentence each."""
     said = []
-    if any(affine(Operation("-", compare.left, compare.right)) is None for compare in one.lines.clocks):
-        said.append("a condition on clocks that is not linear in them is looked at half-way through each step only")
+    if _bent(one):
+        said.append("a condition on clocks that is not linear in them is looked at once in each step of at most 4 s")
     if len({up for _, up in one.lines.watched}) == 2:
         said.append("a rise and a fall of the temperature within one step are drawn as if independent")
     if isinstance(one.path, Response) and one.lines.lines:

@@ -216,9 +216,10 @@ def clamp(sha: SHA, x: Array) -> tuple[Array, Mask | None]:
 
 
 def near(piece: Piece, begin: float | Array, end: float | Array) -> Mask:
-    """Whether a run's bridge may reach the line from `begin` to `end` although neither end of the piece has."""
-    product = (begin - piece.start) * (end - piece.end)
-    return np.asarray((product >= 0) & (product < (NEAR / 2.0) * piece.bridge))
+    """Whether a run's bridge may reach the line from `begin` to `end`, or an end of the piece lies beyond it."""
+    product = begin - piece.start
+    product *= end - piece.end
+    return np.asarray(product < (NEAR / 2.0) * piece.bridge)
 
 
 def with_extremes(

@@ -13,7 +13,7 @@ from sim.sha import distributions, flows
 from sim.sha.automaton import Distribution, Flow
 from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
 from sim.sha.schedule import Schedule, schedule, step_coefficients
-from sim.sha.trace import Array, Event, Mask, Trace
+from sim.sha.trace import UNKNOWN, Array, Event, Mask, Trace
 
 MOST_ROWS = 200_000
 """Steps of one run; a query that needs more is refused."""
@@ -122,9 +122,10 @@ class Known:
         end = rng.standard_normal(start.size) if step.sigma else np.zeros(start.size)
         end *= step.sigma
         end += step.shift
-        end += start if step.decay == 1.0 else start * step.decay
+        part = start * step.decay
+        end += part
         if step.own and step.pull:
-            end += state.mode * step.pull
+            end += np.multiply(state.mode, step.pull, out=part)
         end, outside = clamp(self.world.sha, end)
         _count(state.clamps, outside)
         return end
@@ -143,19 +144,11 @@ def known(world: World, cuts: Cuts) -> Known:
     trace = world.trace
     if trace is None:
         raise ValueError("known events need a trace")
-    settled = nextafter(0.0, -1.0)
-    past = world.belief is not None
-    events = [
-        Event(
-            min(event.time - world.begin, settled) if past and event.time <= world.begin else event.time - world.begin,
-            event.symbol,
-        )
-        for event in trace.events
-    ]
+    events = _felt(world, trace)
     inputs = replace(trace, times=trace.times - world.begin, events=())
     coarse = schedule(world.sha, events, [cuts.bound], start=0.0, inputs=inputs, policy="resync")
     steps = schedule(world.sha, events, _outputs(coarse, cuts), start=0.0, inputs=inputs, policy="resync")
-    if past and steps.location[0] != world.location:
+    if world.belief is not None and steps.location[0] != world.location:
         raise ValueError(f"trace {trace.name!r}: its events do not lead to the location that the belief is in")
     if steps.dt.size > MOST_ROWS:
         raise ValueError(
@@ -164,6 +157,19 @@ def known(world: World, cuts: Cuts) -> Known:
     clock = np.concatenate([[0.0], np.cumsum(steps.dt)])
     rows, columns = _with_columns(world, _rows(world, steps, clock))
     return Known(world, clock, rows, _notes(trace, world, cuts.bound, len(steps.unmatched)), columns)
+
+
+def _felt(world: World, trace: Trace) -> list[Event]:
+    """The trace's events in s since the start. Those up to a belief's own time only settle where and how old it is."""
+    if world.belief is None:
+        return [Event(event.time - world.begin, event.symbol) for event in trace.events]
+    settled = nextafter(0.0, -1.0)
+    begun = [event for event in trace.events if event.time <= world.begin]
+    before = [Event(min(event.time - world.begin, settled), event.symbol) for event in begun]
+    after = [Event(event.time - world.begin, event.symbol) for event in trace.events[len(begun) :]]
+    if not before and world.age > 0.0:  # still in the first stay, which is older than the runs
+        before = [Event(-world.age, UNKNOWN)]
+    return before + after
 
 
 def _notes(trace: Trace, world: World, bound: float, unmatched: int) -> tuple[str, ...]:

@@ -78,9 +78,10 @@ def _query(query: q.Query, ids: Identifiers) -> str:
         case q.Compared(left=left, right=right):
             return f"{_probability(left, ids)} >= {_probability(right, ids)}"
         case q.Expectation(bound=bound, runs=runs, extreme=extreme, expression=expression):
-            return f"E{_bounds(bound, runs)}({extreme}: {_expression(expression)})"
+            return f"E{_bounds(bound, runs)}({extreme}: {_expression(expression, ids)})"
         case q.Simulation(bound=bound, runs=runs, expressions=expressions):
-            return f"simulate {_bounds(bound, runs)} {{{', '.join(map(_expression, expressions))}}}"
+            courses = ", ".join(_expression(expression, ids) for expression in expressions)
+            return f"simulate {_bounds(bound, runs)} {{{courses}}}"
     inner = _formula(query.inner, ids)
     return f"{query.kind} {inner}" if query.then is None else f"{inner} --> {_formula(query.then, ids)}"
 
@@ -107,7 +108,7 @@ def _formula(formula: q.Formula, ids: Identifiers, around: int = 0) -> str:
     """`around` is how tightly the operator around binds: 0 there is none, 1 ||, 2 &&, 3 !."""
     match formula:
         case q.Compare(op=op, left=left, right=right):
-            return _wrapped(f"{_expression(left)} {op} {_expression(right)}", around == 3)
+            return _wrapped(f"{_expression(left, ids)} {op} {_expression(right, ids)}", around == 3)
         case q.At(location=location):
             return f"{PROCESS}.{ids[location]}"
         case q.Constant(value=value):
@@ -122,14 +123,16 @@ def _formula(formula: q.Formula, ids: Identifiers, around: int = 0) -> str:
     return _wrapped(f"{_formula(formula.left, ids, own)} {sign} {last}", around > own)
 
 
-def _expression(expression: q.Expression, around: int = 0) -> str:
+def _expression(expression: q.Expression, ids: Identifiers, around: int = 0) -> str:
     match expression:
         case q.Number(value=value):
             return repr(float(value))
         case q.Quantity(kind=kind):
             return _NAMES[kind]
+        case q.Indicator(inner=inner):
+            return _formula(inner, ids) if isinstance(inner, q.At) or not around else f"({_formula(inner, ids)})"
     own = _TIGHTNESS[expression.op]
-    text = f"{_expression(expression.left, own)} {expression.op} {_expression(expression.right, own + 1)}"
+    text = f"{_expression(expression.left, ids, own)} {expression.op} {_expression(expression.right, ids, own + 1)}"
     return _wrapped(text, own < around)
 
 

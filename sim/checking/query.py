@@ -35,7 +35,14 @@ class Operation:
     right: "Expression"
 
 
-Expression = Number | Quantity | Operation
+@dataclass(frozen=True, slots=True)
+class Indicator:
+    """1 where a condition holds and 0 elsewhere; in the courses of a simulation only."""
+
+    inner: "Formula"
+
+
+Expression = Number | Quantity | Operation | Indicator
 
 
 @dataclass(frozen=True, slots=True)

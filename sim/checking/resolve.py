@@ -32,12 +32,16 @@ _ARITHMETIC: Mapping[str, q.Arithmetic] = MappingProxyType({"PLUS": "+", "MINUS"
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """What may be named: quantities, and locations by their identifiers; `own` are the locations' own names."""
+    """What may be named: quantities, and locations by their identifiers; `own` are the locations' own names.
+
+    `symbolic`: nothing that changes continuously is. `courses`: a condition is a number too, 0 or 1.
+    """
 
     quantities: Mapping[str, Kind]
     locations: Mapping[str, str]
     own: frozenset[str]
     symbolic: bool = False
+    courses: bool = False
 
 
 def names_of(sha: SHA, temperature: str) -> Names:
@@ -163,7 +167,7 @@ def _simulation(tree: Node, text: str, names: Names) -> q.Query:
     marks = [token for token in tree.children if isinstance(token, Token) and token.type != "SIMULATE"]
     written = [text[left.end_pos : right.start_pos].strip() for left, right in pairwise(marks)]
     items = [part for part in _trees(tree) if part.data not in ("number", "bounds")]
-    expressions = tuple(_expression(item, names) for item in items)
+    expressions = tuple(_expression(item, replace(names, courses=True)) for item in items)
     return q.Simulation(bound, _runs(numbers[0]) if numbers else runs or 1, expressions, tuple(written))
 
 
@@ -250,6 +254,8 @@ def _place(tree: Node, names: Names) -> q.Formula:
 def _expression(tree: Node, names: Names) -> q.Expression:
     """A number at each instant. Raises QueryError for a condition."""
     make = _EXPRESSIONS.get(str(tree.data))
+    if make is None and names.courses:
+        return q.Indicator(_formula(tree, replace(names, courses=False)))
     if make is None:
         raise at(tree.meta, "a condition stands where a number is needed: Temp, time, age, or a sum of such")
     return make(tree, names)
@@ -284,6 +290,8 @@ def _literal(tree: Node, names: Names) -> q.Expression:
 def _quantity(tree: Node, names: Names) -> q.Expression:
     token = cast(Token, tree.children[0])
     name = _plain(token)
+    if name in names.locations and names.courses:
+        return q.Indicator(q.At(names.locations[name]))
     if name in names.locations:
         raise at(token, f"{token} is a location and a number is needed: Temp, time, age, or a sum of such")
     if name not in names.quantities:

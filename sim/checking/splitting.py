@@ -25,12 +25,15 @@ from sim.checking.monitor_formula import Lines, Value, exists
 from sim.checking.monitor_path import Watch
 from sim.checking.paths import Engine, Indices, Piece, State, with_extremes
 from sim.checking.query import Always, Eventually
-from sim.checking.tilting import Tilts, fitted, moved, neutral
+from sim.checking.tilting import Tilts, balance, fitted, moved, neutral
 from sim.sha.scores import Estimate
 from sim.sha.trace import Array, Mask
 
 SHARE = 0.2
 """The share of the pilot's runs that reach the next level."""
+
+ENOUGH = 0.1
+"""The effective share that is to reach it where runs carry weights: (sum w)^2 / sum w^2 over the number of all."""
 
 MOST_LEVELS = 60
 PILOT, PILOTS = 2000, 5
@@ -49,16 +52,15 @@ class NoWay(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """The estimate of a rare event: its mean over `repetitions` with a 95 % (`level`) interval, and the `levels` used.
+    """The estimate of a rare event: its mean over `repetitions` with a 95 % (`level`) interval, and the way to it.
 
-    `relative` is the standard error over the mean, `steps` the number of runs begun in all.
+    `levels` are (degC, the chance to reach it) each; `relative` is the standard error over the mean.
     """
 
     estimate: Estimate
-    levels: tuple[float, ...]
+    levels: tuple[tuple[float, float], ...]
     repetitions: int
     relative: float
-    shares: tuple[float, ...]
 
 
 @dataclass(slots=True)
@@ -140,22 +142,20 @@ def split(
         raise ValueError(reason)
     sign = 1.0 if next(iter(one.lines.watched))[1] else -1.0
     plan = _plan(_Way(engine, one.lines, one.path.span.low, min(one.path.span.high, one.bound), sign), rng, report)
-    levels = plan.levels
     for size in (runs, MORE * runs):
-        shares = _repeat(plan, size, repetitions, rng, report)
-        per_repetition = np.prod(shares, axis=0)
-        mean, error = float(per_repetition.mean()), float(per_repetition.std(ddof=1)) / sqrt(repetitions)
+        chances = _repeat(plan, size, repetitions, rng, report)
+        mean, error = float(chances[-1].mean()), float(chances[-1].std(ddof=1)) / sqrt(repetitions)
         runs = size
         if error <= GOOD * mean:
             break
     reach = float(stdtrit(repetitions - 1, 0.5 + confidence / 2.0)) * error
-    estimate = Estimate(mean, max(mean - reach, 0.0), min(mean + reach, 1.0), runs * repetitions * (len(levels) + 1))
+    low, high = (max(mean - reach, 0.0), min(mean + reach, 1.0)) if mean > 0.0 else (0.0, 1.0)
+    reached = zip(plan.levels, chances[:-1].mean(axis=1).tolist(), strict=True)
     return Split(
-        estimate,
-        tuple(sign * level for level in levels),
+        Estimate(mean, low, high, runs * repetitions * len(chances)),
+        tuple((sign * level, chance) for level, chance in reached),
         repetitions,
         error / mean if mean > 0 else inf,
-        tuple(float(share) for share in shares.mean(axis=1)),
     )
 
 
@@ -197,30 +197,45 @@ def _pilot(way: _Way, rng: np.random.Generator, report: Report) -> tuple[_Plan |
     """
     goal, plan = _goal(way), _Plan(way, [], [])
     entries = _begin(way, PILOT, rng)
-    first = float(np.median(entries.peak))
-    levels = plan.levels
+    levels, share = plan.levels, 0.0
     while len(levels) < MOST_LEVELS:
         report(f"looking for levels: {len(levels)}", 0.0)
         ended = _stage(way, entries, [goal], inf, rng)
-        ahead = np.where(ended.hit, goal, np.minimum(ended.peak, goal))
-        level = float(np.quantile(ahead, 1.0 - SHARE))
+        level = _next(way, ended, goal, share)
         if level >= goal:
             hits = np.flatnonzero(ended.hit)
             chosen = hits if not hits.size else _choose(way.owed(ended, 1.0), hits, PILOT, rng)
             return plan, ended.state.drawn[chosen] if way.tilts else np.empty((0, 0))
         if levels and level <= levels[-1]:
             return _no_way(way, levels), entries.state.drawn
-        share = min(max((level - first) / (goal - first), 0.0), 1.0)
         reached = _stage(way, entries, [level, goal], level, rng)
         rows = np.flatnonzero((reached.peak >= level) | reached.hit)
         if not rows.size:
             return plan, entries.state.drawn
+        if way.tilts is not None:
+            share = balance(way.tilts, reached.state.drawn[rows], reached.spent[rows], share)
         levels.append(level)
         plan.shares.append(share)
         entries = _onward(way, reached, _choose(way.owed(reached, share), rows, PILOT, rng), share)
     return NoWay(f"importance splitting needs more than {MOST_LEVELS} levels: the event is rarer than 1e-41"), (
         entries.state.drawn
     )
+
+
+def _next(way: _Way, ended: _Entries, goal: float, share: float) -> float:
+    """The level that SHARE of the runs reach; a lower one where few of those carry most of what is to be given back."""
+    ahead = np.where(ended.hit, goal, np.minimum(ended.peak, goal))
+    if way.tilts is None:
+        return float(np.quantile(ahead, 1.0 - SHARE))
+    for part in (SHARE, 2.0 * SHARE, 3.0 * SHARE, 4.0 * SHARE):
+        level = float(np.quantile(ahead, 1.0 - part))
+        rows = np.flatnonzero(ahead >= level)
+        drawn, spent = ended.state.drawn[rows], ended.spent[rows]
+        given = 1.0 if level >= goal else balance(way.tilts, drawn, spent, share)
+        weights = np.exp(given * way.tilts.log_weights(drawn) - spent)
+        if weights.sum() ** 2 >= ENOUGH * ahead.size * (weights**2).sum():
+            break
+    return level
 
 
 def _no_way(way: _Way, levels: Sequence[float]) -> NoWay:
@@ -245,24 +260,27 @@ def _onward(way: _Way, ended: _Entries, chosen: Indices, share: float) -> _Entri
 
 
 def _repeat(plan: _Plan, runs: int, repetitions: int, rng: np.random.Generator, report: Report) -> Array:
-    """(stages, repetitions) the mean factor of each stage's runs, 0 for those that do not reach its level; without
-    drawn mode parameters it is the share that does. The last stage is the event itself."""
+    """(stages, repetitions) each repetition's estimate of the chance to reach each level; the last is the event.
+
+    It is the mean factor of the stage's runs, 0 for those that do not come there, times those of the stages before.
+    """
     way, levels = plan.way, plan.levels
-    factors = np.zeros((len(levels) + 1, repetitions))
+    chances, before = np.zeros((len(levels) + 1, repetitions)), np.ones(repetitions)
     group = np.repeat(np.arange(repetitions), runs)
     entries = _begin(way, group.size, rng)
     for stage, (level, share) in enumerate(zip([*levels, inf], [*plan.shares, 1.0], strict=True)):
         report(f"level {stage + 1} of {len(levels) + 1}", stage / (len(levels) + 1))
         ended = _stage(way, entries, [*levels[stage:], _goal(way)], level, rng)
         reached = ended.hit | (ended.peak >= level)
-        owed = way.owed(ended, share)
-        factors[stage] = np.bincount(group[reached], np.exp(owed[reached]), minlength=repetitions) / runs
-        living = np.flatnonzero(factors[stage] > 0)
+        owed, whole = way.owed(ended, share), way.owed(ended, 1.0)
+        chances[stage] = before * np.bincount(group[reached], np.exp(whole[reached]), minlength=repetitions) / runs
+        before *= np.bincount(group[reached], np.exp(owed[reached]), minlength=repetitions) / runs
+        living = np.flatnonzero(before > 0)
         if not living.size:
             break
         chosen = [_choose(owed, np.flatnonzero(reached & (group == one)), runs, rng) for one in living.tolist()]
         entries, group = _onward(way, ended, np.concatenate(chosen), share), np.repeat(living, runs)
-    return factors
+    return chances
 
 
 def _stage(way: _Way, entries: _Entries, ahead: list[float], level: float, rng: np.random.Generator) -> _Entries:

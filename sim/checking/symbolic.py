@@ -130,6 +130,8 @@ def _value(expression: q.Expression) -> float:
             return value
         case q.Quantity(kind=kind):
             raise ValueError(f"the {kind} changes continuously: a symbolic query cannot speak of it, ask Pr[<=T](...)")
+        case q.Indicator():
+            raise ValueError("a condition stands where a number is needed; only simulate takes it for 0 or 1")
     right = _value(expression.right)
     if expression.op == "/" and right == 0.0:
         raise ValueError("the query divides by zero; correct the divisor")

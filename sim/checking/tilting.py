@@ -2,14 +2,15 @@
 
 A mode parameter m that is drawn once for a long stay is no matter of small steps: among some hundred runs none has the
 m five standard deviations out by which the event comes, and splitting (`sim.checking.splitting`) cannot make one. So
-runs that are split draw the standard scores z of such m from normal laws of their own, fitted in pilots to what z is
-given the event, and carry the logarithm of the density ratio, sum of log N(z; 0, 1) - log N(z; mean, sigma^2).
+runs that are split draw the standard scores z of such m from laws N(mean, 1), the means found in pilots as those of z
+given the event, and carry the logarithm of the density ratio, the sum of log N(z; 0, 1) - log N(z; mean, 1).
 """
 
 from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
+from scipy.optimize import brentq
 
 from sim.checking.paths import World
 from sim.sha import distributions
@@ -23,42 +24,53 @@ MOST = 6
 LEAST_EFFECT = 0.2
 """Stays with less than this share of the greatest effect are left alone: their m is one noise among others."""
 
-NARROWEST, WIDER = 0.25, 1.2
-"""The fitted laws are WIDER than what was seen, and no narrower than NARROWEST, nor wider than 1."""
-
-
 @dataclass(frozen=True, slots=True)
 class Tilts:
-    """The normal laws of K standard scores: `mean` (K,) and `sigma` (K,)."""
+    """The laws N(mean, 1) of K standard scores, `mean` (K,). Being no narrower than chance's own, they leave no
+    region out that would be missed for long and then weigh much."""
 
     mean: Array
-    sigma: Array
 
     def scores(self, column: int, runs: int, rng: np.random.Generator) -> Array:
         """(runs,) standard scores of one mode parameter."""
-        drawn: Array = self.mean[column] + self.sigma[column] * rng.standard_normal(runs)
+        drawn: Array = self.mean[column] + rng.standard_normal(runs)
         return drawn
 
     def log_weights(self, drawn: Array) -> Array:
         """(runs,) the logarithm of how much more often chance draws these scores (runs, K); nan: not drawn yet."""
-        terms = 0.5 * ((drawn - self.mean) / self.sigma) ** 2 - 0.5 * drawn**2 + np.log(self.sigma)
-        return np.asarray(np.nansum(terms, axis=1))
+        return np.asarray(np.nansum(self.mean * (0.5 * self.mean - drawn), axis=1))
+
+    def surplus(self, drawn: Array) -> Array:
+        """(runs,) how far that logarithm lies above its mean under these laws."""
+        return np.asarray(np.nansum(self.mean * (self.mean - drawn), axis=1))
 
 
 def neutral(columns: int) -> Tilts:
     """The laws that chance itself has."""
-    return Tilts(np.zeros(columns), np.ones(columns))
+    return Tilts(np.zeros(columns))
 
 
 def fitted(drawn: Array) -> Tilts:
-    """Normal laws with the means and deviations of scores (runs, K) that led to the event."""
-    found = neutral(drawn.shape[1])
-    for column, scores in enumerate(drawn.T):
-        seen = scores[np.isfinite(scores)]
-        if seen.size > 1:
-            found.mean[column] = seen.mean()
-            found.sigma[column] = min(max(WIDER * float(seen.std()), NARROWEST), 1.0)
-    return found
+    """The laws with the means of scores (runs, K) that led to the event."""
+    seen = np.isfinite(drawn)
+    return Tilts(np.where(seen, drawn, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
+
+
+def balance(tilts: Tilts, drawn: Array, spent: Array, least: float) -> float:
+    """The part of the weight, from `least` to 1, with which runs at a level keep the mean scores that the laws have.
+
+    A level nearer than the event is reached with smaller scores; with the whole weight they would take over there.
+    `drawn` (runs, K) are the scores of those that reached it, `spent` the logarithm that was given back before.
+    """
+    whole, surplus = tilts.log_weights(drawn), tilts.surplus(drawn)
+
+    def excess(part: float) -> float:
+        owed = part * whole - spent
+        return float(np.average(surplus, weights=np.exp(owed - owed.max())))
+
+    if excess(least) >= 0.0:
+        return least
+    return 1.0 if excess(1.0) <= 0.0 else float(brentq(excess, least, 1.0, xtol=1e-3))
 
 
 def moved(one: Tilts, other: Tilts) -> float:

@@ -6,21 +6,32 @@ is deployable; the others are facts that a reader should know.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
 
 from sim.checking import structure
 from sim.checking.bounds import Bounds, Verdict, find_bounds, noise_band
 from sim.checking.counterexample import MOST_STAYS
 from sim.checking.envelope import Assumptions, Range, UnboundedInput, describe
+from sim.checking.runnable import announced, faults, unexecuted
 from sim.checking.word import TimedWord
+from sim.sha import effects
 from sim.sha.automaton import SHA, nondeterminism
-from sim.sha.correction import in_sensor_scale
-from sim.sha.entry import check_sha
+from sim.sha.correction import corrected, in_sensor_scale
 from sim.sha.events import alphabet_symbols
+from sim.sha.flows import RELAXING
 from sim.sha.model import Model
 from sim.sha.trace import Trace
 
 SLACK = 0.1
 """Share of the range's width by which the mean course of a deployable model may pass a border."""
+MOST_DOUBT = 1.0
+"""Share of the range's width that a location's own doubt of its target excuses at most in the mean course."""
+GAINS = (0.5, 2.0)
+"""What the gain of a correction may be: beyond it, it calibrates no sensor but hides a wrong model."""
+NOISE_SECONDS = 60.0
+"""The time over which the noise of flows that do not relax is looked at."""
 DEFAULT = Assumptions()
 
 Clock = Callable[[], float]
@@ -92,7 +103,8 @@ def verify(
 
     `symbols` is the alphabet for input-enabledness: by default the model's, else that of the edges. `traces` (encoded)
     must be accepted. `bounds` is a range (degC) that T is claimed to keep, and then blocks; by default the model's own
-    range is looked at, and only growth without bound and a mean course outside of it (by more than SLACK) block.
+    range is looked at, and what blocks is growth without bound, a mean course outside of the range (by more than SLACK
+    and the model's own doubt), and noise that is wider than it.
     `clock` gives seconds for the times that the checks report. Raises ValueError for assumptions that do not fit.
     """
     sha = subject.sha if isinstance(subject, Model) else subject
@@ -102,6 +114,7 @@ def verify(
     checks = [
         timed(_runnable(subject, refusal)),
         timed(_determinism(sha)),
+        *([timed(_alphabet(subject))] if isinstance(subject, Model) else []),
         timed(_input_enabled(sha, alphabet)),
         timed(_reachability(sha)),
         timed(_dead_ends(sha)),
@@ -109,16 +122,23 @@ def verify(
     if traces:
         checks.append(timed(_acceptance(sha, traces)))
     found: Bounds | None = None
+    _check_inputs(sha, assumptions)
     if isinstance(subject, Model) and all(check.verdict == "proven" for check in checks[:2]):
-        try:
-            found, temperature = _temperature(subject, bounds, assumptions, timed)
-            checks += temperature
-        except UnboundedInput as error:
-            checks.append(Check("growth", "not decided", str(error)))
+        found, temperature = _decided(subject, bounds, assumptions, timed)
+        checks += temperature
     else:
         said = "the model cannot be run, so nothing is said of temperatures"
         checks.append(Check("bounds", "not decided", said, blocking=bounds is not None))
     return Verification(sha.name, tuple(checks), describe(assumptions), found)
+
+
+def _check_inputs(sha: SHA, assumptions: Assumptions) -> None:
+    """A range for what drives nothing would be a slip of the pen, and change nothing."""
+    driving = dict.fromkeys(one.signal for location in sha.locations for one in location.flow.inputs)
+    strange = next((name for name in assumptions.inputs if name not in driving), None)
+    if strange is not None:
+        known = f"they are driven by {', '.join(driving)}" if driving else "none is driven by any signal"
+        raise ValueError(f"no flow of {sha.name!r} is driven by {strange!r}; {known}")
 
 
 @dataclass(slots=True)
@@ -148,21 +168,21 @@ class _Stopwatch:
 
 
 def _runnable(subject: Model | SHA, refusal: str) -> Check:
-    sha = subject.sha if isinstance(subject, Model) else subject
-    guards = structure.guarded(sha)
-    if guards:
-        said = (
-            f"{len(guards)} edges have guards, {guards[0]} the first; a guard is kept as the artefact's text, about "
-            "variables that no trace carries, so an automaton with guards is refused for running"
-        )
-        return Check("runnable", "refuted", said, tuple(guards))
-    if not isinstance(subject, Model):
+    found = faults(subject) if isinstance(subject, Model) else unexecuted(subject)
+    if not found and not isinstance(subject, Model):
         return Check("runnable", "refuted", refusal or "only the structure is known, no flows")
-    try:
-        check_sha(in_sensor_scale(subject).sha)
-    except ValueError as error:
-        return Check("runnable", "refuted", str(error))
-    return Check("runnable", "proven", "every flow, law and entry mode can be executed, and no edge has a guard")
+    if not found:
+        return Check("runnable", "proven", "every flow, law and entry mode can be executed, and no edge has a guard")
+    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+    return Check("runnable", "refuted", found[0] + more, found)
+
+
+def _alphabet(model: Model) -> Check:
+    fault = announced(model)
+    if not fault:
+        count = len(alphabet_symbols(model.alphabet))
+        return Check("alphabet", "proven", f"signals of the plant announce {count} symbols, some of them on edges")
+    return Check("alphabet", "refuted", f"no plant could run it: {fault}")
 
 
 def _determinism(sha: SHA) -> Check:
@@ -218,16 +238,37 @@ def _acceptance(sha: SHA, traces: Sequence[Trace]) -> Check:
 # ------------------------------------------------------------------ temperatures
 
 
+def _decided(
+    model: Model, claimed: Range | None, assumptions: Assumptions, timed: _Stopwatch
+) -> tuple[Bounds | None, list[Check]]:
+    """All that is said of temperatures; not decided where effects act, an input has no range or numbers overflow."""
+    declined = effects.refusal(model.sha, "the proof of what a temperature can do")
+    if declined:
+        return None, [Check("growth", "not decided", declined)]
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            return _temperature(model, claimed, assumptions, timed)
+    except UnboundedInput as error:
+        return None, [Check("growth", "not decided", str(error))]
+    except ArithmeticError as error:
+        said = f"the model's numbers lead beyond what can be computed ({error}); give parameters of a usual size"
+        return None, [Check("growth", "not decided", said)]
+
+
 def _temperature(
     model: Model, claimed: Range | None, assumptions: Assumptions, timed: _Stopwatch
 ) -> tuple[Bounds, list[Check]]:
     sha = in_sensor_scale(model).sha
     low, high = claimed or (sha.low, sha.high)
     found = find_bounds(model, low, high, assumptions)
-    checks = [timed(_within(found, model, assumptions, blocking=claimed is not None)), timed(_growth(found))]
-    wide = SLACK * (sha.high - sha.low)
-    mean = find_bounds(model, sha.low - wide, sha.high + wide, assumptions, typical=True)
-    return found, [*checks, timed(_mean_course(mean))]
+    checks = [timed(_within(found, model, assumptions, blocking=claimed is not None))]
+    # A claim may have an infinite border, which growth would never pass: it is judged by the model's own range.
+    own = found if claimed is None else find_bounds(model, sha.low, sha.high, assumptions)
+    checks.append(timed(_growth(own, model)))
+    width = sha.high - sha.low
+    mean = find_bounds(model, sha.low - SLACK * width, sha.high + SLACK * width, assumptions, doubt=MOST_DOUBT * width)
+    checks += [timed(_mean_course(mean, assumptions.z)), timed(_noise_check(model, assumptions.z))]
+    return found, checks if model.correction.identity else [*checks, timed(_correction(model))]
 
 
 def _within(found: Bounds, model: Model, assumptions: Assumptions, *, blocking: bool) -> Check:
@@ -263,27 +304,61 @@ def _noise(model: Model, z: float) -> str:
     return f"{said}, and grows with the time spent in {len(walking)} others ({most})"
 
 
-def _growth(found: Bounds) -> Check:
+def _growth(found: Bounds, model: Model) -> Check:
     growing = [one for one in found.escapes if one.grows]
-    if not growing and found.settled:
-        lows, highs = zip(*found.intervals.values(), strict=True)
-        return Check("growth", "proven", f"T never passes {min(lows):.4g} or {max(highs):.4g} degC, whatever happens")
     if not found.settled:
         return Check("growth", "not decided", "the bounds did not settle in the rounds that they are given")
+    if not growing:
+        lows, highs = zip(*found.intervals.values(), strict=True)
+        return Check("growth", "proven", f"T never passes {min(lows):.4g} or {max(highs):.4g} degC, whatever happens")
     words = tuple(one.word for one in growing if one.word is not None)
     directions = " and ".join("upwards" if one.up else "downwards" for one in growing)
     said = "; ".join(_way_out(found, one.up) for one in growing)
-    return Check(
-        "growth", "refuted" if words else "not decided", f"T grows {directions} without bound: {said}", (), words
-    )
+    kinds = {each.name: each.flow.kind for each in model.sha.locations if each.flow.kind not in (*RELAXING, "constant")}
+    name = next((one.location for one in growing if one.location in kinds), next(iter(kinds), ""))
+    cause = f"; the flow of {name!r} is {kinds[name]}, which has no target" if name else ""
+    evidence = f"T grows {directions} without bound: {said}{cause}"
+    return Check("growth", "refuted" if words else "not decided", evidence, (), words)
 
 
-def _mean_course(mean: Bounds) -> Check:
+def _mean_course(mean: Bounds, z: float) -> Check:
     span = f"[{mean.low:g}, {mean.high:g}] degC (the model's range and {SLACK:.0%} of its width)"
+    doubt = f"given the benefit of its own doubt (z = {z:g}, at most the range's width)"
     if mean.verdict == "proven":
-        return Check("mean course", "proven", f"with every random number at its mean, T stays within {span}")
+        said = f"with what is drawn at its mean, and each target {doubt}, T stays within {span}"
+        return Check("mean course", "proven", said)
     said = "; ".join(_way_out(mean, one.up) for one in mean.escapes) or "the bounds did not settle"
     words = tuple(one.word for one in mean.escapes if one.word is not None)
+    evidence = f"with what is drawn at its mean, and even with each target {doubt}, T leaves {span}: {said}"
+    return Check("mean course", mean.verdict, evidence, (), words)
+
+
+def _correction(model: Model) -> Check:
+    """The range is carried along by a correction, so that a wrong one would move what is measured by."""
+    gain, offset = model.correction.gain, model.correction.offset
+    low, high = model.sha.low, model.sha.high
+    middle = corrected(model.correction, 0.5 * (low + high))
+    said = f"T' = {gain:.4g} T {offset:+.4g} degC, which puts the middle of the range at {middle:.4g} degC"
+    if GAINS[0] <= gain <= GAINS[1] and low <= middle <= high:
+        return Check("correction", "proven", said)
+    wanted = f"a sensor's calibration has a gain of {GAINS[0]:g} to {GAINS[1]:g} and leaves the middle in the range"
+    return Check("correction", "refuted", f"{said}; {wanted}")
+
+
+def _noise_check(model: Model, z: float) -> Check:
+    """Noise is no matter of words: what it would need to hide the whole range is told, and blocks."""
+    settled, walking = noise_band(model, z)
+    sha = in_sensor_scale(model).sha
+    width = sha.high - sha.low
+    worst = {name: z * noise * sqrt(NOISE_SECONDS) for name, noise in walking.items()}
+    name = max(worst, key=lambda each: worst[each], default="")
+    said = f"{_noise(model, z)}; the sensor's is {model.sensor_sigma:.3g} degC"
+    wide = max(settled, z * model.sensor_sigma, worst.get(name, 0.0))
+    if wide <= width:
+        return Check("noise", "proven", said)
     return Check(
-        "mean course", mean.verdict, f"with every random number at its mean, T leaves {span}: {said}", (), words
+        "noise",
+        "refuted",
+        f"at z = {z:g} noise reaches {wide:.3g} degC (over {NOISE_SECONDS:g} s where it grows), which is wider than "
+        f"the model's range of {width:g} degC, so that nothing is predicted: {said}",
     )

@@ -18,6 +18,7 @@ from math import isfinite, nan
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Location, transitions
 from sim.sha.correction import in_sensor_scale
+from sim.sha.effects import refuse
 from sim.sha.entry import check_sha, drawn_temperature, mode_parameter
 from sim.sha.flows import mean_step, offset
 from sim.sha.model import Model
@@ -176,6 +177,7 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
     """
     model = in_sensor_scale(model)
     check_sha(model.sha)
+    refuse(model.sha, "the replay of a word")
     x = _start(model, word, start)
     bound = min(max(x, model.sha.low), model.sha.high)
     visits = []

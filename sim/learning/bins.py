@@ -155,7 +155,7 @@ def _select(
     """(every candidate's figures, the chosen one, its rates): the held-out likelihood decides."""
     few = sampled(runs, CHOICE_BUDGET)
     cut = folds(few)
-    rivals = distinct(tuple(candidates), base)
+    rivals = distinct(candidates, base)
     scores: Scores = []
     rates = []
     for number, candidate in enumerate(rivals):
@@ -188,7 +188,7 @@ def _fit(
     told = well_seen(sha, shape, fit, base)
     learned = learned_sha(name, sha, shape, fit, noise, few, told)
     model = Model(
-        sha=with_range(learned, runs),
+        sha=with_range(learned, runs, 4.0 * noise.sensor),
         alphabet=base.alphabet,
         temperature=temperature,
         sensor_sigma=noise.sensor,

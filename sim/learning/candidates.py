@@ -1,6 +1,6 @@
 """The candidates of method `bins`: constant targets or driven ones, and which locations share a rate or a gain."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,7 +9,7 @@ import numpy as np
 from sim.learning.free_run import Shape
 from sim.learning.runs import Indices, Runs
 from sim.learning.shape import Names, Prior, shape_of
-from sim.learning.structure import contexts, labels, level_signals, product_sha, reference
+from sim.learning.structure import LearningError, contexts, labels, level_signals, product_sha, reference
 from sim.sha.automaton import SHA, Flow, Input, Location
 from sim.sha.events import Alphabet, Switch
 from sim.sha.trace import Mask
@@ -19,6 +19,8 @@ LEAST_SHARE = 0.1
 """A location in which a channel is not known is fitted like the known ones when it holds this share of the readings."""
 LEAST_SWING = 0.05
 """A location is driven by an input that scatters there by this share of its scatter over all locations."""
+MOST_OWN = 24
+"""Locations up to which each may have a rate or a gain of its own: the search grows with their cube."""
 SPREAD = 40.0
 """Spread of the priors of targets, in degC."""
 
@@ -151,11 +153,23 @@ def process_groups(alphabet: Alphabet) -> Indices:
     return np.array([order.index(group) for group in groups], dtype=np.intp)
 
 
-def distinct(candidates: tuple[Candidate, ...], base: Ground) -> list[Candidate]:
-    """The candidates that differ on these data: with one location, or no moving input, several are the same."""
+def distinct(candidates: Sequence[Candidate], base: Ground) -> list[Candidate]:
+    """The candidates that differ on these data: with one location, or no moving input, several are the same.
+
+    Over more than MOST_OWN locations none has a rate or a gain of its own for each of them. Raises LearningError when
+    that leaves no candidate.
+    """
+    many = len(base.seen) > MOST_OWN
     kept: dict[tuple[object, ...], Candidate] = {}
     for candidate in candidates:
+        if many and "location" in (candidate.rates, candidate.gains if candidate.flow == "driven" else ""):
+            continue
         _, shape, names = build(candidate, base)
         key = (shape.kinds, tuple(shape.rate), tuple(shape.gain.ravel()), len(names.gains))
         kept.setdefault(key, candidate)
+    if not kept:
+        raise LearningError(
+            f"the traces stay in {len(base.seen)} locations, and a rate or gain of its own for each is only fitted for "
+            f"up to {MOST_OWN}; let them share one, take wider bins, or learn with method lsha, which merges locations"
+        )
     return list(kept.values())

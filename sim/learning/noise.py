@@ -218,7 +218,12 @@ def _ahead_score(ahead: _Ahead, states: Array, sensor: Array, process: Array, sc
     mean = a * x + own * m + ahead.drift[:, None]
     variance = a * a * xx + 2 * a * own * xm + own * own * mm
     variance = variance + ahead.process @ process**2 + ahead.scatter @ scatter**2 + sensor**2
-    return np.asarray(np.nanmean(_log_score(ahead.outcome[:, None] - mean, variance), axis=0))
+    return _mean_known(_log_score(ahead.outcome[:, None] - mean, variance))
+
+
+def _mean_known(scores: Array) -> Array:
+    """(Q,) the mean of the rows (n, Q) that are known; 0, which prefers nothing, where none is."""
+    return np.asarray(np.nansum(scores, axis=0) / np.maximum(np.sum(~np.isnan(scores), axis=0), 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,7 +250,7 @@ class _Task:
         sensor, process, scatter = self.unpack(theta)
         one, states = _filtered(self.steps, self.table, sensor, process, scatter)
         later = [_ahead_score(ahead, states, sensor, process, scatter) for ahead in self.aheads]
-        return [np.nanmean(one, axis=0), *later]
+        return [_mean_known(one), *later]
 
     def loss(self, theta: Array, weight: float) -> Array:
         """(Q,) minus the composite log-likelihood and the log-prior.

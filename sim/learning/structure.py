@@ -9,6 +9,7 @@ Names join the channels' labels with "/" in the alphabet's order: ON and OFF for
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise, product
+from types import MappingProxyType
 
 from sim.sha.automaton import SHA, Edge, Flow, Location
 from sim.sha.events import Alphabet, Bins, Switch
@@ -51,10 +52,11 @@ def name_of(context: Context, alphabet: Alphabet) -> str:
     return "/".join("?" if value is None else labels(channel)[value] for value, channel in parts)
 
 
-def contexts(alphabet: Alphabet) -> dict[str, Context]:
+@lru_cache(maxsize=16)
+def contexts(alphabet: Alphabet) -> Mapping[str, Context]:
     """Every location's name and what is known in it; the wholly unknown one first."""
     choices = [(None, *range(len(labels(channel)))) for channel in alphabet.channels]
-    return {name_of(context, alphabet): context for context in product(*choices)}
+    return MappingProxyType({name_of(context, alphabet): context for context in product(*choices)})
 
 
 def edges(alphabet: Alphabet) -> tuple[Edge, ...]:

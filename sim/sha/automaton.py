@@ -65,11 +65,28 @@ class Edge:
 
 
 @dataclass(frozen=True, slots=True)
+class Effect:
+    """Something that acts on top of the flows, or between the temperature and its sensor.
+
+    `kind` is a key of `effects.EFFECTS`, which says what `params` it takes and which roles `signals` fills (role -> the
+    signal's name). It acts while the automaton is in one of `locations`, everywhere when there are none. `event` is the
+    symbol since whose last occurrence an effect with a clock of its own counts.
+    """
+
+    kind: str
+    params: Mapping[str, float]
+    signals: Mapping[str, str] = field(default_factory=dict)
+    locations: tuple[str, ...] = ()
+    event: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class SHA:
     """Locations, edges and the location where a trace starts.
 
     `max_rate` (degC/s) saturates every drift on both sides; `low`..`high` (degC) clamps the temperature, and clamps are
-    counted by whoever simulates. Raises ValueError, naming the part, when a name is doubled or an edge leads nowhere.
+    counted by whoever simulates. `effects` act on top of the flows (`sim.sha.effects`). Raises ValueError, naming the
+    part, when a name is doubled, or an edge or an effect names a location that is not there.
     """
 
     name: str
@@ -79,6 +96,7 @@ class SHA:
     max_rate: float = inf
     low: float = 0.0
     high: float = 150.0
+    effects: tuple[Effect, ...] = ()
 
     def __post_init__(self) -> None:
         known = Counter(location.name for location in self.locations)
@@ -93,6 +111,13 @@ class SHA:
                     raise ValueError(
                         f"SHA {self.name!r}: edge {edge.source} -{edge.symbol}-> {edge.target} names the location "
                         f"{end!r}, which is not defined"
+                    )
+        for effect in self.effects:
+            for name in effect.locations:
+                if name not in known:
+                    raise ValueError(
+                        f"SHA {self.name!r}: the effect {effect.kind!r} names the location {name!r}, "
+                        f"which is not defined"
                     )
         if not self.max_rate > 0 or not self.low < self.high:
             raise ValueError(f"SHA {self.name!r}: max_rate must be positive and low below high")

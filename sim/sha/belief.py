@@ -7,17 +7,21 @@ With the location known every flow is affine (`sim.sha.flows`), so over a step o
 and the filter is exact, however long the step is. Under a saturated rate the mean takes the saturated map while the
 covariance keeps the unsaturated one. At one instant events come before inputs, inputs before the reading.
 
+With effects the state has more parts, and the filter is that of `sim.sha.augmented.filter`.
+
 Every function takes a `Model` or, where speed counts, its `Tracker` (`compile_model`, made once).
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import inf, isfinite, log, nan, pi, sqrt
+from math import inf, isfinite, log, nan, pi
 from types import MappingProxyType
 
 import numpy as np
 
 from sim.sha import distributions
+from sim.sha.augmented import filter as augmented
+from sim.sha.belief_state import Belief, Hidden, Innovation, belief_of
 from sim.sha.model import Model
 from sim.sha.scores import surprise
 from sim.sha.trace import UNKNOWN, Array, Event, Trace
@@ -26,73 +30,22 @@ from sim.sha.tracker import Mode, Tracker, compile_model, compiled, next_locatio
 __all__ = [
     "Belief",
     "Filtered",
+    "Hidden",
     "Innovation",
     "Tracker",
     "advance",
     "anomaly",
+    "belief_of",
     "compile_model",
     "filter_trace",
     "observe",
     "on_event",
+    "restarted",
     "start",
     "with_inputs",
 ]
 
 _NO_SIGNALS: Mapping[str, float] = MappingProxyType({})
-
-
-@dataclass(frozen=True, slots=True)
-class Innovation:
-    """A reading against its prediction: `value` = reading - prediction (degC), its predicted `variance`, its `square`.
-
-    `square` is value^2 / variance, chi-square with one degree of freedom when the model is right.
-    """
-
-    value: float
-    variance: float
-    square: float
-
-
-@dataclass(frozen=True, slots=True)
-class Belief:
-    """The state of the plant as far as it is known at `time` (absolute seconds).
-
-    `location` was entered at `entered`; temperature and mode parameter are Gaussian with means `x` (degC), `m` and
-    covariance `xx`, `xm`, `mm`; `offset` (degC) is what the inputs `signals` add to the flow's target here. `last` is
-    the newest innovation, `recent` the squares of the newest ones (as many as the tracker's window), `evidence` the
-    log-likelihood of all readings so far. `samples` counts the readings used, `unmatched` the events that had no edge,
-    `late` the readings and events that came with a time before the belief's, `clamps` the steps that ended beyond the
-    automaton's range and were put back to its border. Until `seen`, no temperature was read.
-    """
-
-    location: str
-    entered: float
-    time: float
-    x: float
-    m: float
-    xx: float
-    xm: float
-    mm: float
-    offset: float
-    signals: Mapping[str, float]
-    last: Innovation | None = None
-    recent: tuple[float, ...] = ()
-    evidence: float = 0.0
-    samples: int = 0
-    unmatched: int = 0
-    late: int = 0
-    seen: bool = False
-    clamps: int = 0
-
-    @property
-    def age(self) -> float:
-        """Seconds since the location was entered."""
-        return self.time - self.entered
-
-    @property
-    def sigma(self) -> float:
-        """Standard deviation of the temperature, degC."""
-        return sqrt(self.xx)
 
 
 def start(
@@ -115,6 +68,8 @@ def start(
     x, xx = _before_any_reading(tracker, mode)
     m, mm = mode.parameter
     belief = Belief(tracker.model.sha.initial, time, time, x, m, xx, 0.0, mm, mode.offset(held), held)
+    if tracker.plant is not None:
+        belief = augmented.begun(tracker.plant, belief)
     return belief if temperature is None else observe(tracker, belief, time, temperature)
 
 
@@ -157,7 +112,10 @@ def advance(model: Model | Tracker, belief: Belief, time: float) -> Belief:
     """
     if not belief.time <= time < inf:
         raise ValueError(f"a belief at {belief.time} s cannot be advanced to {time} s: time only goes forward")
-    x, xx, xm, clamped = _predict(compiled(model), belief, time)
+    tracker = compiled(model)
+    if tracker.plant is not None:
+        return augmented.advance(tracker, tracker.plant, belief, time)
+    x, xx, xm, clamped = _predict(tracker, belief, time)
     return replace(belief, time=time, x=x, xx=xx, xm=xm, clamps=belief.clamps + clamped)
 
 
@@ -174,8 +132,10 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
         return advance(tracker, belief, time)
     sensor = tracker.sensor
     if not belief.seen:
-        moved = advance(tracker, belief, time)
-        return replace(moved, x=temperature, xx=sensor, xm=0.0, samples=1, seen=True)
+        moved = replace(advance(tracker, belief, time), x=temperature, xx=sensor, xm=0.0, samples=1, seen=True)
+        return moved if tracker.plant is None else augmented.begun(tracker.plant, moved)
+    if tracker.plant is not None:
+        return augmented.observe(tracker, tracker.plant, belief, time, temperature)
     x, xx, xm, clamped = _predict(tracker, belief, time)
     variance = xx + sensor
     value = temperature - x
@@ -213,6 +173,8 @@ def on_event(model: Model | Tracker, belief: Belief, event: Event) -> Belief:
     tracker = compiled(model)
     late = not belief.time <= event.time < inf
     moved = belief if late else advance(tracker, belief, event.time)
+    if tracker.plant is not None:
+        return augmented.on_event(tracker, tracker.plant, replace(moved, late=belief.late + late), event)
     location, matched = next_location(tracker, belief.location, event.symbol)
     unmatched, lates = belief.unmatched + (not matched), belief.late + late
     if location is None:
@@ -242,6 +204,9 @@ def with_inputs(model: Model | Tracker, belief: Belief, time: float, signals: Ma
     effect at the belief's time.
     """
     tracker = compiled(model)
+    if tracker.plant is not None:
+        moved = advance(tracker, belief, time) if belief.time < time < inf else belief
+        return augmented.with_inputs(tracker, tracker.plant, moved, time, signals)
     held = belief.signals
     news = {
         name: signals[name]
@@ -253,6 +218,16 @@ def with_inputs(model: Model | Tracker, belief: Belief, time: float, signals: Ma
         return moved
     held = {**held, **news}
     return replace(moved, signals=held, offset=tracker.modes[belief.location].offset(held))
+
+
+def restarted(model: Model | Tracker, belief: Belief, temperature: float) -> Belief:
+    """The belief begun anew at a reading (degC) that is trusted to within the sensor; location, m and inputs stay.
+
+    Of hidden states the housing's temperature stays as it is, and lags and X move with the reading.
+    """
+    tracker = compiled(model)
+    begun = replace(belief, x=temperature, xx=tracker.sensor, xm=0.0, seen=True, clamps=0)
+    return begun if tracker.plant is None else augmented.restarted(tracker.plant, belief, begun)
 
 
 def anomaly(belief: Belief) -> float:

@@ -2,16 +2,18 @@
 
 T is the automaton's temperature, T' what the sensor reads. Every flow is affine in T and in the mode parameter m, so
 the corrected model is again a model, with every temperature mapped by k T + b and every difference, rate, gain and
-noise multiplied by k. All that runs a model (`schedule`, `compile_model`, and with them simulation, open loop, belief
-and forecast) takes this form of it, so start temperatures, readings, limits and quantiles are all of T', and the
-sensor's noise, which is measured in T', stays as it is. The automaton's range becomes [k low + b, k high + b].
+noise multiplied by k; so are the effects' heats and the temperatures in them. All that runs a model (`schedule`,
+`compile_model`, and with them simulation, open loop, belief and forecast) takes this form of it, so start temperatures,
+readings, limits and quantiles are all of T', and the sensor's noise, which is measured in T', stays as it is. The
+automaton's range becomes [k low + b, k high + b].
 """
 
 from collections.abc import Mapping
 from dataclasses import replace
 from math import log
 
-from sim.sha.automaton import SHA, Distribution, Flow, Input, Location
+from sim.sha.automaton import SHA, Distribution, Effect, Flow, Input, Location
+from sim.sha.effects import EFFECTS, parameter
 from sim.sha.flows import FIXED, RELAXING
 from sim.sha.model import Correction, Model
 
@@ -34,6 +36,7 @@ def in_sensor_scale(model: Model) -> Model:
         max_rate=correction.gain * sha.max_rate,
         low=corrected(correction, sha.low),
         high=corrected(correction, sha.high),
+        effects=tuple(_effect(effect, correction) for effect in sha.effects),
     )
     return replace(model, sha=scaled, correction=Correction())
 
@@ -63,6 +66,32 @@ def _flow(flow: Flow, correction: Correction) -> Flow:
         params[FIXED] = correction.gain * params[FIXED] + shift
     inputs = tuple(Input(one.signal, correction.gain * one.gain, one.reference) for one in flow.inputs)
     return Flow(flow.kind, params, inputs)
+
+
+_TEMPERATURES = ("sink", "opens", "closes", "surroundings", "zero")
+
+
+def _effect(effect: Effect, correction: Correction) -> Effect:
+    """Heats and offsets are multiplied, temperatures of X mapped; losses, times and what signals mean stay.
+
+    Temperature signals keep their own scale: `scale` and `shift` map them to X's. A radiated heat falls with the fourth
+    power of temperatures that are all k times as far from absolute zero, so its gain is divided by k^3.
+    """
+    params = {name: parameter(effect, name) for name in EFFECTS[effect.kind].params if _has(effect, name)}
+    k = correction.gain
+    for name in ("gain", "size"):
+        if name in params:
+            params[name] *= k**-3 if effect.kind == "radiation-loss" else k
+    for name in _TEMPERATURES:
+        if name in params:
+            params[name] = corrected(correction, params[name])
+    if "scale" in params:
+        params["scale"], params["shift"] = k * params["scale"], corrected(correction, params["shift"])
+    return replace(effect, params=params)
+
+
+def _has(effect: Effect, name: str) -> bool:
+    return name in effect.params or name in EFFECTS[effect.kind].defaults
 
 
 def _law(law: Distribution, gain: float, offset: float) -> Distribution:

@@ -3,6 +3,7 @@
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Location
 from sim.sha.distributions import check_distribution
+from sim.sha.effects import check_effects
 from sim.sha.flows import FIXED, RELAXING, check_flow
 
 
@@ -36,7 +37,7 @@ def mode_parameter(location: Location) -> tuple[float, float]:
 
 
 def check_sha(sha: SHA) -> None:
-    """Raises ValueError, naming the location, unless every flow, law and entry mode can be executed."""
+    """Raises ValueError, naming the location or effect, unless all flows, laws, entry modes and effects can be run."""
     for location in sha.locations:
         try:
             check_flow(location.flow)
@@ -45,6 +46,7 @@ def check_sha(sha: SHA) -> None:
             _check_entry(location)
         except ValueError as error:
             raise ValueError(f"SHA {sha.name!r}, location {location.name!r}: {error}") from None
+    check_effects(sha)
 
 
 def _check_entry(location: Location) -> None:

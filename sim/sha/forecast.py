@@ -12,6 +12,9 @@ from math import ceil, inf, isfinite, sqrt
 import numpy as np
 from scipy.special import ndtri
 
+from sim.sha.augmented.cuts import fastest as relaxation
+from sim.sha.augmented.particles import felt_paths, felt_stays, fly, real_age
+from sim.sha.augmented.plant import Plant
 from sim.sha.belief import Belief, advance, on_event
 from sim.sha.flows import RELAXING
 from sim.sha.model import Model
@@ -34,9 +37,10 @@ class Forecast:
 
     `quantiles` (L, H), degC, at `levels` (L,), are those of the *measured* temperature, sensor noise included: that is
     what a reading is compared with. `locations` gives for each horizon the probability of each location. `exceedance`
-    is for each horizon the probability that the *true* temperature reaches `limit` (degC) at or before it, with the
-    interval that the number of runs leaves (it says nothing of the model's own error). `minutes_to_limit` are the
-    5, 50 and 95 % quantiles of the time to the limit, inf where the longest horizon ends first.
+    is for each horizon the probability that the *true* temperature reaches `limit` (degC) at or before it (with a lag
+    or an offset among the effects: what a sensor without noise reads), with the interval that the number of runs leaves
+    (it says nothing of the model's own error). `minutes_to_limit` are the 5, 50 and 95 % quantiles of the time to the
+    limit, inf where the longest horizon ends first.
 
     `factors` (H,) are those by which the fan was widened. `clamps` counts the times that a run left the automaton's
     range, `cut` the runs that jumped more often than `semi_markov.MOST_STAYS`: above 0, doubt the model.
@@ -72,10 +76,11 @@ def forecast(
 
     A location without a stay in `model.semi_markov` is never left: the fan then widens by m and the flow's noise only.
     With `events` (absolute times, after the belief's) those are all that will happen: the quantiles are then the exact
-    Gaussian ones, and only `exceedance` and the minutes come from runs. `calibration` (horizon in s -> factor of the
-    standard deviation, linear in between, constant outside) takes the place of the model's own; it widens the runs
-    about their median, in the fan and on the way to the limit alike. When the belief's mean is at the limit already,
-    the exceedance is 1 and the minutes are 0. `levels` are those of the fan; the median must be one of them.
+    Gaussian ones, and only `exceedance` and the minutes come from runs; with effects all does. `calibration` (horizon
+    in s -> factor of the standard deviation, linear in between, constant outside) takes the place of the model's own;
+    it widens the runs about their median, in the fan and on the way to the limit alike. When the belief's mean is at
+    the limit already, the exceedance is 1 and the minutes are 0. `levels` are those of the fan; the median must be one
+    of them.
 
     Raises ValueError on horizons that are not positive and ascending, levels that do not ascend inside (0, 1) or lack
     the median, runs below 2, and a model that cannot be run.
@@ -83,6 +88,8 @@ def forecast(
     tracker = compiled(model)
     factors = tracker.model.calibration if calibration is None else calibration
     asked = _asked(tracker, horizons, factors, limit, runs, levels)
+    if tracker.plant is not None:
+        return _augmented(tracker, tracker.plant, belief, asked, events, runs, rng)
     inputs = input_moments(tracker.model, belief.signals)
     if events is None:
         chain = compile_chain(tracker.model)
@@ -94,6 +101,30 @@ def forecast(
     steps, x0 = lay_out(tracker, belief, paths, asked.grid, inputs, rng)
     done = run(tracker.model.sha, steps, x0)
     return _told(tracker, belief, asked, steps, done, exact, rng, paths.cut)
+
+
+def _augmented(
+    tracker: Tracker,
+    plant: Plant,
+    belief: Belief,
+    asked: "_Asked",
+    events: Sequence[Event] | None,
+    runs: int,
+    rng: np.random.Generator,
+) -> Forecast:
+    """The forecast of a model with effects: always by runs, also when the events to come are known."""
+    index = {location.name: row for row, location in enumerate(tracker.model.sha.locations)}
+    stays = felt_stays(tracker, belief, events or ())
+    known = [(begin, index[name]) for begin, name in stays]
+    if events is None:
+        chain = compile_chain(tracker.model)
+        age = real_age(plant, belief)
+        drawn = draw_paths(chain, known[-1][1], age, float(asked.horizons[-1]), runs, rng)
+        paths = felt_paths(plant, belief, known, drawn)
+    else:
+        paths = known_paths(known, belief.age, runs)
+    steps, done = fly(tracker, plant, belief, paths, asked.grid, rng)
+    return _told(tracker, belief, asked, steps, done, None, rng, paths.cut)
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +200,9 @@ def _points(tracker: Tracker, horizon: float) -> int:
             fastest = max(fastest, params["k"])
         elif location.flow.kind == "logarithmic":
             fastest = max(fastest, 1.0 / params["t0"])
+    if tracker.plant is not None:
+        starts = [1.0 / acting.effect.params["tau"] for acting in tracker.plant.startups]
+        fastest = max(fastest, float(relaxation(tracker.plant).max()), *starts)
     return int(min(max(ceil(horizon * fastest / 0.1), LEAST_GRID), MOST_GRID))
 
 

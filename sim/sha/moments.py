@@ -6,7 +6,10 @@ from math import isfinite, nan
 import numpy as np
 
 from sim.sha import distributions, flows
+from sim.sha.augmented.course import Course, Drawn, covariance, mean_course, start_state
+from sim.sha.augmented.plant import Plant, compile_plant
 from sim.sha.automaton import Location
+from sim.sha.effects import sensor_offset, sensor_offsets
 from sim.sha.entry import check_sha, drawn_temperature, mode_parameter
 from sim.sha.recursion import linear_recursion
 from sim.sha.schedule import Indices, Schedule, step_coefficients
@@ -17,10 +20,11 @@ from sim.sha.trace import Array, Mask
 class Prediction:
     """What a model foresees at `times` (m,), absolute seconds, when the events are given and nothing is measured.
 
-    `mean` (degC) and `variance` (degC^2, of the temperature itself, without the sensor's) are (m,), and so is
-    `location`, the index into the SHA's locations after the events of each instant. `clamps` counts the events and
-    output times at which the mean had left the model's range and was put back to its border, `limited` the steps that
-    ran at the model's maximum rate, `unmatched` holds the indices of events without an edge that a policy passed over.
+    `mean` (degC) and `variance` (degC^2, without the sensor's noise) are (m,); they are those of what the sensor reads,
+    which only lag and offset among the effects tell from the temperature itself. `location` (m,) is the index into the
+    SHA's locations after the events of each instant. `clamps` counts the events and output times at which the mean had
+    left the model's range and was put back to its border, `limited` the steps that ran at the model's maximum rate,
+    `unmatched` holds the indices of events without an edge that a policy passed over.
     """
 
     times: Array
@@ -87,11 +91,15 @@ def moments(steps: Schedule, x0: float, variance0: float = 0.0) -> Prediction:
 
     Exact for flows without a rate limit, with the covariance of X and m within a stay. Under a rate limit the mean is
     the limited flow's closed form at the mean m, and the variance that of the unlimited flow. The mean is clamped to
-    the SHA's range at every event and output time; clamps are counted, and the variance does not see them. Raises
-    ValueError when `x0` or `variance0` is no number, the variance is negative, or the model cannot be executed.
+    the SHA's range at every event and output time; clamps are counted, and the variance does not see them. With
+    effects a thermostat switches as the mean says, radiation is linearised about the mean, and the rate limit holds for
+    the whole drift (docs/effects.md states the accuracy of each). Raises ValueError when `x0` or `variance0` is no
+    number, the variance is negative, or the model cannot be executed.
     """
     if not (isfinite(x0) and isfinite(variance0) and variance0 >= 0):
         raise ValueError(f"a run needs a start temperature and a variance of at least 0, got {x0} and {variance0}")
+    if steps.segments is not None:
+        return _augmented(steps, x0, variance0)
     affine = affine_steps(steps)
     mean, clamps, limited = _mean(steps, affine, x0)
     ends = steps.output >= 0
@@ -102,6 +110,39 @@ def moments(steps: Schedule, x0: float, variance0: float = 0.0) -> Prediction:
         location=steps.output_location,
         clamps=clamps,
         limited=limited,
+        unmatched=steps.unmatched,
+    )
+
+
+def stay_draws(steps: Schedule) -> Drawn:
+    """What the stays of a schedule draw, step by step."""
+    table = np.array([(*mode_parameter(place), *_renewal(place)) for place in steps.sha.locations])
+    mode, spread, fresh, scatter = table.T[:, steps.location]
+    resampled = steps.entry & ~np.isnan(fresh)
+    resampled[0] = False
+    return Drawn(mode, spread, resampled, np.nan_to_num(fresh), scatter, steps.entry, steps.checked)
+
+
+def augmented_course(steps: Schedule, x0: float) -> tuple[Plant, Drawn, Course]:
+    """The mean course of a schedule with effects from the reading `x0` (degC). Raises ValueError as `moments` does."""
+    check_sha(steps.sha)
+    if steps.segments is None:
+        raise ValueError(f"SHA {steps.sha.name!r} has no effects: its course is that of `moments`")
+    plant, drawn = compile_plant(steps.sha), stay_draws(steps)
+    start = start_state(plant, x0, sensor_offset(steps.sha, steps.start))
+    return plant, drawn, mean_course(plant, steps.segments, drawn, start)
+
+
+def _augmented(steps: Schedule, x0: float, variance0: float) -> Prediction:
+    plant, drawn, course = augmented_course(steps, x0)
+    ends = steps.output >= 0
+    return Prediction(
+        times=steps.times,
+        mean=course.s[ends, plant.sensed] + sensor_offsets(steps.sha, steps.times),
+        variance=covariance(plant, course, drawn, variance0)[ends],
+        location=steps.output_location,
+        clamps=course.clamps,
+        limited=course.limited,
         unmatched=steps.unmatched,
     )
 

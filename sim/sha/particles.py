@@ -67,7 +67,7 @@ def lay_out(
     `grid` (G,) ascends from above 0 to the horizon; `inputs` (L, 2) are the moments of a stay's offset
     (`semi_markov.input_moments`).
     """
-    stay, begin, dt, first, marks = _merge(paths, grid)
+    stay, begin, dt, first, marks = merge(paths, grid)
     x0, m0 = _draw_belief(belief, paths.location.shape[1], rng)
     target = _stay_targets(tracker, belief, paths, m0, inputs, rng)
     cell = stay * paths.location.shape[1] + np.arange(paths.location.shape[1])
@@ -84,13 +84,13 @@ def lay_out(
         pull=pull,
         variance=variance,
         noise=np.sqrt(variance) * rng.standard_normal(dt.shape),
-        drawn=_drawn_temperatures(tracker, location, first, rng),
+        drawn=drawn_temperatures(tracker, location, first, rng),
         marks=marks,
     )
     return steps, x0
 
 
-def _merge(paths: Paths, grid: Array) -> tuple[Indices, Array, Array, Mask, Indices]:
+def merge(paths: Paths, grid: Array) -> tuple[Indices, Array, Array, Mask, Indices]:
     """(stay, begin, dt, whether a stay begins with the step) of each step, and the rows that end at the grid's points.
 
     A jump's place among the steps is its own number plus that of the grid's points before it, so nothing is sorted. At
@@ -144,7 +144,8 @@ def _stay_targets(
     return np.asarray(target)
 
 
-def _drawn_temperatures(tracker: Tracker, location: Indices, first: Mask, rng: np.random.Generator) -> Array | None:
+def drawn_temperatures(tracker: Tracker, location: Indices, first: Mask, rng: np.random.Generator) -> Array | None:
+    """(S, N) the temperature that each step's stay draws, NaN where none is drawn; None where no location draws any."""
     laws = [tracker.modes[place.name].temperature for place in tracker.model.sha.locations]
     if all(law is None for law in laws):
         return None
@@ -194,15 +195,23 @@ def _limited(sha: SHA, steps: Steps, x0: Array) -> Runs:
     clamps = int(((x0 < sha.low) | (x0 > sha.high)).sum())
     for row in range(len(end)):
         begins = x if steps.drawn is None else np.clip(_entered(x, steps.drawn[row]), sha.low, sha.high)
-        start[row], free = begins, np.empty(begins.shape)
-        for index in np.unique(steps.location[row]):
-            there = steps.location[row] == index
-            flow, age, dt = sha.locations[index].flow, steps.age[row, there], steps.dt[row, there]
-            free[there] = flows.mean_step(flow, begins[there], steps.target[row, there], age, dt, sha.max_rate)
-        free += steps.noise[row]
+        start[row] = begins
+        free = _mean_step(sha, steps, row, begins) + steps.noise[row]
         end[row] = x = np.asarray(np.clip(free, sha.low, sha.high))
         clamps += int((x != free).sum())
     return Runs(start, end, clamps)
+
+
+def _mean_step(sha: SHA, steps: Steps, row: int, begins: Array) -> Array:
+    """(N,) the mean ends of one row of steps; only a rate limit has to be looked at location by location."""
+    if not isfinite(sha.max_rate):
+        return np.asarray(steps.decay[row] * begins + steps.pull[row] * steps.target[row])
+    free = np.empty(begins.shape)
+    for index in np.unique(steps.location[row]):
+        there = steps.location[row] == index
+        flow, age, dt = sha.locations[index].flow, steps.age[row, there], steps.dt[row, there]
+        free[there] = flows.mean_step(flow, begins[there], steps.target[row, there], age, dt, sha.max_rate)
+    return free
 
 
 def survival(start: Array, end: Array, steps: Steps, limit: float, widening: Array | float = 1.0) -> Array:

@@ -32,6 +32,40 @@ def linear_recursion(a: ArrayLike, b: ArrayLike, x0: ArrayLike) -> Array:
     return batch
 
 
+def matrix_recursion(phi: Array, b: Array, x0: Array) -> Array:
+    """x[k] = phi[k] @ x[k-1] + b[k] for k = 0..n-1, where x[-1] is `x0` (d,).
+
+    `phi` is (n, d, d), `b` (n, d); returns x (n, d). The same forward substitution, of a banded system, in pieces so
+    that its bands (2 d numbers an unknown) stay small.
+    """
+    n, d = b.shape
+    if d == 1:
+        return linear_recursion(phi[:, 0, 0], b[:, 0], float(x0[0]))[:, None]
+    x = np.empty((n, d))
+    piece = max(_PIECE // (2 * d * d), 1)
+    for first in range(0, n, piece):
+        rows = slice(first, min(first + piece, n))
+        x[rows] = _solve_bands(phi[rows], b[rows], x0)
+        x0 = x[rows][-1]
+    return x
+
+
+_PIECE = 1 << 18
+
+
+def _solve_bands(phi: Array, b: Array, x0: Array) -> Array:
+    n, d = b.shape
+    bands = np.zeros((2 * d, n * d), order="F")
+    bands[0] = 1.0
+    for i in range(d):
+        for j in range(d):
+            bands[d + i - j, j : (n - 1) * d : d] = -phi[1:, i, j]
+    right = b.copy()
+    right[0] += phi[0] @ x0
+    x, _ = dtbtrs(bands, right.reshape(-1), uplo="L", diag="U")
+    return np.asarray(x, dtype=float).reshape(n, d)
+
+
 def _solve(a: Array, b: Array, x0: float) -> Array:
     if a.size == 0:
         return np.empty(0)

@@ -2,15 +2,19 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim.sha import flows
+from sim.sha.augmented.cuts import Stays, cuts
+from sim.sha.augmented.plant import Plant, compile_plant
+from sim.sha.augmented.terms import Segments
 from sim.sha.automaton import SHA, Flow, transitions
 from sim.sha.correction import in_sensor_scale
+from sim.sha.effects import check_effects, dead_time, refuse, signals_of
 from sim.sha.flows import Coefficients
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Array, Event, Mask, Trace
@@ -33,7 +37,9 @@ class Schedule:
     step ends, or -1; `checked` whether it ends at an event or an output, where the temperature is held against the
     model's range. Every output row ends exactly one step, after the events of that instant.
 
-    `unmatched` are the indices of the events that had no edge and were ignored or resynchronised.
+    `unmatched` are the indices of the events that had no edge and were ignored or resynchronised. `segments` has what
+    the effects need of each step; None where the automaton has none, and only then are the steps exact by the flows
+    alone (`step_coefficients`).
     """
 
     sha: SHA
@@ -47,6 +53,7 @@ class Schedule:
     output: Indices
     checked: Mask
     unmatched: tuple[int, ...] = ()
+    segments: Segments | None = None
 
     @property
     def output_location(self) -> Indices:
@@ -76,7 +83,8 @@ def schedule(
 
     `inputs` gives the signals that `driven` flows name: a reading holds until the next one, NaN is no reading, and
     before its first reading a signal counts as at its reference (it adds nothing). Steps are cut at new readings only
-    where the location is driven by them.
+    where the location is driven by them, or an effect that acts there reads them. A dead time among the effects moves
+    all events and readings to later times; other effects may cut steps more finely (`sim.sha.augmented.cuts`).
 
     UNKNOWN always leads to the initial location. An event that has no edge follows `policy`: `reject` raises
     ValueError naming index, location, symbol and time; `ignore` leaves the stay as it is; `resync` enters the location
@@ -90,16 +98,61 @@ def schedule(
     sha = in_sensor_scale(model).sha if isinstance(model, Model) else model
     times = _checked_outputs(outputs, start)
     begin = float(times[0]) if start is None else float(start)
-    walk = _walk(sha, events, begin, float(times[-1]), policy)
-    return _steps(sha, walk, times, inputs if inputs is not None else Trace("no inputs", np.empty(0), {}))
+    given = inputs if inputs is not None else Trace("no inputs", np.empty(0), {})
+    if not sha.effects:
+        return _steps(sha, _walk(sha, events, begin, float(times[-1]), policy), times, given)
+    check_effects(sha)
+    delay = dead_time(sha)
+    felt = [Event(event.time + delay, event.symbol) for event in events]
+    later = Trace(given.name, given.times + delay, given.signals)
+    walk = _walk(sha, felt, begin, float(times[-1]), policy)
+    return _steps(sha, walk, times, later, _extra(compile_plant(sha), walk, float(times[-1]), felt))
 
 
-def _steps(sha: SHA, walk: "_Walk", times: Array, inputs: Trace) -> Schedule:
+@dataclass(frozen=True, slots=True)
+class _Extra:
+    """What effects add to a schedule: `finer` cuts (s), and for each start-up effect the times of its event."""
+
+    finer: Array
+    starts: tuple[Array, ...]
+
+
+def _extra(plant: Plant, walk: "_Walk", end: float, events: Sequence[Event]) -> _Extra:
+    starts = tuple(
+        np.array([event.time for event in events if event.symbol == acting.effect.event], dtype=float)
+        for acting in plant.startups
+    )
+    ends = np.append(walk.begins[1:], end)
+    finer = np.unique(cuts(plant, Stays(walk.begins, ends, walk.entered, walk.location, starts)))
+    return _Extra(finer[(finer > walk.begins[0]) & (finer < end)], starts)
+
+
+def _segments(steps: Schedule, begin: Array, clock: Array, held: dict[str, Array], extra: _Extra) -> Segments:
+    row = np.searchsorted(clock, begin, side="right") - 1  # row -1, before the clock begins, meets a NaN
+    return Segments(
+        location=steps.location,
+        time=begin,
+        age=steps.age,
+        dt=steps.dt,
+        offset=steps.offset,
+        signals={name: np.append(column, np.nan)[row] for name, column in held.items()},
+        since=tuple(since_last(begin, starts) for starts in extra.starts),
+    )
+
+
+def since_last(times: Array, starts: Array) -> Array:
+    """Seconds since the last of `starts`; inf before the first."""
+    return np.asarray(times - np.append(starts, -np.inf)[np.searchsorted(starts, times, side="right") - 1])
+
+
+def _steps(sha: SHA, walk: "_Walk", times: Array, inputs: Trace, extra: _Extra | None = None) -> Schedule:
     """Sorts the three kinds of boundaries; a step lies between each and the next."""
     held = _readings(sha, walk.location, inputs)
-    cuts = _input_cuts(sha, walk, inputs.times, held, times)
-    marks = np.concatenate([walk.begins, cuts, times])
-    rank = np.repeat(np.arange(3), [walk.begins.size, cuts.size, times.size])
+    inner = _input_cuts(sha, walk, inputs.times, held, times)
+    if extra is not None:
+        inner = np.union1d(inner, extra.finer[~(_among(extra.finer, times) | _among(extra.finer, walk.begins))])
+    marks = np.concatenate([walk.begins, inner, times])
+    rank = np.repeat(np.arange(3), [walk.begins.size, inner.size, times.size])
     order = np.argsort(marks, kind="stable")  # at one instant: events, inputs, outputs
     marks, rank = marks[order], rank[order]
     entry, ends = rank[:-1] == 0, rank[1:]
@@ -107,7 +160,7 @@ def _steps(sha: SHA, walk: "_Walk", times: Array, inputs: Trace) -> Schedule:
     location = walk.location[stay]
     output = np.full(ends.size, -1, dtype=np.intp)
     output[ends == 2] = np.arange(times.size)
-    return Schedule(
+    steps = Schedule(
         sha=sha,
         start=float(marks[0]),
         times=times,
@@ -120,10 +173,14 @@ def _steps(sha: SHA, walk: "_Walk", times: Array, inputs: Trace) -> Schedule:
         checked=ends != 1,
         unmatched=walk.unmatched,
     )
+    if extra is None:
+        return steps
+    return replace(steps, segments=_segments(steps, marks[:-1], inputs.times, held, extra))
 
 
 def step_coefficients(steps: Schedule) -> Coefficients:
-    """(decay, pull, variance) of every step without saturation, each (n,)."""
+    """(decay, pull, variance) of every step without saturation, each (n,). Raises ValueError where effects act."""
+    refuse(steps.sha, "a calculation with the flows' closed forms")
     parts = tuple(np.empty(steps.dt.size) for _ in range(3))
     for index in np.unique(steps.location):
         rows = steps.location == index
@@ -208,9 +265,7 @@ def _checked_outputs(outputs: ArrayLike, start: float | None) -> Array:
 
 def _readings(sha: SHA, location: Indices, inputs: Trace) -> dict[str, Array]:
     """The signals that the visited flows name, each reading held until the next; NaN before the first."""
-    wanted = {
-        given.signal: sha.locations[index].name for index, flow in _driven(sha, location) for given in flow.inputs
-    }
+    wanted = {name: sha.locations[index].name for index, names in _listening(sha, location) for name in names}
     for signal, name in wanted.items():
         if signal not in inputs.signals:
             raise ValueError(f"location {name!r} is driven by the signal {signal!r}, which the inputs do not have")
@@ -226,19 +281,20 @@ def _hold(column: Array) -> Array:
 
 
 def _changed(column: Array) -> Mask:
-    before, after = column[:-1], column[1:]
-    return np.concatenate([[False], (before != after) & ~np.isnan(after)])[: column.size]
+    """Where a reading differs from the one before it; the first one differs from not knowing."""
+    before = np.concatenate([[np.nan], column[:-1]])[: column.size]
+    return np.asarray((before != column) & ~np.isnan(column))
 
 
 def _input_cuts(sha: SHA, walk: _Walk, clock: Array, held: dict[str, Array], outputs: Array) -> Array:
     """The times of changed readings at which a step must be cut: inside driven stays, where no boundary is already."""
     changed = {signal: _changed(column) for signal, column in held.items()}
     within = (clock > walk.begins[0]) & (clock < outputs[-1])
-    cuts = [np.empty(0)]
-    for index, flow in _driven(sha, walk.location):
-        times = clock[within & np.any([changed[given.signal] for given in flow.inputs], axis=0)]
-        cuts.append(times[walk.location[np.searchsorted(walk.begins, times, side="right") - 1] == index])
-    wanted = np.unique(np.concatenate(cuts))
+    found = [np.empty(0)]
+    for index, names in _listening(sha, walk.location):
+        times = clock[within & np.any([changed[name] for name in names], axis=0)]
+        found.append(times[walk.location[np.searchsorted(walk.begins, times, side="right") - 1] == index])
+    wanted = np.unique(np.concatenate(found))
     return wanted[~(_among(wanted, outputs) | _among(wanted, walk.begins))]
 
 
@@ -252,6 +308,16 @@ def _offsets(sha: SHA, location: Indices, begins: Array, clock: Array, held: dic
             reading = np.append(held[given.signal], np.nan)[row]  # row -1, before the clock begins, meets the NaN
             total[steps] += np.where(np.isnan(reading), 0.0, given.gain * (reading - given.reference))
     return total
+
+
+def _listening(sha: SHA, location: Indices) -> list[tuple[int, tuple[str, ...]]]:
+    """The visited locations in which something reads signals, and which."""
+    read = {}
+    for index in np.unique(location).tolist():
+        place = sha.locations[index]
+        names = dict.fromkeys(given.signal for given in place.flow.inputs)
+        read[index] = tuple(names | dict.fromkeys(signals_of(sha, place.name)))
+    return [(index, names) for index, names in read.items() if names]
 
 
 def _driven(sha: SHA, location: Indices) -> list[tuple[int, Flow]]:

@@ -58,11 +58,16 @@ def crps_sample(samples: ArrayLike, outcome: ArrayLike) -> Array:
     This scores the n particles as they are; against the law they were drawn from it is too high by its own
     E|X - X'| / (2n).
     """
-    ordered = np.sort(np.asarray(samples, dtype=float), axis=-1)
+    return crps_ordered(np.sort(np.asarray(samples, dtype=float), axis=-1), outcome)
+
+
+def crps_ordered(ordered: Array, outcome: ArrayLike) -> Array:
+    """`crps_sample` of samples (..., n) that are in ascending order already, as a caller who needs quantiles has them."""
     n = ordered.shape[-1]
-    error = np.abs(ordered - np.asarray(outcome, dtype=float)[..., None]).mean(axis=-1)
+    apart = ordered - np.asarray(outcome, dtype=float)[..., None]
+    error = np.abs(apart, out=apart).mean(axis=-1)
     weights = 2.0 * np.arange(1, n + 1) - n - 1.0
-    return np.asarray(error - (ordered * weights).sum(axis=-1) / n**2)
+    return np.asarray(error - np.einsum("...j,j->...", ordered, weights) / n**2)
 
 
 def crps_quantiles(levels: ArrayLike, quantiles: ArrayLike, outcome: ArrayLike) -> Array:
@@ -140,6 +145,8 @@ def block_bootstrap(
     blocks = -(-n // size)
     sums = np.concatenate(([0.0], np.cumsum(np.concatenate((series, series[:size])))))
     starts = rng.integers(0, n, (runs, blocks))
-    means = (sums[starts + size] - sums[starts]).sum(axis=1) / (blocks * size)
+    lengths = np.full(blocks, size)
+    lengths[-1] = n - (blocks - 1) * size  # the last block is cut, so that a resample has as many values as the series
+    means = (sums[starts + lengths] - sums[starts]).sum(axis=1) / n
     low, high = np.quantile(means, [(1.0 - level) / 2.0, (1.0 + level) / 2.0])
     return float(low), float(high)

@@ -18,6 +18,7 @@ from math import inf, isfinite
 import numpy as np
 
 from sim.sha import distributions, flows
+from sim.sha.augmented.runs import augmented_plan, augmented_runs
 from sim.sha.automaton import Distribution, Flow
 from sim.sha.entry import drawn_parameter, drawn_temperature
 from sim.sha.moments import Affine, affine_steps, free_mean, run_flags
@@ -33,7 +34,8 @@ CHUNK = 8192
 class Runs:
     """N runs at the output times `times` (m,), absolute seconds.
 
-    `temperatures` is (N, m) in degC, without the sensor's noise; it lies in memory one output time after the other.
+    `temperatures` is (N, m) in degC, as the sensor reads them but without its noise (only lag and offset among the
+    effects tell the two apart); it lies in memory one output time after the other.
     `location` (m,) is the location index at each output, the same for all runs since the events are given, and
     `final_location` the last one. `clamps` and `limited` (N,) count, for each run, the events and outputs at which it
     was put back to the border of the model's range, and the steps in which it met the maximum rate.
@@ -64,7 +66,8 @@ def simulate(
 
     Exact in law: m per stay, Gaussian noise per step. Under a rate limit each step takes the limited flow's closed
     form for the run's own X and m and adds the unlimited flow's noise. The temperature is clamped to the SHA's range
-    at every event and output time, and clamps are counted. Equal arguments and an equal state of `rng` give equal runs.
+    at every event and output time, and clamps are counted. Effects are as exact as docs/effects.md states; each run has
+    its own thermostat, housing and lags. Equal arguments and an equal state of `rng` give equal runs.
 
     The temperatures need runs * m * 8 bytes; `out` (m, runs), one row an output time, takes them instead of fresh
     memory when many simulations follow one another. Raises ValueError for no runs, an unusable start or model, and an
@@ -91,6 +94,8 @@ Kernel = Callable[[Array, np.random.Generator, Array, Indices, Indices], None]
 
 
 def _kernel(steps: Schedule, x0: float) -> Kernel:
+    if steps.segments is not None:
+        return partial(augmented_runs, augmented_plan(steps, x0))
     affine = affine_steps(steps)
     if isfinite(steps.sha.max_rate):
         return partial(_limited_runs, _limited_plan(steps, affine), steps.sha.max_rate)

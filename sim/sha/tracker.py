@@ -10,8 +10,10 @@ from math import expm1, isfinite, log1p
 from typing import Literal
 
 from sim.sha import distributions
+from sim.sha.augmented.plant import Plant, compile_plant
 from sim.sha.automaton import Location, transitions
 from sim.sha.correction import in_sensor_scale
+from sim.sha.effects import signals_of
 from sim.sha.entry import check_sha, drawn_temperature, mode_parameter
 from sim.sha.flows import mean_step
 from sim.sha.model import Model
@@ -65,7 +67,9 @@ class Tracker:
 
     `model` is the one that was given, in the sensor's scale (`correction.in_sensor_scale`).
     `moves` are the edges, `fallback` where a symbol leads under `resync`, `inputs` the signals that drive some flow,
-    `window` the number of innovations in the anomaly test, `sensor` the variance of a reading (degC^2).
+    `window` the number of innovations in the anomaly test, `sensor` the variance of a reading (degC^2). `inputs` are
+    also those that effects read. `plant` is there where the automaton has effects; the modes' steps know nothing of
+    those.
     """
 
     model: Model
@@ -76,6 +80,7 @@ class Tracker:
     policy: OnlinePolicy
     window: int
     sensor: float
+    plant: Plant | None = None
 
 
 def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 30) -> Tracker:
@@ -97,10 +102,12 @@ def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 3
         modes={location.name: _mode(location) for location in model.sha.locations},
         moves=transitions(model.sha),
         fallback=resync_targets(model.sha),
-        inputs=frozenset(given.signal for location in model.sha.locations for given in location.flow.inputs),
+        inputs=frozenset(given.signal for location in model.sha.locations for given in location.flow.inputs)
+        | frozenset(signals_of(model.sha)),
         policy=policy,
         window=window,
         sensor=max(model.sensor_sigma**2, SENSOR_FLOOR),
+        plant=compile_plant(model.sha) if model.sha.effects else None,
     )
 
 

@@ -11,6 +11,7 @@ from sim.artefacts.files import refused, replace_durably
 from sim.sha import distributions
 from sim.sha.automaton import SHA, transitions
 from sim.sha.correction import in_sensor_scale
+from sim.sha.effects import refuse
 from sim.sha.entry import check_sha
 from sim.sha.events import alphabet_symbols
 from sim.sha.model import Model
@@ -28,6 +29,8 @@ from sim.uppaal.words import Names, spelled
 
 TICK = 1
 """Seconds between two draws of the noise, at most: also between them the temperature may cross a limit."""
+LONGEST_NAME = 80
+"""Letters of a model's and of a trace's name in the name of a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +78,7 @@ def export(
     try:
         model = in_sensor_scale(model)
         check_sha(model.sha)
+        refuse(model.sha, "the UPPAAL export")
         replay = replay_of(model, trace, policy, start)
         more, skeletal = asked(formulas, model)
         peak = float(np.max(open_loop(model, trace, policy, start).mean))
@@ -107,9 +111,9 @@ def write(directory: Path, exported: Exported) -> list[Path]:
 
 
 def base_name(model: str, trace: str) -> str:
-    """The base name of an export's files: letters, digits, underscores and hyphens."""
+    """The base name of an export's files: letters, digits and underscores, LONGEST_NAME of each name."""
     return "_".join(
-        "".join(sign if sign.isalnum() and sign.isascii() else "_" for sign in part).strip("_") or "x"
+        "".join(sign if sign.isalnum() and sign.isascii() else "_" for sign in part).strip("_")[:LONGEST_NAME] or "x"
         for part in (model, trace)
     )
 

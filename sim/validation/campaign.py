@@ -4,13 +4,16 @@ A job depends on its model, its trace and the seed alone, so that results do not
 where they run or on what runs beside them.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import logging
+import re
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import groupby
-from typing import TypeVar
+from typing import Any, TypeVar
+from warnings import catch_warnings, simplefilter
 
 from sim.sha.model import Model
 from sim.sha.trace import Trace
@@ -27,8 +30,13 @@ Runner = Callable[[Sequence[Job]], Iterator[Outcome]]
 
 TINY = 20_000_000
 """Simulated temperatures (readings times runs) below which worker processes would cost more than they save."""
+KILLED = "a worker process was killed, most often for want of memory; take fewer --jobs or --runs"
+ADDRESS = re.compile(r"(tcp|tls)://(\[[0-9a-fA-F:.%]+\]|[^\s:/\[\]]+):[0-9]{1,5}")
+"""What a Dask scheduler's address looks like."""
 REACHABLE_WITHIN = 10.0
 """Seconds in which a cluster must answer and have a worker."""
+PATIENCE = 3
+"""So many times that long a cluster may be without any worker while work waits for it: a nanny starts a new one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +115,7 @@ def run_here(workers: int) -> Runner:
         if workers == 1 or _work(jobs) < TINY:
             yield from map(run_job, jobs)
         else:
-            yield from parallel(run_job, jobs, workers)
+            yield from parallel(run_job, jobs, workers, lambda job: _undone(job, KILLED))
 
     return run
 
@@ -116,17 +124,44 @@ def _work(jobs: Sequence[Job]) -> int:
     return sum(job.trace.times.size * job.settings.runs for job in jobs if not job.refusal)
 
 
-def parallel(function: Callable[[T], R], items: Sequence[T], workers: int) -> Iterator[R]:
-    """`map` over processes, in order. Raises ValueError when a process was killed."""
+def parallel(
+    function: Callable[[T], R], items: Sequence[T], workers: int, lost: Callable[[T], R] | None = None
+) -> Iterator[R]:
+    """`map` over processes, in order.
+
+    When a process is killed, the first item without a result is done again by itself and the rest goes on after it. If
+    it is killed then too, `lost` says what stands in its place; without `lost` that raises ValueError.
+    """
     from joblib import Parallel, delayed
 
-    pool = Parallel(n_jobs=workers, return_as="generator")
+    done, alone = 0, False
+    while done < len(items):
+        part = items[done : done + 1] if alone else items[done:]
+        work = Parallel(n_jobs=workers, return_as="generator")
+        try:
+            with _quietly_closed(work(delayed(function)(item) for item in part)) as results:
+                for result in results:
+                    yield result
+                    done += 1
+            alone = False
+        except BrokenProcessPool:
+            if alone:
+                if lost is None:
+                    raise ValueError(KILLED) from None
+                yield lost(items[done])
+                done += 1
+            alone = not alone
+
+
+@contextmanager
+def _quietly_closed(results: Generator[R, None, None]) -> Iterator[Generator[R, None, None]]:
+    """Where the caller stops early, joblib need not say what was left undone."""
     try:
-        yield from pool(delayed(function)(item) for item in items)
-    except BrokenProcessPool:
-        raise ValueError(
-            "a worker process was killed, most often for want of memory; take fewer --jobs or --runs"
-        ) from None
+        yield results
+    finally:
+        with catch_warnings():
+            simplefilter("ignore", UserWarning)
+            results.close()
 
 
 @contextmanager
@@ -134,7 +169,8 @@ def cluster(address: str) -> Iterator[Runner]:
     """Jobs on the workers of the Dask scheduler at `address` (tcp://host:port), which must have this package too.
 
     What a worker cannot do (it was killed, it lacks the package) is that job's failure. Raises ValueError without the
-    extra `cluster`, and where no scheduler answers within REACHABLE_WITHIN or it has no worker.
+    extra `cluster`, where no scheduler answers within REACHABLE_WITHIN or it has no worker, and when the scheduler or
+    all workers go away for good.
     """
     try:
         distributed = import_module("distributed")
@@ -142,6 +178,8 @@ def cluster(address: str) -> Iterator[Runner]:
         raise ValueError(
             "--cluster needs Dask, which is not installed; install the extra: pip install 'decanter-gateway[cluster]'"
         ) from None
+    _check_address(address, distributed.Security)
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it would say becomes a sentence here
     try:
         client = distributed.Client(address, timeout=REACHABLE_WITHIN, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
@@ -152,8 +190,9 @@ def cluster(address: str) -> Iterator[Runner]:
     def run(jobs: Sequence[Job]) -> Iterator[Outcome]:
         futures = [client.submit(run_job, job, pure=False) for job in jobs]
         for job, future in zip(jobs, futures, strict=True):
-            error = future.exception()
-            yield future.result() if error is None else _undone(job, error)
+            error = waited_for(future, client, address)
+            said = f"the cluster could not run it ({type(error).__name__}: {_reason(error)})" if error else ""
+            yield _undone(job, said) if said else future.result()
 
     with client:
         try:
@@ -163,9 +202,38 @@ def cluster(address: str) -> Iterator[Runner]:
         yield run
 
 
-def _undone(job: Job, error: BaseException) -> Outcome:
+def waited_for(future: Any, client: Any, address: str) -> BaseException | None:
+    """What went wrong with a future, once it is over. Raises ValueError when there is nobody left to do it."""
+    without = 0
+    try:
+        while without < PATIENCE:
+            try:
+                error: BaseException | None = future.exception(timeout=REACHABLE_WITHIN)
+            except TimeoutError:
+                without = 0 if client.scheduler_info()["workers"] else without + 1
+            else:
+                if future.cancelled():
+                    break
+                return error
+    except OSError:
+        without = 0
+    gone = "the cluster has no worker any more" if without else "the connection to the Dask scheduler was lost"
+    raise ValueError(f"{address}: {gone}; start it again, and the campaign with --overwrite")
+
+
+def _check_address(address: str, security: Callable[[], Any]) -> None:
+    """Before a client is made of it: one that could not be made waits 20 s and complains when it is collected."""
+    if not ADDRESS.fullmatch(address):
+        raise ValueError(f"{address!r}: no Dask scheduler answers there, as it is no address; give tcp://HOST:PORT")
+    if address.startswith("tls") and security().get_connection_args("client").get("ssl_context") is None:
+        raise ValueError(
+            f"{address}: a TLS connection needs its certificates in Dask's configuration (distributed.comm.tls); "
+            "see Dask's documentation on TLS"
+        )
+
+
+def _undone(job: Job, said: str) -> Outcome:
     result = TraceResult(job.label, job.trace.name, job.semantics, synthetic=job.trace.synthetic, stage=5)
-    said = f"the cluster could not run it ({type(error).__name__}: {_reason(error)})"
     return Outcome(replace(result, failure=said), rows=job.trace.times.size)
 
 

@@ -90,18 +90,54 @@ class Signal(_Part):
 
 
 class Derived(_Part):
-    """What a signal is when the file has no column for it: `signal` > `above`, or a `constant`."""
+    """What a signal is when the file has no column for it: `signal` > `above`, a `constant`, or a `product`.
+
+    A product is `scale` times the signals that it names, in `unit`. It is known in each row with a reading of one of
+    them, the others as they were read last (not across a gap, nor over a bad reading).
+    """
 
     signal: str | None = None
     above: float | None = None
     constant: float | None = None
+    product: tuple[str, ...] = ()
+    scale: float = 1.0
+    unit: str = ""
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The signals that it is made of."""
+        return self.product if self.signal is None else (self.signal,)
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
-        threshold = self.signal is not None and self.above is not None
-        if threshold == (self.constant is not None) or (self.signal is None) != (self.above is None):
-            raise ValueError("give either signal and above, or constant")
+        forms = (self.signal is not None, self.constant is not None, bool(self.product))
+        if sum(forms) != 1 or (self.signal is None) != (self.above is None):
+            raise ValueError("give either signal and above, or constant, or product")
+        if len(self.product) == 1:
+            raise ValueError("product needs two signals or more")
+        if not self.product and self.scale != 1.0:
+            raise ValueError("scale belongs to product")
         return self
+
+
+class Effects(_Part):
+    """Which signal plays which part for `decanter diagnose`, where signals do not have the plant's names.
+
+    Where the map has this table, a role without a signal is not there, and the effects that need it are not tested.
+    """
+
+    current: str | None = None
+    torque: str | None = None
+    speed: str | None = None
+    vibration: str | None = None
+    pump: str | None = None
+    feed: str | None = None
+    ambient: str | None = None
+
+    @property
+    def roles(self) -> dict[str, str]:
+        """role -> signal, of the roles that are given."""
+        return {role: signal for role, signal in self.model_dump().items() if signal is not None}
 
 
 class Long(_Part):
@@ -140,6 +176,7 @@ class ColumnMap(_Part):
     clock_back: Literal["refuse", "split", "sort"] = "refuse"
     extra: bool = False
     synthetic: bool = False
+    effects: Effects | None = None
     alphabet: Alphabet = DECANTER
 
     @field_validator("alphabet", mode="before")
@@ -172,11 +209,17 @@ class ColumnMap(_Part):
         if self.temperature not in self.signals:
             raise ValueError(f"temperature names {self.temperature!r}; it must be one of {', '.join(self.signals)}")
         for name, derived in self.derived.items():
-            if derived.signal is not None and derived.signal not in self.signals:
-                raise ValueError(
-                    f"derived.{name} needs {derived.signal!r}; it must be one of {', '.join(self.signals)}"
-                )
+            strange = [one for one in derived.sources if one not in self.signals]
+            if strange:
+                raise ValueError(f"derived.{name} needs {strange[0]!r}; it must be one of {', '.join(self.signals)}")
+        self._check_roles()
         return self
+
+    def _check_roles(self) -> None:
+        known = (*self.signals, *self.derived)
+        for role, signal in ({} if self.effects is None else self.effects.roles).items():
+            if signal not in known and not self.extra:
+                raise ValueError(f"effects.{role} names {signal!r}; it must be one of {', '.join(known)}")
 
     def names_of(self, signal: str) -> tuple[str, ...]:
         """The column names under which a signal may come."""

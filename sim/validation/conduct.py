@@ -43,8 +43,8 @@ def conduct(
 ) -> list[TraceResult]:
     """Stages 5 to 9 of every model; returns all results in the order of models, semantics and traces.
 
-    Everything is written as soon as it is known; the index and the state "complete" come last. Raises OSError where the
-    folder can no longer be written.
+    Everything is written as soon as it is known; the index and the state "complete" come last. Raises ValueError where
+    the folder can no longer be written.
     """
     log: list[Stage] = []
 

@@ -9,9 +9,11 @@ from pathlib import Path
 from sim.artefacts.bundle import SUFFIXES, Artefacts, file_names, read_artefacts
 from sim.artefacts.files import at
 from sim.artefacts.find import artefact_base
-from sim.artefacts.histogram import evidence, fit
+from sim.artefacts.from_model import to_artefacts
+from sim.artefacts.histogram import PRINTED, evidence, fit
 from sim.artefacts.model_directory import MANIFEST, MODEL_FILE
 from sim.artefacts.store import STORE_FILE, version_directory
+from sim.sha.model import Model
 
 OPTIONAL = ("histogram", "flows")
 """Artefacts that a set may lack. What cannot be done without them is said where it would be done."""
@@ -113,7 +115,10 @@ class LawCheck:
 
 @dataclass(frozen=True, slots=True)
 class CrossCheck:
-    """The report's laws against the histogram's values; `origin` says which values, `disagreements` what is wrong."""
+    """The report's laws against what they come from; `origin` says what that is, `disagreements` what is wrong.
+
+    An empty `origin`: there was nothing to hold them against.
+    """
 
     laws: tuple[LawCheck, ...]
     runs: int
@@ -124,7 +129,7 @@ class CrossCheck:
     @property
     def sentence(self) -> str:
         """For the log."""
-        if not self.runs:
+        if not self.origin:
             return f"{len(self.laws)} distributions reported, no histogram to check them against"
         appended = f" ({self.runs} runs appended, {self.distinct_runs} different)" if self.runs > 1 else ""
         agree = "all agree" if not self.disagreements else f"{len(self.disagreements)} disagree"
@@ -137,10 +142,29 @@ def cross_check(artefacts: Artefacts) -> CrossCheck:
     reported = artefacts.report.distributions
     if artefacts.histogram is None:
         laws = tuple(LawCheck(law.name, law.mean, nan, nan, 0, 0) for law in reported)
-        return CrossCheck(laws, 0, 0, "no histogram", ())
+        return CrossCheck(laws, 0, 0, "", ())
     used = evidence(artefacts.histogram, reported)
     checks = tuple(_law_check(law.name, law.mean, used.values) for law in reported)
     return CrossCheck(checks, used.runs, used.distinct, used.origin, used.disagreements)
+
+
+def own_check(artefacts: Artefacts, model: Model) -> CrossCheck:
+    """The report beside a model.json of our own against the laws of that model.
+
+    Its histogram has one estimate a stay, while the laws are fitted to all stays together: the means need not agree, so
+    they stand beside and are not compared.
+    """
+    meant = {law.name: law.mean for law in to_artefacts(model).report.distributions}
+    reported = {law.name: law.mean for law in artefacts.report.distributions}
+    wrong = [f"{name} is in only one of the report and model.json" for name in sorted(set(meant) ^ set(reported))]
+    wrong += [
+        f"{name}: model.json says {meant[name]:.6g}, the report {mean:.6g}"
+        for name, mean in reported.items()
+        if name in meant and abs(mean - meant[name]) > PRINTED * max(1.0, abs(meant[name]))
+    ]
+    runs = artefacts.histogram.runs if artefacts.histogram else ()
+    laws = tuple(_law_check(name, mean, runs[-1] if runs else {}) for name, mean in reported.items())
+    return CrossCheck(laws, len(runs), len(runs), MODEL_FILE, tuple(wrong))
 
 
 def _law_check(name: str, reported: float, values: Mapping[str, tuple[float, ...]]) -> LawCheck:

@@ -1,11 +1,11 @@
 """The figures of one comparison: errors with bootstrap intervals, and how the readings lie in the simulated law."""
 
 from dataclasses import dataclass
-from math import ceil, log10, nan, sqrt
+from math import ceil, floor, log10, nan, sqrt
 
 import numpy as np
 
-from sim.sha.scores import block_bootstrap, crps_sample
+from sim.sha.scores import block_bootstrap, crps_ordered
 from sim.sha.trace import Array
 from sim.validation.results import Interval
 
@@ -42,7 +42,7 @@ class Covered:
 
 
 def judge_band(rows: Array, readings: Array, sensor_sigma: float, rng: np.random.Generator) -> tuple[Band, Covered]:
-    """The law of `rows` (m, runs), simulated temperatures to which the sensor's noise is added here, in place.
+    """The law of `rows` (m, runs), simulated temperatures: the sensor's noise is added and rows are sorted, in place.
 
     `readings` (m,) are what the sensor said at the same instants. Works through a few rows at a time, so that nothing
     of the size of `rows` is allocated. The CRPS is that of the runs' empirical law.
@@ -53,13 +53,29 @@ def judge_band(rows: Array, readings: Array, sensor_sigma: float, rng: np.random
         part = rows[first : first + size]
         if sensor_sigma > 0:
             part += sensor_sigma * rng.standard_normal(part.shape)
-        low, high = np.quantile(part, BAND, axis=1)
-        parts.append((low, high, part.mean(axis=1), part.std(axis=1)))
-        scores.append(crps_sample(part, readings[first : first + size]))
+        part.sort(axis=1)  # once, for the quantiles and for the CRPS
+        parts.append(_law(part))
+        scores.append(crps_ordered(part, readings[first : first + size]))
     band = Band(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     inside = (readings >= band.low) & (readings <= band.high)
     beyond = np.abs(readings - band.mean) > SIGMAS * band.sigma
     return band, Covered(float(inside.mean()), float(np.concatenate(scores).mean()), float(beyond.mean()))
+
+
+def _law(ordered: Array) -> tuple[Array, Array, Array, Array]:
+    """Low and high edge of the band, mean and sigma of each row of `ordered` (m, runs), which ascends."""
+    low, high = (_quantile(ordered, level) for level in BAND)
+    mean = ordered.mean(axis=1)
+    centred = ordered - mean[:, None]
+    return low, high, mean, np.sqrt(np.einsum("ij,ij->i", centred, centred) / ordered.shape[1])
+
+
+def _quantile(ordered: Array, level: float) -> Array:
+    """As `np.quantile` (linear between neighbours), of rows that ascend."""
+    place = level * (ordered.shape[1] - 1)
+    below = floor(place)
+    above = ordered[:, ceil(place)]
+    return np.asarray(ordered[:, below] + (place - below) * (above - ordered[:, below]))
 
 
 def mae_interval(errors: Array, rng: np.random.Generator) -> Interval:

@@ -1,10 +1,13 @@
 """The folder of a campaign: what may be written over, records stage by stage, results as JSON and CSV, read back."""
 
 import csv
+import fcntl
 import io
 import json
+import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from math import isfinite, nan
 from pathlib import Path
@@ -21,8 +24,10 @@ FORMAT = "decanter-validation"
 VERSION = 1
 RUNNING, COMPLETE = "running", "complete"
 OWN_FILES = ("index.html", f"{RESULTS}.json", f"{RESULTS}.csv", "campaign.log")
-MODEL_FILES = ("0[1-9]_*.json", "report.html", "pictures/*.png", "pictures/*.pdf")
+MODEL_FILES = ("0[1-9]_*.json", "report.html", "pictures/*.png", "pictures/*.pdf", "pictures/.*.part")
 """What a campaign writes, as patterns: beside campaign.json, and in the folder of each model."""
+LEARNED = "learned"
+"""Where the models are that a campaign has learned itself; a directory each."""
 
 
 @dataclass(slots=True)
@@ -33,11 +38,19 @@ class Folder:
     places: Mapping[str, str]
     facts: dict[str, Any]
 
+    def assign(self, labels: Sequence[str]) -> None:
+        """Give each model its folder, and say so in campaign.json."""
+        self.places = places(labels, {LEARNED})
+        self.state(RUNNING)
+
     def write(self, name: str, text: str) -> Path:
-        """Put a file in place at one moment. Raises OSError."""
+        """Put a file in place at one moment. Raises ValueError where it cannot be written."""
         file = self.path / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        replace_durably(file, text)
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            replace_durably(file, text)
+        except OSError as error:
+            raise stopped_at(file, error) from None
         return file
 
     def stage(self, stage: Stage) -> None:
@@ -51,7 +64,7 @@ class Folder:
         """Say in campaign.json how far the campaign is; the last thing that it does."""
         self.facts |= facts
         document = {"format": FORMAT, "version": VERSION, "state": state, "folders": dict(self.places), **self.facts}
-        replace_durably(self.path / CAMPAIGN, json_text(document))
+        self.write(CAMPAIGN, json_text(document))
 
 
 def check_folder(path: Path, *, overwrite: bool) -> list[Path]:
@@ -94,24 +107,60 @@ def _earlier(file: Path) -> dict[str, Any]:
     return document
 
 
-def claim_folder(path: Path, stale: Sequence[Path], labels: Sequence[str], facts: Mapping[str, Any]) -> Folder:
-    """Mark the folder as being written, and remove the `stale` files of the campaign before. Raises ValueError."""
-    folder = Folder(path, places(labels), dict(facts))
+@contextmanager
+def held(path: Path) -> Iterator[None]:
+    """Makes the folder and keeps other campaigns out of it until the block ends, however it ends.
+
+    The lock is the system's, on the folder itself; a file system without locks gives none. Raises ValueError where
+    another process holds the folder, and where there can be none.
+    """
     try:
         path.mkdir(parents=True, exist_ok=True)
-        folder.state(RUNNING)
+        handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise _unwritable(path, error) from None
+    try:
+        with suppress(OSError):
+            _lock(path, handle)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _lock(path: Path, handle: int) -> None:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise ValueError(f"{path}: another campaign is writing there; give another folder, or wait for it") from None
+
+
+def _unwritable(path: Path, error: OSError) -> ValueError:
+    reason = (error.strerror or str(error)).lower()
+    return ValueError(f"{path}: cannot be written ({reason}); give a folder that this user may write")
+
+
+def stopped_at(file: Path, error: OSError) -> ValueError:
+    """What to say when a campaign can no longer write."""
+    reason = (error.strerror or str(error)).lower()
+    return ValueError(f"{file}: cannot be written ({reason}); make that possible, and begin again with --overwrite")
+
+
+def claim_folder(path: Path, stale: Sequence[Path], labels: Sequence[str], facts: Mapping[str, Any]) -> Folder:
+    """Mark the folder as being written, and remove the `stale` files of the campaign before. Raises ValueError."""
+    folder = Folder(path, {}, dict(facts))
+    folder.assign(labels)
+    try:
         for file in stale:
             file.unlink(missing_ok=True)
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise ValueError(f"{path}: cannot be written ({reason}); give a folder that this user may write") from None
+        raise _unwritable(path, error) from None
     return folder
 
 
-def places(names: Sequence[str]) -> dict[str, str]:
+def places(names: Sequence[str], reserved: Iterable[str] = ()) -> dict[str, str]:
     """A folder's or file's name for each of `names`, no two alike whatever the file system thinks of case."""
     found: dict[str, str] = {}
-    taken = set[str]()
+    taken = set(reserved)
     for name in names:
         place = first = slug(name)
         number = 2

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.validation.output_folder import places
+from sim.validation.output_folder import places, stopped_at
 from sim.validation.plots import Curve, Picture, draw
 from sim.validation.results import TraceResult
 from sim.validation.trace_run import Course, Outcome
@@ -26,18 +26,21 @@ def drawings(
     """By semantics and trace, what is to be drawn into `folder` for the outcomes of one model that have a course."""
     courses = {(one.result.semantics, one.result.trace): one for one in outcomes if one.course is not None}
     several = len({semantics for semantics, _ in courses}) > 1
-    titles = {key: f"{key[1]}.{key[0]}" if several else key[1] for key in courses}
-    names = places(list(titles.values()))
+    names = places(list(dict.fromkeys(trace for _, trace in courses)))
+    files = {key: f"{names[key[1]]}.{key[0]}.png" if several else f"{names[key[1]]}.png" for key in courses}
     return {
-        key: Drawing(_picture(one.result, one.course, temperature, units), folder / f"{names[titles[key]]}.png")
+        key: Drawing(_picture(one.result, one.course, temperature, units), folder / files[key])
         for key, one in courses.items()
         if one.course is not None
     }
 
 
 def draw_one(drawing: Drawing) -> Path:
-    """Draw it. Raises OSError."""
-    return draw(drawing.picture, drawing.png, drawing.png.with_suffix(".pdf"))
+    """Draw it. Raises ValueError where it cannot be written."""
+    try:
+        return draw(drawing.picture, drawing.png, drawing.png.with_suffix(".pdf"))
+    except OSError as error:
+        raise stopped_at(drawing.png, error) from None
 
 
 def _picture(result: TraceResult, course: Course, temperature: str, units: Mapping[str, str]) -> Picture:

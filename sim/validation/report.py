@@ -4,7 +4,7 @@ import base64
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import floor, isfinite, log10
+from math import ceil, floor, isfinite, log10
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,8 @@ from sim.validation.verdicts import Gain, Summary, Verdict, gain, summaries, ver
 EMBEDDED = 40
 """Pictures that stand in the report itself; of more traces the worst, and the others are in the folder."""
 OPEN = 3
-"""Pictures that are unfolded when the report opens: the worst."""
+"""Pictures that are unfolded when the report opens, rounded up to whole traces."""
+LONGEST_LABEL = 24
 WIDTH, LEFT, RIGHT, ROW, TOP, BOTTOM = 860.0, 150.0, 20.0, 20.0, 8.0, 34.0
 
 
@@ -145,7 +146,7 @@ def error_boxes(results: Sequence[TraceResult]) -> Boxes | None:
     several = len({one.semantics for one in results}) > 1
     boxes = tuple(
         Box(
-            f"{one.trace} ({one.semantics})" if several else one.trace,
+            _label(one.trace, f" ({one.semantics})" if several else ""),
             one.semantics,
             TOP + ROW * (row + 0.5),
             tuple(place(value) for value in one.error_quantiles),
@@ -159,6 +160,11 @@ def error_boxes(results: Sequence[TraceResult]) -> Boxes | None:
     first = round(low / step)
     ticks = tuple((place(low + step * index), _signed((first + index) * step)) for index in range(count + 1))
     return Boxes(WIDTH, TOP + ROW * len(results) + BOTTOM, boxes, ticks, place(0.0))
+
+
+def _label(name: str, end: str) -> str:
+    room = LONGEST_LABEL - len(end)
+    return (name if len(name) <= room else f"{name[: room - 1]}…") + end
 
 
 def _signed(value: float) -> str:
@@ -175,12 +181,13 @@ def _tick(span: float) -> float:
 
 
 def shown(results: Sequence[TraceResult], files: Mapping[tuple[str, str], Path], base: Path) -> list[Shown]:
-    """The pictures in `files` (by semantics and trace), the worst first, the first EMBEDDED of them with their data.
+    """The pictures in `files` (by semantics and trace), the first EMBEDDED of them with their data.
 
-    Raises OSError.
+    The trace with the largest error first; the semantics of one trace stand together. Raises OSError.
     """
     there = [one for one in results if (one.semantics, one.trace) in files]
-    there.sort(key=lambda one: (-one.mae.value, one.trace, one.semantics))
+    worst = {one.trace: max(other.mae.value for other in there if other.trace == one.trace) for one in there}
+    there.sort(key=lambda one: (-worst[one.trace], one.trace))
     made = []
     for rank, one in enumerate(there):
         file = files[one.semantics, one.trace]
@@ -192,7 +199,9 @@ def shown(results: Sequence[TraceResult], files: Mapping[tuple[str, str], Path],
 
 def model_html(report: ModelReport) -> str:
     """The report of one model as one HTML file without any external resource."""
-    return _environment().get_template("model.html").render(report=report, open=OPEN, embedded=EMBEDDED)
+    each = max(1, len(report.summaries))
+    opened = each * ceil(OPEN / each)
+    return _environment().get_template("model.html").render(report=report, open=opened, embedded=EMBEDDED)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from sim.sha.entry import check_sha
 from sim.sha.events import Alphabet, alphabet_symbols
 from sim.sha.model import Model, Provenance
 from sim.sha.trace import Trace
-from sim.validation.discovery import CrossCheck, Discovery, artefacts_beside, cross_check, discover
+from sim.validation.discovery import CrossCheck, Discovery, artefacts_beside, cross_check, discover, own_check
 from sim.validation.semantics import semantics_of, side_by_side
 
 STAGES: Mapping[int, str] = {
@@ -108,8 +108,7 @@ def prepare(
         found = find_model(where, alphabet=alphabet, temperature=temperature)
         two.found, two.details = _parsed(found)
     with timed(three):
-        artefacts = found.artefacts or artefacts_beside(discovery)
-        check = cross_check(artefacts) if artefacts else None
+        check = _checked(found, discovery)
         three.found, three.details = _laws_and_flows(found, check)
     with timed(four):
         skeleton = _with_alphabet(found.model or _bare(found.structure, temperature), alphabet)
@@ -153,10 +152,15 @@ def _parsed(found: Found) -> tuple[str, dict[str, Any]]:
     return sentence, {"initial": sha.initial, "locations": names, "symbols": symbols, "edges": edges}
 
 
+def _checked(found: Found, discovery: Discovery) -> CrossCheck | None:
+    if found.artefacts:
+        return cross_check(found.artefacts)
+    beside = artefacts_beside(discovery)
+    return own_check(beside, found.model) if beside and found.model else None
+
+
 def _laws_and_flows(found: Found, check: CrossCheck | None) -> tuple[str, dict[str, Any]]:
     checked = check.sentence if check else "no artefacts with reported distributions"
-    if check and check.disagreements and found.artefacts is None:
-        checked += " (a model of our own fits all stays together; its histogram has one estimate a stay)"
     details: dict[str, Any] = {"cross_check": check, "notes": list(found.notes)}
     if found.model is None:
         equations = found.artefacts.flows.equations if found.artefacts and found.artefacts.flows else {}

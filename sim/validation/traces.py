@@ -205,7 +205,7 @@ def _completed(trace: Trace, column_map: ColumnMap) -> Trace:
             signals[name] = _held(trace.times, signals[name], bad.get(name), column_map.alphabet.gap)
     for name, derived in column_map.derived.items():
         if name not in signals:
-            _derive(name, derived, trace.times.size, signals, bad)
+            _derive(name, derived, trace.times, (signals, bad), column_map.alphabet.gap)
     completed = replace(trace, signals=signals, bad=bad)
     return replace(completed, events=encode(completed, column_map.alphabet))
 
@@ -217,14 +217,28 @@ def _held(times: Array, values: Array, bad: Mask | None, gap: float) -> Array:
     return np.asarray(values[np.maximum.accumulate(np.where(said, np.arange(times.size), 0))])
 
 
-def _derive(name: str, derived: Derived, rows: int, signals: dict[str, Array], bad: dict[str, Mask]) -> None:
+def _derive(
+    name: str, derived: Derived, times: Array, known: tuple[dict[str, Array], dict[str, Mask]], gap: float
+) -> None:
+    """Put a derived signal to the `known` ones (signals, bad), where its sources are among them."""
+    signals, bad = known
     if derived.constant is not None:
-        signals[name] = np.full(rows, derived.constant)
-    elif derived.signal in signals and derived.above is not None:
+        signals[name] = np.full(times.size, derived.constant)
+    elif not all(source in signals for source in derived.sources):
+        return
+    elif derived.signal is not None and derived.above is not None:
         source = signals[derived.signal]
         signals[name] = np.where(np.isnan(source), np.nan, source > derived.above)
         if derived.signal in bad:
             bad[name] = bad[derived.signal]
+    else:
+        read = np.any([~np.isnan(signals[source]) for source in derived.product], axis=0)
+        factors = [_held(times, signals[source], bad.get(source), gap) for source in derived.product]
+        signals[name] = np.where(read, derived.scale * np.prod(factors, axis=0), np.nan)
+        faults = [bad[source] for source in derived.product if source in bad]
+        if faults:
+            bad[name] = np.any(faults, axis=0)
+            signals[name][bad[name]] = np.nan
 
 
 def _note(files: Sequence[FileReport], traces: Sequence[Trace], column_map: ColumnMap) -> None:
@@ -241,4 +255,6 @@ def _note(files: Sequence[FileReport], traces: Sequence[Trace], column_map: Colu
 
 def units(column_map: ColumnMap) -> Mapping[str, str]:
     """The unit of each signal that has one, for axes and tables."""
-    return {name: signal.unit for name, signal in column_map.signals.items() if signal.unit}
+    derived = {name: one.unit for name, one in column_map.derived.items()}
+    read = {name: one.unit for name, one in column_map.signals.items()}
+    return {name: unit for name, unit in (derived | read).items() if unit}

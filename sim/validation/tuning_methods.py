@@ -146,7 +146,7 @@ METHODS: Mapping[str, Method] = {
             Whole("n_min", 2, 20),
             Real("alpha", 0.001, 0.3, log=True),
             Choice("default_flow", (ANY, "constant", "linear", "logarithmic", "exponential", "driven")),
-            Choice("memory", (ANY, "context", "direction", "previous")),
+            Choice("memory", (ANY, "context", "direction", "previous", "word")),
             *ENCODING,
         ),
         _learn_lsha,

@@ -200,7 +200,9 @@ def test_there_are_documented_errors() -> None:
         ("A<> p_1.next_i == N_E", "only the model's own names"),
         ('Pr[<=5](<> "OFF")', 'by at "ON/200-300"'),
         ("simulate 3 [<=5; 3] {Temp}", "the runs are given twice"),
-        ("simulate [<=5; 3] {OFF}", "OFF is a location and a number is needed"),
+        ("simulate [<=5; 3] {OFF == 1}", "OFF is a location and a number is needed"),
+        ("E[<=5; 3](max: OFF)", "OFF is a location and a number is needed"),
+        ("simulate [<=5; 3] {deadlock}", "deadlock is a matter of the automaton"),
         ("E[<=5; 3](final: Temp)", "right would be 'max' or 'min'"),
         ("age > 3 --> OFF", "age changes continuously"),
         ("A[] OFF\n and\n OFFF", "line 3, column 2: 'OFFF' is not known; did you mean OFF?"),
@@ -212,6 +214,17 @@ def test_what_cannot_be_read_gets_one_sentence_with_its_place(text: str, part: s
     sentence = refused(text)
     assert part in sentence
     assert "\n" not in sentence
+
+
+def test_a_condition_is_a_number_in_a_simulation() -> None:
+    found = parse_query("simulate [<=60; 3] {OFF, 14 + m_1.OFF, Temp > 30, !OFF || time > 5, 2 * (age < 3)}", MODEL)
+    assert isinstance(found, q.Simulation)
+    off, raised, hot, either, scaled = found.expressions
+    assert (off, hot) == (q.Indicator(OFF), q.Indicator(over(30.0)))
+    assert raised == q.Operation("+", q.Number(14.0), q.Indicator(OFF))
+    assert either == q.Indicator(q.Either(q.Not(OFF), q.Compare(">", TIME, q.Number(5.0))))
+    assert scaled == q.Operation("*", q.Number(2.0), q.Indicator(q.Compare("<", AGE, q.Number(3.0))))
+    assert parse_query(query_text(found, MODEL), MODEL) == found
 
 
 def test_a_long_query_in_deep_brackets_is_read() -> None:

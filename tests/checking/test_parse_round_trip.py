@@ -30,6 +30,11 @@ def formulas(leaves: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
 
 COMPARES = st.builds(q.Compare, st.sampled_from(["<", "<=", "==", "!=", ">=", ">"]), EXPRESSIONS, EXPRESSIONS)
 CHANGING, LASTING = formulas(COMPARES | PLACES), formulas(PLACES | st.just(q.Deadlock()))
+COURSES = st.recursive(
+    LEAVES | st.builds(q.Indicator, CHANGING),
+    lambda part: st.builds(q.Operation, st.sampled_from("+-*/"), part, part),
+    max_leaves=4,
+)
 BOUNDS = st.integers(1, 10**6).map(float) | st.floats(0.001, 1e9)
 RUNS = st.integers(1, 10**9)
 
@@ -56,7 +61,7 @@ QUERIES = (
     | st.builds(q.Hypothesis, probabilities(), st.sampled_from([">=", "<="]), st.floats(0.0, 1.0))
     | st.builds(q.Compared, probabilities(), probabilities())
     | st.builds(q.Expectation, BOUNDS, RUNS, st.sampled_from(["max", "min"]), EXPRESSIONS)
-    | st.builds(q.Simulation, BOUNDS, RUNS, st.lists(EXPRESSIONS, min_size=1, max_size=3).map(tuple), st.just(()))
+    | st.builds(q.Simulation, BOUNDS, RUNS, st.lists(COURSES, min_size=1, max_size=3).map(tuple), st.just(()))
     | st.builds(q.Symbolic, st.sampled_from(["E<>", "E[]", "A<>", "A[]"]), LASTING)
     | st.builds(q.Symbolic, st.just("-->"), LASTING, LASTING)
 )

@@ -40,7 +40,10 @@ def test_a_probability_of_1e_8_is_found() -> None:
     assert exact < 2e-8
     found = one_split(51.5, 5, runs=500, repetitions=20)
     assert found.estimate.low <= exact <= found.estimate.high
-    assert len(found.levels) > 5 and list(found.levels) == sorted(found.levels)
+    places, chances = zip(*found.levels, strict=True)
+    assert len(places) > 5 and list(places) == sorted(places)
+    for place, chance in zip(places, chances, strict=True):
+        assert chance == pytest.approx(brownian(40.0, 0.0, 0.1, place, 400.0), rel=0.35)
 
 
 def test_several_levels_within_one_step_are_all_passed() -> None:

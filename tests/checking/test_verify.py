@@ -2,22 +2,30 @@
 
 from dataclasses import replace
 from itertools import count
+from math import inf
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from sim.artefacts.find import find_model
+from sim.checking.envelope import quantiles
 from sim.checking.structure import accept, components, dead_ends, missing, moves, symbols_of, traps, unreachable
 from sim.checking.verify import verify
 from sim.checking.word import TimedWord, parse_word, replay, word_text
 from sim.learning.structure import bare_sha
-from sim.sha.automaton import SHA, Edge, Flow, Location
-from sim.sha.events import DECANTER
+from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
+from sim.sha.distributions import mean
+from sim.sha.events import DECANTER, alphabet_symbols
+from sim.sha.model import Correction, Model
 from sim.sha.trace import UNKNOWN, Event, Trace
+from sim.sha.tracker import OnlinePolicy, compile_model, next_location
 from tests.artefacts.real import SETS, real_data
-from tests.checking.verify_models import linear, of, relaxing, thesis
+from tests.checking.verify_models import linear, models, normal, of, relaxing, thesis
 from tests.gateway.support import two_modes
 
 STILL = Flow("constant", {"noise": 0.0})
+HEAVY = {"shape": 0.1, "scale": 1.0}
 
 
 def graph(edges: str, names: str = "pqrs") -> SHA:
@@ -114,6 +122,20 @@ def test_what_can_happen_at_run_time_includes_unknown_and_resynchronisation() ->
     assert jumps == {("q", "a", "q"), ("p", "b", "p"), ("p", "c", "p"), ("q", "c", "p")}
 
 
+@settings(max_examples=60, deadline=None)
+@given(models(), st.sampled_from(["resync", "ignore"]))
+def test_what_is_judged_are_the_moves_that_the_gateway_makes(model: Model, policy: OnlinePolicy) -> None:
+    tracker = compile_model(model, policy)
+    symbols = alphabet_symbols(model.alphabet)
+    made = {
+        (place.name, symbol, target)
+        for place in model.sha.locations
+        for symbol in (*symbols, UNKNOWN)
+        if (target := next_location(tracker, place.name, symbol)[0]) is not None
+    }
+    assert set(moves(model.sha, symbols, policy)) == made
+
+
 # ------------------------------------------------------------------ deployment
 
 
@@ -145,6 +167,53 @@ def test_a_constant_target_far_outside_is_refused_though_it_does_not_grow() -> N
     found = verify(of(relaxing("p", 700.0)))
     assert found.check("growth").verdict == "proven"
     assert [reason.partition(" ")[0] for reason in found.reasons] == ["mean"]
+
+
+def test_a_location_is_given_the_benefit_of_its_own_doubt_but_not_of_any() -> None:
+    """-40 degC, give or take 20, may well be 0 degC; but certain of -40, or wildly unsure of 700, it is wrong."""
+    assert verify(of(relaxing("p", -40.0, sigma=20.0))).deployable
+    for target, sigma in ((-40.0, 2.0), (190.0, 2.0), (700.0, 300.0), (-200.0, 1000.0)):
+        found = verify(of(relaxing("p", target, sigma=sigma)))
+        assert [reason.partition(" ")[0] for reason in found.reasons] == ["mean"], (target, sigma)
+        (word,) = found.check("mean course").words
+        assert replay(of(relaxing("p", target, sigma=sigma)), word).leaves(0.0, 150.0) is not None
+
+
+def test_the_mean_course_takes_the_mean_that_the_gateway_works_with_and_not_the_median() -> None:
+    heavy = Location("p", Flow("exponential", {"k": 0.01, "noise": 0.0}), Distribution("weibull", HEAVY))
+    assert quantiles(Distribution("weibull", HEAVY), 0.0)[0] < 1.0 < 1e6 < mean(Distribution("weibull", HEAVY))
+    assert verify(of(heavy)).check("mean course").verdict == "refuted"
+
+
+def test_a_driven_target_must_stay_inside_over_the_whole_range_of_its_input() -> None:
+    flow = Flow("driven", {"k": 0.01, "noise": 0.0}, (Input("Load", 50.0, 10.0),))
+    found = verify(of(Location("p", flow, normal(40.0, 0.0))))
+    assert [reason.partition(" ")[0] for reason in found.reasons] == ["mean"]
+
+
+def test_noise_that_is_wider_than_the_range_is_refused() -> None:
+    loud = Location("p", Flow("exponential", {"k": 0.01, "noise": 20.0}), normal(50.0, 0.0))
+    wandering = Location("p", Flow("constant", {"noise": 10.0}), None, "none")
+    for model in (of(loud), of(wandering), replace(of(relaxing("p", 50.0)), sensor_sigma=60.0)):
+        found = verify(model)
+        assert [reason.partition(" ")[0] for reason in found.reasons] == ["noise"]
+
+
+def test_growth_is_judged_by_the_models_own_range_whatever_is_claimed() -> None:
+    found = verify(thesis(), bounds=(0.0, inf))
+    assert found.check("bounds").verdict == "proven", "of course it stays below infinity"
+    assert found.check("growth").verdict == "refuted" and not found.deployable
+
+
+def test_a_correction_moves_the_range_with_it_and_must_be_one_of_a_sensor() -> None:
+    model = of(relaxing("p", 100.0))
+    assert verify(replace(model, correction=Correction(1.2, -3.0))).deployable
+    for wrong in (Correction(20.0), Correction(0.4), Correction(1.0, 200.0)):
+        found = verify(replace(model, correction=wrong))
+        assert found.check("correction").verdict == "refuted" and not found.deployable
+    hot = verify(replace(of(relaxing("p", 140.0)), correction=Correction(1.0, 60.0)), bounds=(0.0, 150.0))
+    assert hot.check("bounds").verdict == "refuted", "a claim is about what the sensor reads and the PLC gets"
+    assert "200" in hot.check("bounds").evidence
 
 
 def test_a_target_that_only_rare_stays_carry_outside_is_told_and_does_not_block() -> None:

@@ -12,6 +12,7 @@ from sim.artefacts.model_directory import write_model_directory
 from sim.artefacts.store import Force, current, forced, load, promote, save
 from sim.sha.model import Model
 from tests.checking.verify_models import thesis
+from tests.cli.artefact_set import files, written
 from tests.cli.support import decanter, misused, only_object, refused
 from tests.gateway.support import TEMPERATURE, config_in, two_modes
 
@@ -60,6 +61,25 @@ def test_a_model_that_diverges_leaves_with_1_and_the_printed_word_really_leaves(
     assert "it is left in 'run'" in shown
 
 
+def test_a_model_that_grows_is_told_how_to_learn_one_that_cannot_and_the_deciding_word_comes_first(
+    tmp_path: Path,
+) -> None:
+    shown = decanter("model", "verify", directory(tmp_path / "hot", HOT)).stdout
+    assert "the flow of 'run' is linear, which has no target" in shown
+    assert "--method lsha --default-flow exponential" in shown
+    assert "counterexample to growth: decanter model simulate" in shown
+    fine = decanter("model", "verify", directory(tmp_path / "m", two_modes())).stdout
+    assert "--default-flow" not in fine and "counterexample" not in fine
+
+
+def test_artefacts_take_the_alphabet_of_a_map_that_is_named_also_without_a_trace(tmp_path: Path) -> None:
+    where = written(tmp_path, files())
+    bare = only_object(decanter("model", "verify", where, "--json").stdout)
+    assert any(reason.startswith("alphabet refuted: no plant could run it") for reason in bare["reasons"])
+    mapped = only_object(decanter("model", "verify", where, "--map", "decanter", "--json").stdout)
+    assert not any("has no channel" in reason for reason in mapped["reasons"])
+
+
 def test_a_claimed_range_must_be_proven(tmp_path: Path) -> None:
     cold = directory(tmp_path / "m", two_modes())
     assert decanter("model", "verify", cold, "--bounds", 0, 60).exit_code == 0
@@ -75,6 +95,8 @@ def test_verify_refuses_wrong_arguments_in_one_sentence(tmp_path: Path) -> None:
     refused(decanter("model", "verify", tmp_path / "none"), 2, "none")
     refused(decanter("model", "verify", m, "--bounds", 5, 5), 2, "no temperature lies within 5 to 5")
     refused(decanter("model", "verify", m, "--sojourn", "9..2"), 2, "stays of 9 to 2 s are none")
+    refused(decanter("model", "verify", m, "--inputs", "Load=0..5"), 2, "none is driven by any signal")
+    refused(decanter("model", "verify", m, "--map", "nowhere"), 2, "nowhere")
     misused(decanter("model", "verify", m, "--sojourn", "often"), "is no range")
     misused(decanter("model", "verify", m, "--inputs", "Load"), "SIGNAL=LOW..HIGH")
     misused(decanter("model", "verify", m, "--z", "nan"), "no finite number")

@@ -1,8 +1,11 @@
 """Campaigns over many traces: the same numbers in one process, in several and on a cluster; a failure stops nobody."""
 
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +15,17 @@ import pytest
 from sim.artefacts.find import Found
 from sim.sha.trace import Trace
 from sim.validation import campaign
-from sim.validation.campaign import Runner, Unread, cluster, jobs_of, outcomes_by_model, run_here, unread
+from sim.validation.campaign import (
+    Runner,
+    Unread,
+    cluster,
+    jobs_of,
+    outcomes_by_model,
+    parallel,
+    run_here,
+    unread,
+    waited_for,
+)
 from sim.validation.discovery import Discovery
 from sim.validation.load_report import FileReport, LoadReport
 from sim.validation.output_folder import results_json
@@ -122,6 +135,77 @@ def test_a_scheduler_that_does_not_answer_or_has_no_worker_is_one_sentence(
     address = start(SCHEDULER, started)
     with pytest.raises(ValueError, match="has no worker"), cluster(address):
         pass
+
+
+@pytest.mark.parametrize(
+    "address", ["foo", "", "http://h:1", "tcp://h", "tcp://h:x", "tcp://h:1 x", "tls://127.0.0.1:1"]
+)
+def test_what_is_no_address_is_one_sentence_at_once_and_nothing_is_said_afterwards(
+    address: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(ValueError, match=r"give tcp://HOST:PORT|certificates"), cluster(address):
+        pass
+    assert capfd.readouterr().err == ""
+
+
+class Waiting:
+    """A future of a cluster and its client, as far as they are asked: nothing comes, or the future was given up."""
+
+    def __init__(self, workers: Sequence[dict[str, int]], given_up: bool = False) -> None:
+        self.workers, self.given_up, self.asked = list(workers), given_up, 0
+
+    def exception(self, timeout: float) -> None:
+        self.asked += 1
+        if not self.given_up and self.workers:
+            raise TimeoutError
+
+    def cancelled(self) -> bool:
+        return self.given_up
+
+    def scheduler_info(self) -> dict[str, dict[str, int]]:
+        return {"workers": self.workers.pop(0)}
+
+
+def test_a_cluster_without_workers_or_scheduler_ends_the_campaign_with_a_sentence() -> None:
+    gone = Waiting([{}] * 9)
+    with pytest.raises(ValueError, match="tcp://h:1: the cluster has no worker any more"):
+        waited_for(gone, gone, "tcp://h:1")
+    assert gone.asked == 3
+    lost = Waiting([], given_up=True)
+    with pytest.raises(ValueError, match="the connection to the Dask scheduler was lost"):
+        waited_for(lost, lost, "tcp://h:1")
+    restarted = Waiting([{}, {}, {"one": 1}, {}, {}])
+    assert waited_for(restarted, restarted, "tcp://h:1") is None
+    assert restarted.asked == 6
+
+
+def test_what_a_worker_raised_is_what_went_wrong() -> None:
+    future: Future[int] = Future()
+    future.set_exception(MemoryError("too large"))
+    assert isinstance(waited_for(future, None, "tcp://h:1"), MemoryError)
+
+
+def twice(task: tuple[int, str, bool]) -> int:
+    """2 n, in a process that is killed first: once (while the file is not there), or each time."""
+    number, marker, always = task
+    if marker and (always or not Path(marker).exists()):
+        Path(marker).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * number
+
+
+def test_the_work_of_a_process_that_was_killed_is_done_again(tmp_path: Path) -> None:
+    tasks = [(number, str(tmp_path / "killed") if number == 5 else "", False) for number in range(12)]
+    assert list(parallel(twice, tasks, 2)) == [2 * number for number in range(12)]
+    assert (tmp_path / "killed").exists()
+
+
+def test_work_that_kills_its_process_each_time_is_lost_alone_or_the_end(tmp_path: Path) -> None:
+    killer = (2, str(tmp_path / "killed"), True)
+    tasks = [(1, "", False), killer, (3, "", False)]
+    assert list(parallel(twice, tasks, 2, lambda task: -task[0])) == [2, -2, 6]
+    with pytest.raises(ValueError, match="a worker process was killed"):
+        list(parallel(twice, [killer], 2))
 
 
 def test_without_dask_the_sentence_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

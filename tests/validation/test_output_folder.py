@@ -11,6 +11,7 @@ from sim.sha.open_loop import Score
 from sim.validation.output_folder import (
     check_folder,
     claim_folder,
+    held,
     places,
     read_results,
     results_csv,
@@ -102,3 +103,23 @@ def test_names_become_harmless_and_different_parts_of_a_path() -> None:
     found = places(["../../etc", "a/b", "A B", "a b", "", "x" * 300])
     assert len({name.casefold() for name in found.values()}) == 6
     assert all(name and "/" not in name and not name.startswith(".") and len(name) < 90 for name in found.values())
+
+
+def test_a_folder_is_held_by_one_campaign_and_free_again_whatever_ended_it(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(RuntimeError), held(out):
+        with pytest.raises(ValueError, match="another campaign is writing there"), held(out):
+            raise AssertionError("two campaigns in one folder")
+        raise RuntimeError
+    with held(out):
+        assert list(out.iterdir()) == []  # the lock leaves nothing behind
+    (tmp_path / "file").touch()
+    with pytest.raises(ValueError, match=r"file: cannot be written \(file exists\)"), held(tmp_path / "file"):
+        pass
+
+
+def test_what_can_no_longer_be_written_is_named(tmp_path: Path) -> None:
+    folder = claim_folder(tmp_path, [], ["plant"], {})
+    (tmp_path / "plant").touch()
+    with pytest.raises(ValueError, match=r"plant/report\.html: cannot be written \(.*begin again with --overwrite"):
+        folder.write("plant/report.html", "")

@@ -138,3 +138,14 @@ def test_each_ending_gives_its_own_kind_of_file(ending: str, tmp_path: Path) -> 
     starts = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
     content = draw(Picture("kind", wave(20)), tmp_path / f"p{ending}").read_bytes()
     assert content.startswith(starts[ending.lower()])
+
+
+def test_a_picture_is_there_as_a_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_self: object, file: Path, **_options: object) -> None:
+        file.write_bytes(b"\x89PNG")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("sim.validation.plots.Figure.savefig", full)
+    with pytest.raises(OSError, match="No space left"):
+        draw(Picture("title", Curve("T", np.arange(3.0), np.arange(3.0))), tmp_path / "a.png")
+    assert list(tmp_path.iterdir()) == []

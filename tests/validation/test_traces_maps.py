@@ -5,11 +5,13 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sim.sha.events import DECANTER, Bins, Switch, alphabet_symbols
 from sim.validation.alphabet_table import alphabet_from_table, alphabet_to_table
 from sim.validation.column_map import load_map
+from sim.validation.traces import load_traces
 from tests.validation.places import MAPS
 
 GOOD = """
@@ -105,6 +107,11 @@ def test_a_map_without_an_alphabet_has_the_decanters(tmp_path: Path) -> None:
         (GOOD + "[derived]\nR = {signal = 'T'}", "derived.R: give either signal and above, or constant"),
         (GOOD + "[derived]\nR = {signal = 'U', above = 1}", "derived.R needs 'U'; it must be one of T"),
         (GOOD + "[derived]\nR = {eval = 'T > 1'}", "derived.R.eval: there is no such key"),
+        (GOOD + "[derived]\nR = {product = ['T', 'U']}", "derived.R needs 'U'; it must be one of T"),
+        (GOOD + "[derived]\nR = {product = ['T']}", "derived.R: product needs two signals or more"),
+        (GOOD + "[derived]\nR = {constant = 1.0, scale = 2.0}", "derived.R: scale belongs to product"),
+        (GOOD + "[effects]\nambient = 'U'", "effects.ambient names 'U'; it must be one of T"),
+        (GOOD + "[effects]\ncolour = 'T'", "effects.colour: there is no such key"),
         (GOOD + "[alphabet]\nchannels = []", "alphabet: the alphabet has no channel"),
         ('encoding = "latin-99"' + GOOD, "encoding: there is no encoding 'latin-99'"),
     ],
@@ -122,3 +129,17 @@ def test_a_map_that_is_not_there_says_where_maps_are(tmp_path: Path) -> None:
         load_map(tmp_path / "none.toml")
     with pytest.raises(ValueError, match="cannot be read"):
         load_map(tmp_path)
+
+
+def test_a_product_is_known_where_one_of_its_signals_was_read_and_the_others_hold(tmp_path: Path) -> None:
+    derived = "[signals]\nT = {}\nP = {}\nR = {low = 0.0}\n[derived]\nL = {product = ['P', 'R'], scale = 0.5}\n"
+    table = GOOD.replace('[signals.T]\nunit = "degC"\n', derived + "[alphabet]\ngap = 10.0\nchannels = []\n")
+    table = table.replace("channels = []", "channels = [{kind = 'switch', signal = 'r', rising = 'a', falling = 'b'}]")
+    table = table.replace('column = "t"', 'column = "t"\nformats = "seconds"')
+    (tmp_path / "m.toml").write_text(table)
+    rows = ["t,T,P,R", "0,20,4,", "1,20,,10", "2,20,,", "3,20,6,", "4,20,,-1", "5,20,7,", "6,20,,2", "60,20,,3"]
+    (tmp_path / "x.csv").write_text("\n".join(rows) + "\n")
+    (trace,), _ = load_traces(tmp_path / "x.csv", load_map(tmp_path / "m.toml"))
+    expected = [np.nan, 20.0, np.nan, 30.0, np.nan, np.nan, 7.0, np.nan]
+    np.testing.assert_array_equal(trace.signals["L"], expected)
+    assert trace.bad["L"].tolist() == [number == 4 for number in range(8)]

@@ -9,7 +9,7 @@ from sim.learning.lsha.automaton import Skeleton
 from sim.learning.lsha.evidence import sample_of
 from sim.learning.lsha.fitting import Fitted, fit_levels, fit_motion
 from sim.learning.lsha.flow_hypotheses import BUDGET, Flowing, flow_shape, flows_of, positions
-from sim.learning.lsha.ground import Ground, placed
+from sim.learning.lsha.ground import Ground, alike, placed
 from sim.learning.lsha.identify import Identified, identify
 from sim.learning.lsha.segments import levels
 from sim.learning.lsha.settings import LshaSettings
@@ -99,6 +99,6 @@ def fitted_model(plan: Plan, ground: Ground, traces: Sequence[Trace], budget: in
 def fit(plan: Plan, ground: Ground, budget: int) -> Fitted:
     """All parameters of the automaton by the readings of `ground`."""
     if plan.flowing.given is None:
-        sample = sample_of(levels(ground.runs, ground.group))
+        sample = sample_of(levels(ground.runs, ground.group), alike(ground))
         return fit_levels(plan.name, ground, sample, plan.skeleton, plan.modelled, plan.words)
     return fit_motion(plan.name, ground, plan.flowing, plan.skeleton, plan.modelled, plan.words, plan.kinds, budget)

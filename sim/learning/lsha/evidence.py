@@ -1,4 +1,4 @@
-"""The hypothesis-test query: do two sets of segments come from one distribution of the parameter?
+"""The hypothesis-test query: whether two sets of segments have the same mean parameter.
 
 A segment's parameter is measured with an error of known variance v, and differs from segment to segment by a scatter of
 variance tau^2. Each counts with the weight 1/(tau^2 + v). The mean's variance is the sandwich estimate (Huber 1967),
@@ -21,6 +21,8 @@ from sim.sha.trace import Array, Mask
 
 MEDIAN_CHI_SQUARE = 0.454936
 """The median of a chi-square with one degree of freedom."""
+LEAST_TWICE = 8
+"""Segments beyond the first of their states from which these tell the scatter."""
 CERTAIN = 1e6
 """Degrees of freedom that stand for a known variance."""
 
@@ -81,8 +83,10 @@ class Answer(NamedTuple):
 def same_distribution(one: Evidence, other: Evidence, delta: float) -> Answer:
     """Whether the means of two sets differ by more than `delta` (in the parameter's unit); both have segments."""
     difference = other.mean - one.mean
+    beyond = abs(difference) - delta
+    if beyond <= 0.0:
+        return Answer(0.0, CERTAIN, 1.0, difference)
     whole = one.variance + other.variance
-    beyond = max(abs(difference) - delta, 0.0)
     statistic = beyond / sqrt(whole)
     freedom = whole * whole / (one.variance**2 / one.freedom + other.variance**2 / other.freedom)
     return Answer(statistic, freedom, 2.0 * float(stdtr(freedom, -statistic)), difference)
@@ -118,19 +122,27 @@ class Sample:
         return [evidence_of((*row,), n_min) for row in sums.tolist()]
 
 
-def sample_of(segments: Segments) -> Sample:
-    """The segments with weights: the scatter is the one that makes the residuals about their states' means typical."""
+def sample_of(segments: Segments, alike: Indices) -> Sample:
+    """The segments with weights: the scatter is the one that makes the residuals about their states' means typical.
+
+    `alike` (S,) puts states together that are believed to resemble each other, for when too few segments share one.
+    """
     value, variance = segments.value, segments.variance
-    scatter = _scatter(segments)
+    scatter = _scatter(segments, alike)
     weight = 1.0 / (scatter**2 + variance)
     centre = float(np.average(value, weights=weight))
     spread = float(np.sqrt(np.average((value - centre) ** 2, weights=weight)))
     return Sample(segments, weight, value - centre, centre, scatter, max(spread, 1e-12))
 
 
-def _scatter(segments: Segments) -> float:
-    """tau by which half of (m - mean)^2 / (tau^2 + v) lie below a chi-square's median, over states with 2 or more."""
+def _scatter(segments: Segments, alike: Indices) -> float:
+    """tau by which half of (m - mean)^2 / (tau^2 + v) lie below a chi-square's median, over states with 2 or more.
+
+    States are taken as they are where LEAST_TWICE segments or more have company, else as `alike` says.
+    """
     value, variance, place = segments.value, segments.variance, segments.place
+    if place.size - np.unique(place).size < LEAST_TWICE:
+        place = alike[place]
     _, inverse, count = np.unique(place, return_inverse=True, return_counts=True)
     precision = 1.0 / variance
     mean = np.bincount(inverse, precision * value) / np.bincount(inverse, precision)

@@ -16,6 +16,7 @@ from sim.learning.noise import fit_noise
 from sim.learning.runs import Indices, Runs, sampled
 from sim.learning.shape import with_parameters
 from sim.sha.automaton import SHA, Distribution, Entry, Flow, Input, Location
+from sim.sha.trace import Mask
 
 FIRST_SCATTER = 1.0
 """degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""
@@ -157,13 +158,18 @@ def fit_motion(
             law = _law(fit, int(shape.target[number]), float(noise.scatter[number]), stays)
             location = _with_law(location, law, float(noise.process[groups[number]]))
             own = kinds[number] == flowing.hypothesis.kind
-            told = flowing.sample.segments.value[mine].tolist() if own else []
-            values[location.name] = tuple(told) or (law[0],)
+            values[location.name] = (_told(flowing.sample, mine, law) if own else ()) or (law[0],)
         locations.append(location)
         table.append(
             _row(ground, skeleton, number, words[number], location, int(mine.sum()), int(readings[number]), law)
         )
     return Fitted(_sha(name, locations, skeleton), noise.sensor, values, tuple(table))
+
+
+def _told(sample: Sample, mine: Mask, law: tuple[float, float, float]) -> tuple[float, ...]:
+    """The parameters of the segments `mine` that are known to within twice the law's sigma."""
+    sigma = float(np.hypot(law[1], law[2]))
+    return tuple(sample.segments.value[mine & (np.sqrt(sample.segments.variance) <= 2.0 * sigma)].tolist())
 
 
 def _law(fit: Fit, column: int, scatter: float, stays: int) -> tuple[float, float, float]:

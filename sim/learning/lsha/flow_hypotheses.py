@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.free_run import Given, Shape, fit_at_rates, steps
+from sim.learning.free_run import Given, Shape, fit_at_rates, predict, steps
 from sim.learning.held_out import FOLDS, HeldOut, choose, cross_validate, folds
 from sim.learning.lsha.evidence import Sample, sample_of
-from sim.learning.lsha.ground import Ground, placed
+from sim.learning.lsha.ground import Ground, alike, placed
+from sim.learning.lsha.identify import rate_alone
 from sim.learning.lsha.merging import Partition, learn_partition
 from sim.learning.lsha.segments import Motion, levels, parameters, stays_after
+from sim.learning.lsha.settings import Memory
 from sim.learning.lsha.words import Classes, History, classes_of
 from sim.learning.runs import Indices, Runs, sampled
 from sim.learning.shape import shape_of
@@ -32,17 +34,22 @@ BUDGET = 3_000
 @dataclass(frozen=True, slots=True)
 class FlowHypothesis:
     """A flow for all locations, how a location is entered, and whether one rate is shared by all or by position of the
-    first switch."""
+    first switch.
+
+    `alone`: the rate is that of the single segments, before it is known which of them belong together.
+    """
 
     kind: str
     entry: Entry = "parameter"
     by_switch: bool = False
+    alone: bool = False
 
     @property
     def label(self) -> str:
         """In words, for tables."""
         jump = ", resampled on entry" if self.entry == "resample" else ""
-        return self.kind + jump + (", rate per switch position" if self.by_switch else "")
+        alone = ", rate of single segments" if self.alone else ""
+        return self.kind + jump + (", rate per switch position" if self.by_switch else "") + alone
 
 
 FLOW_HYPOTHESES: tuple[FlowHypothesis, ...] = (
@@ -50,6 +57,7 @@ FLOW_HYPOTHESES: tuple[FlowHypothesis, ...] = (
     FlowHypothesis("linear"),
     FlowHypothesis("logarithmic"),
     FlowHypothesis("exponential"),
+    FlowHypothesis("exponential", alone=True),
     FlowHypothesis("exponential", by_switch=True),
     FlowHypothesis("driven"),
     FlowHypothesis("driven", by_switch=True),
@@ -95,7 +103,8 @@ class Flowing:
 def choose_flow(ground: Ground, kind: str | None, alpha: float, n_min: int) -> tuple[Flowing, tuple[Rival, ...]]:
     """The hypothesis of greatest held-out likelihood (one-standard-error rule), of `kind` if one is given.
 
-    Each hypothesis gets the structure that suits it: words merged with the memory `direction` and the tolerance DELTA.
+    Each hypothesis gets the structure that suits it: words merged with the memory `direction` or `word`, whichever is
+    better, and the tolerance DELTA.
     Raises LearningError when the data cannot show a flow of that kind.
     """
     groups, names = coarse(ground)
@@ -108,8 +117,9 @@ def choose_flow(ground: Ground, kind: str | None, alpha: float, n_min: int) -> t
             "choose another default flow"
         )
     found = [flowing(each, ground, groups, names, few) for each in rivals]
-    classes = classes_of(ground.words, "direction")
-    scored = [_held_out(each, ground, classes, cut, alpha, n_min) for each in found]
+    memories: tuple[Memory, ...] = ("direction", "word") if ground.words.whole else ("direction",)
+    seen = [classes_of(ground.words, memory) for memory in memories]
+    scored = [_held_out(each, ground, seen, cut, alpha, n_min) for each in found]
     sizes = [size for _, size in scored]
     known = [held for held, _ in scored if held is not None]
     best = choose(known, sizes) if len(known) == len(scored) else sizes.index(min(sizes))
@@ -122,16 +132,20 @@ def flowing(
 ) -> Flowing:
     """The hypothesis fitted to the coarse structure, and every segment's parameter under it."""
     if hypothesis.entry == "resample":
-        return Flowing(hypothesis, groups, None, None, {}, sample_of(levels(ground.runs, ground.group)))
+        return Flowing(hypothesis, groups, None, None, {}, sample_of(levels(ground.runs, ground.group), alike(ground)))
     # One more location stands for all states without a law: runs begin where one of those ends.
     where = [*(_position(key, ground) for key in names), ""]
     shape, rated = flow_shape(hypothesis, ground, where, [True] * len(names) + [False])
-    rates, given = _rates(placed(few, groups), shape)
+    if hypothesis.alone:
+        rates = np.full(shape.rate_centre.size, rate_alone(ground.runs, hypothesis.kind))
+        given = fit_at_rates(placed(few, groups), shape, rates)
+    else:
+        rates, given = _rates(placed(few, groups), shape)
     motion = _motion(placed(ground.runs, groups), shape, given, rates)
     unit = float(np.median(shape.spread[np.unique(shape.target[shape.target >= 0])]))
     segments = parameters(ground.runs, ground.group, motion, unit**2)
     by_group = dict(zip(rated, rates.tolist(), strict=True))
-    return Flowing(hypothesis, groups, shape, given, by_group, sample_of(segments))
+    return Flowing(hypothesis, groups, shape, given, by_group, sample_of(segments, alike(ground)))
 
 
 def _rates(runs: Runs, shape: Shape) -> tuple[Array, Given]:
@@ -158,19 +172,57 @@ def _better(runs: Runs, shape: Shape, trial: Array, logs: Array, best: Given, sc
 
 
 def _held_out(
+    one: Flowing, ground: Ground, seen: Sequence[Classes], cut: Runs | None, alpha: float, n_min: int
+) -> tuple[HeldOut | None, int]:
+    """(held-out free-run errors over the structure that suits the hypothesis, its number of parameters).
+
+    `seen` are the words through several memories; the one of the highest score counts.
+    """
+    found = [_over(one, ground, classes, cut, alpha, n_min) for classes in seen]
+    return max(found, key=lambda each: each[0].score if each[0] is not None else 0.0)
+
+
+def _over(
     one: Flowing, ground: Ground, classes: Classes, cut: Runs | None, alpha: float, n_min: int
 ) -> tuple[HeldOut | None, int]:
-    """(held-out free-run errors over the structure that suits the hypothesis, its number of parameters)."""
+    """(held-out errors over the structure by these classes, number of parameters).
+
+    Where every word is told apart the structure is learned anew without each fold of the traces: with a location for
+    each chance meeting of two words, a structure that knows the held-out trace is no judge. Otherwise it is learned
+    once, from so many events that one fold hardly changes it.
+    """
     delta = DELTA * one.sample.spread
     partition = merged(classes, one.sample, ground, delta=delta, alpha=alpha, n_min=n_min)
     place = partition.location[classes.of_state]
-    if one.shape is None:
-        return (hold_out_levels(placed(cut, place)) if cut is not None else None), partition.laws
-    shape, rated = flow_shape(one.hypothesis, ground, positions(ground, place, partition.size), partition.modelled)
-    size = partition.laws + int((shape.gain >= 0).any()) * shape.gain.shape[1] + shape.rate_centre.size
+    size = partition.laws
+    if one.shape is not None:
+        shape, rated = flow_shape(one.hypothesis, ground, positions(ground, place, partition.size), partition.modelled)
+        size += int((shape.gain >= 0).any()) * shape.gain.shape[1] + shape.rate_centre.size
     if cut is None:
         return None, size
+    if ground.words.whole and np.unique(ground.group).size >= FOLDS and np.array_equal(ground.group, ground.runs.trace):
+        error = np.empty(len(cut))
+        for held in range(FOLDS):
+            use = one.sample.segments.group % FOLDS != held
+            fewer = merged(classes, one.sample, ground, delta=delta, alpha=alpha, n_min=n_min, use=use)
+            error[cut.trace % FOLDS == held] = _errors(one, ground, fewer, classes, cut, cut.trace % FOLDS == held)
+        kept = np.isfinite(cut.reading)
+        return HeldOut(error[kept], np.unique(cut.run[kept], return_inverse=True)[1]), size
+    if one.shape is None:
+        return hold_out_levels(placed(cut, place)), size
     return cross_validate(placed(cut, place), shape, one.rates_of(rated), fixed=True), size
+
+
+def _errors(one: Flowing, ground: Ground, partition: Partition, classes: Classes, cut: Runs, mine: Mask) -> Array:
+    """(m,) the errors of the free runs of `mine` (n,), over a given structure, by targets of the other runs."""
+    place = partition.location[classes.of_state]
+    runs = placed(cut, place)
+    if one.shape is None:
+        return _level_errors(runs, mine)
+    shape, rated = flow_shape(one.hypothesis, ground, positions(ground, place, partition.size), partition.modelled)
+    rates = one.rates_of(rated)
+    given = fit_at_rates(runs.where(~mine), shape, rates)
+    return runs.reading[mine] - predict(runs.where(mine), shape, given.linear, rates, given.sigma)
 
 
 def merged(
@@ -284,18 +336,22 @@ def hold_out_levels(runs: Runs) -> HeldOut:
 
     Folds are those of `cross_validate`. A place that the other folds do not have gets the level of all.
     """
-    there = np.isfinite(runs.reading)
-    order = (np.cumsum(runs.first) - 1)[there]
-    _, after = stays_after(runs)
-    place, reading = after[there], runs.reading[there]
-    mean = np.empty(reading.size)
+    order = np.cumsum(runs.first) - 1
+    error = np.empty(len(runs))
     for held in range(min(FOLDS, int(order[-1]) + 1)):
-        mine = order % FOLDS == held
-        count = np.bincount(place[~mine], minlength=int(place.max()) + 1)
-        total = np.bincount(place[~mine], reading[~mine], minlength=count.size)
-        level = np.where(count > 0, total / np.maximum(count, 1), reading[~mine].mean())
-        mean[mine] = level[place[mine]]
-    return HeldOut(reading - mean, np.unique(order, return_inverse=True)[1])
+        error[order % FOLDS == held] = _level_errors(runs, order % FOLDS == held)
+    there = np.isfinite(runs.reading)
+    return HeldOut(error[there], np.unique(order[there], return_inverse=True)[1])
+
+
+def _level_errors(runs: Runs, mine: Mask) -> Array:
+    """(m,) the readings of `mine` (n,), less the mean of the others' in the same place (of all others without any)."""
+    _, place = stays_after(runs)
+    rest = ~mine & np.isfinite(runs.reading)
+    count = np.bincount(place[rest], minlength=int(place.max()) + 1)
+    total = np.bincount(place[rest], runs.reading[rest], minlength=count.size)
+    level = np.where(count > 0, total / np.maximum(count, 1), runs.reading[rest].mean())
+    return np.asarray(runs.reading[mine] - level[place[mine]])
 
 
 def _motion(runs: Runs, shape: Shape, given: Given, rates: Array) -> Motion:

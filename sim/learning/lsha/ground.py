@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.learning.candidates import LEAST_SHARE
-from sim.learning.lsha.words import Words, words_of
+from sim.learning.lsha.words import Words, classes_of, words_of
 from sim.learning.preparation import LEAST_READINGS
 from sim.learning.runs import Indices, Runs, first_switch, free_runs, pieces
 from sim.learning.shape import Prior
@@ -107,10 +107,9 @@ def _groups(runs: Runs, split: int) -> Indices:
     return pieces(runs, 2 * split).run
 
 
-def parts(ground: Ground, split: int) -> Indices:
-    """(n,) the part, 0 to split - 1, with which each knot is held out: whole groups, spread over the order."""
-    _, order = np.unique(ground.group, return_inverse=True)
-    return np.asarray(order % split)
+def alike(ground: Ground) -> Indices:
+    """(S,) the class of each state of the finest automaton by the memory `previous`."""
+    return classes_of(ground.words, "previous").of_state
 
 
 def placed(runs: Runs, place: Indices) -> Runs:

@@ -1,4 +1,4 @@
-"""The model-identification query: which flow fits the segments of a location?
+"""The model-identification query: which flow fits the segments of a location best.
 
 Every segment is fitted by each flow with its start temperature and parameter free. Two flows are compared segment by
 segment, by the log of their residual squares: a paired t-test over the location's segments. The flow that was chosen
@@ -12,12 +12,15 @@ from math import sqrt
 import numpy as np
 from scipy.special import stdtr
 
+from sim.learning.free_run import RATES
 from sim.learning.lsha.segments import Motion, stay_fits
 from sim.learning.runs import Indices, Runs
 from sim.sha.automaton import Flow
 from sim.sha.flows import coefficients
 from sim.sha.trace import Array
 
+TAUS, ROUGH = (1.0, 1e5), 16
+"""Time constants (s) between which a rate is looked for, and half the number of the first ones tried."""
 LEAST_READINGS = 4
 """Readings of a segment that can tell flows apart: two unknowns, and two more."""
 
@@ -61,6 +64,31 @@ def identify(
         kept = p >= alpha / queries
         answers.append(Identified(number, default, default if kept else kind, int(rows.sum()), -gain, p, queries, kept))
     return tuple(answers)
+
+
+def rate_alone(runs: Runs, kind: str) -> float:
+    """The rate (k in 1/s, t0 in s) under which the segments fit best, each with a start and a parameter of its own.
+
+    Nothing is assumed of which segments belong together; slow flows hardly show their rate inside a segment.
+    """
+    taus = np.geomspace(*TAUS, 2 * ROUGH)
+    while True:
+        losses = [_loss(runs, Flow(kind, {RATES[kind]: _rate(kind, tau), "noise": 0.0})) for tau in taus]
+        best = int(np.argmin(losses))
+        low, high = taus[max(best - 1, 0)], taus[min(best + 1, taus.size - 1)]
+        if high < 1.03 * low:
+            return _rate(kind, float(taus[best]))
+        taus = np.geomspace(low, high, ROUGH // 2)
+
+
+def _rate(kind: str, tau: float) -> float:
+    return tau if RATES[kind] == "t0" else 1.0 / tau
+
+
+def _loss(runs: Runs, flow: Flow) -> float:
+    """Minus the log-likelihood of all segments, each with a noise of its own."""
+    logs, count, _ = _log_squares(runs, _uniform(runs, flow))
+    return float(0.5 * count @ logs)
 
 
 def _compared(gain: Array, kind: str) -> tuple[float, float, str]:

@@ -16,7 +16,7 @@ from sim.learning.data import in_order
 from sim.learning.lsha.automaton import Acceptance, Skeleton, acceptance, skeleton_of
 from sim.learning.lsha.bands import bands
 from sim.learning.lsha.build import Plan, fit, fitted_model, plan_of
-from sim.learning.lsha.fitting import LocationFit
+from sim.learning.lsha.fitting import Fitted, LocationFit
 from sim.learning.lsha.flow_hypotheses import Flowing, Rival, choose_flow
 from sim.learning.lsha.ground import CYCLE, Ground, ground_of
 from sim.learning.lsha.identify import Identified
@@ -24,7 +24,7 @@ from sim.learning.lsha.merging import Decision
 from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import Structure, choose_structure
 from sim.learning.lsha.table import ObservationTable, observation_table
-from sim.learning.lsha.words import described
+from sim.learning.lsha.words import Word, described, spelled
 from sim.learning.preparation import check_data, encoded, with_range
 from sim.learning.structure import LearningError
 from sim.sha.events import Alphabet, check_alphabet
@@ -41,13 +41,13 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True)
 class RowOfWords:
-    """A class of words: its name, whether it is one `single` word, and where it was seen first.
+    """A class of words: its name, the `word` if it is a single one, and where it was seen first.
 
     `trace` and the number of its `events` up to there give an example of such a word; `location` is where it leads.
     """
 
     name: str
-    single: bool
+    word: Word | None
     trace: str
     events: int
     location: str
@@ -119,58 +119,78 @@ def learn_lsha(
     check_data(ordered, temperature)
     told("words and segments", 0.0)
     ground = ground_of(ordered, alphabet, temperature, chosen.n_min, chosen.split)
+    asked = _ask(ground, chosen, told)
+    told(f"fitting {asked.structure.partition.laws} locations", 0.6)
+    plan = plan_of(name, temperature, ground, asked.flowing, asked.structure, asked.skeleton, chosen)
+    fitted, model = fitted_model(plan, ground, ordered, BUDGET)
+    told("calibrating the bands", 0.8)
+    coverage = bands(ground, ordered, temperature, lambda part: _part(plan, part, model), seed, ORIGINS)
+    checked = acceptance(asked.skeleton, ordered)
+    if checked.failure:
+        raise LearningError(f"the learned automaton does not accept {checked.failure}; this is a defect, report it")
+    report = _report(ground, chosen, asked, plan, fitted, checked, coverage, len(given) - len(ordered))
+    origin = _origin(report, ordered, data_hash or digest, seed, asked)
+    told("done", 1.0)
+    model = replace(model, calibration={one.horizon: one.factor for one in coverage}, provenance=origin)
+    return LearnedLsha(model, fitted.values, report)
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What the queries were answered: the flow, the structure, the rivals of both, and the automaton that follows."""
+
+    flowing: Flowing
+    flows: tuple[Rival, ...]
+    structure: Structure
+    structures: tuple[Rival, ...]
+    skeleton: Skeleton
+
+
+def _ask(ground: Ground, settings: LshaSettings, told: Progress) -> _Asked:
+    """Both kinds of queries. Raises LearningError when no segment tells its parameter."""
     told("model-identification queries", 0.1)
-    flowing, flows = choose_flow(ground, chosen.default_flow, chosen.alpha, chosen.n_min)
+    flowing, flows = choose_flow(ground, settings.default_flow, settings.alpha, settings.n_min)
     if not flowing.sample.value.size:
         raise LearningError(
             "no segment between two events has readings that tell its parameter; longer or denser traces are needed"
         )
     told("hypothesis-test queries", 0.35)
-    structure, structures = choose_structure(ground, flowing.sample, chosen)
-    skeleton = skeleton_of(ground, structure, complete=chosen.complete)
-    told(f"fitting {structure.partition.laws} locations", 0.6)
-    plan = plan_of(name, temperature, ground, flowing, structure, skeleton, chosen)
-    fitted, model = fitted_model(plan, ground, ordered, BUDGET)
-    told("calibrating the bands", 0.8)
-    coverage = bands(ground, ordered, temperature, lambda part: _part(plan, part, model), seed, ORIGINS)
-    checked = acceptance(skeleton, ordered)
-    if checked.failure:
-        raise LearningError(f"the learned automaton does not accept {checked.failure}; this is a defect, report it")
-    report = LshaReport(
-        settings=chosen,
-        flows=flows,
-        structures=structures,
-        delta=structure.delta,
-        spread=flowing.sample.spread,
-        scatter=flowing.sample.scatter,
-        segments=int(flowing.sample.value.size),
-        rows=_rows(ground, structure, skeleton),
-        decisions=structure.partition.decisions,
-        queries=structure.partition.queries,
-        level=structure.partition.level,
+    structure, structures = choose_structure(ground, flowing.sample, settings)
+    return _Asked(flowing, flows, structure, structures, skeleton_of(ground, structure, complete=settings.complete))
+
+
+def _report(
+    ground: Ground,
+    settings: LshaSettings,
+    asked: _Asked,
+    plan: Plan,
+    fitted: Fitted,
+    checked: Acceptance,
+    coverage: tuple[Coverage, ...],
+    copies: int,
+) -> LshaReport:
+    partition, sample = asked.structure.partition, asked.flowing.sample
+    return LshaReport(
+        settings=settings,
+        flows=asked.flows,
+        structures=asked.structures,
+        delta=asked.structure.delta,
+        spread=sample.spread,
+        scatter=sample.scatter,
+        segments=int(sample.value.size),
+        rows=_rows(ground, asked.structure, asked.skeleton),
+        decisions=partition.decisions,
+        queries=partition.queries,
+        level=partition.level,
         identified=plan.identified,
-        table=_table(skeleton, structure),
+        table=_table(asked.skeleton, asked.structure),
         locations=fitted.locations,
-        observed_edges=len(skeleton.observed),
-        default_edges=len(skeleton.default),
+        observed_edges=len(asked.skeleton.observed),
+        default_edges=len(asked.skeleton.default),
         acceptance=checked,
         coverage=coverage,
-        copies=len(given) - len(ordered),
+        copies=copies,
     )
-    model = replace(
-        model,
-        calibration={one.horizon: one.factor for one in coverage},
-        provenance=Provenance(
-            method="lsha",
-            data_hash=data_hash or digest,
-            traces=tuple(trace.name for trace in ordered),
-            synthetic=any(trace.synthetic for trace in ordered),
-            settings=_settings(report, seed, flowing, structure),
-            scores=_scores(report),
-        ),
-    )
-    told("done", 1.0)
-    return LearnedLsha(model, fitted.values, report)
 
 
 def _part(plan: Plan, ground: Ground, whole: Model) -> Model:
@@ -187,7 +207,7 @@ def _rows(ground: Ground, structure: Structure, skeleton: Skeleton) -> tuple[Row
         first.setdefault(one, state)
     names = [skeleton.names[number] for number in structure.partition.location.tolist()]
     return tuple(
-        RowOfWords(described(key, ground.alphabet), key.node >= 0, *words.first[first[number]], names[number])
+        RowOfWords(described(key, ground.alphabet), spelled(key, words), *words.first[first[number]], names[number])
         for number, key in enumerate(classes.keys)
     )
 
@@ -195,6 +215,17 @@ def _rows(ground: Ground, structure: Structure, skeleton: Skeleton) -> tuple[Row
 def _table(skeleton: Skeleton, structure: Structure) -> ObservationTable:
     suffixes = [decision.suffix for decision in structure.partition.decisions if decision.verdict == "new"]
     return observation_table(skeleton, suffixes, structure.partition.modelled)
+
+
+def _origin(report: LshaReport, traces: Sequence[Trace], digest: str, seed: int, asked: _Asked) -> Provenance:
+    return Provenance(
+        method="lsha",
+        data_hash=digest,
+        traces=tuple(trace.name for trace in traces),
+        synthetic=any(trace.synthetic for trace in traces),
+        settings=_settings(report, seed, asked.flowing, asked.structure),
+        scores=_scores(report),
+    )
 
 
 def _settings(

@@ -89,7 +89,7 @@ class _State:
     edges: list[dict[str, int]]
     evidence: list[Evidence]
     fixed: set[int]
-    placed: Mask
+    placed: list[bool]
     delta: float
     n_min: int
     queries: int = 0
@@ -187,9 +187,13 @@ def learn_partition(
     size = len(classes)
     fixed = {number for number in range(size) if not modelled[number]}
     edges = [dict(each) for each in classes.edges]
-    state = _State(list(range(size)), edges, list(evidence), fixed, np.zeros(size, dtype=bool), delta, n_min)
-    level = alpha / max(sum(one.count >= n_min for one in evidence), 1)
-    order = sorted((n for n in range(size) if n not in fixed), key=lambda n: (-evidence[n].count, n))
+    state = _State(list(range(size)), edges, list(evidence), fixed, [False] * size, delta, n_min)
+    level = alpha / max(sum(one.count > 0 for one in evidence), 1)
+    free = [number for number in range(size) if number not in fixed]
+    if classes.memory == "word":
+        order = sorted(free, key=lambda n: classes.keys[n].word)
+    else:
+        order = sorted(free, key=lambda n: (-evidence[n].count, n))
     decisions: list[Decision] = []
     for row in order:
         # A merge before may have entailed where the row belongs.
@@ -213,16 +217,24 @@ def _decide(state: _State, row: int, classes: Classes, level: float) -> list[Dec
         equal.remove(default)
         equal.insert(0, default)
     refused: Query | None = None
+    allowed: list[tuple[int, _Fold]] = []
     for one in equal[:TRIED]:
         fold = _Fold(state)
         query = fold.join(here, one)
         p, against = fold.worst()
         if query is None and p >= level:
-            fold.commit()
-            verdict: Verdict = "default" if one == default and mine.count < state.n_min else "merged"
-            return [Decision(row, verdict, one, int(mine.count), answers[one])]
-        refused = refused or query or against
-    return [_new(state, row, here, answers, equal, refused)]
+            allowed.append((one, fold))
+            if classes.memory != "word":
+                break
+        else:
+            refused = refused or query or against
+    if not allowed:
+        return [_new(state, row, here, answers, equal, refused)]
+    # A single word says little by itself: of several merges the one for which most of what follows was compared.
+    one, fold = max(allowed, key=lambda found: len(found[1].answers))
+    fold.commit()
+    verdict: Verdict = "default" if one == default and mine.count < state.n_min else "merged"
+    return [Decision(row, verdict, one, int(mine.count), answers[one])]
 
 
 def _new(
@@ -259,11 +271,11 @@ def _default(state: _State, row: int, classes: Classes) -> int | None:
 def _neighbours(state: _State, row: int, classes: Classes) -> list[int]:
     """The locations by how near the nearest words are that lead there, TRIED at most."""
     near: dict[int, None] = {}
-    away = np.where(state.placed, classes.apart[row], np.inf)
-    for one in np.argsort(away, kind="stable")[: int(state.placed.sum())].tolist():
-        near.setdefault(state.find(one))
-        if len(near) == TRIED:
-            break
+    for one in classes.near(row):
+        if state.placed[one]:
+            near.setdefault(state.find(one))
+            if len(near) == TRIED:
+                break
     return [one for one in near if one in state.known]
 
 

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from math import isfinite
 from typing import Any
 
-from sim.learning.lsha.learn import LshaReport
+from sim.learning.lsha.learn import LshaReport, RowOfWords
 from sim.learning.lsha.merging import Decision
 from sim.learning.lsha.words import Word
 
@@ -15,6 +15,8 @@ VERDICTS: Mapping[str, str] = {
     "default": "default hypothesis",
     "dissolved": "location dissolved",
 }
+LONGEST = 8
+"""Symbols up to which a single word is spelled out."""
 MOST_ROWS = 400
 """Rows of a table that the text shows; the JSON form has all."""
 
@@ -88,6 +90,8 @@ def _lines(report: LshaReport, name: str) -> Iterator[str]:
     yield ""
     yield from _grid(("hypothesis", "locations", *columns[2:]), _rivals(report.structures))
     yield from _query_lines(report)
+    yield from _refuted_lines(report)
+    yield from _identified_lines(report)
     yield from _location_lines(report)
     yield from _table_lines(report)
 
@@ -110,9 +114,19 @@ def _query_lines(report: LshaReport) -> Iterator[str]:
         f"{report.delta:g} of the spread {report.spread:.3g})."
     )
     yield ""
+    yield (
+        "A row is a class of words that share what is remembered of them, or one word (after =). `with` is the "
+        "location that it joined, or the most similar one that it was kept apart from; `difference` (in the unit of "
+        "the parameter), `t` beyond delta and `p` belong to that pair. `told apart by` names the suffix after which "
+        "the two differ, where it is not their own segments that do."
+    )
+    yield ""
     shown = [_decision(one, report) for one in report.decisions]
     columns = ("words", "verdict", "with", "segments", "difference", "t", "p", "told apart by")
     yield from _grid(columns, [tuple(one[key] for key in _COLUMNS) for one in shown])
+
+
+def _refuted_lines(report: LshaReport) -> Iterator[str]:
     yield ""
     yield "## Counterexamples"
     yield ""
@@ -125,23 +139,21 @@ def _query_lines(report: LshaReport) -> Iterator[str]:
     for one in found:
         example = _counterexample(one, report)
         yield f"- {example['words']}: trace {example['trace']}, its first {example['events']} events"
-    if report.identified:
-        yield ""
-        yield "## Model-identification queries"
-        yield ""
-        rows = [
-            (
-                report.locations[q.location].name,
-                q.default,
-                q.kind,
-                q.segments,
-                q.gain,
-                q.p,
-                "kept" if q.kept else "changed",
-            )
-            for q in report.identified
-        ]
-        yield from _grid(("location", "default flow", "best fit", "segments", "gain per segment", "p", ""), rows)
+
+
+def _identified_lines(report: LshaReport) -> Iterator[str]:
+    if not report.identified:
+        return
+    yield ""
+    yield "## Model-identification queries"
+    yield ""
+    yield "Does another flow fit a location's segments better than that of all? Held-out free runs have to confirm it."
+    yield ""
+    rows = [
+        (report.locations[q.location].name, q.default, q.kind, q.segments, q.gain, q.p, "kept" if q.kept else "changed")
+        for q in report.identified
+    ]
+    yield from _grid(("location", "default flow", "best fit", "segments", "gain per segment", "p", ""), rows)
 
 
 _COLUMNS = ("words", "verdict", "other", "segments", "difference", "statistic", "p", "suffix")
@@ -151,9 +163,9 @@ def _decision(one: Decision, report: LshaReport) -> dict[str, object]:
     other = one.rival if one.verdict == "new" else one.other
     answer = one.answer
     return {
-        "words": report.rows[one.row].name,
+        "words": _named(report.rows[one.row]),
         "verdict": VERDICTS[one.verdict],
-        "other": "" if other is None else report.rows[other].name,
+        "other": "" if other is None else _named(report.rows[other]),
         "location": report.rows[one.row].location,
         "segments": one.evidence,
         "difference": answer.difference if answer else None,
@@ -163,9 +175,17 @@ def _decision(one: Decision, report: LshaReport) -> dict[str, object]:
     }
 
 
+def _named(row: RowOfWords) -> str:
+    """What a row is called: its context, and the word itself, the middle of a long one left out."""
+    if row.word is None:
+        return row.name
+    short = row.word if len(row.word) <= LONGEST else (*row.word[:2], f"… {len(row.word) - 5} more …", *row.word[-3:])
+    return f"{row.name} = {_word(short)}"
+
+
 def _counterexample(one: Decision, report: LshaReport) -> dict[str, object]:
     row = report.rows[one.row]
-    return {"words": row.name, "trace": row.trace, "events": row.events, "suffix": _word(one.suffix)}
+    return {"words": _named(row), "trace": row.trace, "events": row.events, "suffix": _word(one.suffix)}
 
 
 def _location_lines(report: LshaReport) -> Iterator[str]:

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Literal
 
-Memory = Literal["context", "direction", "previous"]
+Memory = Literal["context", "direction", "previous", "word"]
 """What of a word is remembered where its own evidence does not suffice: see `words`."""
 
-MEMORIES: tuple[Memory, ...] = ("context", "direction", "previous")
+MEMORIES: tuple[Memory, ...] = ("context", "direction", "previous", "word")
 FLOW_KINDS = ("constant", "linear", "logarithmic", "exponential", "driven")
 """The flow library. `constant` comes with `resample` entry: a level that is jumped to."""
 DELTAS = (0.0, 0.05, 0.15, 0.4)

@@ -16,8 +16,9 @@ from sim.learning.lsha.flow_hypotheses import DELTA, Rival, merged, row
 from sim.learning.lsha.ground import Ground
 from sim.learning.lsha.merging import Partition
 from sim.learning.lsha.settings import DELTAS, MEMORIES, LshaSettings, Memory
-from sim.learning.lsha.words import Classes, classes_of
+from sim.learning.lsha.words import MOST_EVENTS, Classes, classes_of
 from sim.learning.runs import Indices
+from sim.learning.structure import LearningError
 from sim.sha.trace import Array, Mask
 
 
@@ -35,7 +36,7 @@ def choose_structure(ground: Ground, sample: Sample, settings: LshaSettings) -> 
 
     With too few data to hold any out: the memory `context` and the tolerance DELTA.
     """
-    memories = MEMORIES if settings.memory is None else (settings.memory,)
+    memories = _memories(ground, settings)
     deltas = DELTAS if settings.delta is None else (settings.delta,)
     first = DELTA if settings.delta is None else settings.delta
     tried = {(memory, first): _tried(ground, sample, settings, memory, first) for memory in memories}
@@ -51,6 +52,18 @@ def choose_structure(ground: Ground, sample: Sample, settings: LshaSettings) -> 
     )
     chosen = finer[best]
     return Structure(chosen.classes, chosen.partition, best[1]), table
+
+
+def _memories(ground: Ground, settings: LshaSettings) -> tuple[Memory, ...]:
+    """The memories to be tried. Raises LearningError when `word` is asked for and there are too many words."""
+    if settings.memory == "word" and not ground.words.whole:
+        raise LearningError(
+            f"the memory 'word' tells all words apart, which is done for up to {MOST_EVENTS} events in all; the traces "
+            "have more: choose another memory, or fewer traces"
+        )
+    if settings.memory is not None:
+        return (settings.memory,)
+    return tuple(one for one in MEMORIES if one != "word" or ground.words.whole)
 
 
 Hypothesis = tuple[Memory, float]
@@ -72,12 +85,16 @@ def _tried(ground: Ground, sample: Sample, settings: LshaSettings, memory: Memor
 
 
 def _best(tried: Mapping[Hypothesis, _Tried]) -> Hypothesis:
-    """The hypothesis that the held-out segments choose; without them the first one."""
-    known = [one.held for one in tried.values() if one.held is not None]
+    """The hypothesis that the held-out segments choose; without them the first one.
+
+    The fewest locations count as the simplest, and among equals the memory that remembers least.
+    """
     order = list(tried)
-    return (
-        order[choose(known, [one.partition.laws for one in tried.values()])] if len(known) == len(order) else order[0]
-    )
+    known = [one.held for one in tried.values() if one.held is not None]
+    if len(known) < len(order):
+        return order[0]
+    size = [one.partition.laws * len(MEMORIES) + MEMORIES.index(memory) for (memory, _), one in tried.items()]
+    return order[choose(known, size)]
 
 
 def _learned(ground: Ground, classes: Classes, sample: Sample, settings: LshaSettings, delta: float) -> Partition:

@@ -6,14 +6,15 @@ little evidence, so they fall back on the default hypothesis: words with the sam
 
 - `context`: the last announced value of each channel;
 - `direction`: the context, and whether the last level that moved rose or fell;
-- `previous`: the context, and which channel moved last, from which value.
+- `previous`: the context, and which channel moved last, from which value;
+- `word`: all of it. Nothing is taken for granted then: which words lead to one location is for the queries alone.
 
 Each memory is computed from itself and the next symbol, so every automaton of such classes is deterministic.
 """
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,19 +27,23 @@ from sim.sha.trace import UNKNOWN, Array, Trace
 
 Word = tuple[str, ...]
 
+MOST_EVENTS = 1500
+"""Events in all up to which every word is told apart: the queries about them grow with their square."""
+
 
 @dataclass(frozen=True, slots=True)
 class History:
     """What is remembered at most: the context, the direction of the last level that moved (-1, 0, 1), the last move.
 
     `moved` is (channel, value before it), None before anything moved. `node` is the number of the word itself where
-    enough stretches begin with it, else -1.
+    enough stretches begin with it, else -1; `word` is that number where all words are told apart, else -1.
     """
 
     context: Context
     direction: int = 0
     moved: tuple[int, int | None] | None = None
     node: int = -1
+    word: int = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +54,7 @@ class Meaning:
     symbols: Mapping[str, tuple[int, int]]
     levels: tuple[bool, ...]
 
-    def after(self, history: History, symbol: str, node: int = -1) -> History:
+    def after(self, history: History, symbol: str, node: int = -1, word: int = -1) -> History:
         """What is remembered once `symbol` has happened."""
         channel, value = self.symbols[symbol]
         before = history.context[channel]
@@ -59,7 +64,7 @@ class Meaning:
             moved = (channel, before)
             if self.levels[channel] and before is not None:
                 direction = 1 if value > before else -1
-        return History(context, direction, moved, node)
+        return History(context, direction, moved, node, word)
 
 
 def meaning(alphabet: Alphabet) -> Meaning:
@@ -77,14 +82,24 @@ class Words:
     """The finest automaton of some traces: its states are numbered from 0, the state in which nothing is known.
 
     `edges` counts how often each (state, symbol) was taken and says where it led. `first` is where each state was seen
-    first: trace and number of its events. `longest` is the number of events since UNKNOWN or the begin, at most.
+    first: trace and number of its events. `tree` is the tree of words, its nodes numbered from 1 on: (node before,
+    symbol) of each; `whole` says that every word has a node, not only those that many stretches begin with.
     """
 
     meaning: Meaning
     states: tuple[History, ...]
     edges: Mapping[tuple[int, str], tuple[int, int]]
     first: tuple[tuple[str, int], ...]
-    stretches: int
+    tree: tuple[tuple[int, str], ...]
+    whole: bool
+
+    def spelled(self, node: int) -> Word:
+        """The word of a node of the tree; 0 is the empty one."""
+        word: list[str] = []
+        while node > 0:
+            node, symbol = self.tree[node - 1]
+            word.append(symbol)
+        return tuple(reversed(word))
 
     @property
     def sha(self) -> SHA:
@@ -98,11 +113,13 @@ class Words:
 def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> Words:
     """The finest automaton that follows the encoded traces; words that `n_min` stretches begin with are states.
 
-    Raises LearningError, naming trace and event, for a symbol that the alphabet does not have.
+    With MOST_EVENTS events or fewer every word is a state. Raises LearningError, naming trace and event, for a symbol
+    that the alphabet does not have.
     """
     table = meaning(alphabet)
     stretches = [stretch for trace in traces for stretch in _stretches(trace, table)]
-    nodes = _frequent([word for _, _, word in stretches], n_min)
+    whole = sum(len(word) for _, _, word in stretches) <= MOST_EVENTS
+    nodes, counts = _tree([word for _, _, word in stretches], 1 if whole else n_min)
     start = History((None,) * len(alphabet.channels))
     number: dict[History, int] = {start: 0}
     first = [(traces[0].name, 0)]
@@ -111,14 +128,15 @@ def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> Words:
         here, history, node = 0, start, 0
         for length, symbol in enumerate(word, 1):
             node = nodes.get((node, symbol), -1)
-            history = table.after(history, symbol, node)
+            often = node > 0 and counts[node - 1] >= n_min
+            history = table.after(history, symbol, node if often else -1, node if whole else -1)
             there = number.setdefault(history, len(number))
             if there == len(first):
                 first.append((name, offset + length))
             _, count = edges.get((here, symbol), (there, 0))
             edges[here, symbol] = (there, count + 1)
             here = there
-    return Words(table, tuple(number), edges, tuple(first), len(stretches))
+    return Words(table, tuple(number), edges, tuple(first), tuple(nodes), whole)
 
 
 def _stretches(trace: Trace, table: Meaning) -> list[tuple[str, int, Word]]:
@@ -139,32 +157,34 @@ def _stretches(trace: Trace, table: Meaning) -> list[tuple[str, int, Word]]:
     return found
 
 
-def _frequent(words: Sequence[Word], n_min: int) -> dict[tuple[int, str], int]:
-    """(node, symbol) -> node of the tree of the words that at least `n_min` stretches begin with; 0 is the empty one.
+def _tree(words: Sequence[Word], least: int) -> tuple[dict[tuple[int, str], int], list[int]]:
+    """((node, symbol) -> node of the tree of the words that at least `least` stretches begin with, how many do).
 
-    -1 has no successors: what is rare stays rare.
+    0 is the empty word, shorter words come first. -1 has no successors: what is rare stays rare.
     """
     nodes: dict[tuple[int, str], int] = {}
+    often: list[int] = []
     front = {0: list(words)}
     depth = 0
     while front:
         grown: dict[int, list[Word]] = {}
         for node, through in front.items():
             counts = Counter(word[depth] for word in through if len(word) > depth)
-            for symbol in sorted(symbol for symbol, count in counts.items() if count >= n_min):
+            for symbol in sorted(symbol for symbol, count in counts.items() if count >= least):
                 nodes[node, symbol] = len(nodes) + 1
+                often.append(counts[symbol])
                 grown[nodes[node, symbol]] = [w for w in through if len(w) > depth and w[depth] == symbol]
         front, depth = grown, depth + 1
-    return nodes
+    return nodes, often
 
 
 @dataclass(frozen=True, slots=True)
 class Classes:
     """The words seen through one memory: C classes with observed edges, deterministic.
 
-    `of_state` (S,) is the class of each state of the finest automaton, `keys` (C,) what its words share (`node` only
-    where a class is one word), `edges` (C,) symbol -> class. `apart` (C, C) is how far two classes are from each other:
-    bins apart, a switch or another direction counting for ten, not knowing for one.
+    `of_state` (S,) is the class of each state of the finest automaton, `keys` (C,) what its words share (`node` or
+    `word` only where a class is one word), `edges` (C,) symbol -> class. `apart` (C, C) is how far two classes are from
+    each other: bins apart, a switch or another direction counting for ten, not knowing for one.
     """
 
     memory: Memory
@@ -172,9 +192,16 @@ class Classes:
     keys: tuple[History, ...]
     edges: tuple[Mapping[str, int], ...]
     apart: Array
+    _near: dict[int, list[int]] = field(default_factory=dict, compare=False, repr=False)
 
     def __len__(self) -> int:
         return len(self.keys)
+
+    def near(self, row: int) -> list[int]:
+        """All classes by how near they are to one of them, which comes first; kept, since it is asked often."""
+        if row not in self._near:
+            self._near[row] = np.argsort(self.apart[row], kind="stable").tolist()
+        return self._near[row]
 
 
 def classes_of(words: Words, memory: Memory) -> Classes:
@@ -208,12 +235,20 @@ def apart(ones: Sequence[History], others: Sequence[History], table: Meaning) ->
 
 def remembered(history: History, memory: Memory) -> History:
     """A history with only what `memory` keeps; a word that is a state of its own keeps its number."""
+    if memory == "word":
+        return History(history.context, word=history.word)
     return History(
         history.context,
         history.direction if memory == "direction" else 0,
         history.moved if memory == "previous" else None,
         history.node,
     )
+
+
+def spelled(key: History, words: Words) -> Word | None:
+    """The word that a class consists of; None for a class of many words."""
+    node = max(key.node, key.word)
+    return words.spelled(node) if node > 0 else None
 
 
 def described(key: History, alphabet: Alphabet) -> str:
