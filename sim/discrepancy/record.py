@@ -119,7 +119,7 @@ def record_of(
     running, since, cycle = _machine(runs, having, first_switch(model.alphabet))
     window = max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER)
     rows, begins = _windows(runs, cycle, running, window)
-    return Record(model, given, runs, running, since, cycle, window, rows, begins)
+    return Record(model, tuple(signals), runs, running, since, cycle, window, rows, begins)
 
 
 def known(model: Model) -> Mask:

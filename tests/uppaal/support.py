@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from sim.learning.bins import learn_bins
 from sim.plant.scenarios import SCENARIOS, scenario
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Input, Location
 from sim.sha.events import DECANTER, Alphabet, Bins, encode
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
+from sim.validation.tuning_methods import METHODS, Task
 from tests.uppaal.interpreter import Network
 
 TEMPERATURE = "Temp"
@@ -96,10 +96,10 @@ def cd(name: str) -> Trace:
 
 
 @cache
-def learned() -> Model:
-    """A model learned from three scenarios."""
-    traces = [cd(name) for name in list(SCENARIOS)[:3]]
-    return learn_bins(traces, DECANTER, "TCuscinettiRiduttore", name="decanter", seed=0).model
+def learned(method: str = "bins") -> Model:
+    """A model learned from three scenarios by either method."""
+    task = Task([scenario(name) for name in list(SCENARIOS)[:3]], DECANTER, "TCuscinettiRiduttore", 0, "decanter")
+    return METHODS[method].learn(task, {}).model
 
 
 def spindle(full: bool) -> tuple[Model, Trace]:

@@ -129,9 +129,10 @@ def exported(model: Model, trace: Trace, tick: int = 1) -> None:
         assert len(places) == len(root.findall("template[1]/location")), "locations are drawn apart"
 
 
+@pytest.mark.parametrize("method", ["bins", "lsha"])
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_the_models_of_all_scenarios_follow_the_rules(name: str) -> None:
-    exported(learned(), cd(name))
+def test_what_either_method_learns_follows_the_rules_along_all_scenarios(name: str, method: str) -> None:
+    exported(learned(method), cd(name))
 
 
 @pytest.mark.parametrize("tick", [0, 2])
