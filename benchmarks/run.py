@@ -31,6 +31,7 @@ BENCHMARKS = (
     "smc",
     "semantics",
     "verification",
+    "lsha",
 )
 LONGEST = 600.0
 """Seconds after which a benchmark is given up: many times what it takes on a quiet machine."""

@@ -262,8 +262,8 @@ def _say_rows(found: "Answer") -> None:
 
     if isinstance(found.query, Simulation):
         kinds = ("least", "greatest", "mean at the end")
-        rows = [[label, *(f"{found.numbers[f'{label}: {kind}']:.5g}" for kind in kinds)] for label in found.query.labels]
-        table("courses", ["expression", *kinds], rows)
+        named = [(label, [found.numbers[f"{label}: {kind}"] for kind in kinds]) for label in found.query.labels]
+        table("courses", ["expression", *kinds], [[label, *(f"{one:.5g}" for one in own)] for label, own in named])
     if found.levels:
         chance = found.numbers.get("violation", found.numbers["probability"])
         rows = [[f"{level:.4g} °C", f"{share:.2e}"] for level, share in found.levels]

@@ -76,7 +76,7 @@ def _courses(axes: Axes, found: "Answer", row: int, label: str, expression: Expr
 
 
 def _passages(axes: Axes, found: "Answer") -> None:
-    """The share of runs in which the goal has come by each moment, with a band, and the answer's interval at the end."""
+    """The share of runs in which the goal has come by each moment, with a band; at the end the answer's interval."""
     question = found.query.question if isinstance(found.query, Hypothesis) else found.query
     if found.passages is None or not isinstance(question, Probability):
         return

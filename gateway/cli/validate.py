@@ -139,9 +139,10 @@ def _show(out: Path, results: "Sequence[TraceResult]") -> None:
 
 def _reasons(results: "Sequence[TraceResult]") -> list[str]:
     """Why traces failed or are to be looked at, the first TOLD of them; the report has all."""
+    from sim.validation.report import natural
     from sim.validation.verdicts import verdict
 
-    judged = [(one, verdict(one)) for one in results]
+    judged = [(one, verdict(one)) for one in sorted(results, key=lambda one: natural(one.trace))]
     said = [
         f"{found.word}: {one.trace} ({one.semantics}): {'; '.join(found.reasons)}"
         for word in ("failed", "review")

@@ -12,8 +12,8 @@ from sim.sha.automaton import SHA
 __all__ = ["Answer", "Rule", "Settings", "Start", "answer", "believed", "decided", "initial"]
 
 
-MOST_RUNS = 100_000_000
-"""Runs that a query may ask for."""
+MOST_RUNS, LONGEST_RUN = 100_000_000, 1e9
+"""Runs that a query may ask for, and their length (s)."""
 
 
 def quiet(_what: str, _share: float) -> None:
@@ -31,9 +31,7 @@ def answer(query: q.Query, start: Start, settings: Settings | None = None, repor
         raise ValueError("a symbolic query is decided over the locations, not answered by runs")
     if chosen.rare and not isinstance(query, q.Probability):
         raise ValueError("importance splitting answers Pr[...](<> ...) and Pr[...]([] ...) without a comparison")
-    asked = max((one for one in (chosen.runs, _runs(query)) if one is not None), default=1)
-    if not 1 <= asked <= MOST_RUNS:
-        raise ValueError(f"{asked} runs cannot be made; ask for a number from 1 to {MOST_RUNS}")
+    _check_size(query, chosen)
     if isinstance(query, q.Probability):
         return probability(query, start, chosen, report)
     if isinstance(query, q.Hypothesis):
@@ -45,13 +43,20 @@ def answer(query: q.Query, start: Start, settings: Settings | None = None, repor
     return simulation(query, start, chosen, report)
 
 
-def _runs(query: q.Probability | q.Hypothesis | q.Compared | q.Expectation | q.Simulation) -> int | None:
-    """The greatest number of runs that the query itself asks for."""
-    if isinstance(query, q.Hypothesis):
-        return query.question.runs
+def _check_size(
+    query: q.Probability | q.Hypothesis | q.Compared | q.Expectation | q.Simulation, settings: Settings
+) -> None:
+    """Raises ValueError for more runs, or longer ones, than can be made."""
     if isinstance(query, q.Compared):
-        return max(query.left.runs or 1, query.right.runs or 1)
-    return query.runs
+        parts: tuple[q.Probability | q.Expectation | q.Simulation, ...] = (query.left, query.right)
+    else:
+        parts = (query.question if isinstance(query, q.Hypothesis) else query,)
+    for runs in (settings.runs, *(part.runs for part in parts)):
+        if runs is not None and not 1 <= runs <= MOST_RUNS:
+            raise ValueError(f"{runs} runs cannot be made; ask for a number from 1 to {MOST_RUNS}")
+    for part in parts:
+        if not 0.0 < part.bound <= LONGEST_RUN:
+            raise ValueError(f"a run of {part.bound:g} s cannot be made; the bound lies above 0 and at most at 1e9 s")
 
 
 def decided(query: q.Symbolic, sha: SHA) -> Answer:
@@ -63,7 +68,8 @@ def decided(query: q.Symbolic, sha: SHA) -> Answer:
         if found.loop:
             said += f", then again and again {_route(found.loop_path, found.loop)}"
     numbers = {"locations looked at": float(found.explored)}
-    return Answer(query, "symbolic", said, found.holds, numbers, f"exhaustive, {found.explored} locations looked at", 0, 0, "", found.notes)
+    rule = f"exhaustive, {found.explored} locations looked at"
+    return Answer(query, "symbolic", said, found.holds, numbers, rule, 0, 0, "", found.notes)
 
 
 def _route(places: tuple[str, ...], word: tuple[str, ...]) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf
 
 import numpy as np
 
@@ -37,6 +36,7 @@ def probability(query: q.Probability, start: Start, settings: Settings, report: 
     found = _RULES["fixed" if query.runs or settings.runs else settings.rule](drawn, query, settings, report)
     runs, seen = found.estimate.runs, found.estimate.probability
     never = seen == 0.0 if isinstance(query.path, q.Eventually) else seen == 1.0
+    came = "the event came" if isinstance(query.path, q.Eventually) else "a violation came"
     advice: tuple[str, ...] = ()
     if never and not refusal(one):
         if runs >= RARE_AFTER:
@@ -45,10 +45,10 @@ def probability(query: q.Probability, start: Start, settings: Settings, report: 
             except NoWay as error:
                 advice = (str(error),)
             else:
-                why = f"the event came not once in {runs} runs, so importance splitting was used"
+                why = f"{came} not once in {runs} runs, so importance splitting was used"
                 return replace(rarer, notes=(why, *rarer.notes))
         else:
-            advice = (f"the event came not once in {runs} runs: --rare says how rare it is, by importance splitting",)
+            advice = (f"{came} not once in {runs} runs: --rare says how rare it is, by importance splitting",)
     numbers = _numbers(found)
     said = f"Pr = {interval(numbers['probability'], numbers['low'], numbers['high'], settings)}"
     if not found.decided:
@@ -139,7 +139,7 @@ def rare(one: Watch, start: Start, query: q.Probability, settings: Settings, rep
         said,
         None,
         numbers,
-        f"importance splitting, fixed effort, {found.repetitions} repetitions, Student's t",
+        f"importance splitting, fixed effort, {found.repetitions} repetitions, Student's t without the skewness",
         estimate.runs,
         settings.seed,
         start.words,
@@ -149,9 +149,7 @@ def rare(one: Watch, start: Start, query: q.Probability, settings: Settings, rep
 
 
 def prepared(question: q.Probability, start: Start) -> Watch:
-    """The path of a question, ready to be followed. Raises ValueError for a bound that is no positive number."""
-    if not 0 < question.bound < inf:
-        raise ValueError(f"a query's bound must be a positive number of seconds, got {question.bound}")
+    """The path of a question, ready to be followed. Raises ValueError for what cannot be followed."""
     return watch(question.path, tuple(place.name for place in start.world.sha.locations), question.bound)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sim.checking.monitor import Answered, Extreme, Monitor, Totals, follow
 from sim.checking.monitor_course import Courses
-from sim.checking.monitor_formula import split
+from sim.checking.monitor_formula import affine, split
 from sim.checking.monitor_path import Watch, cuts
 from sim.checking.paths import LONGEST, Engine, World
 from sim.checking.paths_known import Cuts, known
@@ -126,23 +126,36 @@ class Summary:
         return Summary(runs, self.mean + off * values.size / runs, squares, least, greatest)
 
 
+def _check_finite(*columns: Array) -> None:
+    if not all(np.isfinite(column).all() for column in columns):
+        raise ValueError(
+            "an expression of the query is no finite number at some instant of a run: it divides by 0 there"
+        )
+
+
 def extremes(
     world: World, expression: Expression, bound: float, runs: int, seed: int, *, greatest: bool, report: Report
 ) -> tuple[Summary, Totals, tuple[str, ...]]:
-    """The greatest (or least) values of an expression on the runs; what happened to them; the engine's notes."""
+    """The greatest (or least) values of an expression on the runs; what happened to them; the engine's notes.
+
+    Raises ValueError for an expression that is not finite everywhere.
+    """
     factor, rest = split(expression)
-    looked = ((0.0, bound),) if factor else ()
-    made = engine(world, Cuts(bound, (), (), looked))
+    bent = affine(rest) is None
+    looked = ((0.0, bound),) if factor or bent else ()
+    made = engine(world, Cuts(bound, (), (), looked, LONGEST if bent else inf))
     sign = 1.0 if greatest else -1.0
     found, totals, number = Summary(), Totals(0, 0, 0), 0
     while found.runs < runs:
         size = chunk_size(number)
         monitor = Extreme(factor, rest, sign, np.full(size, -inf))
         totals = added(totals, follow(made, [monitor], size, generator(seed, number)))
+        _check_finite(monitor.best)
         found = found.joined(sign * monitor.best[: runs - found.runs])
         number += 1
         report("runs", found.runs / runs)
-    return found, totals, made.notes
+    notes = ("what is not linear in the clocks is looked at each 4 s at least, at the ends of steps",) if bent else ()
+    return found, totals, (*made.notes, *notes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +178,7 @@ def courses(
 ) -> tuple[tuple[Course, ...], Totals, tuple[str, ...]]:
     """The courses of `runs` runs, at both ends of every step; what happened to them; the engine's notes.
 
-    Raises ValueError for more numbers than fit.
+    Raises ValueError for more numbers than fit, and for an expression that is not finite everywhere.
     """
     made = engine(world, Cuts(bound, (), (), ((0.0, bound),), max(LONGEST, bound / MOST_SHOWN)))
     rows = made.clock.size - 1
@@ -177,6 +190,7 @@ def courses(
     monitor: Courses = Courses(tuple(expressions), tuple(place.name for place in world.sha.locations))
     monitors: list[Monitor] = [monitor]
     totals = follow(made, monitors, runs, generator(seed, 0))
+    _check_finite(*(column for pair in monitor.values for column in pair))
     return _sorted(monitor, runs), totals, made.notes
 
 

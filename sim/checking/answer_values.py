@@ -54,6 +54,7 @@ def simulation(query: q.Simulation, start: Start, settings: Settings, report: Re
         numbers |= {f"{label}: greatest": max(float(course.values[row].max()) for course in found)}
     said = f"{runs} courses of {', '.join(query.labels)} over {query.bound:.6g} s"
     notes = (*notes, *run_notes(totals))
+    rule = "courses of the runs, at the ends of their steps"
     return Answer(
-        query, "simulation", said, None, numbers, "courses of the runs, at the ends of their steps", runs, settings.seed, start.words, notes, courses=found
+        query, "simulation", said, None, numbers, rule, runs, settings.seed, start.words, notes, courses=found
     )

@@ -9,11 +9,14 @@ from typing import Literal
 import numpy as np
 from scipy.special import log_ndtr
 
+from sim.checking.drift import Drift
+from sim.checking.push import Push, drift_of, push_of
 from sim.checking.structure import Move
 from sim.sha.automaton import Distribution, Flow, Location
 from sim.sha.distributions import LAWS
+from sim.sha.effects import dead_time, signals_of
 from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
-from sim.sha.events import Bins
+from sim.sha.events import Bins, Switch
 from sim.sha.model import Model
 from sim.sha.schedule import Policy
 from sim.sha.trace import UNKNOWN
@@ -21,6 +24,8 @@ from sim.sha.trace import UNKNOWN
 Range = tuple[float, float]
 Sojourn = Literal["any", "law"] | Range
 ANY: Range = (0.0, inf)
+DAY = 86_400.0
+YEAR = 365.0 * DAY
 
 
 class UnboundedInput(ValueError):
@@ -38,7 +43,8 @@ class Assumptions:
     stay says at z, within the bin that was announced last. `start` (degC) is where a run begins; by default the model's
     initial law at z. `policy` says where an event without an edge leads: `resync` as in the running gateway; `ignore`
     and `reject` are the same here, as nothing moves. `unknown` says whether UNKNOWN, which leads to the initial
-    location, may come at any time, as it may at a plant. Raises ValueError.
+    location, may come at any time, as it may at a plant. `horizon` (s) is for how long after its beginning a wear
+    among the effects is followed. Raises ValueError.
     """
 
     z: float = 3.0
@@ -47,10 +53,13 @@ class Assumptions:
     start: Range | None = None
     policy: Policy = "resync"
     unknown: bool = True
+    horizon: float = YEAR
 
     def __post_init__(self) -> None:
         if not (isfinite(self.z) and self.z >= 0):
             raise ValueError(f"z counts standard deviations: give a finite number of at least 0, not {self.z:g}")
+        if not (isfinite(self.horizon) and self.horizon >= 0):
+            raise ValueError(f"wear is followed for a finite time of at least 0 s, not {self.horizon:g} s")
         ranges: dict[str, Range | None] = {f"the input {name!r}": given for name, given in self.inputs.items()}
         ranges["the start temperature"] = self.start
         for what, given in ranges.items():
@@ -66,7 +75,7 @@ class Envelope:
     """All stays that a location may have: ranges of m (its flow's unit), inputs, sojourn (s), and X on entry (degC).
 
     `fresh` is None where X goes on. Inputs may move within their ranges during a stay, m may not; what is proven holds
-    for both.
+    for both. `push` is what effects add; None where none acts.
     """
 
     location: str
@@ -75,10 +84,13 @@ class Envelope:
     inputs: Mapping[str, Range]
     sojourn: Range
     fresh: Range | None = None
+    push: Push | None = None
 
     def corner(self, up: bool) -> tuple[float, dict[str, float]]:
         """(m, inputs) of the highest target, or of the lowest one."""
         side = int(up)
+        if self.push is not None:
+            return self.m[side], dict(self.push.signals[side])
         signals = {one.signal: self.inputs[one.signal][side if one.gain > 0 else 1 - side] for one in self.flow.inputs}
         return self.m[side], signals
 
@@ -86,6 +98,10 @@ class Envelope:
         """The highest or the lowest value of m plus what the inputs add."""
         m, signals = self.corner(up)
         return m + sum(one.gain * (signals[one.signal] - one.reference) for one in self.flow.inputs)
+
+    def drift(self, up: bool, housing: float | None = None) -> Drift | None:
+        """The highest or lowest drift where effects act, with a housing at `housing` (degC); None without effects."""
+        return None if self.push is None else drift_of(self.flow, self.m, self.push, up=up, housing=housing)
 
 
 def quantiles(law: Distribution, z: float) -> Range:
@@ -119,22 +135,29 @@ def start_range(model: Model, assumptions: Assumptions, low: float, high: float)
 def _envelope(model: Model, location: Location, assumptions: Assumptions, known: set[str]) -> Envelope:
     law, fresh = drawn_parameter(location), drawn_temperature(location)
     mean = mode_parameter(location)[0]
+    m = (mean, mean) if law is None else quantiles(law, assumptions.z)
+
+    def signal(name: str) -> Range:
+        return _signal(model, location.name, name, assumptions, known)
+
     return Envelope(
         location.name,
         location.flow,
-        (mean, mean) if law is None else quantiles(law, assumptions.z),
-        {one.signal: _signal(model, location.name, one.signal, assumptions, known) for one in location.flow.inputs},
+        m,
+        {one.signal: signal(one.signal) for one in location.flow.inputs},
         _sojourn(model, location.name, assumptions),
         None if fresh is None else quantiles(fresh, assumptions.z),
+        push_of(model.sha, location, m, signal, assumptions.horizon),
     )
 
 
 def _sojourn(model: Model, name: str, assumptions: Assumptions) -> Range:
-    given = assumptions.sojourn
-    if isinstance(given, tuple):
-        return given
-    stay = model.semi_markov.get(name)
-    return ANY if given == "any" or stay is None else quantiles(stay.law, assumptions.z)
+    """The first stay is longer by a dead time, if there is one: nothing is felt before."""
+    given, stay = assumptions.sojourn, model.semi_markov.get(name)
+    if given == "any" or (given == "law" and stay is None):
+        return ANY
+    least, most = given if isinstance(given, tuple) else quantiles(stay.law, assumptions.z) if stay else ANY
+    return least, most + (dead_time(model.sha) if name == model.sha.initial else 0.0)
 
 
 def _signal(model: Model, name: str, signal: str, assumptions: Assumptions, known: set[str]) -> Range:
@@ -146,17 +169,24 @@ def _signal(model: Model, name: str, signal: str, assumptions: Assumptions, know
         return assumptions.inputs[signal]
     stay = model.semi_markov.get(name)
     bins = next((c for c in model.alphabet.channels if isinstance(c, Bins) and c.signal == signal), None)
-    announced: Range = (-inf, inf) if bins is None else _bin_range(bins, known)
+    switch = any(isinstance(channel, Switch) and channel.signal == signal for channel in model.alphabet.channels)
+    announced: Range = (0.0, 1.0) if switch else (-inf, inf) if bins is None else _bin_range(bins, known)
     if stay is not None and signal in stay.inputs:
         mean, sigma = stay.inputs[signal]
         low, high = mean - assumptions.z * sigma, mean + assumptions.z * sigma
         return (max(low, announced[0]), min(high, announced[1])) if _overlap((low, high), announced) else (low, high)
-    if bins is None:
-        raise UnboundedInput(
-            f"location {name!r} is driven by {signal!r}, whose range nobody says: it is no level of the alphabet and "
-            f"the model has no inputs of its stay; give one, as --inputs {signal}=LOW..HIGH"
-        )
-    return _closed(bins, announced)
+    if bins is not None:
+        return _closed(bins, announced)
+    if switch:
+        return announced
+    seen = [one.inputs[signal] for one in model.semi_markov.values() if signal in one.inputs]
+    if seen:
+        z = assumptions.z
+        return min(mean - z * sigma for mean, sigma in seen), max(mean + z * sigma for mean, sigma in seen)
+    raise UnboundedInput(
+        f"location {name!r} is driven by {signal!r}, whose range nobody says: it is no level of the alphabet and the "
+        f"model has no inputs of its stay; give one, as --inputs {signal}=LOW..HIGH"
+    )
 
 
 def _overlap(one: Range, other: Range) -> bool:
@@ -189,6 +219,7 @@ def _last_announced(model: Model, moves: Sequence[Move]) -> dict[str, set[str]]:
     UNKNOWN is among them where a channel may not have been announced yet.
     """
     driving = {one.signal for location in model.sha.locations for one in location.flow.inputs}
+    driving |= set(signals_of(model.sha))
     known: dict[str, set[str]] = {location.name: set() for location in model.sha.locations}
     for channel in model.alphabet.channels:
         if isinstance(channel, Bins) and channel.signal in driving:

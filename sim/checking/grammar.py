@@ -91,8 +91,10 @@ FORMS = (
     "a query is Pr[<=444](<> Temp > 80), simulate [<=444; 10] {Temp}, E[<=444; 1000](max: Temp), A[] !deadlock "
     "or another form of docs/queries.md"
 )
-MOST_PARTS = 300
-"""Names, numbers and operators of one query: more is no question that a person asks."""
+MOST_PARTS, MOST_CHARACTERS = 300, 50_000
+"""Names, numbers and operators of one query, and its characters: more is no question that a person asks."""
+
+LONGEST_QUOTE = 60
 
 _NUMBERS, _MORE = {"NUMBER", "PLUS", "MINUS"}, {"PLUS", "MINUS", "TIMES", "OVER", "LT", "GT", "EQ", "NE"}
 _SPELLED = MappingProxyType(
@@ -127,6 +129,7 @@ _FIRST = MappingProxyType(
         "maxE": "there is no strategy to be found: the events come from the plant",
     }
 )
+_BEGINNINGS = MappingProxyType({"pr": "Pr", "e": "E", "a": "A", "simulate": "simulate"})
 
 
 class QueryError(ValueError):
@@ -143,6 +146,8 @@ def syntax(text: str) -> Tree[Token]:
     """The syntax tree of a query. Raises QueryError."""
     if not text.strip():
         raise QueryError(f"the query is empty; {FORMS}")
+    if len(text) > MOST_CHARACTERS:
+        raise QueryError(f"the query has {len(text)} characters, and {MOST_CHARACTERS} is the most")
     try:
         tree = _parser().parse(text)
     except UnexpectedInput as error:
@@ -151,6 +156,11 @@ def syntax(text: str) -> Tree[Token]:
     if parts > MOST_PARTS:
         raise QueryError(f"the query has {parts} parts, and {MOST_PARTS} is the most; ask several shorter ones")
     return tree
+
+
+def shown(text: str) -> str:
+    """A part of the query as an error quotes it: cut off where it is long."""
+    return str(text) if len(text) <= LONGEST_QUOTE else f"{text[: LONGEST_QUOTE - 3]}..."
 
 
 def at(place: Token | Meta, sentence: str) -> QueryError:
@@ -164,6 +174,9 @@ def _sentence(error: UnexpectedInput, text: str) -> str:
     place = Token("", "", line=error.line, column=error.column)
     if first in _FIRST:
         return f"{first} is not asked here; {_FIRST[first]}"
+    begun = re.match(r"\s*(\w+)\s*[\[({<]", text)
+    if begun and begun[1] != (right := _BEGINNINGS.get(begun[1].casefold(), begun[1])):
+        return f"column {begun.start(1) + 1}: a query begins with {right}, not with {begun[1]}; {FORMS}"
     if isinstance(error, UnexpectedCharacters):
         found = text.split("\n")[error.line - 1][error.column - 1]
         return str(at(place, f"found {found!r}; {_SIGNS.get(found, f'no query has this sign; {FORMS}')}"))
@@ -185,7 +198,7 @@ def _unexpected(error: UnexpectedToken, text: str) -> str:
         hint = f"after a condition right would be an operator or '-->'; {FORMS}"
     else:
         hint = f"right would be {_expected(wanted)}"
-    return str(at(token, f"found {str(token)!r}; {hint}"))
+    return str(at(token, f"found {shown(token)!r}; {hint}"))
 
 
 def _expected(wanted: frozenset[str]) -> str:

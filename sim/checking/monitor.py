@@ -49,6 +49,11 @@ class Totals:
 
 def follow(engine: Engine, monitors: Sequence[Monitor], runs: int, rng: np.random.Generator) -> Totals:
     """Lead `runs` runs past the monitors from the start to the end; decided runs are left out on the way."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a line at infinity is never reached, one at no number neither
+        return _followed(engine, monitors, runs, rng)
+
+
+def _followed(engine: Engine, monitors: Sequence[Monitor], runs: int, rng: np.random.Generator) -> Totals:
     state, who = engine.begin(runs, rng), np.arange(runs)
     clamps = limited = cut = 0
     for row in range(engine.clock.size - 1):

@@ -19,6 +19,7 @@ from math import inf, isinf, nan
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.checking.drift import Drift
 from sim.checking.envelope import Envelope, Range
 from sim.checking.structure import Move
 from sim.sha.flows import RELAXING, mean_step
@@ -54,16 +55,21 @@ class Graph:
 class Side:
     """The upper bounds (`sign` 1), or the lower ones (-1): temperatures and targets are multiplied by the sign.
 
-    (L,) `target` is the highest one of each location, `fresh` the highest X on entry, NaN where it goes on.
+    (L,) `target` is the highest one of each location, `fresh` the highest X on entry, NaN where it goes on. `drifts` has
+    the bound of the drift where effects act, None elsewhere.
     """
 
     graph: Graph
     sign: float
     target: Array
     fresh: Array
+    drifts: tuple[Drift | None, ...]
 
     def after(self, place: int, x: float, dt: float) -> float:
         """The temperature `dt` s after an entry at `x`; `dt` may be infinite, and `x` too."""
+        pushed = self.drifts[place]
+        if pushed is not None:
+            return pushed.after(x, dt, self.graph.rate)
         room, target = self.graph.envelopes[place], float(self.target[place])
         relaxing = room.flow.kind in RELAXING
         if dt == 0 or room.flow.kind == "constant" or (not relaxing and target == 0):
@@ -109,11 +115,13 @@ def make_graph(rooms: Sequence[Envelope], moves: Sequence[Move], initial: str, r
     return Graph(tuple(rooms), index[initial], rate, ends[:, 1], ends[:, 0], symbols, first, reached)
 
 
-def side_of(graph: Graph, *, up: bool) -> Side:
-    """The upper or the lower side of a graph."""
+def side_of(graph: Graph, *, up: bool, housing: float | None = None) -> Side:
+    """The upper or the lower side of a graph; `housing` (degC) is the highest or lowest that a housing comes to."""
     sign, rooms = (1.0 if up else -1.0), graph.envelopes
     fresh = [nan if room.fresh is None else sign * room.fresh[int(up)] for room in rooms]
-    return Side(graph, sign, np.array([sign * room.target(up) for room in rooms]), np.array(fresh))
+    drifts = [room.drift(up, housing) for room in rooms]
+    signed = tuple(one if one is None or up else one.mirrored() for one in drifts)
+    return Side(graph, sign, np.array([sign * room.target(up) for room in rooms]), np.array(fresh), signed)
 
 
 def best_moves(graph: Graph, leaving: Array) -> tuple[Array, Indices]:

@@ -12,7 +12,7 @@ from typing import Literal, cast
 from lark import Token, Tree
 
 from sim.checking import query as q
-from sim.checking.grammar import QueryError, at
+from sim.checking.grammar import QueryError, at, shown
 from sim.checking.names import identifiers
 from sim.sha.automaton import SHA
 
@@ -115,7 +115,7 @@ def _answer_time(tree: Node, span: q.Span | None, bound: float | None) -> q.Span
         return cast(q.Span, span)
     word, number = within.children
     if word != "within":
-        raise at(cast(Token, word), f"found {str(word)!r}; right would be 'within' or ')'")
+        raise at(cast(Token, word), f"found {shown(str(word))!r}; right would be 'within' or ')'")
     seconds = _number(cast(Node, number))
     return _span(0.0, seconds, cast(Node, number), bound)
 
@@ -145,7 +145,7 @@ def _bounds(tree: Node) -> tuple[float, int | None]:
 def _runs(tree: Node) -> int:
     written = "".join(str(token) for token in tree.children)
     if not written.isdecimal() or len(written) > 18 or int(written) < 1:
-        raise at(tree.meta, f"{written} is no number of runs; write a whole one from 1, such as 1000")
+        raise at(tree.meta, f"{shown(written)} is no number of runs; write a whole one from 1, such as 1000")
     return int(written)
 
 
@@ -237,7 +237,7 @@ def _own_name(tree: Node, names: Names) -> q.Formula:
     written = str(token).removeprefix("at").strip()
     name = re.sub(r"\\(.)", r"\1", written[1:-1])
     if name not in names.own:
-        raise at(token, f"no location is called {name!r}; {_near(name, sorted(names.own))}")
+        raise at(token, f"no location is called {shown(name)!r}; {_near(name, sorted(names.own))}")
     return q.At(name)
 
 
@@ -283,7 +283,7 @@ def _plus(tree: Node, names: Names) -> q.Expression:
 def _literal(tree: Node, names: Names) -> q.Expression:
     value = float(cast(Token, tree.children[0]))
     if not isfinite(value):
-        raise at(tree.meta, f"{tree.children[0]} is beyond what a number can be; write a finite one")
+        raise at(tree.meta, f"{shown(str(tree.children[0]))} is beyond what a number can be; write a finite one")
     return q.Number(value)
 
 
@@ -311,13 +311,13 @@ def _plain(token: Token) -> str:
     if not dot:
         return process
     if process != PROCESS or "." in name:
-        raise at(token, f"found {str(token)!r}; only the model's own names are known, as {PROCESS}.Temp or Temp")
+        raise at(token, f"found {shown(token)!r}; only the model's own names are known, as {PROCESS}.Temp or Temp")
     return name
 
 
 def _unknown(token: Token, name: str, names: Names) -> QueryError:
     known = [*names.quantities, *names.locations]
-    return at(token, f"{str(token)!r} is not known; {_near(name, known)}")
+    return at(token, f"{shown(token)!r} is not known; {_near(name, known)}")
 
 
 def _near(name: str, known: Sequence[str]) -> str:

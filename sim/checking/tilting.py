@@ -24,6 +24,7 @@ MOST = 6
 LEAST_EFFECT = 0.2
 """Stays with less than this share of the greatest effect are left alone: their m is one noise among others."""
 
+
 @dataclass(frozen=True, slots=True)
 class Tilts:
     """The laws N(mean, 1) of K standard scores, `mean` (K,). Being no narrower than chance's own, they leave no

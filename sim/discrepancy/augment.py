@@ -69,7 +69,7 @@ def effect_of(named: Named, model: Model) -> Effect:
     return Effect(
         named.entry.name,
         params,
-        dict(named.signals),
+        {} if named.params.get("walls") else dict(named.signals),
         locations=running if named.entry.name in RUNNING_ONLY and len(running) < len(model.sha.locations) else (),
         event=switch.rising if kind.event and switch is not None else "",
     )

@@ -40,7 +40,8 @@ def ceiling(fitted: Fitted, seed: int) -> Ceiling | None:
     drawn = signs @ cross
     share = float((cross.sum() - size.sum()) / max(total, 1e-300))
     p = float(np.mean(drawn >= cross.sum() - 1e-12))
-    return Ceiling(share, p, _drivers(names, features, predicted))
+    rms = float(np.sqrt(total / max(float(weight.sum()), 1e-300)))
+    return Ceiling(share, p, rms, _drivers(names, features, predicted))
 
 
 def _winsorised(heat: Array) -> Array:

@@ -98,11 +98,12 @@ class Ceiling:
     """How much of the heat that is left a free learner can predict on cycles it has not seen.
 
     `share` is the cross-validated share of its variance (at most 1, may be negative), `p` by sign flips of cycles,
-    `drivers` the features that it used most, with their importance.
+    `heat` the rms of all of it (degC/h), `drivers` the features that it used most, with their importance.
     """
 
     share: float
     p: float
+    heat: float
     drivers: tuple[tuple[str, float], ...]
 
 

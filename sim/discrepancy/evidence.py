@@ -9,14 +9,16 @@ from sim.discrepancy.fit import Fitted
 from sim.discrepancy.naming import INVISIBLE, NEAR, SAME, Evidence, Step
 
 
-def candidates_of(steps: Sequence[tuple[Step, str]]) -> tuple[Candidate, ...]:
-    """Every entry of every step, in the order of their gains."""
+def candidates_of(steps: Sequence[tuple[Step, str]], kept: bool) -> tuple[Candidate, ...]:
+    """Every entry of every step, in the order of their gains; `kept` says whether the names were given in the end."""
     return tuple(
-        _candidate(one, number, each, refusal) for number, (each, refusal) in enumerate(steps) for one in each.evidence
+        _candidate(one, number, each, refusal, kept)
+        for number, (each, refusal) in enumerate(steps)
+        for one in each.evidence
     )
 
 
-def _candidate(one: Evidence, number: int, step: Step, refusal: str) -> Candidate:
+def _candidate(one: Evidence, number: int, step: Step, refusal: str, kept: bool) -> Candidate:
     cosine = {name: abs(value) for name, value in step.cosines.items()}
     top = one is step.best
     return Candidate(
@@ -34,13 +36,13 @@ def _candidate(one: Evidence, number: int, step: Step, refusal: str) -> Candidat
         rivals=tuple(name for name, value in cosine.items() if NEAR <= value < SAME) if top else (),
         needs=tuple(one.shape.signals.values()),
         experiment=one.entry.experiment,
-        fate=_fate(one, step, refusal, top),
+        fate=_fate(one, step, refusal, kept),
     )
 
 
-def _fate(one: Evidence, step: Step, refusal: str, top: bool) -> str:
-    if top:
-        return refusal or "named"
+def _fate(one: Evidence, step: Step, refusal: str, kept: bool) -> str:
+    if one is step.best:
+        return refusal or ("named" if kept else "the best of all, but the name is withheld")
     if one.visible < INVISIBLE:
         return "not visible in these data: the model's own parameters imitate it"
     if one.entry.name in step.members:

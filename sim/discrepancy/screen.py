@@ -13,9 +13,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from sim.discrepancy.catalogue import Entry, Params, Signals, signals_of
+from sim.discrepancy.catalogue import Entry, signals_of
 from sim.discrepancy.course import Named, filtered
 from sim.discrepancy.fit import Fitted
+from sim.discrepancy.forms import Params, Signals
 from sim.discrepancy.noise import Weigher
 from sim.sha.trace import Array
 

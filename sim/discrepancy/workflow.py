@@ -11,16 +11,17 @@ import numpy as np
 
 from sim.discrepancy.augment import named_of
 from sim.discrepancy.baseline import frame_of, on
-from sim.discrepancy.catalogue import CATALOGUE, ROLES
+from sim.discrepancy.catalogue import ROLES
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.course import Named
-from sim.discrepancy.diagnosis import Ceiling, Diagnosis, Verdict
+from sim.discrepancy.diagnosis import Ceiling, Diagnosis
 from sim.discrepancy.evidence import candidates_of, effect_of
 from sim.discrepancy.fit import Fitted, fit
-from sim.discrepancy.held_out import Trial, by_cycles, compared
+from sim.discrepancy.held_out import by_cycles, compared
+from sim.discrepancy.judging import Found, doubts, dubious, insignificant, systematic, untested, verdict_of
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
-from sim.discrepancy.naming import MARGIN, MATERIAL, Step, entries_besides, step
+from sim.discrepancy.naming import Step, entries_besides, step
 from sim.discrepancy.record import Record, record_of
 from sim.discrepancy.story import course_of, sentence_of
 from sim.learning.preparation import encoded
@@ -32,10 +33,6 @@ HELD_OUT = 0.3
 LEAST_CYCLES = 4
 """Cycles below which nothing is said: three to fit, one to judge by."""
 MOST_NAMES = 3
-ROBUST, SPREAD = 2.0, 3.0
-"""The z by cycles that a name needs, where its information is spread over at least so many cycles."""
-CEILING_P, CEILING_SHARE = 0.01, 0.08
-"""Heat that trees predict with such a p, and to such a share, is systematic."""
 
 Progress = Callable[[str, float], None]
 
@@ -50,17 +47,13 @@ class Outcome:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """The path of names: each step with its verdict in words ("" where its best entry was taken), and the last fit."""
+class Hand:
+    """What every step has at hand: the seed, the roles that are `present` and all `roles`, and whom to tell."""
 
-    base: Fitted
-    fitted: Fitted
-    steps: tuple[tuple[Step, str], ...]
-
-    @property
-    def taken(self) -> tuple[Step, ...]:
-        """The steps whose best entry was taken."""
-        return tuple(one for one, refusal in self.steps if not refusal)
+    seed: int
+    present: Mapping[str, str]
+    roles: Mapping[str, str]
+    told: Progress
 
 
 def diagnose(
@@ -96,7 +89,7 @@ def diagnose(
     before = ceiling(base, seed)
     found = name(base, present, seed, most, told)
     told("held-out cycles", 0.85)
-    return _judged(model, found, held_out, before, present, roles, seed, told)
+    return _concluded(model, found, held_out, before, Hand(seed, present, roles, told))
 
 
 def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str, str]:
@@ -132,109 +125,41 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: P
     return Found(base, fitted, tuple(steps))
 
 
-def insignificant(one: Step) -> str:
-    """Why the best entry of a step is no more than chance, or a trifle; "" where something is missing."""
-    best = one.best
-    if best is None or not best.confirmed or best.gain < one.threshold:
-        gain = best.gain if best is not None else 0.0
-        return f"adds {gain:.1f} nats, and chance alone does {one.threshold:.1f} in one case of a hundred"
-    sigma = max(one.before.frame.record.model.sensor_sigma, 1e-6)
-    if best.amplitude < MATERIAL * sigma:
-        return f"is there but moves the temperature by {best.amplitude:.3f} degC only, less than the sensor's noise"
-    return ""
-
-
-def dubious(one: Step) -> str:
-    """Why the best entry of a step does not deserve its name though something is missing; "" where it does."""
-    best = one.best
-    if best is None:
-        return "there is nothing to name"
-    if best.spread >= SPREAD and best.robust < ROBUST and best.entry.sign != 0:
-        return f"rests on few cycles ({best.cycles[0]} of {best.cycles[1]} speak for it)"
-    if best.spread >= SPREAD and best.carried <= 0:
-        return "does not carry over from cycle to cycle"
-    if one.margin < MARGIN:
-        return f"beats its rivals outside its class by {one.margin:.1f} nats only"
-    return ""
-
-
-def _judged(
-    model: Model,
-    found: Found,
-    held_out: Record,
-    before: Ceiling | None,
-    present: Mapping[str, str],
-    roles: Mapping[str, str],
-    seed: int,
-    told: Progress,
-) -> Outcome:
-    base, after = found.base, found.fitted
-    held, first, second = compared(base, after, held_out, seed)
-    left = ceiling(after, seed) if found.taken else before
-    reasons = doubts(found, first, second, left)
-    named = after.state.named
-    verdict: Verdict = "agree"
-    if named and reasons:
-        verdict, named, after = "unexplained", (), base
-        held, first, second = compared(base, base, held_out, seed)
-    elif named:
-        verdict = "named" if all(len(one.members) == 1 for one in found.taken) else "class"
-    elif found.steps and not insignificant(found.steps[0][0]):
-        verdict, reasons = "unexplained", (f"{found.steps[0][0].members[0]} {found.steps[0][1]}",)
-    elif systematic(before):
-        verdict, reasons = "unexplained", ("a free learner predicts heat on cycles that it has not seen",)
-    told("where the heat is", 0.95)
-    where = places(base, seed)
-    remaining = places(after, seed) if named else where
-    effects = tuple(effect_of(one, after) for one in found.taken) if named else ()
+def _concluded(model: Model, found: Found, held_out: Record, before: Ceiling | None, hand: Hand) -> Outcome:
+    after = found.fitted
+    left = ceiling(after, hand.seed) if found.taken else before
+    held, first, second = compared(found.base, after, held_out, hand.seed)
+    verdict, reasons = verdict_of(found, doubts(found, first, second, before, left), before)
+    kept = verdict in ("named", "class")
+    if not kept:
+        after = found.base
+        held, first, second = compared(after, after, held_out, hand.seed)
+    hand.told("where the heat is", 0.95)
+    where = places(found.base, hand.seed)
+    remaining = places(after, hand.seed) if kept else where
+    effects = tuple(effect_of(one, after) for one in found.taken) if kept else ()
     moved = shifts(after)
-    unexplained = remaining if verdict == "unexplained" or (named and systematic(left)) else ()
-    sentence = sentence_of(verdict, effects, unexplained, moved, held, int(np.unique(base.frame.record.cycle).size))
+    unexplained = remaining if verdict == "unexplained" or (kept and systematic(left)) else ()
+    cycles = int(np.unique(found.base.frame.record.cycle).size)
     diagnosis = Diagnosis(
         verdict=verdict,
-        sentence=sentence,
+        sentence=sentence_of(verdict, effects, unexplained, moved, held, cycles),
         reasons=reasons,
         effects=effects,
         shifts=moved,
         places=where,
         unexplained=unexplained,
         ceiling_before=before,
-        ceiling_after=left,
-        candidates=candidates_of(found.steps),
-        untested=untested(present, roles),
+        ceiling_after=left if kept else None,
+        candidates=candidates_of(found.steps, kept),
+        untested=untested(hand.present, hand.roles),
         held_out=held,
-        course=course_of(base, after, first, second),
-        settings=_settings(found, seed),
+        course=course_of(found.base, after, first, second),
+        settings=_settings(found, hand.seed),
         model_before=model.sha.name,
         model_after=None,
     )
-    return Outcome(diagnosis, named, after)
-
-
-def systematic(one: Ceiling | None) -> bool:
-    """True where a free learner predicts a share of the heat on unseen cycles that is no chance and no trifle."""
-    return one is not None and one.p <= CEILING_P and one.share >= CEILING_SHARE
-
-
-def doubts(found: Found, first: Trial, second: Trial, left: Ceiling | None) -> tuple[str, ...]:
-    """Why names that the likelihood offers are not given after all."""
-    reasons = []
-    if found.taken and second.likelihood <= first.likelihood:
-        reasons.append("the held-out cycles are not better foreseen with it")
-    if found.taken and left is not None and systematic(left):
-        reasons.append(f"a free learner still predicts {left.share:.0%} of the heat on cycles that it has not seen")
-    return tuple(reasons)
-
-
-def untested(present: Mapping[str, str], roles: Mapping[str, str]) -> dict[str, str]:
-    """The effects that were off the table, with the reason."""
-    out = {}
-    for entry in CATALOGUE:
-        missing = [role for role in entry.needs if role not in present]
-        if missing:
-            signal = roles.get(missing[0], missing[0])
-            out[entry.name] = f"needs {signal} ({missing[0]}), which these traces do not have or which never changes"
-    return out
+    return Outcome(diagnosis, after.state.named if kept else (), after)
 
 
 def _settings(found: Found, seed: int) -> dict[str, float]:

@@ -62,7 +62,7 @@ def crps_sample(samples: ArrayLike, outcome: ArrayLike) -> Array:
 
 
 def crps_ordered(ordered: Array, outcome: ArrayLike) -> Array:
-    """`crps_sample` of samples (..., n) that are in ascending order already, as a caller who needs quantiles has them."""
+    """`crps_sample` of samples (..., n) in ascending order, as a caller who needs their quantiles too has them."""
     n = ordered.shape[-1]
     apart = ordered - np.asarray(outcome, dtype=float)[..., None]
     error = np.abs(apart, out=apart).mean(axis=-1)

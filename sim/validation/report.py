@@ -79,7 +79,7 @@ class ModelReport:
     def judged(self) -> list[tuple[TraceResult, Verdict]]:
         """Each result with its verdict, trace by trace in the order of the numbers in their names (cd2 before cd10)."""
         places = list(dict.fromkeys(one.semantics for one in self.results))
-        ordered = sorted(self.results, key=lambda one: (places.index(one.semantics), _natural(one.trace)))
+        ordered = sorted(self.results, key=lambda one: (places.index(one.semantics), natural(one.trace)))
         return [(one, verdict(one)) for one in ordered]
 
     @property
@@ -116,10 +116,10 @@ class ModelReport:
     def boxes(self) -> Boxes | None:
         """The error distribution by trace, its semantics one below the other; None without figures."""
         there = [one for one in self.results if one.error_quantiles]
-        return error_boxes(sorted(there, key=lambda one: _natural(one.trace)))
+        return error_boxes(sorted(there, key=lambda one: natural(one.trace)))
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
+def natural(name: str) -> list[tuple[int, str]]:
     """A key that sorts digits as numbers."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name)]
 

@@ -7,7 +7,7 @@ import pytest
 
 from sim.checking.answer import Settings, answer, initial
 from sim.checking.answer_estimates import prepared
-from sim.checking.answer_runs import sampler
+from sim.checking.answer_runs import MOST_KEPT, sampler
 from sim.checking.monitor_formula import compile_formulas
 from sim.checking.query import (
     Always,
@@ -20,12 +20,14 @@ from sim.checking.query import (
     Eventually,
     Expectation,
     Formula,
+    Indicator,
     Not,
     Number,
     Operation,
     Path,
     Probability,
     Response,
+    Simulation,
     Span,
     Until,
 )
@@ -130,6 +132,73 @@ def test_every_cause_is_answered_in_time(
 
 def test_a_cause_too_late_to_tell_counts_as_answered() -> None:
     assert holds(Response(compare(">=", 98.0, TIME), compare(">=", 99.0), Span(0.0, 30.0)))
+
+
+@pytest.mark.parametrize(("deadline", "expected"), [(26.0, False), (34.0, True)])
+def test_the_moment_of_a_crossing_is_known_to_within_a_step_of_4_s(deadline: float, expected: bool) -> None:
+    """22 degC at 20 s, q_1 at 50 s: 30 s between them."""
+    assert holds(Response(compare(">=", 22.0), At("q_1"), Span(0.0, deadline))) is expected
+
+
+def test_bent_conditions_on_clocks_are_seen_to_within_a_step_of_4_s() -> None:
+    square = Operation("*", TIME, TIME)
+    for low, high, expected in ((4000.0, 5000.0, True), (6410.0, 6500.0, None), (10_500.0, 11_000.0, False)):
+        inner = Both(Compare(">=", square, Number(low)), Compare("<=", square, Number(high)))
+        if expected is not None:  # 80.1 to 80.6 s lies within one step: it may be missed
+            assert holds(Eventually(inner, WHOLE)) is expected
+    start = along(RISING, 20.0, 100.0, (50.0,))
+    found = answer(eventually(Compare(">=", square, Number(6400.0)), 100.0), start, Settings(runs=100))
+    assert any("at most 4 s" in note for note in found.notes)
+    arch = Operation("*", TIME, Operation("-", Number(100.0), TIME))
+    top = answer(Expectation(100.0, 10, "max", arch), start, Settings())
+    assert top.numbers["mean"] == pytest.approx(2500.0, abs=5.0) and any("not linear" in note for note in top.notes)
+
+
+def test_until_is_low_by_what_it_says_it_left_undecided() -> None:
+    """X is W: up before down is an even chance (optional stopping). With the lines 1.5 steps' sigmas off both are
+    reached in one step now and then: such runs count as not reached, and are counted."""
+    start = along(model([flow("constant", 0.1)], [None]), 40.0, 400.0)
+    for distance, most in ((0.3, 0.002), (0.6, 0.0001)):
+        inside = Both(compare(">", 40.0 - distance), compare("<", 40.0 + distance))
+        path = Until(inside, compare(">=", 40.0 + distance), Span(0.0, 400.0))
+        query = Probability(400.0, path)
+        drawn = sampler(start.world, (prepared(query, start),), 5)
+        share = float(drawn.draw(40_000).mean())
+        torn = drawn.unclear / 40_000
+        assert share <= 0.5 + 0.008 and 0.5 - share <= torn + 0.008 <= most + 0.008
+
+
+def test_the_noise_of_a_step_at_the_maximum_rate_is_low_by_less_than_3_percent() -> None:
+    """Far below its target the flow rises at the rate; what noise has moved stays: sigma sqrt(T), no relaxation."""
+    made = model([flow("exponential", 0.1, k=0.05)], [normal(400.0)], max_rate=0.1)
+    start = along(made, 20.0, 300.0)
+    query = Expectation(300.0, 20_000, "max", Operation("-", TEMP, Operation("*", Number(0.1), TIME)))
+    found = answer(query, start, Settings(seed=1))
+    exact = 20.0 + 0.1 * np.sqrt(2.0 * 300.0 / np.pi)
+    assert 0.97 < (found.numbers["mean"] - 20.0) / (exact - 20.0) < 1.0
+    assert any("maximum rate" in note for note in found.notes)
+
+
+def test_runs_whose_steps_are_kept_come_in_smaller_chunks() -> None:
+    start = along(RISING, 20.0, 12_000.0, (50.0,))
+    path = Response(compare(">=", 24.0), compare("<=", 23.0), Span(0.0, 5000.0))
+    drawn = sampler(start.world, (prepared(Probability(12_000.0, path), start),), 0)
+    drawn.draw(1500)
+    assert drawn.engine.clock.size > 3000 and drawn.largest * drawn.engine.clock.size * 3 <= MOST_KEPT * 1.01
+
+
+def test_conditions_are_0_and_1_in_courses() -> None:
+    start = along(RISING, 20.0, 100.0, (50.0,))
+    hot, there = Indicator(compare(">=", 24.0)), Indicator(At("q_1"))
+    scaled = Operation("+", Number(5.0), Operation("*", Number(2.0), Indicator(Not(Both(At("q_0"), Constant(True))))))
+    query = Simulation(100.0, 3, (hot, there, scaled), ("hot", "there", "scaled"))
+    for course in answer(query, start, Settings()).courses:
+        times, (warm, place, other) = course.times, course.values
+        assert set(warm) == {0.0, 1.0} == set(place)
+        assert np.all(warm[times < 36.0] == 0.0) and np.all(warm[(times > 44.0) & (times < 56.0)] == 1.0)
+        assert np.all(place[times < 50.0] == 0.0) and np.all(place[times > 50.0] == 1.0)
+        assert np.array_equal(other, 5.0 + 2.0 * place)
+        assert sorted(place[times == 50.0]) == [0.0, 1.0]
 
 
 def test_a_stay_of_no_length_is_visited() -> None:

@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 
 from sim.learning.lsha.evidence import Evidence, between, evidence_of, same_distribution, sample_of
-from sim.learning.lsha.identify import identify
+from sim.learning.lsha.ground import placed
+from sim.learning.lsha.identify import identify, rate_alone
 from sim.learning.lsha.merging import Partition, learn_partition
 from sim.learning.lsha.segments import Motion, Segments, levels, parameters
-from sim.learning.lsha.settings import LshaSettings
+from sim.learning.lsha.settings import MEMORIES, LshaSettings
 from sim.learning.lsha.words import Classes, History, classes_of, words_of
 from sim.learning.runs import free_runs
 from sim.sha.automaton import Flow
 from sim.sha.flows import coefficients
+from sim.sha.trace import Trace
 from tests.learning.lsha_plants import PLANT, by_context, random_traces
 
 N_MIN = 5
@@ -68,7 +70,7 @@ def test_the_scatter_between_segments_is_kept_apart_from_their_errors() -> None:
     variance = 10.0 ** rng.uniform(-1, 1, 400)
     value = 7.0 + rng.normal(0, np.sqrt(0.8**2 + variance))
     rows = np.zeros(400, dtype=np.intp)
-    sample = sample_of(Segments(value, variance, rows, rows, rows, variance, variance, 0.1))
+    sample = sample_of(Segments(value, variance, rows, rows, rows, variance, variance, 0.1), rows[:1])
     mean, error, scatter = between(sample, np.ones(400, dtype=bool))
     assert mean == pytest.approx(7.0, abs=4 * error)
     assert error < 0.2
@@ -147,9 +149,10 @@ def test_every_segment_is_attached_once_and_to_one_class() -> None:
     )
     assert found.value.size == stays
     assert found.readings.sum() == sum(trace.times.size for trace in traces)
-    for memory in ("context", "direction", "previous"):
+    sample = sample_of(found, classes_of(words, "previous").of_state)
+    for memory in MEMORIES:
         classes = classes_of(words, memory)
-        pooled = sample_of(found).pooled(classes.of_state, len(classes), N_MIN)
+        pooled = sample.pooled(classes.of_state, len(classes), N_MIN)
         assert sum(one.count for one in pooled) == stays
 
 
@@ -166,19 +169,41 @@ def test_a_segment_s_parameter_and_its_error_are_right() -> None:
     assert found.variance.max() > 20 * found.variance.min()
 
 
+def test_single_segments_tell_the_rate_whatever_they_have_in_common() -> None:
+    # The scatter of 15 degC from stay to stay hides which of them belong together; the shape of each stay is left.
+    traces = random_traces(by_context, 9, count=12, scatter=15.0, tau=150.0)
+    words = words_of(traces, PLANT, N_MIN)
+    runs = free_runs(traces, words.sha, "T", signals=("Load",), jumps=True)
+    assert 1.0 / rate_alone(runs, "exponential") == pytest.approx(150.0, rel=0.05)
+
+
+def test_words_are_told_apart_one_by_one_only_while_there_are_few_events() -> None:
+    traces = random_traces(by_context, 10, count=4)
+    few, many = words_of(traces, PLANT, 2), words_of(traces * 20, PLANT, 200)
+    assert few.whole
+    assert not many.whole
+    assert len(classes_of(few, "word")) == 1 + len({e[: n + 1] for e in spelled_out(traces) for n in range(len(e))})
+    assert len(many.states) < len(few.states)
+    longest = max(range(len(few.tree)), key=lambda node: len(few.spelled(node + 1)))
+    assert few.spelled(longest + 1) in spelled_out(traces)
+
+
+def spelled_out(traces: list[Trace]) -> list[tuple[str, ...]]:
+    return [tuple(event.symbol for event in trace.events) for trace in traces]
+
+
 def test_a_location_with_another_flow_is_identified_and_the_others_keep_the_default() -> None:
     traces = random_traces(by_context, 2, count=10, tau=60.0, scatter=0.5)
     words = words_of(traces, PLANT, N_MIN)
-    runs = free_runs(traces, words.sha, "T", signals=("Load",), jumps=True)
+    classes = classes_of(words, "context")
+    runs = placed(free_runs(traces, words.sha, "T", signals=("Load",), jumps=True), classes.of_state)
     linear = Flow("linear", {"noise": 0.0})
     rates = {"exponential": Flow("exponential", {"k": 1 / 60.0, "noise": 0.0}), "linear": linear}
     motions = {
         kind: Motion(*coefficients(flow, runs.age, runs.dt)[:2], np.zeros(len(runs))) for kind, flow in rates.items()
     }
-    wrong = identify(
-        runs, len(words.states), "linear", motions["linear"], {"exponential": rates["exponential"]}, 0.05, 5
-    )
-    right = identify(runs, len(words.states), "exponential", motions["exponential"], {"linear": linear}, 0.05, 5)
+    wrong = identify(runs, len(classes), "linear", motions["linear"], {"exponential": rates["exponential"]}, 0.05, 5)
+    right = identify(runs, len(classes), "exponential", motions["exponential"], {"linear": linear}, 0.05, 5)
     assert {one.kind for one in wrong if not one.kept} == {"exponential"}
     assert sum(not one.kept for one in wrong) > 0.5 * len(wrong)
     assert all(one.kept for one in right)
@@ -189,7 +214,7 @@ def test_a_location_with_another_flow_is_identified_and_the_others_keep_the_defa
     [
         ({"delta": -0.1}, "delta is -0.1; it must be 0 or more"),
         ({"delta": float("nan")}, "delta is nan"),
-        ({"memory": "all"}, "the memory 'all' is unknown; known are context, direction, previous"),
+        ({"memory": "all"}, "the memory 'all' is unknown; known are context, direction, previous, word"),
         ({"default_flow": "cubic"}, "the default flow 'cubic' is unknown; known are constant, linear"),
         ({"n_min": 1}, "n_min is 1; two segments are the least"),
         ({"alpha": 1.0}, "alpha is 1.0; it must lie between 0 and 1"),

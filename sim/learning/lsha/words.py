@@ -198,7 +198,7 @@ class Classes:
         return len(self.keys)
 
     def near(self, row: int) -> list[int]:
-        """All classes by how near they are to one of them, which comes first; kept, since it is asked often."""
+        """All classes by how near they are to one of them; kept, since it is asked often."""
         if row not in self._near:
             self._near[row] = np.argsort(self.apart[row], kind="stable").tolist()
         return self._near[row]

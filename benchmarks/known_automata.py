@@ -1,0 +1,212 @@
+"""Random deterministic automata with known locations, traces of them, and how well L*_SHA finds them again.
+
+Three families over a switch and a level of three bins. `context`: the law depends on what both channels are;
+`direction`: also on whether the level rose or fell last; `free`: any deterministic automaton of so many locations, in
+which the location may depend on the whole word.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from math import exp
+from typing import Literal
+
+import numpy as np
+
+from sim.learning.lsha.automaton import skeleton_of
+from sim.learning.lsha.evidence import Evidence, same_distribution
+from sim.learning.lsha.flow_hypotheses import Flowing, choose_flow
+from sim.learning.lsha.ground import Ground, ground_of
+from sim.learning.lsha.settings import LshaSettings
+from sim.learning.lsha.structures import choose_structure
+from sim.learning.lsha.words import classes_of
+from sim.sha.events import Alphabet, Bins, Switch, encode
+from sim.sha.trace import Trace
+
+PLANT = Alphabet((Switch("On", "ON", "OFF"), Bins("Load", (1.0, 2.0), ("L_0", "L_1", "L_2"))), gap=60.0)
+SYMBOLS = ("ON", "OFF", "L_0", "L_1", "L_2")
+LEVELS = (0.5, 1.5, 2.5)
+PERIOD, TAU, SCATTER, SENSOR = 4.0, 200.0, 1.0, 0.1
+"""Seconds between rows, time constant (s), degC from stay to stay, degC of the sensor."""
+TRACES, STAYS = 14, 30
+APART = 12.0
+"""degC between the targets of two locations."""
+
+Family = Literal["context", "direction", "free"]
+
+
+@dataclass(frozen=True, slots=True)
+class Automaton:
+    """`after` (state, symbol) -> state, `target` state -> degC; the word since the beginning starts in state 0."""
+
+    after: Mapping[tuple[int, str], int]
+    target: tuple[float, ...]
+
+    def minimal(self) -> tuple[int, ...]:
+        """The location of each state of the smallest automaton with the same targets after every word (Moore 1956)."""
+        block = _numbers([(target,) for target in self.target])
+        while True:
+            finer = _numbers(
+                [
+                    (block[state], *(block[self.after[state, symbol]] for symbol in SYMBOLS))
+                    for state in range(len(block))
+                ]
+            )
+            if max(finer) == max(block):
+                return tuple(finer)
+            block = finer
+
+
+def _numbers(keys: Sequence[tuple[object, ...]]) -> list[int]:
+    order: dict[tuple[object, ...], int] = {}
+    return [order.setdefault(key, len(order)) for key in keys]
+
+
+def random_automaton(family: Family, laws: int, rng: np.random.Generator) -> Automaton:
+    """An automaton with `laws` different targets (`free`: locations), drawn anew until all of them can be reached."""
+    while True:
+        found = _free(laws, rng) if family == "free" else _remembering(family, laws, rng)
+        reached = {0}
+        front = [0]
+        for state in front:
+            new = {found.after[state, symbol] for symbol in SYMBOLS} - reached
+            reached |= new
+            front += sorted(new)
+        if len({found.target[state] for state in reached}) >= laws:
+            return found
+
+
+def _targets(laws: int, rng: np.random.Generator) -> list[float]:
+    return (20.0 + APART * rng.permutation(laws)).tolist()
+
+
+def _free(laws: int, rng: np.random.Generator) -> Automaton:
+    after = {(state, symbol): int(rng.integers(laws)) for state in range(laws) for symbol in SYMBOLS}
+    return Automaton(after, tuple(_targets(laws, rng)))
+
+
+def _remembering(family: Family, laws: int, rng: np.random.Generator) -> Automaton:
+    """States are (on, level, direction); a law for each context, and in the family `direction` for each of both."""
+    states = list(product((0, 1), range(3), (0, 1) if family == "direction" else (0,)))
+    place = {state: number for number, state in enumerate(states)}
+    after = {}
+    for on, level, direction in states:
+        for symbol in SYMBOLS:
+            new = int(symbol[-1]) if symbol.startswith("L") else level
+            turn = int(new > level) if new != level and family == "direction" else direction
+            switched = {"ON": 1, "OFF": 0}.get(symbol, on)
+            after[place[on, level, direction], symbol] = place[switched, new, turn]
+    targets = _targets(laws, rng)
+    law = [*range(laws), *rng.integers(laws, size=max(len(states) - laws, 0)).tolist()]
+    return Automaton(after, tuple(targets[number] for number in rng.permutation(law)[: len(states)]))
+
+
+def traces_of(automaton: Automaton, rng: np.random.Generator, scatter: float = SCATTER) -> list[Trace]:
+    """Encoded traces of random words; every trace begins by announcing both channels."""
+    return [_trace(automaton, rng, f"t{number:02d}", number * 1e6, scatter) for number in range(TRACES)]
+
+
+def _trace(automaton: Automaton, rng: np.random.Generator, name: str, begin: float, scatter: float) -> Trace:
+    on, level, x, rows = int(rng.integers(2)), int(rng.integers(3)), float(rng.uniform(20, 60)), []
+    state = automaton.after[automaton.after[0, "ON" if on else "OFF"], f"L_{level}"]
+    for _ in range(STAYS):
+        m = automaton.target[state] + scatter * rng.normal()
+        for _ in range(int(rng.integers(6, 30))):
+            rows.append((on, LEVELS[level], x + SENSOR * rng.normal()))
+            x = m + (x - m) * exp(-PERIOD / TAU)
+        if rng.random() < 0.3:
+            on = 1 - on
+            symbol = "ON" if on else "OFF"
+        else:
+            level = int(rng.choice([other for other in range(3) if other != level]))
+            symbol = f"L_{level}"
+        state = automaton.after[state, symbol]
+    columns = dict(zip(("On", "Load", "T"), np.array(rows).T, strict=True))
+    trace = Trace(name, begin + PERIOD * np.arange(len(rows)), columns, origin="known automaton", synthetic=True)
+    return replace(trace, events=encode(trace, PLANT))
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What came back of the smallest automaton, judged where both channels are known.
+
+    `count`: the locations are as many. `isomorphic`: they are the same ones after every word of the traces. Where a
+    plant never says some symbols in some locations several smallest automata are equally right, and only one of them is
+    the reference. `right`: the share of events of new words after which the law is the right one, default edges
+    included.
+    """
+
+    count: bool
+    isomorphic: bool
+    right: float
+
+
+def found_again(automaton: Automaton, traces: Sequence[Trace], others: Sequence[Trace]) -> Found:
+    """The learner's structure for `traces` against the automaton that they are of; `others` are new words of it."""
+    chosen = LshaSettings()
+    ground, flowing = _flowing(traces, chosen)
+    structure, _ = choose_structure(ground, flowing.sample, chosen)
+    skeleton = skeleton_of(ground, structure, complete=True)
+    after = {key: target for key, (target, _) in skeleton.observed.items()} | dict(skeleton.default)
+    pairs = _met(automaton, after, traces)
+    minimal = automaton.minimal()
+    true, learned = {minimal[state] for state, _ in pairs}, {there for _, there in pairs}
+    same = len({(minimal[state], there) for state, there in pairs}) == len(true) == len(learned)
+    law: dict[int, Counter[float]] = {there: Counter() for there in range(len(skeleton.names))}
+    for (state, there), times in pairs.items():
+        law[there][automaton.target[state]] += times
+    taken = {there: max(times, key=lambda one: (times[one], one)) for there, times in law.items() if times}
+    new = _met(automaton, after, others)
+    right = sum(times for (state, there), times in new.items() if taken.get(there) == automaton.target[state])
+    return Found(len(true) == len(learned), same, right / sum(new.values()))
+
+
+def _met(
+    automaton: Automaton, after: Mapping[tuple[int, str], int], traces: Sequence[Trace]
+) -> Counter[tuple[int, int]]:
+    """(state, learned location) after every event but the first one of each trace, and how often they met."""
+    pairs: Counter[tuple[int, int]] = Counter()
+    for trace in traces:
+        here, state = 0, 0
+        for number, event in enumerate(trace.events):
+            here, state = after[here, event.symbol], automaton.after[state, event.symbol]
+            if number:
+                pairs[state, here] += 1
+    return pairs
+
+
+def _flowing(traces: Sequence[Trace], settings: LshaSettings) -> tuple[Ground, Flowing]:
+    ground = ground_of(traces, PLANT, "T", settings.n_min, settings.split)
+    return ground, choose_flow(ground, settings.default_flow, settings.alpha, settings.n_min)[0]
+
+
+def query_p(difference: float, rng: np.random.Generator, kind: str = "exponential") -> float:
+    """p of one hypothesis-test query (no tolerance) between two locations whose targets differ by `difference` degC.
+
+    On with a low load is at 50, with a middle one at 50 + `difference`, with a high one at 80; off is at 20. The
+    segments come out of traces, with a rate that was estimated from the same traces.
+    """
+    targets = (20.0, 20.0, 20.0, 50.0, 50.0 + difference, 80.0)
+    after = {
+        (3 * on + level, symbol): 3 * {"ON": 1, "OFF": 0}.get(symbol, on)
+        + (int(symbol[-1]) if symbol.startswith("L") else level)
+        for on in (0, 1)
+        for level in range(3)
+        for symbol in SYMBOLS
+    }
+    settings = LshaSettings(default_flow=kind)
+    ground, flowing = _flowing(traces_of(Automaton(after, targets), rng), settings)
+    classes = classes_of(ground.words, "context")
+    pooled = flowing.sample.pooled(classes.of_state, len(classes), settings.n_min)
+    low, middle = (_evidence(pooled, classes.keys, level) for level in (0, 1))
+    return same_distribution(low, middle, 0.0).p
+
+
+def _evidence(pooled: Sequence[Evidence], keys: Sequence[object], level: int) -> Evidence:
+    """Of the words that are on with that level; those that are states of their own belong to it as well."""
+    mine = [one for one, key in zip(pooled, keys, strict=True) if getattr(key, "context", None) == (1, level)]
+    whole = mine[0]
+    for one in mine[1:]:
+        whole = whole.joined(one)
+    return whole

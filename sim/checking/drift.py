@@ -1,0 +1,119 @@
+"""A bound of the drift dX/dt that never rises with X, in pieces a - b X, and where a temperature goes under it.
+
+Under such a bound a temperature runs one way in time, a higher start gives a higher end, and no step drives two starts
+apart: what `reach` needs of a location. A loss whose strength is not known pulls with its least strength above its sink
+and with its greatest one below, so that the pieces meet at the sink; a thermostat's piece ends where it must be open.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from math import exp, inf, isinf, log
+
+Pair = tuple[float, float]
+"""a (degC/s) and b (1/s, at least 0) of a piece a - b X."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """The pieces from left to right, `pairs[i]` between the ascending `knots` i - 1 and i; it may fall at a knot.
+
+    `rest` has the least and the greatest X at which a run stays: below it rises, above it falls. It is infinite where
+    that never ends.
+    """
+
+    knots: tuple[float, ...]
+    pairs: tuple[Pair, ...]
+    rest: tuple[float, float] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rest", _rest(self.knots, self.pairs))
+
+    def at(self, x: float) -> Pair:
+        """The piece of a temperature; at a knot the one to its right."""
+        return self.pairs[bisect_right(self.knots, x)]
+
+    def mirrored(self) -> "Drift":
+        """That of -X."""
+        return Drift(tuple(-knot for knot in reversed(self.knots)), tuple((-a, b) for a, b in reversed(self.pairs)))
+
+    def after(self, x: float, dt: float, rate: float) -> float:
+        """X after `dt` s (perhaps infinite) from `x`, no faster than `rate` (degC/s).
+
+        A rise has the whole way of a free step or that of the rate, whichever is less, as the simulator's steps have.
+        """
+        low, high = self.rest
+        if dt == 0 or low <= x <= high:
+            return x
+        if isinf(dt):
+            return low if x < low else high
+        if isinf(x):
+            return x
+        if x < low:
+            return min(self._risen(x, dt, low), x + rate * dt)
+        return self._fallen(x, dt, high, rate)
+
+    def _risen(self, x: float, dt: float, low: float) -> float:
+        place = bisect_right(self.knots, x)
+        while dt > 0 and x < low:
+            (a, b), knot = self.pairs[place], self.knots[place] if place < len(self.knots) else inf
+            needed = _seconds(a, b, x, min(knot, low))
+            if needed > dt:
+                return _moved(a, b, x, dt)
+            x, dt, place = min(knot, low), dt - needed, place + 1
+        return x
+
+    def _fallen(self, x: float, dt: float, high: float, rate: float) -> float:
+        place = bisect_left(self.knots, x)
+        while dt > 0 and x > high:
+            (a, b), knot = self.pairs[place], max(self.knots[place - 1] if place else -inf, high)
+            if a - b * x < -rate:
+                slow = max(knot, (a + rate) / b) if b > 0 else knot
+                needed = (x - slow) / rate
+                if needed > dt:
+                    return x - rate * dt
+                x, dt = slow, dt - needed
+                place -= x <= knot
+                continue
+            needed = _seconds(a, b, x, knot)
+            if needed > dt:
+                return _moved(a, b, x, dt)
+            x, dt, place = knot, dt - needed, place - 1
+        return x
+
+
+def _rest(knots: tuple[float, ...], pairs: tuple[Pair, ...]) -> tuple[float, float]:
+    low, high = inf, -inf
+    for left, right, (a, b) in zip((-inf, *knots), (*knots, inf), pairs, strict=True):
+        level = b == 0 and a == 0
+        root = a / b if b > 0 else inf if a > 0 else -inf
+        if low == inf and (root <= right or level) and not (root == right == inf):
+            low = max(left, root)
+        if level or (root >= left and root > -inf):
+            high = right if level else min(right, root)
+    return low, high
+
+
+def added(parts: Iterable[Drift]) -> Drift:
+    """The sum of bounds."""
+    drifts = tuple(parts)
+    knots = tuple(sorted({knot for each in drifts for knot in each.knots}))
+    pairs = []
+    for left in (-inf, *knots):
+        pieces = [each.at(left) if left > -inf else each.pairs[0] for each in drifts]
+        pairs.append((sum(a for a, _ in pieces), sum(b for _, b in pieces)))
+    return Drift(knots, tuple(pairs))
+
+
+def _seconds(a: float, b: float, x: float, end: float) -> float:
+    """Seconds from `x` to `end` under a - b X, which leads there; inf where it only comes near."""
+    if b * abs(end - x) < 1e-12 * abs(a - b * x):
+        return (end - x) / (a - b * x)
+    settled = a / b
+    if (settled - end) * (settled - x) <= 0:
+        return inf
+    return log((settled - x) / (settled - end)) / b
+
+
+def _moved(a: float, b: float, x: float, dt: float) -> float:
+    return a / b + (x - a / b) * exp(-b * dt) if b * dt > 1e-12 else x + (a - b * x) * dt

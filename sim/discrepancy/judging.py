@@ -1,0 +1,107 @@
+"""From the path of names to a verdict: what may be said, what is withheld and why."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sim.discrepancy.catalogue import CATALOGUE
+from sim.discrepancy.diagnosis import Ceiling, Verdict
+from sim.discrepancy.fit import Fitted
+from sim.discrepancy.held_out import Trial
+from sim.discrepancy.naming import MARGIN, MATERIAL, Step
+
+ROBUST, SPREAD, OVERWHELMING = 1.0, 3.0, 25.0
+"""The z by cycles that a name needs where its information is spread over at least so many cycles, unless its gain is
+overwhelming (nats)."""
+CEILING_P, CEILING_SHARE, CEILING_LEFT = 0.01, 0.08, 0.35
+"""Heat that trees predict with such a p and to such a share is systematic; names that leave more than that part of the
+systematic heat they found are withheld."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The path of names: each step with its verdict in words ("" where its best entry was taken), and the last fit."""
+
+    base: Fitted
+    fitted: Fitted
+    steps: tuple[tuple[Step, str], ...]
+
+    @property
+    def taken(self) -> tuple[Step, ...]:
+        """The steps whose best entry was taken."""
+        return tuple(one for one, refusal in self.steps if not refusal)
+
+
+def insignificant(one: Step) -> str:
+    """Why the best entry of a step is no more than chance, or a trifle; "" where something is missing."""
+    best = one.best
+    if best is None or not best.confirmed or best.gain < one.threshold:
+        gain = best.gain if best is not None else 0.0
+        return f"adds {gain:.1f} nats, and chance alone does {one.threshold:.1f} in one case of a hundred"
+    sigma = max(one.before.frame.record.model.sensor_sigma, 1e-6)
+    if best.amplitude < MATERIAL * sigma:
+        return f"is there but moves the temperature by {best.amplitude:.3f} degC only, less than the sensor's noise"
+    return ""
+
+
+def dubious(one: Step) -> str:
+    """Why the best entry of a step does not deserve its name though something is missing; "" where it does."""
+    best = one.best
+    if best is None:
+        return "there is nothing to name"
+    few = best.spread >= SPREAD and abs(best.robust) < ROBUST and best.gain < OVERWHELMING
+    if few:
+        return f"rests on few cycles ({best.cycles[0]} of {best.cycles[1]} speak for it)"
+    if best.spread >= SPREAD and best.carried <= 0:
+        return "does not carry over from cycle to cycle"
+    if one.margin < MARGIN:
+        return f"beats its rivals outside its class by {one.margin:.1f} nats only"
+    return ""
+
+
+def systematic(one: Ceiling | None) -> bool:
+    """True where a free learner predicts a share of the heat on unseen cycles that is no chance and no trifle."""
+    return one is not None and one.p <= CEILING_P and one.share >= CEILING_SHARE
+
+
+def systematic_heat(one: Ceiling | None) -> float:
+    """(degC/h)^2 the mean square of the heat that a free learner predicts on unseen cycles."""
+    return max(one.share, 0.0) * one.heat**2 if one is not None else 0.0
+
+
+def doubts(found: Found, first: Trial, second: Trial, before: Ceiling | None, left: Ceiling | None) -> tuple[str, ...]:
+    """Why names that the likelihood offers are not given after all; `first` and `second` are the held-out runs."""
+    if not found.taken:
+        return ()
+    reasons = []
+    if second.likelihood <= first.likelihood:
+        reasons.append("the held-out cycles are not better foreseen with it")
+    explained = before is not None and left is not None and before.heat > left.heat
+    whole = max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
+    if left is not None and systematic(left) and systematic_heat(left) > CEILING_LEFT * whole:
+        reasons.append(f"a free learner still predicts {left.share:.0%} of the heat on cycles that it has not seen")
+    return tuple(reasons)
+
+
+def verdict_of(found: Found, reasons: tuple[str, ...], before: Ceiling | None) -> tuple[Verdict, tuple[str, ...]]:
+    """The verdict, and the reasons why it is none better."""
+    if found.taken and reasons:
+        return "unexplained", reasons
+    if found.taken:
+        return ("named" if all(len(one.members) == 1 for one in found.taken) else "class"), ()
+    if found.steps and not insignificant(found.steps[0][0]):
+        step, refusal = found.steps[0]
+        return "unexplained", (f"{step.members[0]} {refusal}",)
+    if systematic(before):
+        return "unexplained", ("a free learner predicts heat on cycles that it has not seen",)
+    return "agree", ()
+
+
+def untested(present: Mapping[str, str], roles: Mapping[str, str]) -> dict[str, str]:
+    """The effects that were off the table, with the reason."""
+    out = {}
+    for entry in CATALOGUE:
+        missing = [role for role in entry.needs if role not in present]
+        if missing:
+            signal = roles.get(missing[0], missing[0])
+            out[entry.name] = f"needs {signal} ({missing[0]}), which these traces do not have or which never changes"
+    return out

@@ -1,0 +1,154 @@
+"""A diagnosis of every verdict, made by hand: what the report, the pictures and the document have to be able to say."""
+
+from dataclasses import replace
+from math import inf, nan
+
+import numpy as np
+
+from sim.discrepancy.diagnosis import (
+    Candidate,
+    Ceiling,
+    Course,
+    Diagnosis,
+    HeldOut,
+    NamedEffect,
+    Place,
+    Shift,
+    Verdict,
+)
+
+EVIL = '<script>alert(1)</script> & "quotes" $x$'
+LOCATIONS = ("OFF/0-100", "ON/0-100", "ON/100-200", "ON/200-300")
+
+
+def course(cycles: int = 11, held_out: int = 4, *, after: bool = True, seed: int = 1) -> Course:
+    """Cycles of three hours with 60 windows each; in one location, soon after the start, the plant is warmer."""
+    rng = np.random.default_rng(seed)
+    minutes = np.linspace(1.0, 179.0, 60)
+    place = np.where(minutes > 120, 0, 1 + (minutes // 40).astype(int) % 3)
+    since = np.where(minutes > 120, minutes - 120, minutes) * 60.0
+    shape = np.where(minutes > 120, 45 * np.exp(-(minutes - 120) / 30), 45 * (1 - np.exp(-minutes / 30)))
+    gap = np.where((place == 3) & (minutes < 120), 40.0, 2.0)
+    tiles = [np.tile(column, cycles) for column in (minutes, since, shape, gap)]
+    number = np.repeat(np.arange(cycles), minutes.size)
+    times = 1.7e9 + number * 10_800.0 + tiles[0] * 60.0
+    reading = 20 + tiles[2] + 0.1 * rng.normal(size=times.size)
+    before = reading - 0.02 * tiles[3] + 0.1 * rng.normal(size=times.size)
+    names = tuple(LOCATIONS[one] for one in np.tile(place, cycles))
+    nothing = np.full(times.size, nan)
+    heat = tiles[3] + 5.0 * rng.normal(size=times.size)
+    left = 5.0 * rng.normal(size=times.size)
+    return Course(
+        times,
+        reading,
+        before,
+        reading + 0.1 * rng.normal(size=times.size) if after else nothing,
+        (number >= cycles - held_out).astype(float),
+        heat,
+        left if after else nothing,
+        names,
+        tiles[1],
+        number.astype(float),
+    )
+
+
+def held_out(*, after: bool = True) -> HeldOut:
+    rows = tuple((0.55 + 0.05 * n, 0.21 + 0.01 * n if after else 0.55 + 0.05 * n, 0.2) for n in range(4))
+    if not after:
+        return HeldOut(4, 0.63, 0.63, 0.2, 0.0, (0.0, 0.0), rows)
+    return HeldOut(4, 0.63, 0.225, 0.2, 0.97, (0.9, 1.0), rows)
+
+
+def candidate(name: str, gain: float, fate: str, *, confirmed: bool = True, twins: tuple[str, ...] = ()) -> Candidate:
+    return Candidate(
+        name,
+        f"what {name} is",
+        1,
+        gain,
+        confirmed,
+        0.4,
+        5.2,
+        nan if gain < 1 else 3.1,
+        (9, 11),
+        {"gain": 0.001, "tau": 240.0},
+        twins,
+        ("wear-drift",),
+        ("Assorbimento",),
+        f"the experiment for {name}",
+        fate,
+    )
+
+
+def effect(members: tuple[str, ...]) -> NamedEffect:
+    return NamedEffect(
+        members[0],
+        members,
+        0.97,
+        41.2,
+        12.5,
+        {"loss": 2.1e-4, "sink": -3.5},
+        {"loss": 1.2e-5},
+        {"pump": "MarciaPmpFango"},
+        3.4,
+        "the slurry pump cools the bearing while it runs",
+        "run for half an hour at one load with the pump on, then off",
+    )
+
+
+PLACE = Place("ON/200-300", "W_ON", (0.0, 240.0), 0.62, 38.5, (9, 11), 0.001, "MarciaPmpFango")
+LATE = Place("OFF/0-100", "W_OFF", (1800.0, inf), 0.08, -2.5, (8, 11), 0.03, "")
+SHIFT = Shift("ON/200-300", "target", 61.2, 63.9, "degC", 0.05, 4.1)
+
+
+def agree() -> Diagnosis:
+    return Diagnosis(
+        verdict="agree",
+        sentence="Model and data agree within noise on 11 cycles.",
+        reasons=("the free runs are at the noise floor",),
+        effects=(),
+        shifts=(SHIFT,),
+        places=(),
+        unexplained=(),
+        ceiling_before=Ceiling(0.01, 0.4, ()),
+        ceiling_after=None,
+        candidates=(candidate("wear-drift", 0.4, "below the threshold", confirmed=False),),
+        untested={"ambient-coupling": "no trace has a signal for the role 'ambient' (TAmbiente)"},
+        held_out=held_out(after=False),
+        course=course(after=False),
+        settings={"seed": 0.0, "threshold (nats)": 7.3, "sensor noise (degC)": 0.05},
+        model_before="plant",
+        model_after=None,
+    )
+
+
+def of(verdict: Verdict) -> Diagnosis:
+    """A diagnosis with this verdict."""
+    if verdict == "agree":
+        return agree()
+    if verdict == "too-little-data":
+        nothing = replace(agree(), verdict=verdict, sentence="There is 1 cycle; at least 4 are needed.", shifts=())
+        return replace(nothing, candidates=(), held_out=None, course=None, ceiling_before=None, untested={})
+    if verdict == "unexplained":
+        gap = replace(agree(), verdict=verdict, sentence="There is a gap that no known effect explains.", shifts=())
+        return replace(gap, places=(PLACE, LATE), unexplained=(PLACE,), ceiling_before=Ceiling(0.4, 0.001, ()))
+    members = ("pump-cooling", "feed-temperature-coupling") if verdict == "class" else ("pump-cooling",)
+    others = [
+        candidate("pump-cooling", 41.2, "named", twins=members[1:]),
+        candidate("torque-friction", 28.7, "12.5 nats behind pump-cooling"),
+        candidate("sensor-lag", 0.2, "below the threshold", confirmed=False),
+        candidate("radiation-loss", -inf, "not visible in these data", confirmed=False),
+    ]
+    return replace(
+        agree(),
+        verdict=verdict,
+        sentence="The slurry pump cools the bearing while it runs: pump-cooling closes 97 % of the gap.",
+        effects=(effect(members),),
+        shifts=(),
+        places=(PLACE, LATE),
+        ceiling_before=Ceiling(0.42, 0.001, (("pump", 0.5), ("since start", 0.2))),
+        ceiling_after=Ceiling(0.02, 0.3, ()),
+        candidates=tuple(others),
+        held_out=held_out(),
+        course=course(),
+        model_after="model",
+    )
