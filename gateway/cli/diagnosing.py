@@ -94,7 +94,7 @@ def new_model(request: Request, model: Model, traces: Sequence[Trace], outcome: 
     if outcome.fitted is None or not outcome.diagnosis.effects:
         return None
     names = tuple(trace.name for trace in traces)
-    new = augmented(outcome.fitted, data_hash=joint_hash(traces), traces=names)
+    new = augmented(outcome.fitted, data_hash=joint_hash(traces), traces=names, readings=traces)
     found = outcome.diagnosis.held_out
     scores = {} if found is None else {"held_out_rmse": found.rmse_after, "held_out_noise_floor": found.noise_floor}
     origin = replace(

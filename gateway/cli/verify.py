@@ -80,6 +80,13 @@ def _inputs(_: click.Context, __: click.Parameter, texts: Sequence[str]) -> dict
     help="An event without an edge.",
 )
 @click.option("--known", is_flag=True, help="No gap ever: UNKNOWN, which leads to the initial location, never comes.")
+@click.option(
+    "--wear",
+    type=click.FloatRange(0),
+    callback=finite,
+    metavar="DAYS",
+    help="Follow a wear for so long; else 7 to 365.",
+)
 @click.option("--word", "out", type=click.Path(path_type=Path, dir_okay=False), help="Write the first counterexample.")
 @json_option
 def verify(
@@ -93,6 +100,7 @@ def verify(
     start: tuple[float, float] | None,
     policy: "Policy",
     known: bool,
+    wear: float | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -102,7 +110,7 @@ def verify(
     range given by --bounds must be proven too. `decanter model simulate MODEL --word ...` replays a counterexample.
     """
     from sim.artefacts.find import find_model
-    from sim.checking.envelope import Assumptions
+    from sim.checking.envelope import DAY, Assumptions
 
     with sentences():
         traces, column_map = load(paths, map_name) if paths else ([], _named_map(map_name))
@@ -110,7 +118,7 @@ def verify(
             found = find_model(model)
         else:
             found = find_model(model, alphabet=column_map.alphabet, temperature=column_map.temperature)
-        assumptions = Assumptions(z, sojourn, inputs, start, policy, not known)
+        assumptions = Assumptions(z, sojourn, inputs, start, policy, not known, None if wear is None else wear * DAY)
         result = _verified(found, traces, bounds, assumptions)
         worst = _counterexample(result)
         if out is not None and worst is not None:

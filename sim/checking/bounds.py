@@ -7,15 +7,16 @@ from typing import Literal
 
 import numpy as np
 
-from sim.checking.counterexample import BEYOND, escape
-from sim.checking.envelope import Assumptions, Envelope, Range, envelopes, start_range
-from sim.checking.reach import Bound, Graph, climb, intervals, make_graph, side_of
+from sim.checking.counterexample import BEYOND, escape, variants
+from sim.checking.envelope import Assumptions, Envelope, Range, envelopes, start_range, worn_for
+from sim.checking.reach import Bound, Graph, Side, climb, intervals, make_graph, side_of
 from sim.checking.structure import moves
 from sim.checking.word import TimedWord, parse_word, replay, word_text
+from sim.checking.word_effects import offset_range
 from sim.sha.automaton import Location
 from sim.sha.correction import in_sensor_scale
 from sim.sha.distributions import mean
-from sim.sha.effects import refuse
+from sim.sha.effects import dead_time, of_kind
 from sim.sha.entry import drawn_temperature, mode_parameter
 from sim.sha.events import alphabet_symbols
 from sim.sha.flows import RELAXING
@@ -84,7 +85,6 @@ def find_bounds(
     if not low < high:
         raise ValueError(f"no temperature lies within {low:g} to {high:g} degC; give LOW below HIGH")
     model = in_sensor_scale(model)
-    refuse(model.sha, "the proof of bounds")
     symbols = alphabet_symbols(model.alphabet)
     onward = moves(model.sha, symbols, assumptions.policy, unknown=assumptions.unknown)
     rooms = envelopes(model, assumptions, onward)
@@ -95,17 +95,55 @@ def find_bounds(
         places = zip(rooms, model.sha.locations, strict=True)
         rooms = tuple(_kindest(room, location, (low, high), doubt) for room, location in places)
     graph = make_graph(rooms, onward, model.sha.initial, model.sha.max_rate)
-    upper, lower = climb(side_of(graph, up=True), start[1]), climb(side_of(graph, up=False), -start[0])
+    least, most = offset_range(model.sha)
+    (top, upper), (bottom, lower) = _bound(graph, start[1] - least, up=True), _bound(graph, start[0] - most, up=False)
     escapes = [
-        _escape(model, graph, bound, start[int(up)], (low, high), up, assumptions)
-        for up, bound in ((True, upper), (False, lower))
-        if bound.peak.max() > (high if up else -low) + BEYOND
+        _escape(model, side, bound, start[int(up)], (low, high), assumptions)
+        for side, bound, up in ((top, upper, True), (bottom, lower, False))
+        if bound.peak.max() > (high - most if up else least - low) + BEYOND
     ]
     settled = upper.settled and lower.settled
     verdict: Verdict = "proven" if settled and not escapes else "not decided"
     if any(one.word is not None for one in escapes):
         verdict = "refuted"
-    return Bounds(low, high, start, verdict, intervals(graph, upper, lower), tuple(escapes), settled)
+    return Bounds(low, high, start, verdict, _read(model, graph, upper, lower), tuple(escapes), settled)
+
+
+_ROUNDS = 200
+
+
+def _bound(graph: Graph, start: float, *, up: bool) -> tuple[Side, Bound]:
+    """The side and its bounds, from X at `start` (degC).
+
+    A housing is never beyond the farthest X. That is first looked for without any, and then raised until it holds with
+    a housing that is as far; under stays of any length it holds at once.
+    """
+    sign = 1.0 if up else -1.0
+    side = side_of(graph, up=up)
+    found = climb(side, sign * start)
+    if not any(room.push is not None and room.push.coupling for room in graph.envelopes):
+        return side, found
+    reach = float(found.peak.max())
+    for _ in range(_ROUNDS):
+        if isinf(reach):
+            return side, found
+        side = side_of(graph, up=up, housing=sign * reach)
+        found = climb(side, sign * start)
+        beyond = float(found.peak.max()) - reach
+        if beyond <= 0.0:
+            return side, found
+        reach += 1.5 * beyond + 1e-9
+    return side, replace(found, settled=False)
+
+
+def _read(model: Model, graph: Graph, upper: Bound, lower: Bound) -> dict[str, Range]:
+    """What the sensor may read in each location: after a lag what was anywhere, after a dead time what was before."""
+    least, most = offset_range(model.sha)
+    found = {name: (low + least, high + most) for name, (low, high) in intervals(graph, upper, lower).items()}
+    if of_kind(model.sha, "sensor-lag") is None and not dead_time(model.sha):
+        return found
+    lows, highs = zip(*found.values(), strict=True)
+    return dict.fromkeys(found, (min(lows), max(highs)))
 
 
 def _kindest(room: Envelope, location: Location, within: Range, doubt: float) -> Envelope:
@@ -117,24 +155,52 @@ def _kindest(room: Envelope, location: Location, within: Range, doubt: float) ->
     plain = replace(room, m=(middle, middle), fresh=None if law is None else (mean(law), mean(law)))
     if room.flow.kind not in RELAXING:
         return plain
+    if room.push is not None:
+        lowest, highest = (_nearest(room, middle, within[int(up)], doubt, up=up) for up in (False, True))
+        return replace(plain, m=(lowest, highest))
     below, above = (min(max(way, 0.0), doubt) for way in (middle - room.m[0], room.m[1] - middle))
     up = min(max(plain.target(up=True) - within[1], 0.0), below)
     down = min(max(within[0] - plain.target(up=False), 0.0), above)
     return replace(plain, m=(middle + down, middle - up))
 
 
-def _escape(
-    model: Model, graph: Graph, bound: Bound, start: float, within: Range, up: bool, assumptions: Assumptions
-) -> Escape:
+def _nearest(room: Envelope, middle: float, border: float, doubt: float, *, up: bool) -> float:
+    """The m nearest to its mean, `middle`, at which X settles inside of `border`, among those that the doubt allows.
+
+    Losses stand between m and where X settles, so it is looked for by bisection.
+    """
+    end = min(max(room.m[int(not up)], middle - doubt), middle + doubt)
+
+    def beyond(m: float) -> bool:
+        drift = replace(room, m=(m, m)).drift(up)
+        reach = middle if drift is None else drift.rest[0] if up else drift.rest[1]
+        return reach > border if up else reach < border
+
+    if not beyond(middle):
+        return middle
+    for _ in range(50):
+        half = 0.5 * (middle + end)
+        middle, end = (half, end) if beyond(half) else (middle, half)
+    return end
+
+
+def _escape(model: Model, side: Side, bound: Bound, start: float, within: Range, assumptions: Assumptions) -> Escape:
     """The way out on one side; a word counts only when its text, read and replayed, really leaves."""
-    sign, border = (1.0, within[1]) if up else (-1.0, within[0])
-    reach = sign * float(np.max(bound.peak))
-    word = escape(side_of(graph, up=up), sign * start, sign * border)
-    if word is None:
-        return Escape(up, reach)
-    word = parse_word(word_text(word))
-    visit = replay(model, word, assumptions.policy).leaves(*within)
-    return Escape(up, reach) if visit is None else Escape(up, reach, word, visit.location, word.end)
+    up = side.sign > 0
+    shift = offset_range(model.sha)[int(up)]
+    reach = side.sign * float(np.max(bound.peak)) + shift
+    word = escape(side, side.sign * start, side.sign * (within[int(up)] - shift))
+    for one in () if word is None else variants(model, side.graph, word, worn_for(assumptions)):
+        read = parse_word(word_text(one))
+        try:
+            visit = replay(model, read, assumptions.policy).leaves(*within)
+        except ValueError:
+            if not model.sha.effects:
+                raise
+            continue  # too long to be followed under a thermostat or radiation
+        if visit is not None:
+            return Escape(up, reach, read, visit.location, read.end)
+    return Escape(up, reach)
 
 
 def noise_band(model: Model, z: float) -> tuple[float, Mapping[str, float]]:

@@ -5,17 +5,18 @@ from the start with finite stays, keeping the best way to each location for ever
 the range. The last stay is cut where it has gone half-way beyond the border (at most 1 degC).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import ceil, inf, isinf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.checking.envelope import Envelope
+from sim.checking.envelope import DAY, Envelope
 from sim.checking.reach import Graph, Side, best_moves
 from sim.checking.word import Step, TimedWord
 from sim.sha.flows import RELAXING
+from sim.sha.model import Model
 
 MOST_STAYS = 5_000
 """Stays of a counterexample at most."""
@@ -28,6 +29,8 @@ _LONGEST = (1e4, 1e6, 1e8)
 _PACE = 200
 """Stays after which it is asked whether, at the pace of as many stays before, the rest can be enough."""
 _FOREVER = 1e12
+_LONGER = (0.0, 600.0, 3600.0, 6.0 * 3600.0, DAY, 7.0 * DAY)
+"""Seconds by which the last stay is made longer where effects act: lags and housings are slower than the bounds."""
 
 
 def escape(side: Side, start: float, border: float) -> TimedWord | None:
@@ -41,6 +44,26 @@ def escape(side: Side, start: float, border: float) -> TimedWord | None:
             words = (_along(side, _finite(side, patience, longest), path, start, border) for patience in _PATIENCE)
             return next((word for word in words if word is not None), None)
     return None
+
+
+def variants(model: Model, graph: Graph, word: TimedWord, horizon: float) -> Iterator[TimedWord]:
+    """The word itself and, where effects act, with a longer last stay and at the times at which wear and sensor are
+    said to be worst; a wear is followed for `horizon` seconds.
+    """
+    sha = model.sha
+    if not sha.effects:
+        yield word
+        return
+    marks = [one.params["at"] for one in sha.effects if one.kind == "sensor-offset-step"]
+    worn = [one.params["since"] for one in sha.effects if one.kind == "wear-drift"]
+    # Path and places are one to one, so the last stay's own limit is that of where the word's moves lead.
+    most = max((room.sojourn[1] for room in graph.envelopes), default=inf)
+    for more in _LONGER if isinf(most) else _LONGER[:1]:
+        end = word.end + more
+        clocks = [0.0, *(mark for at in marks for mark in (at - 0.5 * end, at)), *(at + horizon - end for at in worn)]
+        for clock in dict.fromkeys(clocks):
+            first = replace(word.steps[0], clock=clock) if marks or worn else word.steps[0]
+            yield TimedWord((first, *word.steps[1:]), end)
 
 
 def _way_out(side: Side, start: float, border: float) -> list[tuple[int, str]]:
@@ -82,10 +105,21 @@ def _cut(room: Envelope, patience: float, longest: float, rate: float) -> Envelo
     least, most = room.sojourn
     if not isinf(most):
         return room
+    if room.push is not None:
+        return replace(room, sojourn=(least, max(least, _slowly(room, patience, longest))))
     if room.flow.kind in RELAXING:
         ramp = 0.0 if isinf(rate) else 1e3 / rate  # under a limited rate the first 1000 degC are run through evenly
         longest = ceil(patience / room.flow.params["k"] + ramp)
     return replace(room, sojourn=(least, max(least, longest)))
+
+
+def _slowly(room: Envelope, patience: float, longest: float) -> float:
+    """Seconds for a stay where effects act: time constants of the slower of what the drift relaxes with, if it does."""
+    rates = [
+        drift.at(edge)[1] for up in (True, False) if (drift := room.drift(up)) for edge in drift.rest if not isinf(edge)
+    ]
+    slowest = min((rate for rate in rates if rate > 0), default=0.0)
+    return ceil(patience / slowest) if slowest else longest
 
 
 def _back(graph: Graph, ways: Sequence[NDArray[np.int32]], place: int) -> list[tuple[int, str]]:

@@ -73,8 +73,9 @@ class Drift:
                 if needed > dt:
                     return x - rate * dt
                 x, dt = slow, dt - needed
-                place -= x <= knot
-                continue
+                if x <= knot:
+                    place -= 1
+                    continue
             needed = _seconds(a, b, x, knot)
             if needed > dt:
                 return _moved(a, b, x, dt)
@@ -107,7 +108,7 @@ def added(parts: Iterable[Drift]) -> Drift:
 
 def _seconds(a: float, b: float, x: float, end: float) -> float:
     """Seconds from `x` to `end` under a - b X, which leads there; inf where it only comes near."""
-    if b * abs(end - x) < 1e-12 * abs(a - b * x):
+    if b == 0 or b * abs(end - x) < 1e-12 * abs(a - b * x):
         return (end - x) / (a - b * x)
     settled = a / b
     if (settled - end) * (settled - x) <= 0:

@@ -44,7 +44,7 @@ class Assumptions:
     initial law at z. `policy` says where an event without an edge leads: `resync` as in the running gateway; `ignore`
     and `reject` are the same here, as nothing moves. `unknown` says whether UNKNOWN, which leads to the initial
     location, may come at any time, as it may at a plant. `horizon` (s) is for how long after its beginning a wear
-    among the effects is followed. Raises ValueError.
+    among the effects is followed; None lets the verification choose (`verify.HORIZONS`). Raises ValueError.
     """
 
     z: float = 3.0
@@ -53,12 +53,12 @@ class Assumptions:
     start: Range | None = None
     policy: Policy = "resync"
     unknown: bool = True
-    horizon: float = YEAR
+    horizon: float | None = None
 
     def __post_init__(self) -> None:
         if not (isfinite(self.z) and self.z >= 0):
             raise ValueError(f"z counts standard deviations: give a finite number of at least 0, not {self.z:g}")
-        if not (isfinite(self.horizon) and self.horizon >= 0):
+        if self.horizon is not None and not (isfinite(self.horizon) and self.horizon >= 0):
             raise ValueError(f"wear is followed for a finite time of at least 0 s, not {self.horizon:g} s")
         ranges: dict[str, Range | None] = {f"the input {name!r}": given for name, given in self.inputs.items()}
         ranges["the start temperature"] = self.start
@@ -104,6 +104,11 @@ class Envelope:
         return None if self.push is None else drift_of(self.flow, self.m, self.push, up=up, housing=housing)
 
 
+def worn_for(assumptions: Assumptions) -> float:
+    """Seconds for which wear is followed."""
+    return YEAR if assumptions.horizon is None else assumptions.horizon
+
+
 def quantiles(law: Distribution, z: float) -> Range:
     """The law's quantiles at the normal probabilities of -z and +z: mu -+ z sigma for a normal law."""
     kind = LAWS[law.kind]
@@ -147,7 +152,7 @@ def _envelope(model: Model, location: Location, assumptions: Assumptions, known:
         {one.signal: signal(one.signal) for one in location.flow.inputs},
         _sojourn(model, location.name, assumptions),
         None if fresh is None else quantiles(fresh, assumptions.z),
-        push_of(model.sha, location, m, signal, assumptions.horizon),
+        push_of(model.sha, location, m, signal, worn_for(assumptions)),
     )
 
 

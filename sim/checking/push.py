@@ -65,9 +65,7 @@ class Push:
     around: Range = (0.0, 0.0)
 
 
-def push_of(
-    sha: SHA, location: Location, m: Range, ranges: Callable[[str], Range], horizon: float
-) -> Push | None:
+def push_of(sha: SHA, location: Location, m: Range, ranges: Callable[[str], Range], horizon: float) -> Push | None:
     """What acts in the location; None where nothing does. `ranges` gives that of each signal that is read there.
 
     `m` is the range of the mode parameter, `horizon` (s) how long wear goes on.
@@ -193,13 +191,14 @@ def _temperature(effect: Effect, role: str, fixed: str, ranges: Callable[[str], 
 def _loss_signals(
     effect: Effect, sink: Range, ranges: Callable[[str], Range], alone: Drift, side: int
 ) -> dict[str, float]:
-    """The values that drive outwards: warm or cold sinks, and little pumping where the drift `alone` goes beyond them."""
+    """The values that drive outwards: warm (cold) sinks, and least pumping where the drift `alone` goes beyond them."""
     a, b = alone.at(sink[side])
     outward = (a - b * sink[side]) * (1.0 if side else -1.0) > 0
     found = {}
     for role, signal in effect.signals.items():
         low, high = ranges(signal)
-        found[signal] = (low if outward else high) if role == "pump" else (high if side else low)
+        pumping = max(low if outward else high, 0.0)
+        found[signal] = pumping if role == "pump" else (high if side else low)
     return found
 
 

@@ -55,8 +55,8 @@ class Graph:
 class Side:
     """The upper bounds (`sign` 1), or the lower ones (-1): temperatures and targets are multiplied by the sign.
 
-    (L,) `target` is the highest one of each location, `fresh` the highest X on entry, NaN where it goes on. `drifts` has
-    the bound of the drift where effects act, None elsewhere.
+    (L,) `target` is the highest one of each location, `fresh` the highest X on entry, NaN where it goes on. `drifts`
+    has the bound of the drift where effects act, None elsewhere.
     """
 
     graph: Graph

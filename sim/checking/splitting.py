@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from sim.checking.monitor import inside
-from sim.checking.monitor_formula import Lines, Value, exists
+from sim.checking.monitor_formula import Lines, exists
 from sim.checking.monitor_path import Watch
 from sim.checking.paths import Engine, Indices, Piece, State, with_extremes
 from sim.checking.query import Always, Eventually
@@ -41,7 +41,7 @@ PILOT, PILOTS = 2000, 5
 SETTLED = 0.3
 """A pilot is the last one when it moves the laws of mode parameters by less (standard deviations of their own)."""
 
-GOOD, MORE = 0.1, 4
+GOOD, MORE = 0.12, 4
 """A relative standard error above GOOD: all is done again with MORE times the runs, and the first part is dropped."""
 
 Report = Callable[[str, float], None]
@@ -143,7 +143,7 @@ def split(
         raise ValueError(reason)
     sign = 1.0 if next(iter(one.lines.watched))[1] else -1.0
     way = _Way(engine, one.lines, one.path.span.low, min(one.path.span.high, one.bound), sign)
-    with np.errstate(over="ignore"):  # a line at infinity is never reached
+    with np.errstate(over="ignore", invalid="ignore"):  # a line at infinity is never reached
         return _split(way, rng, runs, repetitions, confidence, report)
 
 
@@ -339,12 +339,12 @@ def _stage(way: _Way, entries: _Entries, ahead: list[float], level: float, rng: 
 
 
 def _note(way: _Way, piece: Piece, who: Indices, out: _Entries, ahead: list[float], rng: np.random.Generator) -> None:
-    lines: list[tuple[Value, Value]] = [(way.sign * level, way.sign * level) for level in ahead]
-    lines += [line.ends(piece) for line in way.lines.lines]
-    up = way.sign > 0
-    with_extremes(piece, lines if up else [], [] if up else lines, rng)
     start, end = way.sign * piece.start, way.sign * piece.end
     top = np.maximum(start, end)
+    marks = np.array([*sorted({*ahead, *(way.sign * float(line.level or 0.0) for line in way.lines.lines)}), inf])
+    above = way.sign * marks[np.searchsorted(marks[:-1], top, side="right")]  # what a bridge reaches first
+    up = way.sign > 0
+    with_extremes(piece, [(above, above)] if up else [], [] if up else [(above, above)], rng)
     drawn = piece.rise if up else piece.fall
     if drawn is not None:
         rows, e = drawn

@@ -5,7 +5,7 @@ is deployable; the others are facts that a reader should know.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -13,12 +13,13 @@ import numpy as np
 from sim.checking import structure
 from sim.checking.bounds import Bounds, Verdict, find_bounds, noise_band
 from sim.checking.counterexample import MOST_STAYS
-from sim.checking.envelope import Assumptions, Range, UnboundedInput, describe
+from sim.checking.envelope import DAY, Assumptions, Range, UnboundedInput, describe
 from sim.checking.runnable import announced, faults, unexecuted
+from sim.checking.wear import worn
 from sim.checking.word import TimedWord
-from sim.sha import effects
 from sim.sha.automaton import SHA, nondeterminism
 from sim.sha.correction import corrected, in_sensor_scale
+from sim.sha.effects import signals_of
 from sim.sha.events import alphabet_symbols
 from sim.sha.flows import RELAXING
 from sim.sha.model import Model
@@ -32,6 +33,8 @@ GAINS = (0.5, 2.0)
 """What the gain of a correction may be: beyond it, it calibrates no sensor but hides a wrong model."""
 NOISE_SECONDS = 60.0
 """The time over which the noise of flows that do not relax is looked at."""
+HORIZONS = (365, 180, 90, 60, 30, 14, 7)
+"""Days after the beginning of a wear for which a model is verified, the longest that can be proven."""
 DEFAULT = Assumptions()
 
 Clock = Callable[[], float]
@@ -124,7 +127,7 @@ def verify(
     found: Bounds | None = None
     _check_inputs(sha, assumptions)
     if isinstance(subject, Model) and all(check.verdict == "proven" for check in checks[:2]):
-        found, temperature = _decided(subject, bounds, assumptions, timed)
+        found, temperature = _lasting(subject, bounds, assumptions, timed)
         checks += temperature
     else:
         said = "the model cannot be run, so nothing is said of temperatures"
@@ -135,6 +138,7 @@ def verify(
 def _check_inputs(sha: SHA, assumptions: Assumptions) -> None:
     """A range for what drives nothing would be a slip of the pen, and change nothing."""
     driving = dict.fromkeys(one.signal for location in sha.locations for one in location.flow.inputs)
+    driving |= dict.fromkeys(signals_of(sha))
     strange = next((name for name in assumptions.inputs if name not in driving), None)
     if strange is not None:
         known = f"they are driven by {', '.join(driving)}" if driving else "none is driven by any signal"
@@ -238,13 +242,32 @@ def _acceptance(sha: SHA, traces: Sequence[Trace]) -> Check:
 # ------------------------------------------------------------------ temperatures
 
 
+def _lasting(
+    model: Model, claimed: Range | None, assumptions: Assumptions, timed: _Stopwatch
+) -> tuple[Bounds | None, list[Check]]:
+    """All that is said of temperatures, for the longest of HORIZONS for which a wear lets the model be deployed.
+
+    Where there is none, or the horizon is given, it is said for that of a year, or for the given one.
+    """
+    if not any(effect.kind == "wear-drift" for effect in model.sha.effects):
+        return _decided(model, claimed, assumptions, timed)
+    given = assumptions.horizon
+    horizons = [days * DAY for days in HORIZONS] if given is None else [given]
+    first: tuple[Bounds | None, list[Check]] | None = None
+    for horizon in horizons:
+        found, checks = _decided(model, claimed, replace(assumptions, horizon=horizon), timed)
+        against = [f"{each.name} {each.verdict}" for each in checks if each.blocking and each.verdict != "proven"]
+        first = first or (found, checks)
+        if not against:
+            said = worn(model.sha, horizon, horizons[0])
+            return found, [*checks, timed(Check("wear", "proven", said))]
+    return first or (None, [])
+
+
 def _decided(
     model: Model, claimed: Range | None, assumptions: Assumptions, timed: _Stopwatch
 ) -> tuple[Bounds | None, list[Check]]:
-    """All that is said of temperatures; not decided where effects act, an input has no range or numbers overflow."""
-    declined = effects.refusal(model.sha, "the proof of what a temperature can do")
-    if declined:
-        return None, [Check("growth", "not decided", declined)]
+    """All that is said of temperatures; not decided where an input has no range or numbers overflow."""
     try:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
             return _temperature(model, claimed, assumptions, timed)

@@ -5,7 +5,8 @@
 Each item is SYMBOL@SECONDS and begins a stay; behind it stand, as far as they are not left out, the stay's mode
 parameter (m), its input signals, and the temperature (T) at the start or where the location draws it on entry. An item
 without a symbol at the very front describes the first stay, at the end it says how long the last one goes on. Seconds
-count from the start. Items are divided by blanks; one with blanks in it is put in double quotes; # begins a comment.
+count from the start; t behind the first item is the absolute time of the start, which wear and sensor steps look at.
+Items are divided by blanks; one with blanks in it is put in double quotes; # begins a comment.
 """
 
 import re
@@ -13,19 +14,19 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from math import isfinite, nan
+from math import inf, isfinite, nan
 
+from sim.checking.word_effects import Given, passed
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Location, transitions
 from sim.sha.correction import in_sensor_scale
-from sim.sha.effects import refuse
 from sim.sha.entry import check_sha, drawn_temperature, mode_parameter
 from sim.sha.flows import mean_step, offset
 from sim.sha.model import Model
 from sim.sha.schedule import Policy, resync_targets
 from sim.sha.trace import UNKNOWN, Event
 
-TEMPERATURE, MODE = "T", "m"
+TEMPERATURE, MODE, CLOCK = "T", "m", "t"
 _ITEM = re.compile(r"(?P<symbol>.*)@(?P<time>[^@,]+)(?P<rest>(?:,[^,=]+=[^,=]+)*)", re.DOTALL)
 
 
@@ -33,7 +34,8 @@ _ITEM = re.compile(r"(?P<symbol>.*)@(?P<time>[^@,]+)(?P<rest>(?:,[^,=]+=[^,=]+)*
 class Step:
     """One stay, begun by `symbol` (empty: the first) `time` seconds after the start.
 
-    What is None or not in `inputs` is left to the model: m at its mean, T at the law's mean, inputs at their reference.
+    What is None or not in `inputs` is left to the model: m at its mean, T at the law's mean, inputs at their reference,
+    signals of effects as they were last. `clock` (absolute s, 0 if None) belongs to the first stay alone.
     """
 
     time: float
@@ -41,6 +43,7 @@ class Step:
     m: float | None = None
     temperature: float | None = None
     inputs: Mapping[str, float] = field(default_factory=dict)
+    clock: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +63,8 @@ class TimedWord:
 class Visit:
     """One stay of a replay: from `time` for `seconds` in `location`, from `entered` to `left` (degC) without clamps.
 
-    `clamped` is the temperature at its end in a run that is put back into the model's range at each event.
+    `clamped` is the temperature at its end in a run that is put back into the model's range at each event. `least` and
+    `most` are the extremes in between where effects act: no flow has any there.
     """
 
     time: float
@@ -72,6 +76,13 @@ class Visit:
     entered: float
     left: float
     clamped: float
+    least: float = inf
+    most: float = -inf
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """The lowest and the highest temperature of the stay (degC)."""
+        return min(self.entered, self.left, self.least), max(self.entered, self.left, self.most)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,17 +94,17 @@ class Replay:
     @property
     def lowest(self) -> float:
         """The lowest temperature of all stays (degC)."""
-        return min(min(visit.entered, visit.left) for visit in self.visits)
+        return min(visit.extremes[0] for visit in self.visits)
 
     @property
     def highest(self) -> float:
-        """The highest temperature of all stays (degC): flows are monotone, so it is at the end of one."""
-        return max(max(visit.entered, visit.left) for visit in self.visits)
+        """The highest temperature of all stays (degC)."""
+        return max(visit.extremes[1] for visit in self.visits)
 
     def leaves(self, low: float, high: float) -> Visit | None:
         """The first stay in which the temperature is outside low..high; None when there is none."""
         return next(
-            (v for v in self.visits if min(v.entered, v.left) < low or max(v.entered, v.left) > high),
+            (visit for visit in self.visits if visit.extremes[0] < low or visit.extremes[1] > high),
             None,
         )
 
@@ -123,6 +134,11 @@ def _check(steps: Sequence[Step], stays: Sequence[Step]) -> None:
     for before, after in pairwise(steps):
         if after.time < before.time:
             raise ValueError(f"the word goes back from {before.time:g} s to {after.time:g} s ({after.symbol or 'end'})")
+    late = next((step for step in stays[1:] if step.clock is not None), None)
+    if late is not None:
+        raise ValueError(
+            f"the item at {late.time:g} s gives {CLOCK}; only the start, @0,{CLOCK}=..., has an absolute time"
+        )
     nameless = [step for step in stays[1:] if not step.symbol]
     if nameless:
         raise ValueError(f"the item at {nameless[0].time:g} s has no symbol; only the first and the last may have none")
@@ -139,8 +155,8 @@ def _step(item: str) -> Step:
     time = _number(found["time"], item)
     if time < 0:
         raise ValueError(f"{item!r}: seconds count from the start and are never negative")
-    m, temperature = numbers.pop(MODE, None), numbers.pop(TEMPERATURE, None)
-    return Step(time, found["symbol"].strip(), m, temperature, numbers)
+    m, temperature, clock = (numbers.pop(name, None) for name in (MODE, TEMPERATURE, CLOCK))
+    return Step(time, found["symbol"].strip(), m, temperature, numbers, clock)
 
 
 def _number(text: str, item: str) -> float:
@@ -162,6 +178,7 @@ def word_text(word: TimedWord) -> str:
 def _item(step: Step) -> str:
     parts = [f"{step.symbol}@{step.time:.12g}"]
     parts += [f"{TEMPERATURE}={step.temperature:.12g}"] if step.temperature is not None else []
+    parts += [f"{CLOCK}={step.clock:.12g}"] if step.clock is not None else []
     parts += [f"{MODE}={step.m:.12g}"] if step.m is not None else []
     parts += [f"{name}={value:.12g}" for name, value in step.inputs.items()]
     text = ",".join(parts)
@@ -177,12 +194,13 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
     """
     model = in_sensor_scale(model)
     check_sha(model.sha)
-    refuse(model.sha, "the replay of a word")
     x = _start(model, word, start)
-    bound = min(max(x, model.sha.low), model.sha.high)
-    visits = []
     stays = _walk(model.sha, word, policy)
     ends = [*(step.time for step, _ in stays[1:]), word.end]
+    if model.sha.effects:
+        return _augmented(model.sha, stays, ends, x)
+    bound = min(max(x, model.sha.low), model.sha.high)
+    visits = []
     for index, ((step, location), following) in enumerate(zip(stays, ends, strict=True)):
         if index:
             x, bound = (_entered(step, location, each) for each in (x, bound))
@@ -194,6 +212,35 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
         visits.append(Visit(step.time, seconds, step.symbol, location.name, m, added, x, end, bound))
         x = end
     return Replay(tuple(visits))
+
+
+def _augmented(sha: SHA, stays: Sequence[tuple[Step, Location]], ends: Sequence[float], x: float) -> Replay:
+    """The replay where effects act."""
+    given = []
+    for index, (step, location) in enumerate(stays):
+        m = mode_parameter(location)[0] if step.m is None else step.m
+        fresh = _entered(step, location, nan) if index else nan
+        references = {one.signal: one.reference for one in location.flow.inputs}
+        given.append(Given(step.time, step.symbol, location, m, fresh, {**references, **step.inputs}))
+    done = passed(sha, given, ends[-1], x, stays[0][0].clock or 0.0)
+    return Replay(
+        tuple(
+            Visit(
+                stay.time,
+                until - stay.time,
+                stay.symbol,
+                stay.location.name,
+                stay.m,
+                _offset(stay.location, step),
+                one.entered,
+                one.left,
+                one.clamped,
+                one.least,
+                one.most,
+            )
+            for stay, (step, _), until, one in zip(given, stays, ends, done, strict=True)
+        )
+    )
 
 
 def _walk(sha: SHA, word: TimedWord, policy: Policy) -> list[tuple[Step, Location]]:

@@ -10,11 +10,13 @@ from sim.discrepancy.course import Named
 from sim.discrepancy.fit import Fitted
 from sim.learning.free_run import RATES
 from sim.learning.runs import first_switch
+from sim.learning.semi_markov import with_inputs
 from sim.learning.structure import contexts
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Effect, Flow, Input, Location
 from sim.sha.effects import EFFECTS
 from sim.sha.model import Model, Provenance
+from sim.sha.trace import Trace
 
 RUNNING_ONLY = (
     "current-heating",
@@ -29,11 +31,19 @@ RUNNING_ONLY = (
 """Effects that heat only while the machine runs."""
 
 
-def augmented(fitted: Fitted, *, name: str = "", data_hash: str = "", traces: Sequence[str] = ()) -> Model:
+def augmented(
+    fitted: Fitted,
+    *,
+    name: str = "",
+    data_hash: str = "",
+    traces: Sequence[str] = (),
+    readings: Sequence[Trace] = (),
+) -> Model:
     """The fit as a model: its parameters in the flows, its effects in the automaton, its noise, and its lineage.
 
     The forecast bands' calibration is not carried over: it belonged to the model before. Each location's own scatter is
-    that of the cycles in the fit.
+    that of the cycles in the fit. `readings` are encoded traces from which the stays learn what the effects' signals
+    are like; without them a forecast holds the last readings, and verification must be told their ranges.
     """
     model = fitted.frame.record.model
     sha = replace(
@@ -43,7 +53,7 @@ def augmented(fitted: Fitted, *, name: str = "", data_hash: str = "", traces: Se
     )
     counts = np.diff(np.append(fitted.frame.record.begins, fitted.frame.record.rows.size))
     strengths = {f"{one.entry.name}.{one.entry.strength}": one.strength for one in fitted.state.named}
-    return replace(
+    new = replace(
         model,
         sha=sha,
         sensor_sigma=float(fitted.noise.sensor * np.sqrt(np.median(counts))),
@@ -58,6 +68,7 @@ def augmented(fitted: Fitted, *, name: str = "", data_hash: str = "", traces: Se
             parent=model.provenance.data_hash or model.sha.name,
         ),
     )
+    return with_inputs(new, readings) if readings else new
 
 
 def effect_of(named: Named, model: Model) -> Effect:
@@ -86,6 +97,12 @@ def named_of(model: Model) -> tuple[Named, ...]:
         )
         found.append(Named(entry, dict(effect.signals), {**EFFECTS[effect.kind].defaults, **extra, **effect.params}))
     return tuple(found)
+
+
+def _where_known(model: Model, names: Sequence[str]) -> tuple[str, ...]:
+    """Those whose flow says how the temperature moves: a constant one holds what is not known and adds up a heat."""
+    flows = model.sha.by_name
+    return tuple(name for name in names if flows[name].flow.kind != "constant") or tuple(names)
 
 
 def running_locations(model: Model) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ is left out.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, inf, log
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr
 
 from sim.sha.automaton import SHA, Distribution
+from sim.sha.effects import signals_of
 from sim.sha.model import Model, Stay
 from sim.sha.trace import UNKNOWN, Array, Mask, Trace
 from sim.sha.tracker import Tracker, compiled, next_location
@@ -165,6 +166,24 @@ def fit_stays(model: Model | Tracker, traces: Sequence[Trace]) -> dict[str, Stay
     return fitted
 
 
+def with_inputs(model: Model, traces: Sequence[Trace]) -> Model:
+    """The model with the inputs of its stays fitted to encoded traces; laws and next locations stay as they are.
+
+    For an automaton that reads more signals than before: an input of which the traces say nothing is kept.
+    """
+    tracker = compiled(model)
+    found: dict[str, list[tuple[Sojourn, Trace]]] = {}
+    for trace in traces:
+        for stay in sojourns(tracker, trace):
+            if not stay.gap:
+                found.setdefault(stay.location, []).append((stay, trace))
+    stays = {
+        name: replace(stay, inputs={**stay.inputs, **_inputs(tracker, name, found.get(name, []))})
+        for name, stay in model.semi_markov.items()
+    }
+    return replace(model, semi_markov=stays)
+
+
 def _next(sha: SHA, location: str, stays: Sequence[Sojourn], stayed: set[str]) -> Mapping[str, float]:
     counts = Counter(stay.to for stay in stays if stay.to is not None)
     possible = {
@@ -180,23 +199,24 @@ def _next(sha: SHA, location: str, stays: Sequence[Sojourn], stayed: set[str]) -
 def _inputs(
     tracker: Tracker, location: str, stays: Sequence[tuple[Sojourn, Trace]]
 ) -> Mapping[str, tuple[float, float]]:
-    """Mean and standard deviation, from stay to stay, of each input's time average over a stay.
+    """Mean and standard deviation, from stay to stay, of the time average of each signal that is read there.
 
     Both are weighted by the stays' lengths. With a single stay the deviation is that inside it.
     """
     moments = {}
-    for given in tracker.modes[location].location.flow.inputs:
+    own = [given.signal for given in tracker.modes[location].location.flow.inputs]
+    for signal in dict.fromkeys([*own, *signals_of(tracker.model.sha, location)]):
         read: dict[int, tuple[Array, Array]] = {}
         for _, trace in stays:
-            if given.signal in trace.signals and id(trace) not in read:
-                there = np.isfinite(trace.signals[given.signal])
-                read[id(trace)] = trace.times[there], trace.signals[given.signal][there]
+            if signal in trace.signals and id(trace) not in read:
+                there = np.isfinite(trace.signals[signal])
+                read[id(trace)] = trace.times[there], trace.signals[signal][there]
         rows = [_average(*read[id(trace)], stay) for stay, trace in stays if id(trace) in read]
         known = np.array([row for row in rows if np.isfinite(row[0])])
         if len(known):
             mean = float(np.average(known[:, 0], weights=known[:, 2]))
             between = float(np.average((known[:, 0] - mean) ** 2, weights=known[:, 2]))
-            moments[given.signal] = (mean, float(np.sqrt(between if len(known) > 1 else known[0, 1])))
+            moments[signal] = (mean, float(np.sqrt(between if len(known) > 1 else known[0, 1])))
     return moments
 
 

@@ -9,12 +9,12 @@ from sim.checking.answer import Settings, Start, answer, initial
 from sim.checking.answer_estimates import prepared
 from sim.checking.answer_runs import sampler
 from sim.checking.quadrature import Stretch, brownian, first_passage
-from sim.checking.query import Expectation
+from sim.checking.query import Expectation, Hypothesis
 from tests.checking.worlds import TEMP, along, compare, eventually, flow, model, normal
 
 CASES = parameter_sets()
-SLOW = {("relaxing fast", 41.5), ("relaxing fast", 41.0), ("two stays, m drawn", 47.5)}
-"""Sets that take several seconds; `python -m benchmarks.smc --table` has them."""
+RARE = (("no drift", 49.0), ("relaxing", 45.5), ("relaxing", 46.0), ("relaxing, m drawn", 48.0))
+"""The rare sets that are cheap; `python -m benchmarks.smc --table` has them all."""
 
 
 @pytest.mark.parametrize("limit", [40.5, 42.0, 46.0, 50.0])
@@ -41,11 +41,14 @@ def test_quadrature_needs_noise_and_a_limit_ahead() -> None:
 
 @pytest.mark.slow
 def test_the_intervals_hold_the_quadrature_at_their_stated_rate_rare_sets_included() -> None:
-    """37 sets at 95 %: five misses or more have a chance of 4 % at a random seed; this one is fixed."""
-    chosen = [case for case in CASES if (case.name, case.limit) not in SLOW]
-    found = [checked(case, [3], runs=10_000, points=500, nodes=10) for case in chosen]
-    assert len(found) >= 30 and sum(exact < 1e-4 for exact, _ in found) >= 7
-    assert sum(contains(exact, one) for exact, (one,) in found) >= len(found) - 4
+    """26 sets at 95 %: four misses or more have a chance of 4 % at a random seed; this one is fixed."""
+    found = []
+    for case in CASES:
+        exact = first_passage(case.stretches, case.x0, case.limit, points=500, nodes=10)
+        if case.name != "relaxing fast" and (exact > 1e-3 or (case.name, case.limit) in RARE):
+            found.append(checked(case, [3], runs=10_000, points=500, nodes=10))
+    assert len(found) >= 26 and sum(exact < 2e-5 for exact, _ in found) == 4
+    assert sum(contains(exact, one) for exact, (one,) in found) >= len(found) - 3
 
 
 def test_without_the_bridge_the_probability_is_far_too_low(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,7 +66,7 @@ def test_the_curvature_that_a_step_leaves_out_is_small_at_the_chosen_length(monk
     case = next(case for case in CASES if case.name == "relaxing" and case.limit == 44.0)
     exact = first_passage(case.stretches, case.x0, case.limit)
     fine = _share(start_of(case), case.limit, 200_000)
-    assert fine == pytest.approx(exact, rel=0.05)
+    assert fine == pytest.approx(exact, rel=0.01 + 0.024)  # 1 %, and two standard errors of 200,000 runs
     monkeypatch.setattr(paths, "FINE", 1.0)
     assert _share(start_of(case), case.limit, 200_000) > 1.1 * exact
 
@@ -71,6 +74,16 @@ def test_the_curvature_that_a_step_leaves_out_is_small_at_the_chosen_length(monk
 def _share(start: Start, limit: float, runs: int) -> float:
     drawn = sampler(start.world, (prepared(question(limit, 444.0), start),), 11)
     return float(drawn.draw(runs).mean())
+
+
+@pytest.mark.parametrize("shift", [-0.05, 0.05])
+def test_walds_test_on_runs_is_wrong_about_as_seldom_as_it_says(shift: float) -> None:
+    """At both ends of the indifference region, alpha = 5 %: of 60 tests 7 or more are wrong with a chance of 3 %."""
+    exact = brownian(40.0, 0.0, 0.1, 42.0, 400.0)
+    start = along(model([flow("constant")], [None]), 40.0, 400.0)
+    query = Hypothesis(eventually(compare(">=", 42.0), 400.0), ">=", exact + shift)
+    verdicts = [answer(query, start, Settings(delta=0.05, seed=seed)).verdict for seed in range(60)]
+    assert sum(verdict is not (shift < 0.0) for verdict in verdicts) <= 6
 
 
 def test_unknown_events_agree_with_known_ones_where_the_law_has_no_choice() -> None:

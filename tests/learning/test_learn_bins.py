@@ -9,11 +9,12 @@ import pytest
 
 from sim.learning import bins, held_out
 from sim.learning.bins import CANDIDATES, Learned, learn_bins
+from sim.learning.candidates import Candidate
 from sim.learning.held_out import HeldOut, choose, huber_scale
 from sim.learning.structure import LearningError, contexts
 from sim.sha.automaton import nondeterminism
 from sim.sha.distributions import check_distribution
-from sim.sha.events import DECANTER
+from sim.sha.events import DECANTER, Alphabet, Bins
 from sim.sha.flows import check_flow
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event, Trace
@@ -291,3 +292,18 @@ def test_traces_of_the_same_name_are_told_apart() -> None:
     traces = [replace(trace, name="same") for trace in simulate(Truth(), 5, cycles=7, rows=120)]
     learned = learn_bins(traces, DECANTER, "T", seed=0)
     assert len(learned.model.provenance.traces) == 7
+
+
+def test_over_many_locations_rates_are_shared_or_refused_in_one_sentence() -> None:
+    wide = Alphabet((Bins("Load", tuple(np.arange(1.0, 30.0)), tuple(f"B_{n}" for n in range(30))),))
+    rng = np.random.default_rng(0)
+    load = np.repeat(rng.permutation(30) + 0.5, 12)
+    signals = {"Load": load, "T": 20.0 + np.cumsum(0.01 * load + 0.02 * rng.normal(size=load.size))}
+    trace = Trace("wide", 4.0 * np.arange(load.size), signals)
+    own = [one for one in CANDIDATES if one.rates == "location"]
+    with pytest.raises(
+        LearningError, match=r"^the traces stay in 30 locations, and a rate or gain of its own for each"
+    ):
+        learn_bins([trace], wide, "T", seed=0, candidates=own)
+    learned = learn_bins([trace], wide, "T", seed=0, candidates=[*own, Candidate("constant", "shared")])
+    assert [row.label for row in learned.candidates] == ["constant, one k"]

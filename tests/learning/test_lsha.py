@@ -125,6 +125,15 @@ def test_runs_that_begin_where_nothing_has_a_law_do_no_harm(debounce: float) -> 
     assert flowing.sample.value.size > 20
 
 
+def test_a_trace_without_a_known_location_leaves_no_fold_empty() -> None:
+    # The fifth of seven traces never says what the load is: a fifth fold of traces would have nothing to judge.
+    names = ("a0", "a1", "a2", "a3", "c0", "c1")
+    traces = [replace(t, name=name) for t, name in zip(random_traces(by_context, 30, count=6), names, strict=True)]
+    silent = Trace("b0", np.arange(40.0) + 1e7, {"On": np.ones(40), "T": np.linspace(20.0, 24.0, 40)})
+    again = [*traces, replace(silent, events=encode(silent, PLANT))]
+    assert_sound(learned(again, memory="context"), again)
+
+
 def test_targets_scatter_and_rate_of_a_known_automaton_are_right(known: LearnedLsha) -> None:
     assert_sound(known, random_traces(by_context, 3))
     assert known.model.provenance.settings["flow"] == "exponential"

@@ -200,13 +200,14 @@ def _over(
         size += int((shape.gain >= 0).any()) * shape.gain.shape[1] + shape.rate_centre.size
     if cut is None:
         return None, size
-    if ground.words.whole and np.unique(ground.group).size >= FOLDS and np.array_equal(ground.group, ground.runs.trace):
-        error = np.empty(len(cut))
+    traces = np.unique(cut.trace)
+    if ground.words.whole and traces.size >= FOLDS and np.array_equal(ground.group, ground.runs.trace):
+        fold, part = (np.searchsorted(traces, each) % FOLDS for each in (cut.trace, one.sample.segments.group))
+        error, kept = np.empty(len(cut)), np.isfinite(cut.reading)
         for held in range(FOLDS):
-            use = one.sample.segments.group % FOLDS != held
+            use = part != held
             fewer = merged(classes, one.sample, ground, delta=delta, alpha=alpha, n_min=n_min, use=use)
-            error[cut.trace % FOLDS == held] = _errors(one, ground, fewer, classes, cut, cut.trace % FOLDS == held)
-        kept = np.isfinite(cut.reading)
+            error[fold == held] = _errors(one, ground, fewer, classes, cut, fold == held)
         return HeldOut(error[kept], np.unique(cut.run[kept], return_inverse=True)[1]), size
     if one.shape is None:
         return hold_out_levels(placed(cut, place)), size

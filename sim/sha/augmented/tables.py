@@ -84,10 +84,10 @@ def _radiation(acting: Acting, segments: Segments, about: Array) -> tuple[Array,
     """(gain where it acts, loss, heat) of the tangent to the radiated heat at `about`."""
     effect = acting.effect
     zero = parameter(effect, "zero")
-    if "ambient" in effect.signals:
+    if "ambient" in effect.signals and acting.there[segments.location].any():
         around = temperature(effect, "ambient", segments.signals)
     else:
-        around = np.full(about.shape, effect.params["surroundings"])
+        around = np.full(about.shape, effect.params.get("surroundings", np.nan))
     there = acting.there[segments.location] & np.isfinite(around)
     gain = np.where(there, effect.params["gain"], 0.0)
     loss = 4.0 * gain * (about - zero) ** 3

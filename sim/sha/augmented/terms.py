@@ -73,6 +73,8 @@ def terms(plant: Plant, segments: Segments) -> Terms:
     place = segments.location
     loss, heat = plant.rate[place], plant.rate[place] * segments.offset
     for acting in plant.steady:
+        if not acting.there[place].any():
+            continue  # its signals were perhaps not asked for
         gained, lost = steady(acting.effect, segments.signals)
         there = acting.there[place] & np.isfinite(gained) & np.isfinite(lost)
         loss = loss + np.where(there, lost, 0.0)

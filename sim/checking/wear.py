@@ -1,0 +1,25 @@
+"""What a verification says of a wear: it grows without end, so that a proof holds until a day that is told."""
+
+from datetime import UTC, datetime
+
+from sim.sha.automaton import SHA
+
+DAY = 86_400.0
+_FIRST_CLOCK, _LAST_CLOCK = 3.0e7, 2.5e11
+"""Absolute seconds that are taken as seconds since 1970; others count from a start of their own."""
+
+
+def worn(sha: SHA, horizon: float, longest: float) -> str:
+    """The sentence: until when what is proven holds, and that it does not hold for `longest` where that is so (s)."""
+    begins = [effect.params["since"] for effect in sha.effects if effect.kind == "wear-drift"]
+    until = min(begins) + horizon
+    said = f"what is said of temperatures holds for {horizon / DAY:g} days of wear, until {_moment(until)}"
+    if horizon < longest:
+        return f"{said}, and not for {longest / DAY:g}: diagnose or learn anew before then"
+    return f"{said}: the drift goes on growing, so verify anew before then (--wear DAYS looks further)"
+
+
+def _moment(time: float) -> str:
+    if not _FIRST_CLOCK <= time <= _LAST_CLOCK:
+        return f"{time:.6g} s on the traces' clock"
+    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M UTC")
