@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf, isfinite, nan
 
-from sim.checking.word_effects import Given, passed
+from sim.checking.word_effects import Given, felt_at_once, passed
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Location, transitions
 from sim.sha.correction import in_sensor_scale
@@ -197,8 +197,9 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
     x = _start(model, word, start)
     stays = _walk(model.sha, word, policy)
     ends = [*(step.time for step, _ in stays[1:]), word.end]
-    if model.sha.effects:
-        return _augmented(model.sha, stays, ends, x)
+    felt = felt_at_once(model.sha)
+    if felt.effects:
+        return _augmented(felt, stays, ends, x)
     bound = min(max(x, model.sha.low), model.sha.high)
     visits = []
     for index, ((step, location), following) in enumerate(zip(stays, ends, strict=True)):

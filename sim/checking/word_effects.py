@@ -52,9 +52,8 @@ class Passed:
 def passed(sha: SHA, stays: Sequence[Given], end: float, x: float, clock: float) -> list[Passed]:
     """The stays from the reading `x` (degC) to `end` (s since the start, which is at `clock`, absolute s).
 
-    Raises ValueError for a word that is too long to be followed.
+    `sha` has effects besides a dead time. Raises ValueError for a word that is too long to be followed.
     """
-    sha = replace(sha, effects=tuple(one for one in sha.effects if one.kind != "dead-time"))
     ends = [*(stay.time for stay in stays[1:]), end]
     _check_length(sha, stays, ends)
     steps = _steps(sha, stays, ends, clock)
@@ -70,6 +69,11 @@ def passed(sha: SHA, stays: Sequence[Given], end: float, x: float, clock: float)
         found.append(Passed(entered, left, float(inside.min()), float(inside.max()), clamped))
         before = left
     return found
+
+
+def felt_at_once(sha: SHA) -> SHA:
+    """The automaton without its dead time."""
+    return replace(sha, effects=tuple(effect for effect in sha.effects if effect.kind != "dead-time"))
 
 
 def _check_length(sha: SHA, stays: Sequence[Given], ends: Sequence[float]) -> None:

@@ -27,10 +27,6 @@ RANGES = {"I": (50.0, 200.0), "M": (-5.0, 40.0), "Ta": (10.0, 30.0), "P": (0.0, 
 RUNS = 4
 ALPHABET = Alphabet((Switch("on", "W_ON", "W_OFF"),))
 EVERY = {**EFFECTS, **TOGETHER}
-RELAXING = {
-    "exponential": Location("on", Flow("exponential", {"k": 0.004, "noise": 0.0}), normal(55.0, 0.0)),
-    "fresh": Location("on", Flow("exponential", {"k": 0.004, "noise": 0.0}), normal(55.0, 0.0), "resample"),
-}
 
 
 def model_of(name: str, kind: str = "exponential", **more: object) -> Model:
@@ -107,3 +103,126 @@ def test_thousands_of_words_with_every_stays_own_parameter_stay_inside() -> None
             assert low - 3e-3 <= done.lowest and done.highest <= high + 3e-3, (name, items)
             count += 1
     assert count > 1800
+
+
+# ------------------------------------------------------------------ bounds that are reached
+
+
+def hot(**params: float) -> Model:
+    """Running relaxes to 55 degC, and pump-cooling to 25 pulls at it with `loss`."""
+    effect = Effect("pump-cooling", {"loss": 0.004, "sink": 25.0, **params}, {"pump": "P"})
+    return Model(without_noise(plant("exponential", (effect,))), ALPHABET, "T", 0.1, normal(22.0, 0.0))
+
+
+def test_a_pump_pulls_no_further_than_where_flow_and_loss_meet() -> None:
+    found = find_bounds(hot(), 0.0, 150.0, Assumptions(inputs={"P": (0.5, 1.0)}))
+    (low, high), both = found.intervals["on"], (0.004 * 55.0 + 0.002 * 25.0) / 0.006
+    assert found.verdict == "proven"
+    assert high == pytest.approx(both) and low == pytest.approx(22.0)
+
+
+def test_a_thermostat_keeps_what_it_opens_at() -> None:
+    model = model_of("thermostatic-cooling")
+    assert find_bounds(model, 0.0, 150.0, assumed(model)).intervals["on"][1] == pytest.approx(38.0)
+
+
+def test_a_lag_and_a_dead_time_read_what_was_elsewhere_and_an_offset_its_size() -> None:
+    plain = find_bounds(model_of("housing-thermal-mass"), 0.0, 150.0, Assumptions())
+    lagged = find_bounds(model_of("sensor-lag 3"), 0.0, 150.0, Assumptions())
+    assert set(lagged.intervals.values()) == {plain.intervals["on"]}
+    low, high = find_bounds(model_of("sensor-offset-step"), 0.0, 150.0, Assumptions()).intervals["on"]
+    assert low == pytest.approx(plain.intervals["on"][0] - 1.5) and high == pytest.approx(plain.intervals["on"][1])
+
+
+def test_start_up_heat_can_be_kept_at_its_greatest_by_starting_again_and_again() -> None:
+    model = model_of("startup-churning")
+    reach = find_bounds(model, 0.0, 150.0, Assumptions()).intervals["on"][1]
+    assert reach == pytest.approx(55.0 + 0.1 / 0.004)
+    word = " ".join(["@0,T=80", *(f"W_ON@{10.0 * n + 1.0} W_OFF@{10.0 * n + 10.0}" for n in range(40)), "@401"])
+    assert 70.0 < replay(model, parse_word(word)).highest < reach
+
+
+# ------------------------------------------------------------------ deployment
+
+
+@pytest.mark.parametrize("name", [name for name in EVERY if name != "thermostat, radiation"])
+def test_a_model_that_runs_away_is_refused_with_the_word_whatever_effects_it_has(name: str) -> None:
+    """Running warms at 0.05 degC/s: only what takes heat in proportion could hold it, so losses are made small."""
+    small = tuple(
+        replace(one, params={**one.params, **{key: 1e-5 if key == "loss" else 1e-16 for key in ("loss",) if key in one.params}})
+        if one.kind != "radiation-loss"
+        else replace(one, params={**one.params, "gain": 1e-14})
+        for one in EVERY[name]
+    )
+    sha = without_noise(plant("linear", small))
+    places = (sha.locations[0], replace(sha.locations[1], distribution=normal(0.05, 0.0)))
+    model = Model(replace(sha, locations=places, low=0.0, high=150.0), ALPHABET, "T", 0.1, normal(20.0, 1.0))
+    found = verify(model, assumptions=assumed(model))
+    assert not found.deployable
+    words = [word for check in found.checks if check.blocking for word in check.words]
+    assert words, [check.evidence for check in found.checks]
+    assert replay(model, parse_word(word_text(words[0]))).leaves(0.0, 150.0) is not None
+
+
+def test_a_signal_of_unknown_range_leaves_it_undecided_and_says_which_option_decides() -> None:
+    found = verify(hot())
+    assert found.check("growth").verdict == "not decided" and "--inputs P=LOW..HIGH" in found.reasons[0]
+    learned = {"on": Stay(Distribution("exponential", {"mean": 9.0}), {"off": 1.0}, {"P": (0.5, 0.1)})}
+    assert verify(replace(hot(), semi_markov=learned)).deployable, "what the stays elsewhere have seen decides too"
+    switched = Alphabet((*ALPHABET.channels, Switch("P", "P_ON", "P_OFF")))
+    assert verify(replace(hot(), alphabet=switched)).deployable
+
+
+def test_a_range_for_an_effects_signal_is_taken_and_one_for_nothing_is_not() -> None:
+    assert verify(hot(), assumptions=Assumptions(inputs={"P": (0.0, 1.0)})).deployable
+    with pytest.raises(ValueError, match="is driven by 'Q'; they are driven by P"):
+        verify(hot(), assumptions=Assumptions(inputs={"Q": (0.0, 1.0)}))
+
+
+def worn(gain: float) -> Model:
+    effect = Effect("wear-drift", {"gain": gain, "since": 1.75e9}, locations=("on",))
+    sha = replace(without_noise(plant("exponential", (effect,))), low=0.0, high=150.0)
+    return Model(sha, ALPHABET, "T", 0.1, normal(20.0, 1.0))
+
+
+def test_a_wear_that_diverges_in_years_is_deployable_today_and_says_until_when() -> None:
+    slow, fast, wild = (verify(worn(degrees * 0.004 / (365.0 * DAY))) for degrees in (40.0, 400.0, 40_000.0))
+    assert slow.deployable and "365 days of wear, until 2026-06-15" in slow.check("wear").evidence
+    assert fast.deployable and "90 days of wear" in fast.check("wear").evidence
+    assert "not for 365" in fast.check("wear").evidence
+    assert not wild.deployable
+    (word,) = wild.check("mean course").words
+    assert word.steps[0].clock is not None and word.steps[0].clock > 1.75e9
+    strict = verify(worn(400.0 * 0.004 / (365.0 * DAY)), assumptions=Assumptions(horizon=365.0 * DAY))
+    assert not strict.deployable, "a horizon that is given is not shortened"
+
+
+def test_a_correction_carries_the_bounds_along() -> None:
+    model = hot()
+    plain = find_bounds(model, 0.0, 150.0, assumed(model)).intervals["on"]
+    moved = find_bounds(replace(model, correction=Correction(1.2, -3.0)), 0.0, 200.0, replace(assumed(model), start=(1.2 * 22 - 3,) * 2))
+    assert moved.intervals["on"] == pytest.approx(tuple(1.2 * x - 3.0 for x in plain))
+
+
+# ------------------------------------------------------------------ the drift's pieces
+
+
+pieces = st.lists(st.tuples(st.floats(0.0, 0.05), st.floats(-20.0, 80.0), st.sampled_from([0.0, 0.3])), min_size=1, max_size=4)
+
+
+@settings(max_examples=80, deadline=None)
+@given(pieces, st.floats(-0.5, 0.5), st.floats(0.0, 2000.0), st.sampled_from([inf, 0.05, 1.0]))
+def test_a_drift_runs_one_way_keeps_order_and_agrees_with_small_steps(
+    given_pieces: list[tuple[float, float, float]], heat: float, dt: float, rate: float
+) -> None:
+    bends = [Drift((sink,), ((b * sink, b), (b * sink - drop, b))) for b, sink, drop in given_pieces]
+    drift = added([Drift((), ((heat, 0.0),)), *bends])
+    starts = np.linspace(-100.0, 150.0, 11)
+    ends = np.array([drift.after(float(x), dt, rate) for x in starts])
+    assert np.all(np.diff(ends) >= -1e-9) and np.all(np.diff(ends) <= np.diff(starts) + 1e-9)
+    halves = np.array([drift.after(drift.after(float(x), 0.5 * dt, rate), 0.5 * dt, rate) for x in starts])
+    rising = ends > starts
+    assert np.all(halves[rising] <= ends[rising] + 1e-6) and halves[~rising] == pytest.approx(ends[~rising], abs=1e-6)
+    low, high = drift.rest
+    assert np.all((ends >= starts - 1e-12) | (starts > high)) and np.all((ends <= starts + 1e-12) | (starts < low))
+    assert drift.mirrored().after(-float(starts[3]), dt, inf) == pytest.approx(-drift.after(float(starts[3]), dt, inf))
