@@ -19,10 +19,10 @@ from sim.discrepancy.record import Record
 from sim.sha.model import Model
 from sim.sha.trace import Array
 
-ROUNDS, NEWTON = 4, 4
+ROUNDS, NEWTON = 4, 8
 LARGEST_TARGET, LARGEST_SHARE = 15.0, 0.7
-"""A step of Newton's is cut to this: degC of a target (other parameters in proportion to their belief), and the share
-of itself by which a strength may change."""
+"""A step of Newton's is shortened to this: degC of a target (other parameters in proportion to their belief), and the
+share of itself by which a strength may change."""
 SETTLED = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
 
@@ -91,14 +91,19 @@ def fit(
     named: Sequence[Named] = (),
     begin: Fitted | None = None,
     *,
+    moved: Array | None = None,
     rounds: int = ROUNDS,
     iterations: int = 12,
 ) -> Fitted:
-    """The fit with the effects `named`, from another fit on the same frame or from the belief."""
+    """The fit with the effects `named`, from another fit on the same frame or from the belief.
+
+    `moved` (p + r,) is by how much the other fit's own parameters are moved before.
+    """
     record = frame.record
     reading = record.reading
     start = reading[record.window_first] if begin is None else begin.start
     own = frame.centre if begin is None else begin.state.parameters[: begin.own]
+    own = own if moved is None else own + moved
     prior = np.concatenate([frame.prior, np.zeros(len(named))])
     belief = Belief(first_noise(record.model, record))
     noise = belief.centre if begin is None else begin.noise
@@ -145,7 +150,7 @@ def _newton_steps(frame: Frame, state: State, start: Array, reading: Array, nois
         both = weigher.weigh(np.column_stack([point.residual, point.columns]))
         normal = point.columns.T @ both[:, 1:] + np.diag(np.maximum(prior, 1e-12))
         step = cho_solve(cho_factor(normal), point.columns.T @ both[:, 0] - prior * point.off)
-        step = np.clip(step, -_longest(frame, state), _longest(frame, state))
+        step = step * min(1.0, 1.0 / float(np.max(np.abs(step) / _longest(frame, state), initial=1.0)))
         here = float(point.residual @ both[:, 0] + point.off @ (prior * point.off))
         for _half in range(5):
             moved = at(frame, _allowed(state, state.parameters + step), start, state.named, state.course)

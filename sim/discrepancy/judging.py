@@ -1,17 +1,20 @@
 """From the path of names to a verdict: what may be said, what is withheld and why."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sim.discrepancy.catalogue import CATALOGUE
 from sim.discrepancy.diagnosis import Ceiling, Verdict
 from sim.discrepancy.fit import Fitted
 from sim.discrepancy.held_out import Trial
-from sim.discrepancy.naming import MARGIN, MATERIAL, Step
+from sim.discrepancy.naming import MARGIN, MATERIAL, NEAR, Step
 
-ROBUST, SPREAD, OVERWHELMING = 1.0, 3.0, 25.0
+ROBUST, SPREAD, OVERWHELMING = 1.0, 3.0, 20.0
 """The z by cycles that a name needs where its information is spread over at least so many cycles, unless its gain is
 overwhelming (nats)."""
+FURTHER, LEFTOVER, LEFTOVER_OF_RIVAL = 5.0, 0.02, 0.3
+"""What a further name needs beyond the first one's threshold (nats): an effect whose shape is not quite right leaves
+something behind, of the order of these shares of its gain, the greater one where the further name looks like it."""
 CEILING_P, CEILING_SHARE, CEILING_LEFT = 0.01, 0.08, 0.35
 """Heat that trees predict with such a p and to such a share is systematic; names that leave more than that part of the
 systematic heat they found are withheld."""
@@ -31,8 +34,11 @@ class Found:
         return tuple(one for one, refusal in self.steps if not refusal)
 
 
-def insignificant(one: Step) -> str:
-    """Why the best entry of a step is no more than chance, or a trifle; "" where something is missing."""
+def insignificant(one: Step, earlier: Sequence[Step] = ()) -> str:
+    """Why the best entry of a step is no more than chance, or a trifle; "" where something is missing.
+
+    `earlier` are the steps whose best entries are in the model already.
+    """
     best = one.best
     if best is None or not best.confirmed or best.gain < one.threshold:
         gain = best.gain if best is not None else 0.0
@@ -40,7 +46,18 @@ def insignificant(one: Step) -> str:
     sigma = max(one.before.frame.record.model.sensor_sigma, 1e-6)
     if best.amplitude < MATERIAL * sigma:
         return f"is there but moves the temperature by {best.amplitude:.3f} degC only, less than the sensor's noise"
+    needed = max((_leftover(step, best.entry.name) for step in earlier), default=0.0)
+    if earlier and best.gain < max(one.threshold + FURTHER, needed):
+        return f"adds {best.gain:.1f} nats, no more than the effects before may have left behind"
     return ""
+
+
+def _leftover(step: Step, name: str) -> float:
+    """nats that a named effect of not quite the right shape may leave to another entry."""
+    if step.best is None:
+        return 0.0
+    alike = abs(step.cosines.get(name, 0.0)) >= NEAR
+    return step.best.gain * (LEFTOVER_OF_RIVAL if alike else LEFTOVER)
 
 
 def dubious(one: Step) -> str:
@@ -48,10 +65,10 @@ def dubious(one: Step) -> str:
     best = one.best
     if best is None:
         return "there is nothing to name"
-    few = best.spread >= SPREAD and abs(best.robust) < ROBUST and best.gain < OVERWHELMING
-    if few:
+    weak = best.spread >= SPREAD and best.gain < OVERWHELMING
+    if weak and abs(best.robust) < ROBUST:
         return f"rests on few cycles ({best.cycles[0]} of {best.cycles[1]} speak for it)"
-    if best.spread >= SPREAD and best.carried <= 0:
+    if weak and best.carried <= 0:
         return "does not carry over from cycle to cycle"
     if one.margin < MARGIN:
         return f"beats its rivals outside its class by {one.margin:.1f} nats only"

@@ -8,7 +8,17 @@ import numpy as np
 from sim.discrepancy.catalogue import CATALOGUE, Entry
 from sim.discrepancy.course import Named
 from sim.discrepancy.fit import Fitted, fit
-from sim.discrepancy.screen import Screen, Shape, columns_of, judged, null_maximum, refined, screen, smooth_course
+from sim.discrepancy.screen import (
+    Projector,
+    Screen,
+    Shape,
+    columns_of,
+    judged,
+    null_maximum,
+    refined,
+    screen,
+    smooth_course,
+)
 from sim.sha.trace import Array
 
 CONFIRMED, WORTH = 4, 1.0
@@ -128,10 +138,27 @@ def confirm(before: Fitted, one: Evidence) -> Evidence:
     """The evidence with its shape refined and everything fitted anew together."""
     strength = _first_strength(before, one)
     named = refined(before, one.shape, strength)
-    fitted = fit(before.frame, [*before.state.named, named], before, rounds=3, iterations=8)
+    fitted = fit(
+        before.frame,
+        [*before.state.named, named],
+        before,
+        moved=_room(before, named),
+        rounds=3,
+        iterations=8,
+    )
     shape = Shape(one.entry, one.shape.signals, _without_strength(fitted.state.named[-1]))
     gain, last = fitted.likelihood - before.likelihood - one.entry.burden, fitted.state.named[-1]
     return replace(one, shape=shape, gain=gain, amplitude=amplitude(before, shape, last), fitted=fitted)
+
+
+def _room(before: Fitted, named: Named) -> Array:
+    """(p + r,) how the model's own parameters move to make room for an effect, log rates by 1 at most."""
+    shape = Shape(named.entry, named.signals, _without_strength(named))
+    column = columns_of(before, (shape,), smooth_course(before))[:, 0] * (1.0 if named.entry.whole else named.strength)
+    moved = Projector(before).made_room(column)[: before.own]
+    rates = before.frame.count[1]
+    moved[before.own - rates :] = np.clip(moved[before.own - rates :], -1.0, 1.0)
+    return moved
 
 
 def amplitude(before: Fitted, shape: Shape, named: Named) -> float:

@@ -57,6 +57,12 @@ class Projector:
         self.residual = fitted.residual - fitted.columns @ best
         self.weighed_residual = weighed[:, 0] - self._weighed @ best
 
+    def made_room(self, column: Array) -> Array:
+        """(p + r + e,) how the fit's parameters move when `column` (m,) degC is added to its course."""
+        fitted = self.fitted
+        score = self._weighed.T @ (fitted.residual - column) - fitted.prior * fitted.off
+        return np.asarray(cho_solve(self._factor, score))
+
     def clean(self, columns: Array) -> tuple[Array, Array, Array]:
         """(columns without what the fit's parameters imitate, the same weighed, V^-1-size of the columns before)."""
         weighed = self._weigher.weigh(columns)

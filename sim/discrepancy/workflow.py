@@ -116,7 +116,7 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: P
     for number in range(most):
         told(f"looking for effect {number + 1}", 0.25 + 0.6 * number / most)
         one = step(fitted, entries_besides(fitted.state.named), present, seed + number)
-        refusal = insignificant(one) or dubious(one)
+        refusal = insignificant(one, [each for each, _ in steps]) or dubious(one)
         steps.append((one, refusal))
         best = one.best
         if refusal or best is None or best.fitted is None:
