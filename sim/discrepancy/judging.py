@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from sim.discrepancy.catalogue import CATALOGUE
 from sim.discrepancy.diagnosis import Ceiling, Verdict
 from sim.discrepancy.fit import Fitted
+from sim.discrepancy.gap import Excess
 from sim.discrepancy.held_out import Trial
 from sim.discrepancy.naming import MARGIN, MATERIAL, NEAR, Step
 
@@ -99,7 +100,9 @@ def doubts(found: Found, first: Trial, second: Trial, before: Ceiling | None, le
     return tuple(reasons)
 
 
-def verdict_of(found: Found, reasons: tuple[str, ...], before: Ceiling | None) -> tuple[Verdict, tuple[str, ...]]:
+def verdict_of(
+    found: Found, reasons: tuple[str, ...], before: Ceiling | None, beyond: Excess | None
+) -> tuple[Verdict, tuple[str, ...]]:
     """The verdict, and the reasons why it is none better."""
     if found.taken and reasons:
         return "unexplained", reasons
@@ -110,6 +113,8 @@ def verdict_of(found: Found, reasons: tuple[str, ...], before: Ceiling | None) -
         return "unexplained", (f"{step.members[0]} {refusal}",)
     if systematic(before):
         return "unexplained", ("a free learner predicts heat on cycles that it has not seen",)
+    if beyond is not None and beyond.there:
+        return "unexplained", (f"the free run is {beyond.median:.1f} times as far off as the model's own noise allows",)
     return "agree", ()
 
 

@@ -17,6 +17,7 @@ from sim.discrepancy.course import Named
 from sim.discrepancy.diagnosis import Ceiling, Diagnosis
 from sim.discrepancy.evidence import candidates_of, effect_of
 from sim.discrepancy.fit import Fitted, fit
+from sim.discrepancy.gap import Excess, excess
 from sim.discrepancy.held_out import by_cycles, compared
 from sim.discrepancy.judging import Found, doubts, dubious, insignificant, systematic, untested, verdict_of
 from sim.discrepancy.locate import places
@@ -87,9 +88,10 @@ def diagnose(
     base = fit(training, named_of(model))
     told("what a free learner could still explain", 0.2)
     before = ceiling(base, seed)
+    beyond = excess(model, given, base)
     found = name(base, present, seed, most, told)
     told("held-out cycles", 0.85)
-    return _concluded(model, found, held_out, before, Hand(seed, present, roles, told))
+    return _concluded(model, found, held_out, before, beyond, Hand(seed, present, roles, told))
 
 
 def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str, str]:
@@ -125,11 +127,13 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: P
     return Found(base, fitted, tuple(steps))
 
 
-def _concluded(model: Model, found: Found, held_out: Record, before: Ceiling | None, hand: Hand) -> Outcome:
+def _concluded(
+    model: Model, found: Found, held_out: Record, before: Ceiling | None, beyond: Excess | None, hand: Hand
+) -> Outcome:
     after = found.fitted
     left = ceiling(after, hand.seed) if found.taken else before
     held, first, second = compared(found.base, after, held_out, hand.seed)
-    verdict, reasons = verdict_of(found, doubts(found, first, second, before, left), before)
+    verdict, reasons = verdict_of(found, doubts(found, first, second, before, left), before, beyond)
     kept = verdict in ("named", "class")
     if not kept:
         after = found.base

@@ -1,0 +1,62 @@
+"""Is there a gap at all: how far off the refitted free run is, beside what the given model says of its own noise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.discrepancy.fit import Fitted
+from sim.discrepancy.held_out import by_cycles, let_run
+from sim.sha.model import Model
+from sim.sha.open_loop import open_loop
+from sim.sha.trace import Trace
+from sim.validation.cycles import split_cycles
+
+WIDE, MOSTLY, SHARE = 2.0, 1.2, 0.2
+"""A gap: the median cycle is so many times as far off as the model's own noise allows, and all but this share of the
+cycles at least so many times."""
+
+
+@dataclass(frozen=True, slots=True)
+class Excess:
+    """Of the fitted cycles: the free run's error over the given model's own spread, the median and the lower fifth.
+
+    Roughness that the model has learned counts as its spread, so a rough plant has no excess; a heat that came after it
+    was learned has, even where nothing measured says what it is.
+    """
+
+    median: float
+    low: float
+
+    @property
+    def there(self) -> bool:
+        """True where the model's noise does not cover its errors."""
+        return self.median >= WIDE and self.low >= MOSTLY
+
+
+def excess(model: Model, traces: Sequence[Trace], base: Fitted) -> Excess | None:
+    """The excess of a fit of the model's own parameters; None where the model says nothing of its spread."""
+    trial = let_run(base, by_cycles(base.frame.record))
+    count = np.bincount(trial.order)
+    off = np.sqrt(np.bincount(trial.order, trial.residual**2) / np.maximum(count, 1))
+    spread = [_spread(model, cycle) for trace in traces for cycle in _cycles(trace, model)]
+    known = np.array([value for value in spread if np.isfinite(value) and value > 0])
+    if not known.size:
+        return None
+    ratio = off / float(np.median(known))
+    return Excess(float(np.median(ratio)), float(np.quantile(ratio, SHARE)))
+
+
+def _cycles(trace: Trace, model: Model) -> list[Trace]:
+    try:
+        return split_cycles(trace, model.alphabet) or [trace]
+    except ValueError:  # no switch: nothing says when a cycle begins
+        return [trace]
+
+
+def _spread(model: Model, cycle: Trace) -> float:
+    """degC rms of the model's own standard deviation along a cycle; NaN where it cannot be run along it."""
+    readings = cycle.signals.get(model.temperature, np.empty(0))
+    if np.isfinite(readings).sum() < 2:
+        return float("nan")
+    return float(np.sqrt(np.mean(open_loop(model, cycle, "resync").variance)))
