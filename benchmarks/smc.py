@@ -9,6 +9,7 @@ and is compiled here; without a compiler the method's own figures stand in its p
 import shutil
 import subprocess
 import tempfile
+import tracemalloc
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -114,8 +115,9 @@ def agreement(
 ) -> Iterator[tuple[Case, float, list[Answer]]]:
     """Every case (four with `quick`, the last of each name with `rare`), the quadrature and the answers."""
     cases = parameter_sets()[:: 11 if quick else 1]
-    for case in list({case.name: case for case in cases}.values()) if rare else cases:
-        exact, found = checked(case, seeds, runs)
+    for number, case in enumerate(list({case.name: case for case in cases}.values()) if rare else cases):
+        own = [seed + 1000 * number for seed in seeds]  # no two sets share their runs: their misses are independent
+        exact, found = checked(case, own, runs)
         yield case, exact, found
 
 
@@ -158,6 +160,17 @@ def speeds(runs: int, repeats: int) -> list[Figure]:
                 figures.append(Figure(f"{name}: {steps} steps a run", own, "runs/s", "scalar C, measured now", speed))
                 figures.append(Figure(f"{name}: share of successes", float(share), "", "scalar C", hits))
     return figures
+
+
+def memory(runs: int) -> Figure:
+    """Megabytes at the most while `runs` runs are made, against those of a tenth of them."""
+    start, sizes = speed_start(0.004), []
+    for some in (runs // 10, runs):
+        tracemalloc.start()
+        answer(question(32.0, SECONDS, SECONDS), start, Settings(rule="fixed", runs=some))
+        sizes.append(tracemalloc.get_traced_memory()[1] / 1e6)
+        tracemalloc.stop()
+    return Figure(f"events: memory of {runs:,} runs", sizes[1], "MB", f"of {runs // 10:,}", sizes[0])
 
 
 def processor_time(work: Callable[[], object]) -> float:
@@ -244,6 +257,7 @@ def main(as_json: bool, quick: bool, table: bool, runs: int, seeds: int, rare: b
     if table and not as_json:
         show_agreement(rows)
     figures = [*agreement_figures(rows), *speeds(LARGEST if quick else 8 * LARGEST, 2 if quick else 5)]
+    figures.append(memory(100_000 if quick else 1_000_000))
     give("statistical checking", figures, as_json=as_json)
 
 

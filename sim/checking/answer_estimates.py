@@ -38,7 +38,7 @@ def probability(query: q.Probability, start: Start, settings: Settings, report: 
     never = seen == 0.0 if isinstance(query.path, q.Eventually) else seen == 1.0
     came = "the event came" if isinstance(query.path, q.Eventually) else "a violation came"
     advice: tuple[str, ...] = ()
-    if never and not refusal(one):
+    if never and not refusal(one) and not start.world.sha.effects:
         if runs >= RARE_AFTER:
             try:
                 rarer = rare(one, start, query, settings, report)
@@ -114,6 +114,11 @@ def comparison(query: q.Compared, start: Start, settings: Settings, report: Repo
 
 def rare(one: Watch, start: Start, query: q.Probability, settings: Settings, report: Report) -> Answer:
     """A probability by importance splitting; for `[]` that of the contrary is estimated."""
+    if start.world.sha.effects:
+        raise ValueError(
+            f"importance splitting does not follow effects, and model {start.world.sha.name!r} has some; leave out "
+            "--rare and ask for more runs"
+        )
     where = cuts((one,), one.bound)
     made = engine(start.world, replace(where, longest=min(where.longest, one.bound / SPLIT_STEPS)))
     rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy=settings.seed, spawn_key=(1 << 20,))))

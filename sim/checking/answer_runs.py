@@ -12,6 +12,7 @@ from sim.checking.monitor_course import Courses
 from sim.checking.monitor_formula import affine, split
 from sim.checking.monitor_path import Watch, cuts
 from sim.checking.paths import LONGEST, Engine, World
+from sim.checking.paths_effects import augmented
 from sim.checking.paths_known import Cuts, known
 from sim.checking.paths_semi_markov import semi_markov
 from sim.checking.query import Expression
@@ -31,6 +32,8 @@ Report = Callable[[str, float], None]
 
 def engine(world: World, where: Cuts) -> Engine:
     """The engine for a world: along its trace's events, or by the semi-Markov law."""
+    if world.sha.effects:
+        return augmented(world, where)
     return known(world, where) if world.trace is not None else semi_markov(world, where)
 
 

@@ -27,7 +27,7 @@ def initial(model: Model | Tracker, trace: Trace | None = None, location: str | 
 
     Raises ValueError where there is no such law, reading or location.
     """
-    tracker = _plain(compiled(model))
+    tracker = compiled(model)
     sha = tracker.model.sha
     names = [place.name for place in sha.locations]
     if location is not None and location not in names:
@@ -52,7 +52,7 @@ def believed(model: Model | Tracker, trace: Trace, until: float | None = None, *
     With `recorded` the trace's later events and inputs drive the runs, else the semi-Markov law. Raises ValueError when
     no temperature was read by then, and when nothing is recorded after it.
     """
-    tracker = _plain(compiled(model))
+    tracker = compiled(model)
     end = float(trace.times[-1]) if until is None and trace.times.size else until
     if end is None or not trace.times.size or end < trace.times[0]:
         raise ValueError(f"trace {trace.name!r} has no row up to the time from which the runs should start")
@@ -65,18 +65,6 @@ def believed(model: Model | Tracker, trace: Trace, until: float | None = None, *
     if recorded and end >= trace.times[-1]:
         raise ValueError(f"trace {trace.name!r} ends where the runs start: nothing recorded drives them")
     return Start(from_belief(tracker, belief, trace if recorded else None), _words(belief, trace, recorded=recorded))
-
-
-def _plain(tracker: Tracker) -> Tracker:
-    """The model. Raises ValueError for effects on top of its flows, which the runs of a query do not follow."""
-    sha = tracker.model.sha
-    if sha.effects:
-        kinds = ", ".join(dict.fromkeys(effect.kind for effect in sha.effects))
-        raise ValueError(
-            f"model {sha.name!r} has effects on top of its flows ({kinds}), which queries do not follow: ask the model "
-            "without them, or `decanter model simulate` for its courses"
-        )
-    return tracker
 
 
 def from_belief(tracker: Tracker, belief: Belief, trace: Trace | None = None) -> World:

@@ -189,7 +189,8 @@ def _escape(model: Model, side: Side, bound: Bound, start: float, within: Range,
     up = side.sign > 0
     shift = offset_range(model.sha)[int(up)]
     reach = side.sign * float(np.max(bound.peak)) + shift
-    word = escape(side, side.sign * start, side.sign * (within[int(up)] - shift))
+    bare = side_of(side.graph, up=up)  # a housing as hot as can be would lead ways that no run can go
+    word = escape(bare, side.sign * start, side.sign * (within[int(up)] - shift))
     for one in () if word is None else variants(model, side.graph, word, worn_for(assumptions)):
         read = parse_word(word_text(one))
         try:

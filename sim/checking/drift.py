@@ -8,7 +8,7 @@ and with its greatest one below, so that the pieces meet at the sink; a thermost
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from math import exp, inf, isinf, log
+from math import expm1, inf, isinf, log1p
 
 Pair = tuple[float, float]
 """a (degC/s) and b (1/s, at least 0) of a piece a - b X."""
@@ -108,13 +108,14 @@ def added(parts: Iterable[Drift]) -> Drift:
 
 def _seconds(a: float, b: float, x: float, end: float) -> float:
     """Seconds from `x` to `end` under a - b X, which leads there; inf where it only comes near."""
-    if b == 0 or b * abs(end - x) < 1e-12 * abs(a - b * x):
-        return (end - x) / (a - b * x)
-    settled = a / b
-    if (settled - end) * (settled - x) <= 0:
-        return inf
-    return log((settled - x) / (settled - end)) / b
+    speed = a - b * x
+    if speed == 0:
+        return 0.0  # it is there, but for rounding
+    if b == 0:
+        return (end - x) / speed
+    share = b * (end - x) / speed
+    return -log1p(-share) / b if share < 1 else inf
 
 
 def _moved(a: float, b: float, x: float, dt: float) -> float:
-    return a / b + (x - a / b) * exp(-b * dt) if b * dt > 1e-12 else x + (a - b * x) * dt
+    return x + (a - b * x) * (dt if b == 0 else -expm1(-b * dt) / b)

@@ -77,6 +77,7 @@ class State:
 
     `location`, `entered`, `leaves` (s since the start) and `stays` belong to runs with clocks of their own. `drawn`
     (n, K) are the standard scores of mode parameters that are drawn by laws of their own (`sim.checking.tilting`).
+    `hidden` (n, d + 1) are the states under effects and whether the thermostat is open; empty without effects.
     """
 
     x: Array
@@ -88,10 +89,11 @@ class State:
     leaves: Array = field(default_factory=lambda: np.empty(0))
     stays: Indices = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     drawn: Array = field(default_factory=lambda: np.empty(0))
+    hidden: Array = field(default_factory=lambda: np.empty(0))
 
     def reals(self) -> tuple[Array, ...]:
         """The columns of real numbers."""
-        return self.x, self.mode, self.entered, self.leaves, self.drawn
+        return self.x, self.mode, self.entered, self.leaves, self.drawn, self.hidden
 
     def wholes(self) -> tuple[Indices, ...]:
         """The columns of whole numbers."""
@@ -120,9 +122,9 @@ class State:
 
 
 def _state(reals: list[Array], wholes: list[Indices]) -> State:
-    x, mode, entered, leaves, drawn = reals
+    x, mode, entered, leaves, drawn, hidden = reals
     clamps, limited, location, stays = wholes
-    return State(x, mode, clamps, limited, location, entered, leaves, stays, drawn)
+    return State(x, mode, clamps, limited, location, entered, leaves, stays, drawn, hidden)
 
 
 @dataclass(slots=True)

@@ -156,7 +156,7 @@ def known(world: World, cuts: Cuts) -> Known:
         )
     clock = np.concatenate([[0.0], np.cumsum(steps.dt)])
     rows, columns = _with_columns(world, _rows(world, steps, clock))
-    return Known(world, clock, rows, _notes(trace, world, cuts.bound, len(steps.unmatched)), columns)
+    return Known(world, clock, rows, notes_of(trace, world, cuts.bound, len(steps.unmatched)), columns)
 
 
 def _felt(world: World, trace: Trace) -> list[Event]:
@@ -172,7 +172,8 @@ def _felt(world: World, trace: Trace) -> list[Event]:
     return before + after
 
 
-def _notes(trace: Trace, world: World, bound: float, unmatched: int) -> tuple[str, ...]:
+def notes_of(trace: Trace, world: World, bound: float, unmatched: int) -> tuple[str, ...]:
+    """What limits runs along a trace, one sentence each."""
     notes = []
     last = float(trace.times[-1]) - world.begin if trace.times.size else 0.0
     if last < bound - 1e-6:
@@ -195,7 +196,7 @@ def _outputs(coarse: Schedule, cuts: Cuts) -> Array:
             first, last = max(begin, low), min(begin + dt, high)
             if last > first:
                 points.append(_fine(flow, age + first - begin, last - first, longest=cuts.longest) + first)
-        instants |= set(_crossings(cuts.clocks, begin, dt, age))
+        instants |= set(crossings(cuts.clocks, begin, dt, age))
     doubled = np.repeat(np.array(sorted(instants)), 2)
     singles = np.unique(np.concatenate(points))
     ends = np.append(begins[1:], np.inf)  # steps end there anyway
@@ -220,7 +221,8 @@ def _fine(flow: Flow, age: float, length: float, *, longest: float) -> Array:
     return np.asarray(points[points > 0.0])
 
 
-def _crossings(clocks: Sequence[Affine], begin: float, dt: float, age: float) -> Iterator[float]:
+def crossings(clocks: Sequence[Affine], begin: float, dt: float, age: float) -> Iterator[float]:
+    """The moments (s) of a stretch at which one of the affine functions of the clocks is 0."""
     for c, t, g in clocks:
         if t + g != 0.0:
             time = (g * (begin - age) - c) / (t + g)

@@ -76,12 +76,15 @@ def effect_of(named: Named, model: Model) -> Effect:
     kind = EFFECTS[named.entry.name]
     params = {key: value for key, value in named.params.items() if key in kind.params}
     switch = first_switch(model.alphabet)
-    running = running_locations(model)
+    where: tuple[str, ...] = ()
+    if not kind.everywhere:
+        names = tuple(location.name for location in model.sha.locations)
+        where = _where_known(model, running_locations(model) if named.entry.name in RUNNING_ONLY else names)
     return Effect(
         named.entry.name,
         params,
         {} if named.params.get("walls") else dict(named.signals),
-        locations=running if named.entry.name in RUNNING_ONLY and len(running) < len(model.sha.locations) else (),
+        locations=where if len(where) < len(model.sha.locations) else (),
         event=switch.rising if kind.event and switch is not None else "",
     )
 

@@ -1,16 +1,16 @@
 """Is there a gap at all: how far off the refitted free run is, beside what the given model says of its own noise."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sim.discrepancy.fit import Fitted
 from sim.discrepancy.held_out import by_cycles, let_run
+from sim.discrepancy.record import Record
 from sim.sha.model import Model
 from sim.sha.open_loop import open_loop
 from sim.sha.trace import Trace
-from sim.validation.cycles import split_cycles
 
 WIDE, MOSTLY, SHARE = 2.0, 1.2, 0.2
 """A gap: the median cycle is so many times as far off as the model's own noise allows, and all but this share of the
@@ -35,11 +35,12 @@ class Excess:
 
 
 def excess(model: Model, traces: Sequence[Trace], base: Fitted) -> Excess | None:
-    """The excess of a fit of the model's own parameters; None where the model says nothing of its spread."""
+    """The excess of a fit of the model's own parameters to encoded traces; None where it says nothing of its spread."""
     trial = let_run(base, by_cycles(base.frame.record))
     count = np.bincount(trial.order)
     off = np.sqrt(np.bincount(trial.order, trial.residual**2) / np.maximum(count, 1))
-    spread = [_spread(model, cycle) for trace in traces for cycle in _cycles(trace, model)]
+    record = base.frame.record
+    spread = [_spread(model, piece) for piece in _cycles(record, traces)]
     known = np.array([value for value in spread if np.isfinite(value) and value > 0])
     if not known.size:
         return None
@@ -47,11 +48,16 @@ def excess(model: Model, traces: Sequence[Trace], base: Fitted) -> Excess | None
     return Excess(float(np.median(ratio)), float(np.quantile(ratio, SHARE)))
 
 
-def _cycles(trace: Trace, model: Model) -> list[Trace]:
-    try:
-        return split_cycles(trace, model.alphabet) or [trace]
-    except ValueError:  # no switch: nothing says when a cycle begins
-        return [trace]
+def _cycles(record: Record, traces: Sequence[Trace]) -> Iterator[Trace]:
+    """The traces' rows in each of the record's cycles, with all events up to their ends."""
+    runs = record.runs
+    for number in np.unique(record.cycle):
+        times = runs.time[record.cycle == number]
+        begin, end = float(times[0]), float(np.nextafter(times[-1], np.inf))
+        for trace in traces:
+            piece = trace.between(begin, end)
+            if piece.times.size:
+                yield replace(piece, events=tuple(event for event in trace.events if event.time < end))
 
 
 def _spread(model: Model, cycle: Trace) -> float:

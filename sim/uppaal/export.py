@@ -11,7 +11,7 @@ from sim.artefacts.files import refused, replace_durably
 from sim.sha import distributions
 from sim.sha.automaton import SHA, transitions
 from sim.sha.correction import in_sensor_scale
-from sim.sha.effects import refuse
+from sim.sha.effects import signals_of
 from sim.sha.entry import check_sha
 from sim.sha.events import alphabet_symbols
 from sim.sha.model import Model
@@ -19,6 +19,8 @@ from sim.sha.open_loop import Start, open_loop
 from sim.sha.schedule import Policy
 from sim.sha.trace import UNKNOWN, Trace
 from sim.uppaal.document import Question, System, number, plain, xml_text
+from sim.uppaal.effects import augmented
+from sim.uppaal.effects import refused as refused_effects
 from sim.uppaal.layout import in_a_row, on_a_circle
 from sim.uppaal.machine import Beginning, Move, Variables, machine, variables
 from sim.uppaal.players import event_arrays, input_declarations, input_player, player, skeleton
@@ -78,8 +80,10 @@ def export(
     try:
         model = in_sensor_scale(model)
         check_sha(model.sha)
-        refuse(model.sha, "the UPPAAL export")
         replay = replay_of(model, trace, policy, start)
+        declined = refused_effects(model.sha, tick, replay.passed_over)
+        if declined:
+            raise ExportError(f"model {model.sha.name!r} cannot be exported along trace {trace.name!r}: {declined}")
         more, skeletal = asked(formulas, model)
         peak = float(np.max(open_loop(model, trace, policy, start).mean))
         main = _main(model, replay, tick, (*default_questions(replay, float(ceil(peak))), *more))
@@ -127,7 +131,8 @@ def _main(model: Model, replay: Replay, tick: int, questions: tuple[Question, ..
     law = replay.x0
     drawn = distributions.variance(law) > 0
     begin = Beginning(replay.location, replay.age, distributions.mean(law), law if drawn else None)
-    constants, template = machine(sha, names, known, moves, begin, tick)
+    more = augmented(sha, names, known.inputs, (known.jump, known.since), channels, replay.clocks)
+    constants, template = machine(sha, names, known, moves, begin, tick, more)
     ids = {symbol: index for index, symbol in enumerate(channels)}
     feeder = input_player(replay.readings, known.inputs)
     templates = [on_a_circle(template), in_a_row(player(channels, ids, replay.symbols, timed=True))]
@@ -187,7 +192,7 @@ def _minimal(model: Model, replay: Replay, questions: tuple[Question, ...]) -> D
 
 
 def _signals(sha: SHA) -> list[str]:
-    return sorted({given.signal for location in sha.locations for given in location.flow.inputs})
+    return sorted({given.signal for location in sha.locations for given in location.flow.inputs} | {*signals_of(sha)})
 
 
 def _edges(sha: SHA, channels: Mapping[str, str]) -> list[Move]:

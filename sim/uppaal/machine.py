@@ -8,6 +8,7 @@ from sim.sha.automaton import SHA, Distribution, Flow, Location
 from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
 from sim.sha.flows import RELAXING
 from sim.uppaal.document import Arrow, Place, Template, number, plain
+from sim.uppaal.effects import Augmented
 from sim.uppaal.words import Names, spelled
 
 Move = tuple[str, str, str]
@@ -66,7 +67,7 @@ class Part:
     noisy: bool
 
 
-def part(location: Location, names: Names, known: Variables, max_rate: float) -> Part:
+def part(location: Location, names: Names, known: Variables, max_rate: float, more: Augmented) -> Part:
     """The texts of one location. Raises ValueError for numbers that UPPAAL has no word for."""
     identifier = names.locations[location.name]
     word = spelled([identifier])[identifier]
@@ -79,24 +80,30 @@ def part(location: Location, names: Names, known: Variables, max_rate: float) ->
 
     flow = location.flow
     own = {kind: constant(kind.upper(), flow.params[kind]) for kind in ("k", "t0") if kind in flow.params}
-    rate = _rate(flow, own, known, constant)
-    if isfinite(max_rate) and flow.kind != "constant":
+    rate = more.rate(location.name, _rate(flow, own, known, constant, more.x))
+    if isfinite(max_rate) and rate != "0.0":
         rate = f"fmax(-{known.max_rate}, fmin({rate}, {known.max_rate}))"
     deviation = _deviation(flow, own, known.since, constant)
-    jump = f"Temp + {deviation} * random_normal(0.0, 1.0)" if deviation else "Temp"
+    jump = f"{more.x} + {deviation} * random_normal(0.0, 1.0)" if deviation else more.x
     enter = _entered(location, known, constant)
-    return Part(tuple(constants), rate, (f"{known.jump} = {jump}", *clamp(known)), enter, bool(deviation))
+    return Part(
+        tuple(constants),
+        rate,
+        (f"{known.jump} = {jump}", *(more.left or {}).get(location.name, ()), *clamp(known)),
+        enter,
+        bool(deviation),
+    )
 
 
-def _rate(flow: Flow, own: Mapping[str, str], known: Variables, constant: Constant) -> str:
-    """The right-hand side of Temp' without a limit."""
+def _rate(flow: Flow, own: Mapping[str, str], known: Variables, constant: Constant, x: str) -> str:
+    """The flow's own part of the rate of X."""
     if flow.kind in RELAXING:
         target = known.mode
         for given in flow.inputs:
             value, read = known.inputs[given.signal]
             gain, reference = constant("GAIN", given.gain), constant("REF", given.reference)
             target += f" + {read} * {gain} * ({value} - {reference})"
-        return f"{own['k']} * ({target} - Temp)"
+        return f"{own['k']} * ({target} - {x})"
     if flow.kind == "logarithmic":
         return f"{known.mode} / ({own['t0']} + age)"
     return known.mode if flow.kind == "linear" else "0.0"
@@ -155,15 +162,21 @@ class Beginning:
 
 
 def machine(
-    sha: SHA, names: Names, known: Variables, moves: Sequence[Move], begin: Beginning, tick: int
+    sha: SHA,
+    names: Names,
+    known: Variables,
+    moves: Sequence[Move],
+    begin: Beginning,
+    tick: int,
+    more: Augmented,
 ) -> tuple[str, Template]:
     """The machine's constants (for the global declarations) and its template `Machine`, not laid out yet.
 
-    `tick` (s) bounds the time between two draws of the noise; 0 draws it at events only. Raises ValueError for numbers
-    that UPPAAL has no word for.
+    `tick` (s) bounds the time between two draws of the noise; 0 draws it at events only. `more` is what effects add.
+    Raises ValueError for numbers that UPPAAL has no word for.
     """
-    parts = {location.name: part(location, names, known, sha.max_rate) for location in sha.locations}
-    places = [_place(location, names, known, parts[location.name], tick) for location in sha.locations]
+    parts = {location.name: part(location, names, known, sha.max_rate, more) for location in sha.locations}
+    places = [_place(location, names, known, parts[location.name], tick, more) for location in sha.locations]
     start = Place(names.fresh("start"), kind="committed")
     extra: list[str] = []
 
@@ -172,20 +185,27 @@ def machine(
         return name
 
     first = draw(begin.law, constant) if begin.law else "Temp"
-    opening = (f"{known.jump} = {first}", *clamp(known), f"Temp = {known.jump}", f"age = {number(begin.age)}")
+    first = f"{first} - {more.offset}" if more.offset else first
+    opening = (f"{known.jump} = {first}", *clamp(known), *more.settled, *more.opening, f"age = {number(begin.age)}")
     mode = [update for update in parts[begin.location].enter if update.startswith(f"{known.mode} = ")]
     arrows = [Arrow(start.name, names.locations[begin.location], update=joined(*opening, *mode))]
     for source, channel, target in moves:
-        updates = (*parts[source].leave, *parts[target].enter, f"Temp = {known.jump}", f"{known.since} = 0", "age = 0")
+        resets = (*(more.resets or {}).get(channel, ()), f"{known.since} = 0", "age = 0")
+        updates = (*parts[source].leave, *parts[target].enter, *more.settled, *resets)
         text = joined(*updates, f"{known.taken} = {known.taken} + 1")
         arrows.append(Arrow(names.locations[source], names.locations[target], sync=f"{channel}?", update=text))
-    arrows += [_tick(names.locations[name], known, each) for name, each in parts.items() if each.noisy and tick]
+    for name, each in parts.items():
+        if tick and (each.noisy or more.polled):
+            arrows.append(_tick(names.locations[name], known, each, more))
+        arrows += more.loops(names.locations[name])
     comments = [f"// {names.locations[one.name]}: {plain(one.name)}, {one.flow.kind}" for one in sha.locations]
     constants = [
         line for comment, each in zip(comments, parts.values(), strict=True) for line in (comment, *each.constants)
     ]
-    declared = _declarations(known, begin.temperature)
-    return "\n".join([*constants, *extra]), Template("Machine", declared, (start, *places), tuple(arrows), start.name)
+    declared = "\n".join([_declarations(known, begin.temperature), *more.declared])
+    return "\n".join([*constants, *more.constants, *extra]), Template(
+        "Machine", declared, (start, *places), tuple(arrows), start.name
+    )
 
 
 def _declarations(known: Variables, temperature: float) -> str:
@@ -204,15 +224,15 @@ def _declarations(known: Variables, temperature: float) -> str:
     )
 
 
-def _place(location: Location, names: Names, known: Variables, each: Part, tick: int) -> Place:
-    bound = f"{known.since} <= {known.tick} && " if each.noisy and tick else ""
+def _place(location: Location, names: Names, known: Variables, each: Part, tick: int, more: Augmented) -> Place:
+    bound = f"{known.since} <= {known.tick} && " if tick and (each.noisy or more.polled) else ""
     comment = f"{plain(location.name)}: {location.flow.kind}, entry {location.entry}"
-    return Place(names.locations[location.name], invariant=f"{bound}Temp' == {each.rate}", comment=comment)
+    return Place(names.locations[location.name], invariant=f"{bound}{more.invariant(each.rate)}", comment=comment)
 
 
-def _tick(place: str, known: Variables, each: Part) -> Arrow:
+def _tick(place: str, known: Variables, each: Part, more: Augmented) -> Arrow:
     """Draws the noise of the seconds gone by; the stay goes on."""
-    text = joined(*each.leave, f"Temp = {known.jump}", f"{known.since} = 0")
+    text = joined(*each.leave, *more.settled, f"{known.since} = 0")
     return Arrow(place, place, guard=f"{known.since} >= {known.tick}", update=text)
 
 

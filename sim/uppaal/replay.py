@@ -1,12 +1,13 @@
 """What an exported model replays: where the run starts, the timed events, the held readings of the inputs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 
 from sim.sha.automaton import SHA, Distribution, transitions
+from sim.sha.effects import dead_time, signals_of
 from sim.sha.model import Model
 from sim.sha.open_loop import Start, open_loop_schedule, start_law
 from sim.sha.schedule import Policy, resync_targets
@@ -29,14 +30,23 @@ class Readings:
 
 
 @dataclass(frozen=True, slots=True)
+class Clocks:
+    """Where a run begins: `start` in absolute s, seconds since each start-up's event (inf: none yet), by effect."""
+
+    start: float
+    since: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Replay:
     """One trace as the exported model plays it; times in seconds since the first reading of the temperature.
 
     `location` is where the run starts and `age` for how long it has been there (s); `x0` the law of the first
     temperature. `times` and `symbols` are the events from the start to the last reading, `duration` the time between
     (s), `added` the moves (source, symbol, target) that the policy makes where the automaton has no edge, `dropped`
-    the number of events that it passes over. `all_symbols` are those of the whole trace, from the automaton's own
-    initial location on, for the compatibility model.
+    the number of events that it passes over and `passed_over` their symbols. Under a dead time all times are those at
+    which events and readings are felt; `clocks` are those of the effects. `all_symbols` are those of the whole trace,
+    from the automaton's own initial location on, for the compatibility model.
     """
 
     trace: str
@@ -49,6 +59,8 @@ class Replay:
     readings: Readings
     added: tuple[tuple[str, str, str], ...]
     dropped: int
+    passed_over: tuple[str, ...]
+    clocks: Clocks
     all_symbols: tuple[str, ...]
     accepted: bool
 
@@ -67,8 +79,10 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
     steps = open_loop_schedule(model, trace, policy)
     law = start_law(model, trace, start)
     begin, end = steps.start, float(steps.times[-1])
-    events = [event for event in trace.events if begin <= event.time <= end]
-    added, dropped = _moves(model.sha, trace.events, begin, end, policy)
+    felt = _later(trace, dead_time(model.sha))
+    events = [event for event in felt.events if begin <= event.time <= end]
+    added, passed_over = _moves(model.sha, felt.events, begin, end, policy)
+    since = () if steps.segments is None else tuple(float(column[0]) for column in steps.segments.since)
     return Replay(
         trace=trace.name,
         location=model.sha.locations[int(steps.location[0])].name,
@@ -77,9 +91,11 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
         times=tuple(round(event.time - begin, DIGITS) for event in events),
         symbols=tuple(event.symbol for event in events),
         duration=round(end - begin, DIGITS),
-        readings=_readings(model, trace, begin, end),
+        readings=_readings(model, felt, begin, end),
         added=added,
-        dropped=dropped,
+        dropped=len(passed_over),
+        passed_over=passed_over,
+        clocks=Clocks(begin, since),
         all_symbols=tuple(event.symbol for event in trace.events),
         accepted=_accepted(model.sha, trace.events),
     )
@@ -98,29 +114,38 @@ def _accepted(sha: SHA, events: Sequence[Event]) -> bool:
 
 def _moves(
     sha: SHA, events: Sequence[Event], begin: float, end: float, policy: Policy
-) -> tuple[tuple[tuple[str, str, str], ...], int]:
-    """The moves between `begin` and `end` for which the automaton has no edge, and how many events are passed over."""
+) -> tuple[tuple[tuple[str, str, str], ...], tuple[str, ...]]:
+    """The moves between `begin` and `end` for which the automaton has no edge, and the events passed over."""
     moves, fallback, here = transitions(sha), resync_targets(sha), sha.initial
     added: dict[tuple[str, str, str], None] = {}
-    dropped = 0
+    dropped: list[str] = []
     for event in events:
         if event.time > end:
             break
         target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
         if target is None:
             if policy == "ignore":
-                dropped += event.time >= begin
+                dropped += [event.symbol] if event.time >= begin else []
                 continue
             target = fallback.get(event.symbol, sha.initial)
         if event.time >= begin and (event.symbol == UNKNOWN or (here, event.symbol) not in moves):
             added[here, event.symbol, target] = None
         here = target
-    return tuple(added), dropped
+    return tuple(added), tuple(dropped)
+
+
+def _later(trace: Trace, delay: float) -> Trace:
+    """The trace as it is felt after a dead time (s)."""
+    if not delay:
+        return trace
+    events = tuple(Event(event.time + delay, event.symbol) for event in trace.events)
+    return replace(trace, times=trace.times + delay, events=events)
 
 
 def _readings(model: Model, trace: Trace, begin: float, end: float) -> Readings:
     """The rows in which a reading of a driving signal changed, from `begin` on."""
-    signals = sorted({given.signal for location in model.sha.locations for given in location.flow.inputs})
+    driving = {given.signal for location in model.sha.locations for given in location.flow.inputs}
+    signals = sorted(driving | {*signals_of(model.sha)})
     present = [signal for signal in signals if signal in trace.signals]
     rows = np.flatnonzero((trace.times > begin) & (trace.times < end))
     held: dict[str, Array] = {}

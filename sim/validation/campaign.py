@@ -15,6 +15,7 @@ from itertools import groupby
 from typing import Any, TypeVar
 from warnings import catch_warnings, simplefilter
 
+from sim.sha.effects import signals_of
 from sim.sha.model import Model
 from sim.sha.trace import Trace
 from sim.validation.load_report import LoadReport
@@ -75,6 +76,7 @@ def slim(trace: Trace, model: Model) -> Trace:
     """The signals that the model can see; events are encoded where the job runs."""
     wanted = {model.temperature, *(channel.signal for channel in model.alphabet.channels)}
     wanted |= {given.signal for location in model.sha.locations for given in location.flow.inputs}
+    wanted |= set(signals_of(model.sha))
     signals = {name: column for name, column in trace.signals.items() if name in wanted}
     bad = {name: column for name, column in trace.bad.items() if name in wanted}
     return replace(trace, signals=signals, bad=bad, events=())

@@ -14,17 +14,18 @@ from sim.checking.envelope import DAY, Assumptions, envelopes
 from sim.checking.structure import moves
 from sim.checking.verify import verify
 from sim.checking.word import parse_word, replay, word_text
-from sim.sha.automaton import SHA, Distribution, Edge, Effect, Flow, Location
-from sim.sha.effects import sensor_offset, sensor_offsets, signals_of
+from sim.sha.automaton import Distribution, Effect
+from sim.sha.effects import signals_of
 from sim.sha.events import Alphabet, Switch, alphabet_symbols
 from sim.sha.model import Correction, Model, Stay
-from sim.sha.moments import augmented_course, moments
+from sim.sha.moments import moments
 from sim.sha.schedule import schedule
 from sim.sha.trace import Event, Trace
-from tests.sha.effect_reference import EFFECTS, TOGETHER, normal, plant, without_noise
+from tests.sha.effect_reference import EFFECTS, TOGETHER, plant, without_noise
+from tests.sha.models import normal
 
 RANGES = {"I": (50.0, 200.0), "M": (-5.0, 40.0), "Ta": (10.0, 30.0), "P": (0.0, 1.0)}
-RUNS = 4
+RUNS = 3
 ALPHABET = Alphabet((Switch("on", "W_ON", "W_OFF"),))
 EVERY = {**EFFECTS, **TOGETHER}
 
@@ -47,7 +48,9 @@ def random_run(model: Model, rng: np.random.Generator, shortest: float, longest:
     events = [Event(begin + float(time), str(symbol)) for time, symbol in zip(times, symbols, strict=True)]
     clock = np.concatenate([[0.0], np.sort(rng.uniform(0.0, times[-1], 30))]) + begin
     signals = {
-        name: np.where(rng.random(clock.size) < 0.4, rng.choice([low, high], clock.size), rng.uniform(low, high, clock.size))
+        name: np.where(
+            rng.random(clock.size) < 0.4, rng.choice([low, high], clock.size), rng.uniform(low, high, clock.size)
+        )
         for name, (low, high) in RANGES.items()
     }
     return events, Trace("inputs", clock, signals)
@@ -83,13 +86,17 @@ def test_thousands_of_words_with_every_stays_own_parameter_stay_inside() -> None
     count = 0
     for name in EVERY:
         model = model_of(name)
-        places = tuple(replace(place, distribution=normal(place.distribution.params["mu"], 3.0)) for place in model.sha.locations)  # type: ignore[union-attr]
+        places = tuple(
+            replace(place, distribution=normal(mean, 3.0))
+            for place, mean in zip(model.sha.locations, (22.0, 55.0), strict=True)
+        )
         model = replace(model, sha=replace(model.sha, locations=places))
         given = assumed(model)
         found = find_bounds(model, -500.0, 500.0, given)
         rooms = {r.location: r for r in envelopes(model, given, moves(model.sha, alphabet_symbols(ALPHABET), "resync"))}
         low, high = (f(s) for f, s in zip((min, max), zip(*found.intervals.values(), strict=True), strict=True))
-        for _ in range(70):
+        slow = any(one.kind in ("radiation-loss", "thermostatic-cooling") for one in EVERY[name])
+        for _ in range(4 if slow else 80):
             items, time, here = [], 0.0, "off"
             for number in range(int(rng.integers(1, 8))):
                 signals = [f"{one}={rng.choice([*RANGES[one], rng.uniform(*RANGES[one])])}" for one in given.inputs]
@@ -102,7 +109,7 @@ def test_thousands_of_words_with_every_stays_own_parameter_stay_inside() -> None
             done = replay(model, parse_word(" ".join([*items, f"@{time}"])))
             assert low - 3e-3 <= done.lowest and done.highest <= high + 3e-3, (name, items)
             count += 1
-    assert count > 1800
+    assert count > 1400
 
 
 # ------------------------------------------------------------------ bounds that are reached
@@ -138,22 +145,21 @@ def test_start_up_heat_can_be_kept_at_its_greatest_by_starting_again_and_again()
     model = model_of("startup-churning")
     reach = find_bounds(model, 0.0, 150.0, Assumptions()).intervals["on"][1]
     assert reach == pytest.approx(55.0 + 0.1 / 0.004)
-    word = " ".join(["@0,T=80", *(f"W_ON@{10.0 * n + 1.0} W_OFF@{10.0 * n + 10.0}" for n in range(40)), "@401"])
+    word = " ".join(["@0,T=60", *(f"W_ON@{10.0 * n + 1.0} W_OFF@{10.0 * n + 10.0}" for n in range(40)), "@401"])
     assert 70.0 < replay(model, parse_word(word)).highest < reach
 
 
 # ------------------------------------------------------------------ deployment
 
 
-@pytest.mark.parametrize("name", [name for name in EVERY if name != "thermostat, radiation"])
+def weak(effect: Effect) -> dict[str, float]:
+    return {"gain": 1e-14} if effect.kind == "radiation-loss" else {"loss": 1e-5} if "loss" in effect.params else {}
+
+
+@pytest.mark.parametrize("name", EVERY)
 def test_a_model_that_runs_away_is_refused_with_the_word_whatever_effects_it_has(name: str) -> None:
     """Running warms at 0.05 degC/s: only what takes heat in proportion could hold it, so losses are made small."""
-    small = tuple(
-        replace(one, params={**one.params, **{key: 1e-5 if key == "loss" else 1e-16 for key in ("loss",) if key in one.params}})
-        if one.kind != "radiation-loss"
-        else replace(one, params={**one.params, "gain": 1e-14})
-        for one in EVERY[name]
-    )
+    small = tuple(replace(one, params={**one.params, **weak(one)}) for one in EVERY[name])
     sha = without_noise(plant("linear", small))
     places = (sha.locations[0], replace(sha.locations[1], distribution=normal(0.05, 0.0)))
     model = Model(replace(sha, locations=places, low=0.0, high=150.0), ALPHABET, "T", 0.1, normal(20.0, 1.0))
@@ -200,14 +206,18 @@ def test_a_wear_that_diverges_in_years_is_deployable_today_and_says_until_when()
 def test_a_correction_carries_the_bounds_along() -> None:
     model = hot()
     plain = find_bounds(model, 0.0, 150.0, assumed(model)).intervals["on"]
-    moved = find_bounds(replace(model, correction=Correction(1.2, -3.0)), 0.0, 200.0, replace(assumed(model), start=(1.2 * 22 - 3,) * 2))
+    moved = find_bounds(
+        replace(model, correction=Correction(1.2, -3.0)), 0.0, 200.0, replace(assumed(model), start=(1.2 * 22 - 3,) * 2)
+    )
     assert moved.intervals["on"] == pytest.approx(tuple(1.2 * x - 3.0 for x in plain))
 
 
 # ------------------------------------------------------------------ the drift's pieces
 
 
-pieces = st.lists(st.tuples(st.floats(0.0, 0.05), st.floats(-20.0, 80.0), st.sampled_from([0.0, 0.3])), min_size=1, max_size=4)
+pieces = st.lists(
+    st.tuples(st.floats(0.0, 0.05), st.floats(-20.0, 80.0), st.sampled_from([0.0, 0.3])), min_size=1, max_size=4
+)
 
 
 @settings(max_examples=80, deadline=None)

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.rig import ROOT, Gateway, Rig, known_model, make_rig, restless_trace
+from benchmarks.rig import ROOT, TARGETS, Gateway, Rig, known_model, make_rig, restless_trace
 from gateway.history import reading
 from sim.artefacts.model_directory import write_model_directory
 from sim.artefacts.store import CURRENT, save
 from sim.plc.recording import read_recording
-from sim.sha.automaton import Distribution, Flow
-from sim.sha.model import Model
+from sim.sha.automaton import Distribution, Effect, Flow
+from sim.sha.model import Model, Stay
 
 PERIOD = 0.1
 
@@ -35,6 +35,21 @@ def diverging() -> Model:
         for place in model.sha.locations
     )
     return replace(model, sha=replace(model.sha, locations=places))
+
+
+def augmented() -> Model:
+    """The known model with what a diagnosis may add: heat of the current, a pump, a housing, a slow sensor."""
+    model = named("augmented")
+    running = tuple(name for name in TARGETS if name.startswith("ON/"))
+    effects = (
+        Effect("current-heating", {"gain": 1e-5, "reference": 150.0}, {"current": "Assorbimento"}, running),
+        Effect("pump-cooling", {"loss": 2e-6, "sink": 20.0}, {"pump": "VelocitaPompa"}),
+        Effect("housing-thermal-mass", {"coupling": 1e-3, "tau": 1200.0}),
+        Effect("sensor-lag", {"tau": 5.0, "order": 2.0}),
+        Effect("dead-time", {"delay": 0.3}),
+    )
+    stay = Stay(Distribution("exponential", {"mean": 60.0}), {"OFF/0-100": 1.0}, {"VelocitaPompa": (50.0, 15.0)})
+    return replace(model, sha=replace(model.sha, effects=effects), semi_markov={running[0]: stay})
 
 
 def decanter(*arguments: object) -> "subprocess.CompletedProcess[str]":
@@ -69,7 +84,9 @@ def go_on(gateway: Gateway, blocks: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_promoted_version_runs_without_a_restart_and_one_that_diverges_changes_nothing(tmp_path: Path) -> None:
+def test_promoted_versions_run_without_a_restart_one_with_effects_too_and_one_that_diverges_changes_nothing(
+    tmp_path: Path,
+) -> None:
     rig, store = on_a_store(tmp_path)
     first = promoted(store, tmp_path, named("first"))
     with rig.plc() as plc, rig.gateway(plc) as gateway:
@@ -79,22 +96,25 @@ def test_a_promoted_version_runs_without_a_restart_and_one_that_diverges_changes
         second = promoted(store, tmp_path, named("second"))
         gateway.wait_for(lambda status: status["model"]["version"] == second)
         go_on(gateway, 10)
+        third = promoted(store, tmp_path, augmented())
+        gateway.wait_for(lambda status: status["model"]["version"] == third)
+        go_on(gateway, 20)
 
         bad = save(store, diverging(), created=1.0)
         refused = decanter("model", "promote", store, bad)
         assert refused.returncode == 2 and "is not promoted, as it does not verify: growth" in refused.stderr
         (store / CURRENT).write_text(bad + "\n", encoding="utf-8")  # past the command, which refused it
         said = gateway.wait_for(lambda status: bool(status["model"]["refused"]))
-        assert said["model"]["version"] == second and "growth refuted" in said["model"]["refused"]
+        assert said["model"]["version"] == third and "growth refuted" in said["model"]["refused"]
         go_on(gateway, 10)
         last = gateway.status
-        assert (last["failures"], last["model"]["version"]) == (0, second)
+        assert (last["failures"], last["model"]["version"]) == (0, third)
         assert gateway.stop()[0] == 0
     blocks = [block.fields for block in read_recording(rig.recording).blocks if block.fields is not None]
     hashes = [fields["model_hash"] for fields in blocks if int(fields["validity"]) & 16]
-    assert len(set(hashes)) == 2 and hashes == sorted(hashes, key=hashes.index), "one change, and never back"
+    assert len(set(hashes)) == 3 and hashes == sorted(hashes, key=hashes.index), "two changes, and never back"
     with reading(rig.historian) as connection:
         told = connection.execute("SELECT what FROM audit WHERE what LIKE '%model%' ORDER BY id").fetchall()
         unknown = connection.execute("SELECT count(*) FROM predictions WHERE NOT known").fetchone()[0]
-    assert told == [(f"model {second} runs",), ("promoted model refused",)]
+    assert told == [(f"model {second} runs",), (f"model {third} runs",), ("promoted model refused",)]
     assert unknown <= 3, "the location is unknown at the very start alone"

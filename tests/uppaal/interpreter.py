@@ -78,7 +78,11 @@ class Compiler(Transformer[Token, Code]):
         return lambda env: function(*(one(env) for one in arguments))
 
     def choice(self, parts: list[Any]) -> Code:
-        return lambda env: np.where(parts[0](env), parts[1](env), parts[2](env))
+        def chosen(env: Env) -> Any:
+            with np.errstate(divide="ignore", invalid="ignore"):  # the part that is not taken is worked out too
+                return np.where(parts[0](env), parts[1](env), parts[2](env))
+
+        return chosen
 
     def either(self, parts: list[Any]) -> Code:
         return lambda env: np.logical_or(parts[0](env), parts[1](env))
@@ -278,7 +282,8 @@ class Network:
     def pass_time(self, delay: float, most: float) -> None:
         """Advances all clocks; those with a rate of their own by Runge-Kutta steps of at most `most` seconds."""
         for process in self.processes:
-            rates = dict(re.findall(r"(\w+)' == (.+)", process.invariants[process.here].split(" && ")[-1]))
+            parts = process.invariants[process.here].split(" && ")
+            rates = dict(found.groups() for part in parts if (found := re.fullmatch(r"(\w+)' == (.+)", part)))
             steps = max(1, int(np.ceil(delay / most))) if rates else 1
             for _ in range(steps):
                 self._advance(process, rates, delay / steps)

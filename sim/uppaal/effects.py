@@ -1,0 +1,334 @@
+"""Effects in UPPAAL's words: terms of the rate, hybrid clocks for the housing and the sensor, a valve that is polled.
+
+`Temp` stays what the sensor reads. Without a lag or an offset it is X itself; else X is a hybrid clock of its own, or
+`Temp` less what the sensor reads too much. A dead time is in the times of events and readings already (`replay`).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from sim.sha.augmented.plant import Plant, compile_plant
+from sim.sha.automaton import SHA, Effect
+from sim.sha.effects import acts_in, of_kind, parameter
+from sim.uppaal.document import Arrow, number
+from sim.uppaal.players import array
+from sim.uppaal.replay import Clocks
+from sim.uppaal.words import Names
+
+Inputs = Mapping[str, tuple[str, str]]
+"""signal -> (its value, the flag that it was read)."""
+
+NEVER = 1e12
+"""Seconds at which no more steps of the sensor come."""
+
+
+@dataclass(frozen=True, slots=True)
+class Augmented:
+    """The texts that effects add to a machine.
+
+    `x` is the expression of X, `clock` the hybrid clock that moves at X's rate. `constants` are lines for the global
+    declarations, `declared` for the machine's own.
+    `terms` has for each location what is added to its rate, `rates` the other hybrid clocks' rates, `bounds` what else
+    an invariant says. `opening` are updates at the start after `settled`, which puts the jump variable into X and what
+    follows it; `left` are those of each location before that, `resets` those on a channel. `arrows` are (guard,
+    updates) of loops at every place; `polled` says that a valve is looked at each tick, `offset` is what the sensor
+    reads too much.
+    """
+
+    x: str = "Temp"
+    clock: str = "Temp"
+    constants: tuple[str, ...] = ()
+    declared: tuple[str, ...] = ()
+    terms: Mapping[str, str] | None = None
+    rates: tuple[str, ...] = ()
+    bounds: tuple[str, ...] = ()
+    opening: tuple[str, ...] = ()
+    settled: tuple[str, ...] = ("Temp = jump",)
+    left: Mapping[str, tuple[str, ...]] | None = None
+    resets: Mapping[str, tuple[str, ...]] | None = None
+    arrows: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    polled: bool = False
+    offset: str = ""
+
+    def rate(self, location: str, own: str) -> str:
+        """The rate of X in a location, whose flow has the rate `own`."""
+        return own + (self.terms or {}).get(location, "")
+
+    def invariant(self, rate: str) -> str:
+        """The invariant's rates and bounds, X moving at `rate`."""
+        return " && ".join([*self.bounds, f"{self.clock}' == {rate}", *self.rates])
+
+    def loops(self, place: str) -> list[Arrow]:
+        """The edges from a place to itself."""
+        return [Arrow(place, place, guard=guard, update=", ".join(updates)) for guard, updates in self.arrows]
+
+
+def augmented(
+    sha: SHA, names: Names, inputs: Inputs, own: tuple[str, str], channels: Mapping[str, str], clocks: Clocks
+) -> Augmented:
+    """The texts of an automaton's effects; those of a plain machine without any.
+
+    `own` are the machine's variables for the jump and for the seconds since the last one.
+    """
+    if not sha.effects:
+        return Augmented(settled=(f"Temp = {own[0]}",))
+    return _Writer(sha, names, inputs, own, channels, clocks).written()
+
+
+class _Writer:
+    """Collects the lines of one automaton."""
+
+    def __init__(
+        self,
+        sha: SHA,
+        names: Names,
+        inputs: Inputs,
+        own: tuple[str, str],
+        channels: Mapping[str, str],
+        clocks: Clocks,
+    ) -> None:
+        self.sha, self.names, self.inputs = sha, names, inputs
+        self.jump, self.since = own
+        self.channels, self.clocks = channels, clocks
+        self.plant: Plant = compile_plant(sha)
+        self.constants: list[str] = ["// What acts on top of the flows."]
+        self.declared: list[str] = []
+        self.rates: list[str] = []
+        self.opening: list[str] = []
+        self.following: list[str] = []
+        self.resets: dict[str, list[str]] = {}
+        self.left: dict[str, tuple[str, ...]] = {}
+        self.x = "Temp"
+        self.offset = ""
+
+    def constant(self, kind: str, value: float) -> str:
+        name = self.names.fresh(kind)
+        self.constants.append(f"const double {name} = {number(value)};")
+        return name
+
+    def written(self) -> Augmented:
+        bounds, arrows = self._sensor()
+        heats = [(effect, self._heat(effect)) for effect in self.sha.effects if effect.kind in _HEATS]
+        terms = {
+            place.name: "".join(text for effect, text in heats if acts_in(effect, place.name))
+            for place in self.sha.locations
+        }
+        shown = f"Temp = {self.jump} + {self.offset}" if self.offset else f"Temp = {self.jump}"
+        settled = [f"{self.x} = {self.jump}" if self.plant.lags else shown, *self.following]
+        return Augmented(
+            x=self.x,
+            clock=self.x if self.plant.lags else "Temp",
+            constants=tuple(self.constants),
+            declared=tuple(self.declared),
+            terms=terms,
+            rates=tuple(self.rates),
+            bounds=bounds,
+            opening=tuple(self.opening),
+            settled=tuple(settled),
+            left=self.left,
+            resets={channel: tuple(updates) for channel, updates in self.resets.items()},
+            arrows=arrows,
+            polled=self.plant.thermostat is not None,
+            offset=self.offset,
+        )
+
+    # -------------------------------------------------------------- the sensor
+
+    def _sensor(self) -> tuple[tuple[str, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
+        """Names X, and says how `Temp` follows it; (bounds, loops) of the steps of an offset."""
+        bounds, arrows = self._steps()
+        reading = f"(Temp - {self.offset})" if self.offset else "Temp"
+        if not self.plant.lags:
+            self.x = reading
+            return bounds, arrows
+        rate = self.constant("LAG_RATE", self.plant.lag_rate)
+        clocks = [self.names.fresh("core")]
+        clocks += [self.names.fresh(f"lag_{place}") for place in range(1, self.plant.lags)]
+        self.x = clocks[0]
+        self.declared += ["// X itself and the lags before the sensor's last, which Temp is.", *map(_hybrid, clocks)]
+        for before, after in zip(clocks, [*clocks[1:], "Temp"], strict=True):
+            value = reading if after == "Temp" else after
+            self.rates.append(f"{after}' == {rate} * ({before} - {value})")
+        shown = f"Temp = {self.jump} + {self.offset}" if self.offset else f"Temp = {self.jump}"
+        self.opening += [*(f"{clock} = {self.jump}" for clock in clocks), shown]
+        return bounds, arrows
+
+    def _steps(self) -> tuple[tuple[str, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
+        steps = sorted(
+            (one.params["at"] - self.clocks.start, one.params["size"])
+            for one in self.sha.effects
+            if one.kind == "sensor-offset-step"
+        )
+        if not steps:
+            return (), ()
+        self.offset = self.names.fresh("wrong")
+        now = sum(size for at, size in steps if at <= 0)
+        self.declared += ["// What the sensor reads too much.", f"double {self.offset} = {number(now)};"]
+        later = [(round(at, 6), size) for at, size in steps if at > 0]
+        if not later:
+            return (), ()
+        index, times, sizes = (self.names.fresh(name) for name in ("next_s", "STEP_TIMES", "STEPS"))
+        self.declared.append(f"int {index} = 0;")
+        self.constants.append(array("double", times, [*(number(at) for at, _ in later), number(NEVER)]))
+        self.constants.append(array("double", sizes, [*(number(size) for _, size in later), "0.0"]))
+        step = f"{sizes}[{index}]"
+        updates = (f"{self.offset} = {self.offset} + {step}", f"Temp = Temp + {step}", f"{index} = {index} + 1")
+        return (f"time <= {times}[{index}]",), ((f"time >= {times}[{index}]", updates),)
+
+    # -------------------------------------------------------------- heats
+
+    def _heat(self, effect: Effect) -> str:
+        """The term of a rate, with its sign."""
+        return _HEATS[effect.kind](self, effect)
+
+    def read(self, effect: Effect, role: str) -> tuple[str, str]:
+        """(value, flag) of the signal that fills a role."""
+        return self.inputs[effect.signals[role]]
+
+    def degrees(self, effect: Effect, role: str) -> str:
+        """A temperature signal in the scale of X."""
+        value = self.read(effect, role)[0]
+        scale, shift = parameter(effect, "scale"), parameter(effect, "shift")
+        if (scale, shift) == (1.0, 0.0):
+            return value
+        return f"({self.constant('SCALE', scale)} * {value} + {self.constant('SHIFT', shift)})"
+
+
+def _hybrid(clock: str) -> str:
+    return f"hybrid clock {clock};"
+
+
+def _against_reference(writer: _Writer, effect: Effect) -> str:
+    (role,) = effect.signals
+    value, read = writer.read(effect, role)
+    gain, reference = (writer.constant(name.upper(), effect.params[name]) for name in ("gain", "reference"))
+    if effect.kind == "quadratic-current-heating":
+        return f" + {read} * {gain} * ({value} * {value} - {reference} * {reference})"
+    return f" + {read} * {gain} * ({value} - {reference})"
+
+
+def _saturation(writer: _Writer, effect: Effect) -> str:
+    value, read = writer.read(effect, "current")
+    gain, knee = (writer.constant(name.upper(), effect.params[name]) for name in ("gain", "knee"))
+    return f" - {read} * {gain} * fmax({value} - {knee}, 0.0)"
+
+
+def _friction(writer: _Writer, effect: Effect) -> str:
+    (role,) = effect.signals
+    value, read = writer.read(effect, role)
+    p = effect.params
+    gain, power = writer.constant("GAIN", p["gain"]), writer.constant("POWER", p["power"])
+    usual = writer.constant("USUAL", max(p["reference"], 0.0) ** p["power"])
+    return f" + {read} * {gain} * (pow(fmax({value}, 0.0), {power}) - {usual})"
+
+
+def _feed(writer: _Writer, effect: Effect) -> str:
+    feed, read = writer.degrees(effect, "feed"), writer.read(effect, "feed")[1]
+    loss = writer.constant("LOSS", effect.params["loss"])
+    pumped = ""
+    if "pump" in effect.signals:
+        value, known = writer.read(effect, "pump")
+        pumped = f"{known} * fmax({value}, 0.0) * "
+    return f" - {read} * {pumped}{loss} * ({writer.x} - {feed})"
+
+
+def _pump(writer: _Writer, effect: Effect) -> str:
+    value, read = writer.read(effect, "pump")
+    loss = writer.constant("LOSS", effect.params["loss"])
+    if "sink" in effect.signals:
+        sink, read = writer.degrees(effect, "sink"), f"{read} * {writer.read(effect, 'sink')[1]}"
+    else:
+        sink = writer.constant("SINK", effect.params["sink"])
+    return f" - {read} * {loss} * fmax({value}, 0.0) * ({writer.x} - {sink})"
+
+
+def _startup(writer: _Writer, effect: Effect) -> str:
+    gain, tau, shape = (writer.constant(name.upper(), effect.params[name]) for name in ("gain", "tau", "shape"))
+    clock, begun = writer.names.fresh("running"), writer.names.fresh("begun")
+    number_of = [one for one in writer.sha.effects if one.kind == effect.kind].index(effect)
+    since = writer.clocks.since[number_of]
+    known = since < NEVER
+    writer.declared += [f"// Since {effect.event}.", f"clock {clock};", f"int {begun} = {int(known)};"]
+    if known:
+        writer.opening.append(f"{clock} = {number(since)}")
+    channel = writer.channels.get(effect.event)
+    if channel is not None:
+        writer.resets.setdefault(channel, []).extend([f"{clock} = 0", f"{begun} = 1"])
+    return f" + {begun} * {gain} * exp(-pow({clock} / {tau}, {shape}))"
+
+
+def _wear(writer: _Writer, effect: Effect) -> str:
+    gain = writer.constant("GAIN", effect.params["gain"])
+    return f" + {gain} * fmax(time - {writer.constant('SINCE', effect.params['since'] - writer.clocks.start)}, 0.0)"
+
+
+def _housing(writer: _Writer, effect: Effect) -> str:
+    coupling, tau = writer.constant("COUPLING", effect.params["coupling"]), writer.constant("TAU", effect.params["tau"])
+    clock = writer.names.fresh("housing")
+    writer.declared += ["// The temperature of the housing.", _hybrid(clock)]
+    writer.rates.append(f"{clock}' == ({writer.x} - {clock}) / {tau}")
+    writer.opening.append(f"{clock} = {writer.jump}")
+    return f" + {coupling} * ({clock} - {writer.x})"
+
+
+def _thermostat(writer: _Writer, effect: Effect) -> str:
+    """The valve is looked at in updates; what a run went too far meanwhile is taken back, to first order in the tick.
+
+    The moment of the crossing lies where the straight line since the last look meets the threshold.
+    """
+    order = ("loss", "sink", "opens", "closes")
+    loss, sink, opens, closes = (writer.constant(name.upper(), effect.params[name]) for name in order)
+    valve, turn, last = (writer.names.fresh(name) for name in ("opened", "turn", "last"))
+    writer.declared += [
+        "// Whether the thermostat is open; how it turned and where X was when it was last looked at.",
+        f"int {valve} = 0;",
+        f"int {turn} = 0;",
+        f"double {last} = 0.0;",
+    ]
+    jump, since = writer.jump, writer.since
+    looked = f"({jump} >= {opens} || ({valve} == 1 && {jump} > {closes}) ? 1 : 0)"
+    over = f"{since} * ({jump} - ({turn} == 1 ? {opens} : {closes})) / ({jump} - {last})"
+    back = f"({turn} == 0 ? {jump} : {jump} - {turn} * {over} * {loss} * ({jump} - {sink}))"
+    turned = (f"{turn} = {looked} - {valve}", f"{valve} = {valve} + {turn}", f"{jump} = {back}")
+    for place in writer.sha.locations:
+        if acts_in(effect, place.name):
+            writer.left[place.name] = turned
+    writer.following += [f"{valve} = {looked}", f"{last} = {jump}"]
+    return f" - {valve} * {loss} * ({writer.x} - {sink})"
+
+
+def _radiation(writer: _Writer, effect: Effect) -> str:
+    gain, zero = writer.constant("GAIN", effect.params["gain"]), writer.constant("ZERO", parameter(effect, "zero"))
+    if "ambient" in effect.signals:
+        around, read = writer.degrees(effect, "ambient"), f"{writer.read(effect, 'ambient')[1]} * "
+    else:
+        around, read = writer.constant("AROUND", effect.params["surroundings"]), ""
+    return f" - {read}{gain} * (pow({writer.x} - {zero}, 4.0) - pow({around} - {zero}, 4.0))"
+
+
+_HEATS: dict[str, Callable[[_Writer, Effect], str]] = {
+    "current-heating": _against_reference,
+    "quadratic-current-heating": _against_reference,
+    "current-saturation": _saturation,
+    "torque-friction": _friction,
+    "speed-friction": _friction,
+    "vibration-friction": _friction,
+    "ambient-coupling": _against_reference,
+    "feed-temperature-coupling": _feed,
+    "pump-cooling": _pump,
+    "startup-churning": _startup,
+    "wear-drift": _wear,
+    "housing-thermal-mass": _housing,
+    "thermostatic-cooling": _thermostat,
+    "radiation-loss": _radiation,
+}
+
+
+def refused(sha: SHA, tick: int, dropped: Sequence[str]) -> str:
+    """Why these effects cannot be exported so ("": they can)."""
+    if of_kind(sha, "thermostatic-cooling") is not None and not tick:
+        return "the thermostat is looked at once a tick; give a tick of at least 1 s"
+    starts = [effect.event for effect in sha.effects if effect.event in dropped]
+    if starts:
+        return f"an event {starts[0]!r}, since which start-up heat counts, is passed over; use the policy 'resync'"
+    return ""
