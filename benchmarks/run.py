@@ -1,7 +1,7 @@
 """All benchmarks one after another, each in a process of its own: one table of figures, and the machine they are from.
 
-`python -m benchmarks.run [--json] [--quick]`: under 4 minutes, with `--quick` under a minute. The fault matrix is
-no matter of speed and has its own command, `python -m benchmarks.fault_matrix`.
+`python -m benchmarks.run [--json] [--quick]`: a quarter of an hour on two quiet cores, less with `--quick`. The fault
+matrix is no matter of speed and has its own command, `python -m benchmarks.fault_matrix`.
 """
 
 import json

@@ -10,7 +10,6 @@ import click
 from gateway.cli.options import json_option, map_option, seed_option
 from gateway.cli.output import emit, progress, sentences, table
 from gateway.cli.show import show_model, summary
-from gateway.cli.threads import one_thread
 from gateway.cli.traces import load
 
 if TYPE_CHECKING:
@@ -59,7 +58,6 @@ def learn(
     `lsha`: L*_SHA. Words of events that the traces do not tell apart lead to one location; flow, memory and merge
     tolerance are chosen by the held-out likelihood unless given. The directory gets a learning report besides.
     """
-    one_thread()
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     settings |= {"complete": False} if observed_edges else {}
     with sentences(), progress(f"learning ({method})") as report:

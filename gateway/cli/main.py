@@ -3,6 +3,7 @@
 import click
 
 from gateway.cli.lazy import LazyGroup, Table
+from gateway.cli.threads import one_thread
 
 COMMANDS: Table = {
     "demo": (
@@ -36,6 +37,7 @@ def main(traceback: bool) -> None:
     Exit codes: 0 done, 1 a check failed, 2 wrong usage or input, 3 cannot connect, 4 the device refused, 5 timeout,
     6 not armed, 130 stopped by Ctrl-C.
     """
+    one_thread()
 
 
 if __name__ == "__main__":

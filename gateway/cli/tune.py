@@ -10,7 +10,6 @@ import click
 from gateway.cli.interrupt import STOPPED, interruptible
 from gateway.cli.options import json_option, map_option, seed_option
 from gateway.cli.output import emit, progress, sentences, table
-from gateway.cli.threads import one_thread
 from gateway.cli.traces import load
 
 if TYPE_CHECKING:
@@ -69,7 +68,6 @@ def tune(
     standard error, paired by trace. A search that was stopped or killed goes on with the same command; a study of
     other traces, another method or other settings is refused.
     """
-    one_thread()
     from sim.validation.tuning import Plan
     from sim.validation.tuning import tune as searched
 
