@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.cli.options import finite, json_option, map_option, picture_option
+from gateway.cli.options import finite, json_option, map_option
 from gateway.cli.output import Exit, emit, progress, sentences, table
 from gateway.cli.traces import load
 
@@ -28,6 +28,25 @@ def _share(_: click.Context, parameter: click.Parameter, number: float) -> float
     if not 0.0 < number < 0.5:
         raise click.BadParameter(f"{number} is not between 0 and 0.5")
     return number
+
+
+def _picture(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    if path is None:
+        return None
+    from sim.validation.plots import ENDINGS
+
+    if path.suffix.lower() not in ENDINGS:
+        raise click.BadParameter(
+            f"{path} is no picture; give a name that ends in {', '.join(ENDINGS)}", param=parameter
+        )
+    return _place(context, parameter, path)
+
+
+def _place(_: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    """A file in a folder that is there: an answer must not be lost because it cannot be written."""
+    if path is not None and not path.absolute().parent.is_dir():
+        raise click.BadParameter(f"{path.parent} is no folder; make it first, or name another one", param=parameter)
+    return path
 
 
 @click.command(short_help="Answer a query about a model: how probable, how hot, whether it can.")
@@ -64,9 +83,18 @@ def _share(_: click.Context, parameter: click.Parameter, number: float) -> float
 @click.option("--rare", is_flag=True, help="Importance splitting: for probabilities of 1e-4 and less.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Equal seeds, equal answers.")
 @click.option(
-    "--csv", "csv", type=click.Path(path_type=Path, dir_okay=False), help="Write the courses of a simulation there."
+    "--csv",
+    "csv",
+    type=click.Path(path_type=Path, dir_okay=False),
+    callback=_place,
+    help="Write the courses of a simulation there.",
 )
-@picture_option
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    callback=_picture,
+    help="Draw the courses of a simulation, or how the probability grows with time.",
+)
 @json_option
 def check(
     model_name: str,

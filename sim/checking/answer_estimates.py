@@ -7,7 +7,7 @@ import numpy as np
 
 from sim.checking import query as q
 from sim.checking import sequential, sequential_paired, sequential_ratio
-from sim.checking.answer_record import Answer, Settings, interval, sampler_notes
+from sim.checking.answer_record import Answer, Settings, interval, percent, sampler_notes
 from sim.checking.answer_runs import Report, Sampler, engine, sampler
 from sim.checking.answer_start import Start
 from sim.checking.monitor_path import Watch, approximations, cuts, watch
@@ -129,7 +129,8 @@ def rare(one: Watch, start: Start, query: q.Probability, settings: Settings, rep
     if isinstance(query.path, q.Always):
         numbers = {"probability": 1 - estimate.probability, "low": 1 - estimate.high, "high": 1 - estimate.low}
         numbers |= {"violation": estimate.probability, "violation_low": estimate.low, "violation_high": estimate.high}
-        said = f"1 - Pr(violated), Pr(violated) = {said}"
+        low, high = f"1 - {estimate.high:.4g}", f"1 - {estimate.low:.4g}"
+        said = f"Pr = 1 - {estimate.probability:.4g}, {percent(settings)} interval [{low}, {high}]"
     else:
         said = f"Pr = {said}"
     numbers["relative error"] = found.relative
@@ -144,7 +145,7 @@ def rare(one: Watch, start: Start, query: q.Probability, settings: Settings, rep
         said,
         None,
         numbers,
-        f"importance splitting, fixed effort, {found.repetitions} repetitions, Student's t without the skewness",
+        f"importance splitting, fixed effort, {found.repetitions} repetitions, Student's t corrected for skewness",
         estimate.runs,
         settings.seed,
         start.words,

@@ -1,6 +1,7 @@
 """Where the runs of a query start: at the beginning of a trace or of the model, or from a belief."""
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 from sim.checking.paths import World
 from sim.sha.automaton import Distribution
@@ -31,7 +32,9 @@ def initial(model: Model | Tracker, trace: Trace | None = None, location: str | 
     sha = tracker.model.sha
     names = [place.name for place in sha.locations]
     if location is not None and location not in names:
-        raise ValueError(f"model {sha.name!r} has no location {location!r}; it has {', '.join(names)}")
+        folded = {name.casefold(): name for name in names}
+        near = [folded[name] for name in get_close_matches(location.casefold(), folded, 3, 0.4)] or names[:8]
+        raise ValueError(f"model {sha.name!r} has no location {location!r}; did you mean {' or '.join(near)}?")
     place = names.index(location or sha.initial)
     if trace is not None:
         times, values = measured(trace, tracker.model.temperature)

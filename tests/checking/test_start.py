@@ -94,11 +94,11 @@ def test_runs_from_a_belief_have_its_joint_law_of_temperature_and_mode(recorded:
         assert found.numbers["low"] <= exact <= found.numbers["high"]
 
 
-def test_a_model_with_effects_on_top_of_its_flows_is_refused_not_half_followed() -> None:
+def test_a_model_with_effects_is_refused_without_a_trace_that_drives_it_not_half_followed() -> None:
     made = model([flow("constant")], [None], first=normal(40.0))
     lag = Effect("sensor-lag", {"tau": 30.0, "order": 1.0})
     with_effect: Model = replace(made, sha=replace(made.sha, effects=(lag,)))
-    with pytest.raises(ValueError, match=r"effects on top of its flows \(sensor-lag\)"):
-        initial(with_effect)
-    with pytest.raises(ValueError, match="effects on top"):
-        believed(with_effect, quiet_trace(100.0), 50.0)
+    query = Probability(10.0, Eventually(compare(">=", 50.0, TEMP), Span(0.0, 10.0)))
+    for start in (initial(with_effect), believed(with_effect, quiet_trace(100.0), 50.0)):
+        with pytest.raises(ValueError, match=r"has effects, .* let a trace drive the runs"):
+            answer(query, start, FIXED)

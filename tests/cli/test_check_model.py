@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import Result
 
 from drivers.tag import Quality, Sample, Tag
 from gateway.historian import open_historian
@@ -13,7 +14,7 @@ from gateway.records import Keeper
 from gateway.scan import Scan
 from sim.validation.column_map import load_map
 from sim.validation.traces import load_traces
-from tests.cli.support import ROOT, decanter, only_object, refused
+from tests.cli.support import ROOT, decanter, misused, only_object, refused
 
 EXAMPLES = [
     line[2:]
@@ -122,7 +123,7 @@ def test_courses_are_written_as_they_are_summed_up(place: Path, tmp_path: Path) 
 
 
 def test_wrong_input_gets_its_sentence(place: Path) -> None:
-    def said(query: str, *options: object) -> object:
+    def said(query: str, *options: object) -> Result:
         return decanter("model", "check", place / "model", query, *options)
 
     good, cd17 = "Pr[<=60](<> Temp >= 30)", place / "cd17.csv"
@@ -133,14 +134,49 @@ def test_wrong_input_gets_its_sentence(place: Path) -> None:
         (said(good, "--from", "trace:60"), ("--events",)),
         (said(good, "--from", "trace:minus", "--events", cd17), ("seconds since",)),
         (said(good, "--from", "trace:99999999", "--events", cd17), ("nothing recorded",)),
-        (said(good, "--from", "location:NOWHERE"), ("no location 'NOWHERE'", "ON/100-200")),
+        (said(good, "--from", "location:NOWHERE"), ("no location 'NOWHERE'", "did you mean")),
+        (said(good, "--from", "location:on/100-20"), ("did you mean ON/100-200",)),
         (said(good, "--from", "historian:none.sqlite"), ("there is no historian",)),
         (said(good, "--csv", "x.csv", *THERE), ("simulate",)),
         (said("A[] not deadlock", "--picture", "x.png"), ("no picture",)),
         (said("E[<=60; 10](max: Temp)", "--rare", *THERE), ("importance splitting answers",)),
     ):
-        refused(result, 2, *words)  # type: ignore[arg-type]
+        refused(result, 2, *words)
     refused(decanter("model", "check", place / "none", good), 2, "no model directory")
+    misused(said(good, "--picture", "x.xyz"), "is no picture")
+    misused(said(good, "--picture", place / "nowhere" / "x.png"), "is no folder")
+    misused(said("simulate [<=9] {Temp}", "--csv", place / "nowhere" / "x.csv"), "is no folder")
+
+
+def test_the_screen_says_answer_method_runs_seed_and_start(place: Path) -> None:
+    shown = decanter("model", "check", place / "model", "Pr[<=60; 500](<> Temp >= 20)", *THERE, "--seed", 4).stdout
+    query, answer, method, runs, start = shown.splitlines()
+    assert query == "Pr[<=60; 500](<> Temp >= 20)" and answer.startswith("  Pr = 0.")
+    assert "95 % interval [0." in answer and "Clopper-Pearson" in method
+    assert runs == "  runs     500, seed 4" and start.startswith("  start    ON/100-200")
+
+
+def test_splitting_shows_its_levels_with_the_chance_to_reach_each(place: Path) -> None:
+    words = ("model", "check", place / "model", "Pr[<=100](<> Temp >= 29)", "--events", place / "cd17.csv", "--rare")
+    options = ("--from", "trace:600")
+    data = only_object(decanter(*words, *options, "--json").stdout)
+    chances = [level["chance"] for level in data["levels"]]
+    assert chances == sorted(chances, reverse=True) and chances[-1] >= data["numbers"]["probability"] > 0
+    shown = decanter(*words, *options).stdout
+    assert "chance to reach it" in shown and "the event" in shown
+    assert shown.count("°C") == len(chances) >= 1
+
+
+def test_conditions_in_courses_are_written_as_0_and_1(place: Path, tmp_path: Path) -> None:
+    query = "simulate [<=100; 4] {ON_100_200, 2 * (Temp > 20)}"
+    files = ("--csv", tmp_path / "runs.csv", "--picture", tmp_path / "runs.png")
+    result = decanter("model", "check", place / "model", query, *THERE, *files)
+    assert result.exit_code == 0 and "ON_100_200" in result.stdout
+    with (tmp_path / "runs.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["ON_100_200"] for row in rows} <= {"0.0", "1.0"}
+    assert {row["2 * (Temp > 20)"] for row in rows} <= {"0.0", "2.0"}
+    assert all(row["ON_100_200"] == "1.0" for row in rows if row["time"] == "0.0")
 
 
 def test_a_belief_starts_where_the_trace_is_warm(place: Path) -> None:
