@@ -1,4 +1,4 @@
-"""Where the unexplained heat lies: by location, by time since the last start or stop, and what it goes with.
+"""Where the unexplained heat lies: by location, by time since the last start or stop, and by the size of each signal.
 
 The unit that is trusted is the cycle: a cell's heat is summed cycle by cycle, and its z is that of the cycles' sums.
 The family of all cells keeps one error rate: p is where the greatest z of all cells would fall if each cycle's signs
@@ -28,6 +28,7 @@ class _Cell:
     after: str
     seconds: tuple[float, float]
     rows: Mask
+    signal: str = ""
 
 
 def places(fitted: Fitted, seed: int) -> tuple[Place, ...]:
@@ -63,7 +64,7 @@ def places(fitted: Fitted, seed: int) -> tuple[Place, ...]:
                     heat,
                     (int(same.sum()), int(speaking.sum())),
                     p,
-                    correlate(blocks, record, cell.rows),
+                    cell.signal or correlate(blocks, record, cell.rows),
                 )
             )
     return tuple(sorted(found, key=lambda place: -place.share))
@@ -86,6 +87,23 @@ def _cells(blocks: Blocks, record: Record) -> list[_Cell]:
             rows = here & (phase >= low) & (phase < high)
             if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
                 cells.append(_Cell(location, start if running else stop, (low, high), rows))
+        cells += _strata(blocks, record, location, start if running else stop)
+    return cells
+
+
+def _strata(blocks: Blocks, record: Record, location: int, after: str) -> list[_Cell]:
+    """A location's blocks above and below the middle of each signal that varies in it."""
+    here = blocks.location == location
+    cells = []
+    for number, name in enumerate(record.signals):
+        column = blocks.signals[:, number]
+        if np.ptp(column[here]) <= 1e-9:
+            continue
+        middle = 0.5 * (float(np.max(column[here])) + float(np.min(column[here])))
+        for side in (column > middle, column <= middle):
+            rows = here & side
+            if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
+                cells.append(_Cell(location, after, (0.0, np.inf), rows, name))
     return cells
 
 
