@@ -109,7 +109,7 @@ def agree() -> Diagnosis:
         shifts=(SHIFT,),
         places=(),
         unexplained=(),
-        ceiling_before=Ceiling(0.01, 0.4, ()),
+        ceiling_before=Ceiling(0.01, 0.4, 1.0, ()),
         ceiling_after=None,
         candidates=(candidate("wear-drift", 0.4, "below the threshold", confirmed=False),),
         untested={"ambient-coupling": "no trace has a signal for the role 'ambient' (TAmbiente)"},
@@ -130,7 +130,7 @@ def of(verdict: Verdict) -> Diagnosis:
         return replace(nothing, candidates=(), held_out=None, course=None, ceiling_before=None, untested={})
     if verdict == "unexplained":
         gap = replace(agree(), verdict=verdict, sentence="There is a gap that no known effect explains.", shifts=())
-        return replace(gap, places=(PLACE, LATE), unexplained=(PLACE,), ceiling_before=Ceiling(0.4, 0.001, ()))
+        return replace(gap, places=(PLACE, LATE), unexplained=(PLACE,), ceiling_before=Ceiling(0.4, 0.001, 2.0, ()))
     members = ("pump-cooling", "feed-temperature-coupling") if verdict == "class" else ("pump-cooling",)
     others = [
         candidate("pump-cooling", 41.2, "named", twins=members[1:]),
@@ -145,8 +145,8 @@ def of(verdict: Verdict) -> Diagnosis:
         effects=(effect(members),),
         shifts=(),
         places=(PLACE, LATE),
-        ceiling_before=Ceiling(0.42, 0.001, (("pump", 0.5), ("since start", 0.2))),
-        ceiling_after=Ceiling(0.02, 0.3, ()),
+        ceiling_before=Ceiling(0.42, 0.001, 2.0, (("pump", 0.5), ("since start", 0.2))),
+        ceiling_after=Ceiling(0.02, 0.3, 1.0, ()),
         candidates=tuple(others),
         held_out=held_out(),
         course=course(),
