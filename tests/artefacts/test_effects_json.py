@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from gateway.cli.show import show
+from gateway.cli.main import main
 from sim.artefacts.bundle import texts
 from sim.artefacts.convert import to_sha
 from sim.artefacts.files import ArtefactError
@@ -81,8 +81,8 @@ def test_a_model_directory_holds_the_effects_and_show_prints_them(tmp_path: Path
     augmented = model(*EFFECTS["pump-cooling"], *EFFECTS["startup-churning"])
     write_model_directory(tmp_path / "m", augmented)
     assert find_model(tmp_path / "m").model == augmented
-    said = CliRunner().invoke(show, [str(tmp_path / "m")]).output
+    said = CliRunner().invoke(main, ["model", "show", str(tmp_path / "m")]).output
     assert "effect pump-cooling: loss 0.005; sink 25; pump P" in said
     assert "effect startup-churning: gain 0.1; shape 1; tau 80; since W_ON" in said
-    document = json.loads(CliRunner().invoke(show, [str(tmp_path / "m"), "--json"]).output)
+    document = json.loads(CliRunner().invoke(main, ["model", "show", str(tmp_path / "m"), "--json"]).output)
     assert [effect["kind"] for effect in document["effects"]] == ["pump-cooling", "startup-churning"]
