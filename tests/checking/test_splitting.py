@@ -22,7 +22,7 @@ def one_split(limit: float, seed: int, runs: int = 100, repetitions: int = 12, w
     return split(made, one, np.random.default_rng(seed), runs=runs, repetitions=repetitions)
 
 
-def test_theskewed_interval_holds_the_truth_at_about_its_stated_rate_and_the_mean_is_unbiased() -> None:
+def test_the_interval_holds_the_truth_at_about_its_stated_rate_and_the_mean_is_unbiased() -> None:
     """40 estimates of 1.9e-5 by Brownian motion, whose passage is known: at 95 %, 4 misses or more are 14 in 100."""
     exact = brownian(40.0, 0.0, 0.1, 48.55, 400.0)
     assert 1e-5 < exact < 3e-5
@@ -37,7 +37,7 @@ def test_theskewed_interval_holds_the_truth_at_about_its_stated_rate_and_the_mea
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("known", "seeds", "misses"), [(True, 24, 3), (False, 5, 1)])
-def test_with_a_mode_parameter_drawn_once_for_the_stay_theskewed_interval_holds_too(
+def test_with_a_mode_parameter_drawn_once_for_the_stay_the_interval_holds_too(
     known: bool, seeds: int, misses: int
 ) -> None:
     """A drift of N(0.002, 0.004^2) degC/s decides; 24 estimates of 1.2e-5: 4 misses or more are 3 in 100 at 95 %."""
@@ -68,7 +68,7 @@ def test_the_stays_whose_mode_parameter_matters_are_tilted_and_no_others() -> No
     assert engine(certain.world, Cuts(480.0, (), (), ((0.0, 480.0),), longest=5.0)).columns == 0
 
 
-def test_a_skewed_mean_has_anskewed_interval_that_reaches_further_up() -> None:
+def test_a_skewed_mean_has_an_interval_that_reaches_further_up() -> None:
     """Log-normal values, 40 at a time: the interval holds their mean more often than Student's does."""
     rng = np.random.default_rng(7)
     held, plain, exact = 0, 0, 0.01 * np.exp(0.5)
@@ -133,7 +133,7 @@ def test_an_event_without_a_level_on_the_way_counts_as_well() -> None:
 
 
 def test_splitting_takes_over_after_many_runs_without_the_event_and_says_so() -> None:
-    query = eventually(compare(">=", 50.0), 400.0)
+    query = eventually(compare(">=", 49.0), 400.0)
     found = answer(query, START, Settings(rule="fixed", runs=10_000))
     assert "splitting" in found.rule and "not once in 10000 runs" in found.notes[0]
     few = answer(query, START, Settings(rule="fixed", runs=500))
