@@ -14,6 +14,7 @@ from gateway.cli.traces import load
 
 if TYPE_CHECKING:
     from gateway.cli.diagnosing import Request, Told
+    from sim.discrepancy.diagnosis import Place
     from sim.sha.model import Model
     from sim.sha.trace import Trace
     from sim.validation.column_map import ColumnMap
@@ -106,11 +107,8 @@ def show(told: "Told", out: Path) -> None:
     for reason in one.reasons:
         click.echo(f"  {reason}")
     if one.places:
-        rows = [
-            [place.location, place.after, _span(place.seconds), place.share, place.heat, _of(place.cycles), place.p]
-            for place in one.places[:5]
-        ]
-        columns = ("location", "after", "seconds", "share", "heat (°C/h)", "cycles", "p")
+        rows = [_place(place) for place in one.places[:5]]
+        columns = ("location", "after", "seconds", "share", "heat (°C/h)", "cycles", "p", "goes with")
         table("where the unexplained heat is", columns, rows)
     if one.effects:
         rows = [
@@ -129,6 +127,11 @@ def show(told: "Told", out: Path) -> None:
     click.echo(f"report: {out / 'report.html'}")
     if one.model_after is not None:
         click.echo(f"new model: {one.model_after}{_verified(told.verification)}")
+
+
+def _place(one: "Place") -> list[object]:
+    goes = one.when or one.correlates
+    return [one.location, one.after, _span(one.seconds), one.share, one.heat, _of(one.cycles), one.p, goes]
 
 
 def _show_held_out(told: "Told") -> None:

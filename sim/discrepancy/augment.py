@@ -8,6 +8,7 @@ import numpy as np
 from sim.discrepancy.catalogue import CATALOGUE
 from sim.discrepancy.course import Named
 from sim.discrepancy.fit import Fitted
+from sim.discrepancy.forms import BLURRED
 from sim.learning.free_run import RATES
 from sim.learning.runs import first_switch
 from sim.learning.semi_markov import with_inputs
@@ -49,14 +50,13 @@ def augmented(
     sha = replace(
         _with_parameters(fitted),
         name=name or model.sha.name,
-        effects=tuple(effect_of(one, model) for one in fitted.state.named),
+        effects=tuple(effect for one in fitted.state.named for effect in effects_of(one, model)),
     )
-    counts = np.diff(np.append(fitted.frame.record.begins, fitted.frame.record.rows.size))
     strengths = {f"{one.entry.name}.{one.entry.strength}": one.strength for one in fitted.state.named}
     new = replace(
         model,
         sha=sha,
-        sensor_sigma=float(fitted.noise.sensor * np.sqrt(np.median(counts))),
+        sensor_sigma=fitted.sensor_sigma,
         calibration={},
         provenance=Provenance(
             method="diagnose",
@@ -71,8 +71,15 @@ def augmented(
     return with_inputs(new, readings) if readings else new
 
 
+def effects_of(named: Named, model: Model) -> tuple[Effect, ...]:
+    """A named effect as the automaton takes it; the blur of a dead time is a lag of the sensor there."""
+    blur = named.params.get("blur", 0.0) * named.strength
+    lag = (Effect("sensor-lag", {"tau": blur, "order": float(BLURRED)}),) if blur > 0 else ()
+    return effect_of(named, model), *lag
+
+
 def effect_of(named: Named, model: Model) -> Effect:
-    """A named effect as the automaton takes it."""
+    """The effect that bears a named one's name."""
     kind = EFFECTS[named.entry.name]
     params = {key: value for key, value in named.params.items() if key in kind.params}
     switch = first_switch(model.alphabet)

@@ -15,7 +15,7 @@ from sim.sha.entry import mode_parameter
 from sim.sha.model import Model
 from sim.sha.trace import Array
 
-TARGET_SPREAD, DRIFT_SPREAD, FACTOR_SPREAD, LOG_RATE_SPREAD, GAIN_SPREAD = 15.0, 0.02, 10.0, 0.7, 1.0
+TARGET_SPREAD, DRIFT_SPREAD, FACTOR_SPREAD, LOG_RATE_SPREAD, GAIN_SPREAD = 40.0, 0.02, 10.0, 1.5, 1.0
 """How far the plant's parameters are believed to lie from the given ones: degC, degC/s, degC, 1, shares of a gain."""
 
 

@@ -55,9 +55,10 @@ class Entry:
     `drive(record, signals, params, course)` is (loss, heat) of one unit along a course (n,) degC: 1/s and degC/s, held
     over each step, as dX/dt += heat - loss * X. `sense(record, params, course)` is the course as it is read, given the
     whole of `params`. `refine` gives the range of each shape parameter that is searched further; `plain` says what the
-    effect is, `experiment` what would tell it from its twins. `scan(record, pull)` gives further shapes where the pull
-    (m,) of the residual is greatest (the residual weighed by its inverse covariance); `burden` (nats) is what looking
-    at so many places costs.
+    effect is, `experiment` what would tell it from its twins. `either` gives shape parameters of which every value is
+    fitted, since the screen, which is linear, cannot choose among them. `scan(record, pull)` gives further shapes where
+    the pull (m,) of the residual is greatest (the residual weighed by its inverse covariance); `burden` (nats) is what
+    looking at so many places costs.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Entry:
     drive: Drive | None = None
     sense: Sense | None = None
     refine: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    either: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     scan: Callable[[Record, Array], Sequence[Params]] | None = None
     burden: float = 0.0
 
@@ -173,7 +175,6 @@ CATALOGUE: tuple[Entry, ...] = (
         "the bearing follows the room's temperature",
         "log the room for three days, with a night at rest",
         drive=ambient_drive,
-        refine={"lag": (0.0, 20000.0)},
     ),
     Entry(
         "feed-temperature-coupling",
@@ -243,6 +244,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "heat reaches the sensor only after a dead time",
         "one sharp step of the current, logged at 1 Hz",
         sense=sense_delay,
+        either={"blur": (0.0, 0.7, 1.4)},
         refine={"delay": (1.0, 600.0)},
     ),
     Entry(
@@ -255,6 +257,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "the sensor follows the bearing with a lag",
         "one sharp step of the current, logged at 1 Hz",
         sense=sense_lag,
+        either={"order": (1.0, 2.0)},
         refine={"tau": (2.0, 1500.0)},
     ),
     Entry(

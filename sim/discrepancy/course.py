@@ -17,7 +17,7 @@ from sim.learning.free_run import RATES, steps
 from sim.sha.recursion import linear_recursion
 from sim.sha.trace import Array
 
-ITERATIONS, STILL = 60, 1e-4
+ITERATIONS, STILL = 60, 1e-6
 """Passes at most, and the change (degC) below which a course stands still."""
 
 
@@ -155,7 +155,7 @@ def _differences(frame: Frame, state: State, start: Array) -> Array:
     _, r = frame.count
     point = state.parameters
     sizes = np.concatenate(
-        [1e-3 * frame.shape.spread, np.full(r, 1e-3), [1e-3 * abs(one.strength) + 1e-9 for one in state.named]]
+        [1e-3 * frame.shape.spread, np.full(r, 1e-3), [max(1e-3 * abs(one.strength), 1e-18) for one in state.named]]
     )
     columns = []
     for number, size in enumerate(sizes.tolist()):
@@ -175,9 +175,16 @@ def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: 
 
 
 def friction_heat(frame: Frame, state: State) -> Array:
-    """(n,) degC/s by how much more the machine heats than at rest: what a cycle's scatter multiplies."""
+    """(n,) degC/s by how much more the machine heats than at rest: what a cycle's scatter multiplies.
+
+    It is delayed and lagged as the reading is; a scatter that the sensor showed at once would take a part of a lag on.
+    """
     record = frame.record
     rest = (record.running < 0.5) & (state.k > 0)
     floor = float(np.median(state.target[rest])) if rest.any() else float(np.quantile(state.mean, 0.02))
     heat = np.where(state.k > 0, state.k * (state.target - floor), np.where(state.decay == 1.0, state.target, 0.0))
-    return np.asarray(np.maximum(heat, 0.0) * record.running)
+    heat = np.asarray(np.maximum(heat, 0.0) * record.running)
+    for one in state.named:
+        if one.entry.sense is not None and one.entry.whole:
+            heat = one.entry.sense(record, one.params, heat)
+    return heat

@@ -80,7 +80,8 @@ class Place:
     """A place where unexplained heat lies: in `location`, `seconds` after the event `after`, by strata of a signal.
 
     `share` is its part of all unexplained heat (energy), `heat` the mean there (degC/h), `cycles` (with the sign of the
-    mean, in all), `p` the family-wise probability under sign flips by cycle. `correlates` names a signal, or "".
+    mean, in all), `p` the family-wise probability under sign flips by cycle. `correlates` names a signal, or "";
+    `when` says which of its values are meant ("MarciaPmpFango above 0.5"), "" where all are.
     """
 
     location: str
@@ -91,6 +92,7 @@ class Place:
     cycles: tuple[int, int]
     p: float
     correlates: str
+    when: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,13 @@ class Fitted:
         """How many parameters are the model's own: p + r."""
         return sum(self.frame.count)
 
+    @property
+    def sensor_sigma(self) -> float:
+        """degC the standard deviation of a single reading."""
+        record = self.frame.record
+        counts = np.diff(np.append(record.begins, record.rows.size))
+        return float(self.noise.sensor * np.sqrt(np.median(counts)))
+
 
 def first_noise(model: Model, record: Record) -> Noise:
     """Where the search for the noise begins: the given model's sensor and process, a slightly rough plant."""
@@ -171,7 +178,7 @@ def _newton_steps(frame: Frame, state: State, start: Array, reading: Array, nois
 
 def _longest(frame: Frame, state: State) -> Array:
     own = LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior)
-    return np.concatenate([own, [LARGEST_SHARE * abs(one.strength) + 1e-12 for one in state.named]])
+    return np.concatenate([own, [max(LARGEST_SHARE * abs(one.strength), 1e-15) for one in state.named]])
 
 
 def _allowed(state: State, point: Array) -> Array:

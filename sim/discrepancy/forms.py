@@ -10,6 +10,8 @@ from sim.sha.recursion import linear_recursion
 from sim.sha.trace import Array, Mask
 
 KELVIN = 273.15
+BLURRED = 2
+"""First-order lags that a blurred delay is followed by."""
 JUMPS, JUMP_APART = 16, 5
 """Moments at which an offset is looked for besides the regular ones, and windows between them."""
 
@@ -96,13 +98,11 @@ def saturation_drive(
 
 
 def ambient(record: Record, signals: Signals, _smooth: Array) -> Sequence[Params]:
-    reference = _reference(record, held(record, signals["ambient"]), running=False)
-    return [{"reference": reference, "lag": lag} for lag in (0.0, 1800.0, 7200.0)]
+    return [{"reference": _reference(record, held(record, signals["ambient"]), running=False)}]
 
 
 def ambient_drive(record: Record, signals: Signals, params: Mapping[str, float], _course: Array) -> tuple[Array, Array]:
-    column = lagged(record, held(record, signals["ambient"]), params["lag"])
-    return _none(record), column - params["reference"]
+    return _none(record), held(record, signals["ambient"]) - params["reference"]
 
 
 def one_shape(_record: Record, _signals: Signals, _smooth: Array) -> Sequence[Params]:
@@ -160,11 +160,15 @@ def wear_drive(record: Record, _signals: Signals, params: Mapping[str, float], _
 
 
 def dead_time(_record: Record, _signals: Signals, _smooth: Array) -> Sequence[Params]:
-    return [{"delay": delay} for delay in (10.0, 20.0, 40.0, 80.0, 160.0)]
+    """A sharp delay, and delays that blur what they carry by the lags of mixed vessels."""
+    delays = (10.0, 20.0, 40.0, 80.0, 160.0, 320.0)
+    return [{"delay": delay, "blur": blur} for delay, blur in product(delays, (0.0, 0.7, 1.4))]
 
 
 def sense_delay(record: Record, params: Mapping[str, float], course: Array) -> Array:
-    return delayed(record, course, params["delay"])
+    course = delayed(record, course, params["delay"])
+    blur = params.get("blur", 0.0) * params["delay"]
+    return sense_lag(record, {"tau": blur, "order": BLURRED}, course) if blur > 0 else course
 
 
 def sensor_lag(_record: Record, _signals: Signals, _smooth: Array) -> Sequence[Params]:

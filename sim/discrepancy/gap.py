@@ -34,18 +34,21 @@ class Excess:
         return self.median >= WIDE and self.low >= MOSTLY
 
 
-def excess(model: Model, traces: Sequence[Trace], base: Fitted) -> Excess | None:
-    """The excess of a fit of the model's own parameters to encoded traces; None where it says nothing of its spread."""
-    trial = let_run(base, by_cycles(base.frame.record))
-    count = np.bincount(trial.order)
-    off = np.sqrt(np.bincount(trial.order, trial.residual**2) / np.maximum(count, 1))
-    record = base.frame.record
-    spread = [_spread(model, piece) for piece in _cycles(record, traces)]
-    known = np.array([value for value in spread if np.isfinite(value) and value > 0])
-    if not known.size:
+def excess(fitted: Fitted, spread: float) -> Excess | None:
+    """The excess of a fit over the given model's `spread` (degC); None where that is not known."""
+    if not spread > 0:
         return None
-    ratio = off / float(np.median(known))
+    trial = let_run(fitted, by_cycles(fitted.frame.record))
+    count = np.bincount(trial.order)
+    ratio = np.sqrt(np.bincount(trial.order, trial.residual**2) / np.maximum(count, 1)) / spread
     return Excess(float(np.median(ratio)), float(np.quantile(ratio, SHARE)))
+
+
+def spread_of(model: Model, traces: Sequence[Trace], fitted: Fitted) -> float:
+    """degC of the given model's own spread on a fit's cycles, the median; 0 where it says nothing of it."""
+    spread = [_spread(model, piece) for piece in _cycles(fitted.frame.record, traces)]
+    known = [value for value in spread if np.isfinite(value) and value > 0]
+    return float(np.median(known)) if known else 0.0
 
 
 def _cycles(record: Record, traces: Sequence[Trace]) -> Iterator[Trace]:

@@ -18,7 +18,7 @@ from sim.learning.runs import Indices
 from sim.sha.recursion import linear_recursion
 from sim.sha.trace import Array
 
-DRAWS, RESAMPLES = 200, 2000
+DRAWS, RESAMPLES, TRIFLE = 200, 2000, 0.02
 STARTS = 3
 """Rounds in which the start temperatures are fitted (effects on the sensor make them slightly non-linear)."""
 
@@ -102,9 +102,11 @@ def compared(before: Fitted, after: Fitted, record: Record, seed: int) -> tuple[
 
 
 def _removed(rows: Array, counts: Array) -> float:
-    """1 - (after^2 - floor^2) / (before^2 - floor^2); an excess below 2 % of the floor counts as that."""
+    """1 - (after^2 - floor^2) / (before^2 - floor^2); where nothing stood out of the floor before, -1 to 1."""
     old, new, floor = np.average(rows, axis=0, weights=counts).tolist()
-    return float(1.0 - (new - floor) / max(old - floor, 0.02 * floor, 1e-12))
+    least = max(TRIFLE * floor, 1e-12)
+    removed = 1.0 - (new - floor) / max(old - floor, least)
+    return float(removed if old - floor > least else np.clip(removed, -1.0, 1.0))
 
 
 def _interval(rows: Array, counts: Array, seed: int) -> tuple[float, float]:

@@ -3,12 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from sim.discrepancy.catalogue import CATALOGUE
-from sim.discrepancy.diagnosis import Ceiling, Verdict
+from sim.discrepancy.diagnosis import Ceiling, HeldOut, Verdict
 from sim.discrepancy.fit import Fitted
 from sim.discrepancy.gap import Excess
 from sim.discrepancy.held_out import Trial
-from sim.discrepancy.naming import MARGIN, MATERIAL, NEAR, Step
+from sim.discrepancy.naming import MARGIN, NEAR, Step
 
 ROBUST, SPREAD, OVERWHELMING = 1.0, 3.0, 20.0
 """The z by cycles that a name needs where its information is spread over at least so many cycles, unless its gain is
@@ -16,6 +18,11 @@ overwhelming (nats)."""
 FURTHER, LEFTOVER, LEFTOVER_OF_RIVAL = 5.0, 0.02, 0.3
 """What a further name needs beyond the first one's threshold (nats): an effect whose shape is not quite right leaves
 something behind, of the order of these shares of its gain, the greater one where the further name looks like it."""
+MATERIAL, MATERIAL_FURTHER, BESIDE = 0.12, 0.4, 0.2
+"""Sensor sigmas that an effect must move the temperature by (rms beyond what the model's parameters imitate): the first
+name, and a further one, which must also be so large beside the greatest before it."""
+CLEAR, MOSTLY = 2.0, 0.5
+"""A held-out gap is clear from so many times the floor's mean square on; names must remove that share of it."""
 CEILING_P, CEILING_SHARE, CEILING_LEFT = 0.01, 0.08, 0.35
 """Heat that trees predict with such a p and to such a share is systematic; names that leave more than that part of the
 systematic heat they found are withheld."""
@@ -44,9 +51,10 @@ def insignificant(one: Step, earlier: Sequence[Step] = ()) -> str:
     if best is None or not best.confirmed or best.gain < one.threshold:
         gain = best.gain if best is not None else 0.0
         return f"adds {gain:.1f} nats, and chance alone does {one.threshold:.1f} in one case of a hundred"
-    sigma = max(one.before.frame.record.model.sensor_sigma, 1e-6)
-    if best.amplitude < MATERIAL * sigma:
-        return f"is there but moves the temperature by {best.amplitude:.3f} degC only, less than the sensor's noise"
+    others = [each.best.amplitude for each in earlier if each.best is not None]
+    least = max((MATERIAL_FURTHER if others else MATERIAL) * one.before.sensor_sigma, BESIDE * max(others, default=0.0))
+    if best.amplitude < least:
+        return f"is there but moves the temperature by {best.amplitude:.3f} degC only, less than {least:.3f}"
     needed = max((_leftover(step, best.entry.name) for step in earlier), default=0.0)
     if earlier and best.gain < max(one.threshold + FURTHER, needed):
         return f"adds {best.gain:.1f} nats, no more than the effects before may have left behind"
@@ -86,13 +94,27 @@ def systematic_heat(one: Ceiling | None) -> float:
     return max(one.share, 0.0) * one.heat**2 if one is not None else 0.0
 
 
-def doubts(found: Found, first: Trial, second: Trial, before: Ceiling | None, left: Ceiling | None) -> tuple[str, ...]:
+def foreseen_better(first: Trial, second: Trial) -> float:
+    """nats by which the second free run is nearer to the held-out cycles, both weighed by the second's noise.
+
+    The first fit's own noise has swallowed what it could not explain; under it almost any error would be likely.
+    """
+    old, new = first.residual, second.residual
+    weighed = second.weigher.weigh(np.column_stack([old, new]))
+    return 0.5 * float(old @ weighed[:, 0] - new @ weighed[:, 1])
+
+
+def doubts(
+    found: Found, first: Trial, second: Trial, held: HeldOut, before: Ceiling | None, left: Ceiling | None
+) -> tuple[str, ...]:
     """Why names that the likelihood offers are not given after all; `first` and `second` are the held-out runs."""
     if not found.taken:
         return ()
     reasons = []
-    if second.likelihood <= first.likelihood:
+    if foreseen_better(first, second) <= 0:
         reasons.append("the held-out cycles are not better foreseen with it")
+    if held.rmse_before**2 > CLEAR * held.noise_floor**2 and held.excess_removed < MOSTLY:
+        reasons.append(f"of the gap on the held-out cycles it removes {max(held.excess_removed, 0.0):.0%} only")
     explained = before is not None and left is not None and before.heat > left.heat
     whole = max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
     if left is not None and systematic(left) and systematic_heat(left) > CEILING_LEFT * whole:

@@ -29,6 +29,7 @@ class _Cell:
     seconds: tuple[float, float]
     rows: Mask
     signal: str = ""
+    when: str = ""
 
 
 def places(fitted: Fitted, seed: int) -> tuple[Place, ...]:
@@ -65,6 +66,7 @@ def places(fitted: Fitted, seed: int) -> tuple[Place, ...]:
                     (int(same.sum()), int(speaking.sum())),
                     p,
                     cell.signal or correlate(blocks, record, cell.rows),
+                    cell.when,
                 )
             )
     return tuple(sorted(found, key=lambda place: -place.share))
@@ -100,10 +102,10 @@ def _strata(blocks: Blocks, record: Record, location: int, after: str) -> list[_
         if np.ptp(column[here]) <= 1e-9:
             continue
         middle = 0.5 * (float(np.max(column[here])) + float(np.min(column[here])))
-        for side in (column > middle, column <= middle):
+        for side, when in ((column > middle, "above"), (column <= middle, "up to")):
             rows = here & side
             if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
-                cells.append(_Cell(location, after, (0.0, np.inf), rows, name))
+                cells.append(_Cell(location, after, (0.0, np.inf), rows, name, f"{name} {when} {middle:.4g}"))
     return cells
 
 

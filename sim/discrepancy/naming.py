@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -23,15 +24,15 @@ from sim.sha.trace import Array
 
 CONFIRMED, WORTH = 4, 1.0
 """Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""
-SURE, LEAST_GAIN = 0.99, 7.0
+SURE, LEAST_GAIN = 0.99, 14.0
 """The share of draws without an effect whose greatest gain must lie below a name's, and the gain it needs at least."""
 SAME, NEAR = 0.9, 0.6
 """Cosines from which two effects are of one class, or rivals."""
+ONE_CHAIN = frozenset({"dead-time", "sensor-lag"})
+"""What lies between the heat and the reading is named once: a second name would mend the first one's shape."""
 MARGIN = 6.0
 """Nats by which a name must beat every rival outside its class."""
 INVISIBLE = 0.05
-MATERIAL = 0.5
-"""Sensor sigmas below which an effect is too small to be missing (rms beyond what the model's parameters imitate)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +136,16 @@ def _evidence(found: Screen, number: int) -> Evidence:
 
 
 def confirm(before: Fitted, one: Evidence) -> Evidence:
-    """The evidence with its shape refined and everything fitted anew together."""
+    """The evidence with its shape refined and everything fitted anew together: the likeliest of its alternatives."""
+    either = one.entry.either
+    shapes = [
+        replace(one.shape, params={**one.shape.params, **dict(zip(either, values, strict=True))})
+        for values in product(*either.values())
+    ]
+    return max((_confirmed(before, replace(one, shape=shape)) for shape in shapes), key=lambda each: each.gain)
+
+
+def _confirmed(before: Fitted, one: Evidence) -> Evidence:
     strength = _first_strength(before, one)
     named = refined(before, one.shape, strength)
     fitted = fit(
@@ -196,6 +206,7 @@ def _cosines(before: Fitted, evidence: Sequence[Evidence]) -> dict[str, float]:
 
 
 def entries_besides(named: Sequence[Named], besides: Sequence[str] = ()) -> tuple[Entry, ...]:
-    """The catalogue without the effects that are named already, and without others by name."""
+    """The catalogue without the effects that are named already, what they rule out, and others by name."""
     taken = {one.entry.name for one in named} | set(besides)
+    taken |= ONE_CHAIN if taken & ONE_CHAIN else set()
     return tuple(entry for entry in CATALOGUE if entry.name not in taken)

@@ -27,6 +27,8 @@ LEAST_HEAT, LEAST_PROCESS = 1e-7, 1e-5
 """Floors of the heats (degC/s) and of the process noise (degC/sqrt(s)), below anything that a plant has."""
 SHORTEST, LONGEST = float(np.log(60.0)), float(np.log(1800.0))
 """The rough heat's memory (log s): longer, it would imitate the slow effects that are looked for."""
+MOST_SCATTER = float(np.log(0.05))
+"""The scatter of a cycle's friction (log): more of it would make up for wrong targets, cycle by cycle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +210,7 @@ def fit_noise(
         return objective(noise_of(point)) + 0.5 * float(np.sum(((point - centre) / spread) ** 2))
 
     bounds = [(value - 4.0, value + 4.0) for value in centre]
+    bounds[3] = bounds[3][0], MOST_SCATTER
     bounds[4] = SHORTEST, LONGEST
     found = minimize(
         cost,

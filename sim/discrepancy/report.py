@@ -92,13 +92,14 @@ def _embedded(path: Path) -> str:
 def place_sentence(place: Place) -> str:
     """One sentence of where heat is: "62 % of the unexplained heat is in ON/200-300, 0-4 min after W_ON, ..."."""
     after = f", {span(*place.seconds)} after {place.after}" if place.after else ""
+    after += f", with {place.when}" if place.when else ""
     sign = "too little" if place.heat < 0 else "too much"
     said = (
         f"{place.share:.0%} of the unexplained heat is in {place.location}{after}: the plant makes "
         f"{abs(place.heat):.2g} °C/h {sign} for the model there, in {place.cycles[0]} of {place.cycles[1]} cycles "
         f"(p = {place.p:.2g})"
     )
-    return said + (f"; it goes with {place.correlates}" if place.correlates else "")
+    return said + (f"; it goes with {place.correlates}" if place.correlates and not place.when else "")
 
 
 def rivals_of(effect: NamedEffect, candidates: Sequence[Candidate]) -> tuple[str, ...]:

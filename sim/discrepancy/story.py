@@ -34,7 +34,7 @@ def sentence_of(
     gain = ""
     if held is not None and effects:
         gain = (
-            f" On {held.cycles} cycles that were never fitted the error falls from {held.rmse_before:.2f} to "
+            f" On {held.cycles} cycles that were never fitted the error goes from {held.rmse_before:.2f} to "
             f"{held.rmse_after:.2f} degC (noise alone: {held.noise_floor:.2f})."
         )
     if verdict == "named":
@@ -51,6 +51,7 @@ def _described(unexplained: Sequence[Place]) -> str:
         return "the free run is further off than noise allows, in no particular place."
     place = unexplained[0]
     goes = f", and goes with {place.correlates}" if place.correlates else ""
+    goes = f", with {place.when}" if place.when else goes
     return (
         f"{place.share:.0%} of the unexplained heat is in {place.location}, {_seconds(place.seconds)} after "
         f"{place.after or 'its beginning'}{goes} ({place.cycles[0]} of {place.cycles[1]} cycles)."

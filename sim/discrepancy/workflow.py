@@ -17,7 +17,7 @@ from sim.discrepancy.course import Named
 from sim.discrepancy.diagnosis import Ceiling, Diagnosis
 from sim.discrepancy.evidence import candidates_of, effect_of
 from sim.discrepancy.fit import Fitted, fit
-from sim.discrepancy.gap import Excess, excess
+from sim.discrepancy.gap import Excess, excess, spread_of
 from sim.discrepancy.held_out import by_cycles, compared
 from sim.discrepancy.judging import Found, doubts, dubious, insignificant, systematic, untested, verdict_of
 from sim.discrepancy.locate import places
@@ -88,9 +88,10 @@ def diagnose(
     base = fit(training, named_of(model))
     told("what a free learner could still explain", 0.2)
     before = ceiling(base, seed)
-    beyond = excess(model, given, base)
     found = name(base, present, seed, most, told)
     told("held-out cycles", 0.85)
+    own = spread_of(model, given, base)
+    beyond = excess(base, own), excess(found.fitted, own)
     return _concluded(model, found, held_out, before, beyond, Hand(seed, present, roles, told))
 
 
@@ -128,12 +129,18 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: P
 
 
 def _concluded(
-    model: Model, found: Found, held_out: Record, before: Ceiling | None, beyond: Excess | None, hand: Hand
+    model: Model,
+    found: Found,
+    held_out: Record,
+    before: Ceiling | None,
+    beyond: tuple[Excess | None, Excess | None],
+    hand: Hand,
 ) -> Outcome:
     after = found.fitted
     left = ceiling(after, hand.seed) if found.taken else before
     held, first, second = compared(found.base, after, held_out, hand.seed)
-    verdict, reasons = verdict_of(found, doubts(found, first, second, before, left), before, beyond)
+    reservations = doubts(found, first, second, held, before, left)
+    verdict, reasons = verdict_of(found, reservations, before, beyond[0])
     kept = verdict in ("named", "class")
     if not kept:
         after = found.base
@@ -159,15 +166,17 @@ def _concluded(
         untested=untested(hand.present, hand.roles),
         held_out=held,
         course=course_of(found.base, after, first, second),
-        settings=_settings(found, hand.seed),
+        settings=_settings(found, hand.seed, beyond),
         model_before=model.sha.name,
         model_after=None,
     )
     return Outcome(diagnosis, after.state.named if kept else (), after)
 
 
-def _settings(found: Found, seed: int) -> dict[str, float]:
+def _settings(found: Found, seed: int, beyond: tuple[Excess | None, Excess | None]) -> dict[str, float]:
     noise = found.fitted.noise
+    names = ("excess_before", "excess_after")
+    far = {name: one.median for name, one in zip(names, beyond, strict=True) if one is not None}
     return {
         "seed": float(seed),
         "threshold_nats": found.steps[0][0].threshold if found.steps else 0.0,
@@ -176,6 +185,7 @@ def _settings(found: Found, seed: int) -> dict[str, float]:
         "rough_sigma": noise.rough,
         "cycle_scatter": noise.cycle,
         "rough_memory_s": noise.memory,
+        **far,
     }
 
 
