@@ -23,6 +23,8 @@ ROUNDS, NEWTON = 4, 8
 LARGEST_TARGET, LARGEST_SHARE = 15.0, 0.7
 """A step of Newton's is shortened to this: degC of a target (other parameters in proportion to their belief), and the
 share of itself by which a strength may change."""
+MOVING = 0.5
+"""The share of readings that differ from the one before, up to which a course is a staircase."""
 SETTLED = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
 
@@ -67,7 +69,20 @@ def first_noise(model: Model, record: Record) -> Noise:
     seen = [value for value in process if value > 0]
     counts = np.diff(np.append(record.begins, record.rows.size))
     sensor = max(model.sensor_sigma, 0.02) / np.sqrt(float(np.median(counts)))
-    return Noise(sensor, float(np.median(seen)) / 2 if seen else 0.003, 3e-4, 0.01)
+    return Noise(max(float(sensor), rounding(model, record)), float(np.median(seen)) / 2 if seen else 0.003, 3e-4, 0.01)
+
+
+def rounding(model: Model, record: Record) -> float:
+    """degC that rounding alone is off by in the mean of a window: 0 where the sensor's noise blurs the steps.
+
+    Readings that stand on one step for a window's length are all wrong by the same; their mean is no better than one.
+    """
+    change = np.abs(np.diff(record.runs.reading[record.rows]))
+    moves = change[change > 0]
+    if moves.size == 0 or moves.size > MOVING * change.size:
+        return 0.0
+    step = float(np.median(moves))
+    return step / float(np.sqrt(12.0)) if model.sensor_sigma < step / 2.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +127,7 @@ def fit(
     own = frame.centre if begin is None else begin.state.parameters[: begin.own]
     own = own if moved is None else own + moved
     prior = np.concatenate([frame.prior, np.zeros(len(named))])
-    belief = Belief(first_noise(record.model, record))
+    belief = Belief(first_noise(record.model, record), least=rounding(record.model, record))
     noise = belief.centre if begin is None else begin.noise
     state = at(frame, np.concatenate([own, [one.strength for one in named]]), start, named)
     for _ in range(rounds):

@@ -18,14 +18,16 @@ overwhelming (nats)."""
 FURTHER, LEFTOVER, LEFTOVER_OF_RIVAL = 5.0, 0.02, 0.3
 """What a further name needs beyond the first one's threshold (nats): an effect whose shape is not quite right leaves
 something behind, of the order of these shares of its gain, the greater one where the further name looks like it."""
-MATERIAL, MATERIAL_FURTHER, BESIDE = 0.12, 0.4, 0.2
-"""Sensor sigmas that an effect must move the temperature by (rms beyond what the model's parameters imitate): the first
-name, and a further one, which must also be so large beside the greatest before it."""
+MATERIAL, MATERIAL_FURTHER, BESIDE, CLEARLY = 0.12, 0.4, 0.2, 40.0
+"""Sensor sigmas that an effect must move the temperature by (rms beyond what the model's parameters imitate): any name,
+and a further one, which must also be so large beside the greatest before it, unless its gain is clear (nats)."""
 CLEAR, MOSTLY = 2.0, 0.5
 """A held-out gap is clear from so many times the floor's mean square on; names must remove that share of it."""
 CEILING_P, CEILING_SHARE, CEILING_LEFT = 0.01, 0.08, 0.35
 """Heat that trees predict with such a p and to such a share is systematic; names that leave more than that part of the
 systematic heat they found are withheld."""
+SURELY = 0.002
+"""The p from which such heat is a gap by itself, where no candidate stands for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,9 @@ def insignificant(one: Step, earlier: Sequence[Step] = ()) -> str:
         gain = best.gain if best is not None else 0.0
         return f"adds {gain:.1f} nats, and chance alone does {one.threshold:.1f} in one case of a hundred"
     others = [each.best.amplitude for each in earlier if each.best is not None]
-    least = max((MATERIAL_FURTHER if others else MATERIAL) * one.before.sensor_sigma, BESIDE * max(others, default=0.0))
+    small = bool(others) and best.gain < CLEARLY
+    least = (MATERIAL_FURTHER if small else MATERIAL) * one.before.sensor_sigma
+    least = max(least, BESIDE * max(others)) if small else least
     if best.amplitude < least:
         return f"is there but moves the temperature by {best.amplitude:.3f} degC only, less than {least:.3f}"
     needed = max((_leftover(step, best.entry.name) for step in earlier), default=0.0)
@@ -133,7 +137,7 @@ def verdict_of(
     if found.steps and not insignificant(found.steps[0][0]):
         step, refusal = found.steps[0]
         return "unexplained", (f"{step.members[0]} {refusal}",)
-    if systematic(before):
+    if systematic(before) and before is not None and before.p <= SURELY:
         return "unexplained", ("a free learner predicts heat on cycles that it has not seen",)
     if beyond is not None and beyond.there:
         return "unexplained", (f"the free run is {beyond.median:.1f} times as far off as the model's own noise allows",)

@@ -180,10 +180,14 @@ def _precision(grid: Grid, noise: Noise) -> tuple[Array, float]:
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """What is believed of the noise before the data: centres and spreads (of logarithms) of sensor .. memory."""
+    """What is believed of the noise before the data: centres and spreads (of logarithms) of sensor .. memory.
+
+    The sensor's is not below `least` (degC).
+    """
 
     centre: Noise
     spread: tuple[float, float, float, float, float] = (1.0, 2.0, 2.0, 1.5, 0.7)
+    least: float = 0.0
 
 
 def vector(noise: Noise) -> Array:
@@ -210,6 +214,7 @@ def fit_noise(
         return objective(noise_of(point)) + 0.5 * float(np.sum(((point - centre) / spread) ** 2))
 
     bounds = [(value - 4.0, value + 4.0) for value in centre]
+    bounds[0] = max(bounds[0][0], float(np.log(max(belief.least, 1e-12)))), bounds[0][1]
     bounds[3] = bounds[3][0], MOST_SCATTER
     bounds[4] = SHORTEST, LONGEST
     found = minimize(

@@ -19,10 +19,10 @@ from sim.discrepancy.evidence import candidates_of, effect_of
 from sim.discrepancy.fit import Fitted, fit
 from sim.discrepancy.gap import Excess, excess, spread_of
 from sim.discrepancy.held_out import by_cycles, compared
-from sim.discrepancy.judging import Found, doubts, dubious, insignificant, systematic, untested, verdict_of
+from sim.discrepancy.judging import Found, doubts, systematic, untested, verdict_of
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
-from sim.discrepancy.naming import Step, entries_besides, step
+from sim.discrepancy.path import name
 from sim.discrepancy.record import Record, record_of
 from sim.discrepancy.story import course_of, sentence_of
 from sim.learning.preparation import encoded
@@ -110,22 +110,6 @@ def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
     """The inputs of the model's flows and the signals of the roles, each once."""
     inputs = [given.signal for location in model.sha.locations for given in location.flow.inputs]
     return tuple(dict.fromkeys([*inputs, *present.values()]))
-
-
-def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: Progress) -> Found:
-    """Effects named one after the other, each on top of the ones before, until none deserves it."""
-    fitted = base
-    steps: list[tuple[Step, str]] = []
-    for number in range(most):
-        told(f"looking for effect {number + 1}", 0.25 + 0.6 * number / most)
-        one = step(fitted, entries_besides(fitted.state.named), present, seed + number)
-        refusal = insignificant(one, [each for each, _ in steps]) or dubious(one)
-        steps.append((one, refusal))
-        best = one.best
-        if refusal or best is None or best.fitted is None:
-            break
-        fitted = best.fitted
-    return Found(base, fitted, tuple(steps))
 
 
 def _concluded(

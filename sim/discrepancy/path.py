@@ -1,0 +1,68 @@
+"""The path of names: one after the other, then each looked at again beside the others, and swapped or taken back."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from sim.discrepancy.fit import Fitted, fit
+from sim.discrepancy.judging import OVERWHELMING, Found, dubious, insignificant
+from sim.discrepancy.naming import MARGIN, Step, entries_besides, step
+
+Progress = Callable[[str, float], None]
+Judged = tuple[Step, str]
+"""A step, and why its best entry is refused ("": it is taken)."""
+
+
+def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: Progress) -> Found:
+    """Effects named one after the other, each on top of the ones before, until none deserves it; then revised.
+
+    `present` gives the signal of each role. An effect that is clear but for rivals that stand too near is taken for the
+    time being: beside the next name it may be told from them.
+    """
+    fitted, taken, refused = base, list[Judged](), list[Judged]()
+    for number in range(most):
+        told(f"looking for effect {number + 1}", 0.25 + 0.6 * number / (most + 1))
+        one = step(fitted, entries_besides(fitted.state.named), present, seed + number)
+        earlier = [each for each, _ in taken]
+        refusal = insignificant(one, earlier) or dubious(one)
+        if one.best is None or one.best.fitted is None or (refusal and not _open(one, earlier)):
+            refused = [(one, refusal)]
+            break
+        taken.append((one, refusal))
+        fitted = one.best.fitted
+    while taken and taken[-1][1]:
+        refused = [taken.pop()]
+    last = taken[-1][0].best if taken else None
+    fitted = last.fitted if last is not None and last.fitted is not None else base
+    if len(taken) > 1:
+        told("looking at each name again", 0.25 + 0.6 * most / (most + 1))
+        taken, fitted = _revised(fitted, taken, present, seed + most)
+    if any(refusal for _, refusal in taken):
+        return Found(base, base, tuple(taken[-1:]))
+    return Found(base, fitted, (*taken, *refused))
+
+
+def _open(one: Step, earlier: Sequence[Step]) -> bool:
+    """Whether a step's best is beyond doubt but for its margin over its rivals."""
+    clear = one.best is not None and one.best.gain >= OVERWHELMING and not insignificant(one, earlier)
+    return clear and one.margin < MARGIN
+
+
+def _revised(
+    fitted: Fitted, taken: Sequence[Judged], present: Mapping[str, str], seed: int
+) -> tuple[list[Judged], Fitted]:
+    """Each name but the last left out and looked for again beside the others, and the fit with all that remains.
+
+    `fitted` has all names of `taken`. What is refused now ends the list.
+    """
+    judged = list(taken)
+    for number, (before, _) in enumerate(taken[:-1]):
+        old = before.best.entry.name if before.best is not None else ""
+        others = [one for one in fitted.state.named if one.entry.name != old]
+        without = fit(fitted.frame, others, fitted, rounds=2, iterations=8)
+        one = step(without, entries_besides(others), present, seed + number)
+        rest = [each for place, (each, _) in enumerate(judged) if place != number]
+        refusal = insignificant(one, rest) or dubious(one)
+        judged[number] = one, refusal
+        if refusal or one.best is None or one.best.fitted is None:
+            return judged[: number + 1], fitted
+        fitted = one.best.fitted
+    return judged, fitted
