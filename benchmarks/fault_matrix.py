@@ -108,8 +108,20 @@ def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]], device: Path 
 
     `device` is the register map that the gateway works by; the PLC always has its own.
     """
-    rig = make_rig(folder, restless_trace(160.0), period=PERIOD, device=device)
-    with rig.plc() as plc, rig.gateway(plc) as gateway:
+    return suffered(make_rig(folder, restless_trace(160.0), period=PERIOD, device=device), faults)
+
+
+def suffered(
+    rig: Rig,
+    faults: Mapping[str, Mapping[str, Any]],
+    options: Sequence[str] = (),
+    tolerance: float = TOLERANCE_S,
+) -> Matrix:
+    """The same on a rig that is there already; `options` are the PLC's own, such as another face.
+
+    `tolerance` (s) is the age that a good value may have by the link's own rules.
+    """
+    with rig.plc(*options) as plc, rig.gateway(plc) as gateway:
         gateway.wait_for(_well)
         for name, fault in faults.items():
             _suffer(name, fault, plc, gateway)
@@ -118,7 +130,7 @@ def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]], device: Path 
         assert code == 0, gateway.words()
         plc.order("stop")
         plc.wait_for("stopped")
-    return _judged(rig, tuple(faults), int(status["failures"]))
+    return _judged(rig, tuple(faults), int(status["failures"]), tolerance)
 
 
 def _well(status: Mapping[str, Any]) -> bool:
@@ -142,9 +154,9 @@ def _suffer(name: str, fault: Mapping[str, Any], plc: Plc, gateway: Gateway) -> 
 # ---------------------------------------------------------------- the judgement
 
 
-def _judged(rig: Rig, names: Sequence[str], failures: int) -> Matrix:
+def _judged(rig: Rig, names: Sequence[str], failures: int, tolerance: float) -> Matrix:
     recording, read = read_recording(rig.recording), list(samples(rig.historian))
-    wrong = wrong_good(recording, read, TOLERANCE_S)
+    wrong = wrong_good(recording, read, tolerance)
     unconfirmed = _unconfirmed(rig.historian)
     spans = _spans(recording.events)
     assert len(spans) == len(names), f"{len(spans)} faults were recorded for {len(names)} ordered"
@@ -241,7 +253,7 @@ def repeated(requests: Iterable[RequestRow]) -> int:
 # ---------------------------------------------------------------- the command
 
 
-def table(matrix: Matrix) -> str:
+def table(matrix: Matrix, tolerance: float = TOLERANCE_S) -> str:
     """The matrix as Markdown."""
     head = "| fault | detected (s) | recovered (s) | readings not good | blocks not confirmed | wrong values GOOD |"
     lines = [head, "|---|---|---|---|---|---|"]
@@ -252,7 +264,7 @@ def table(matrix: Matrix) -> str:
     refused = ", ".join(f"{count} ({why})" for why, count in matrix.refusals.items()) or "0"
     lines.append("")
     lines.append(
-        f"Scan period {PERIOD:g} s, a good value may be {TOLERANCE_S:g} s old. {matrix.requests} requests, "
+        f"Scan period {PERIOD:g} s, a good value may be {tolerance:g} s old. {matrix.requests} requests, "
         f"{matrix.blocks} blocks, refused by the PLC: {refused}; writes outside the block: {matrix.outside}; "
         f"blocks on the wire more than once: {matrix.repeated}; rows that the recording lacks: {matrix.missing}."
     )

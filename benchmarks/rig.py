@@ -202,7 +202,8 @@ class Rig:
         """The same, for whoever wants to kill it."""
         status = self.folder / "status.json"
         status.unlink(missing_ok=True)
-        arguments = ["run", "--config", self.plant, "--port", plc.ready["port"], "--clock", plc.clock, "--quiet"]
+        port = [] if "[[device.links]]" in self.plant.read_text(encoding="utf-8") else ["--port", plc.ready["port"]]
+        arguments = ["run", "--config", self.plant, *port, "--clock", plc.clock, "--quiet"]
         process = _started("gateway.cli.main", *map(str, arguments), "--status", str(status), *options)
         return Gateway(process, status)
 

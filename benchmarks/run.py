@@ -24,6 +24,9 @@ BENCHMARKS = (
     "footprint",
     "startup",
     "encoder",
+    "can",
+    "canopen",
+    "redundant",
     "belief",
     "simulation",
     "queries",
@@ -32,6 +35,7 @@ BENCHMARKS = (
     "semantics",
     "verification",
     "lsha",
+    "can_logs",
 )
 LONGEST = 600.0
 """Seconds after which a benchmark is given up: many times what it takes on a quiet machine."""

@@ -3,8 +3,10 @@
 A driver speaks one device. Polled and pushed inputs are two verbs: `Driver.read` asks, `Streams.stream` listens.
 """
 
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from drivers.errors import DriverError
@@ -65,6 +67,29 @@ class Streams(Protocol):
         ...
 
 
+class Recorded(Protocol):
+    """A recording on its way through the decoder of a driver: iterate `samples` once; the rest is complete after that.
+
+    `identifiers` counts its messages by (bus, name), `readings` its samples by (tag, quality).
+    """
+
+    identifiers: Counter[tuple[str, str]]
+    readings: Counter[tuple[str, str]]
+
+    def samples(self, progress: Callable[[str, float], None]) -> Iterator[Sample]:
+        """Every reading in the recording's order and at its own times. Raises DriverError if it holds no message."""
+        ...
+
+    def counts(self) -> Mapping[str, int]:
+        """What became of all records and messages."""
+        ...
+
+    @property
+    def problem(self) -> str:
+        """What of the recording could not be used, in words; "" if all could."""
+        ...
+
+
 @runtime_checkable
 class Explains(Protocol):
     """A driver that can say beforehand how it would read."""
@@ -74,7 +99,28 @@ class Explains(Protocol):
         ...
 
 
+@runtime_checkable
+class Cautions(Protocol):
+    """A driver that knows what works today and should not stay so."""
+
+    def cautions(self) -> tuple[str, ...]:
+        """In sentences: a private key that others may read, a certificate that ends soon."""
+        ...
+
+
+@runtime_checkable
+class Complains(Protocol):
+    """A driver that hears from the device, or from its bus, what is wrong with it."""
+
+    def complaints(self) -> tuple[str, ...]:
+        """What is wrong now, in sentences; empty where nothing is."""
+        ...
+
+
 DRIVERS: dict[str, str] = {
+    "can": "drivers.can.driver:open_can",
+    "can-log": "drivers.can.replay:open_can_log",
+    "canopen": "drivers.canopen.driver:open_canopen",
     "modbus": "drivers.modbus:open_modbus",
     "soft": "drivers.soft:open_soft",
 }
@@ -95,3 +141,23 @@ def open_driver(
     module, _, function = target.partition(":")
     factory: Callable[..., Driver] = getattr(import_module(module), function)
     return factory(settings, clock=clock, write_map=tuple(write_map), seed=seed)
+
+
+RECORDINGS: dict[str, str] = {
+    "can": "drivers.can.batch:decode_log",
+    "can-log": "drivers.can.batch:decode_log",
+}
+
+
+def open_recording(kind: str, path: Path, settings: Mapping[str, Any], tags: Sequence[Tag]) -> Recorded:
+    """The recording at `path`, to be decoded at once as the driver called `kind` would decode it live.
+
+    `settings` are the driver's own. Raises DriverError for a driver that has no recordings (it lists those that have),
+    a setting, an address or a file that cannot be used.
+    """
+    target = RECORDINGS.get(kind)
+    if target is None:
+        raise DriverError(f"driver {kind!r} has no recordings; give a device of {' or '.join(sorted(RECORDINGS))}")
+    module, _, function = target.partition(":")
+    decode: Callable[..., Recorded] = getattr(import_module(module), function)
+    return decode(path, settings, tags)

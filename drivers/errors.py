@@ -3,6 +3,7 @@
     DriverError
     ├── AddressError(ValueError)        the configuration names an address that this driver cannot mean
     ├── EncodingError(ValueError)       a value does not fit the tag's type, range or scale
+    ├── RecordingError(ValueError)      a recording that is no file, empty, or of no known format
     ├── WriteForbidden(PermissionError) the tag is not in the closed write map; nothing was sent
     ├── WriteUnverified                 the device confirmed the write but reads back something else
     ├── LinkDown(ConnectionError)       no connection: refused, reset, unreachable, closed
@@ -24,6 +25,10 @@ class AddressError(DriverError, ValueError):
 
 class EncodingError(DriverError, ValueError):
     """The value cannot be represented in the tag's type, range or scale."""
+
+
+class RecordingError(DriverError, ValueError):
+    """The recording cannot be used; the message says why."""
 
 
 class WriteForbidden(DriverError, PermissionError):

@@ -1,4 +1,4 @@
-"""The Modbus TCP driver: blocks read under deadlines, refused addresses kept apart, one verified write."""
+"""The Modbus driver (TCP, TLS, RTU): blocks read under deadlines, refused addresses kept apart, one verified write."""
 
 import asyncio
 from collections.abc import Mapping, Sequence
@@ -23,32 +23,12 @@ from drivers.errors import (
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.modbus_address import Span, locate
 from drivers.modbus_quarantine import Refused
+from drivers.modbus_transport import AnyWire, checked, make_transport
 from drivers.modbus_verify import quality_of
-from drivers.modbus_wire import Reply, Wire, read_request, write_request
+from drivers.modbus_wire import Reply, read_request, write_request
 from drivers.plan import Block, Limits, Quarantine, bisect, describe, fitting, plan_spans, refusal_of
-from drivers.settings import Setting, check_settings
 from drivers.tag import Quality, Sample, Tag, Value
 
-SETTINGS: dict[str, Setting] = {
-    "host": Setting(str),
-    "port": Setting(int, 502, 1, 65535),
-    "unit": Setting(int, 1, 0, 255),
-    "timeout": Setting(float, 0.6, 0.001, 60.0),
-    "attempts": Setting(int, 2, 1, 5),
-    "connect_timeout": Setting(float, 0.3, 0.001, 60.0),
-    "max_registers": Setting(int, 125, 1, 125),
-    "max_bits": Setting(int, 2000, 1, 2000),
-    "max_write_registers": Setting(int, 123, 1, 123),
-    "max_gap": Setting(int, 8, 0, 124),
-    "pause_ms": Setting(float, 0.0, 0.0, 10_000.0),
-    "one_client": Setting(bool, False),
-    "backoff_first": Setting(float, 0.2, 0.001, 5.0),
-    "backoff_cap": Setting(float, 0.5, 0.001, 5.0),
-    "max_failures": Setting(int, 3, 1, 100),
-    "max_silence": Setting(float, 2.0, 0.001, 60.0),
-    "refused_first": Setting(float, 1.0, 0.001, 3600.0),
-    "refused_cap": Setting(float, 10.0, 0.001, 86_400.0),
-}
 # A device exception that can be about one address of several. 5, 6, 10, 11 are about the moment or the way there.
 _ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
 _MAX_WRITE_BITS = 1968
@@ -81,24 +61,29 @@ class _Layout:
 def open_modbus(
     settings: Mapping[str, Any], *, clock: Clock, write_map: Sequence[Tag] = (), seed: int = 0
 ) -> "ModbusDriver":
-    """Make a Modbus TCP driver, not yet opened.
+    """Make a Modbus driver, not yet opened.
 
-    Settings (seconds unless named otherwise): `host`; `port`; `unit` (0..255); `timeout`, the deadline of one request
-    with all its `attempts` (only reads have more than one, each with an equal share; a device that is slower than
-    timeout / attempts is never read); `connect_timeout`; `max_registers`, `max_bits`, `max_write_registers`, the most
-    that the device takes in a request; `max_gap`, addresses read in vain to save a request; `pause_ms` between
-    requests; `one_client`, if the device serves one connection only; `backoff_first` and `backoff_cap`; `max_failures`
-    and `max_silence`, the dead-peer rule; `refused_first` and `refused_cap`, when a refused address is asked again.
+    `transport` is "tcp" (`host`, `port`), "tls" (Modbus/TCP Security: also `certificates`, the folder of ca.pem,
+    client.pem and client.key, and `tls_name` where the PLC's certificate has another name than `host`), "rtu" (`serial`
+    port, `baud`, `parity`, `stopbits`) or "rtu-tcp" (RTU frames at `host` and `port`). The last two also have `echo`,
+    if the adapter gives back what is sent, and `longest_reply`, after which an answer can no longer come.
 
-    Raises DriverError for an unknown key (it lists the known ones) or a value out of range, AddressError for a tag of
-    the write map that cannot be written.
+    Further settings (seconds unless named otherwise): `unit` (0..255; 1..247 on a serial line); `timeout`, the deadline
+    of one request with all its `attempts` (only reads have more than one, each with an equal share; a device that is
+    slower than timeout / attempts is never read; the time that bytes need on a serial line comes on top);
+    `connect_timeout`; `max_registers`, `max_bits`, `max_write_registers`, the most that the device takes in a request;
+    `max_gap`, addresses read in vain to save a request; `pause_ms` between requests; `one_client`, if the device serves
+    one connection only; `backoff_first` and `backoff_cap`; `max_failures` and `max_silence`, the dead-peer rule;
+    `refused_first` and `refused_cap`, when a refused address is asked again.
+
+    Raises DriverError for an unknown key (it lists the known ones), a value out of range and certificates that cannot
+    be used, AddressError for a tag of the write map that cannot be written.
     """
-    checked = check_settings("modbus", settings, SETTINGS)
-    return ModbusDriver(checked, clock=clock, write_map=tuple(write_map), seed=seed)
+    return ModbusDriver(checked(settings), clock=clock, write_map=tuple(write_map), seed=seed)
 
 
 class ModbusDriver:
-    """One Modbus TCP device behind one connection; a Driver that Writes. Made by `open_modbus`."""
+    """One Modbus device behind one connection; a Driver that Writes. Made by `open_modbus`."""
 
     def __init__(self, settings: Mapping[str, Any], *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
         self._settings = settings
@@ -118,7 +103,8 @@ class ModbusDriver:
         self._counts = dict.fromkeys(
             ("requests", "timeouts", "mismatches", "exceptions", "retries", "writes", "bisections"), 0
         )
-        self._link: Link[Wire] = Link(
+        self._transport = make_transport(settings, clock)
+        self._link: Link[AnyWire] = Link(
             self._connect,
             self._disconnect,
             connect_deadline=settings["connect_timeout"],
@@ -178,6 +164,10 @@ class ModbusDriver:
         left_out += [f"{span.tag.name}: in quarantine: {refusal.reason}" for span, refusal in refused if refusal]
         return (*left_out, *describe(layout.blocks, self._limits, self._settings["timeout"]))
 
+    def cautions(self) -> tuple[str, ...]:
+        """What works and should not stay as it is, in sentences: a key that others may read, a certificate's end."""
+        return self._transport.cautions()
+
     # ------------------------------------------------------------ Writes
 
     async def write(self, values: Sequence[tuple[Tag, Value]]) -> None:
@@ -193,12 +183,22 @@ class ModbusDriver:
         async with self._lock:
             self._counts["writes"] += 1
             request = write_request(block.area, block.start, words, self._settings["unit"])
-            await self._exchange(request, self._settings["timeout"])
+            await self._once(request)
             try:
                 stored = await self._read_back(block)
             except DriverError as error:
                 raise WriteUnverified(f"the device confirmed the write, but reading back failed: {error}") from error
         _compare(block, words, stored)
+
+    async def _once(self, request: ModbusPDU) -> None:
+        """Send a write. One without an answer ends the connection, so that it cannot be delivered later."""
+        wire = self._link.connection
+        try:
+            await self._exchange(request, self._settings["timeout"])
+        except (ReplyTimeout, ReplyMismatch):
+            if wire is not None:
+                self._link.lost(wire, "a write was not answered: what is left of it must not arrive later")
+            raise
 
     async def _read_back(self, block: Block) -> list[int]:
         """What the device holds now, in as many requests as its read limit asks for (the lock is held)."""
@@ -338,10 +338,10 @@ class ModbusDriver:
             self._counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
             self._link.failed(wire, _now() - started, str(error))
             raise
-        except DeviceException:
+        except DeviceException as error:
             self._counts["exceptions"] += 1
             self._link.answered(wire)
-            raise
+            raise self._transport.explained(error) from None
         except LinkDown as error:
             self._link.lost(wire, str(error))
             raise
@@ -352,17 +352,12 @@ class ModbusDriver:
 
     # ------------------------------------------------------------ the connection
 
-    async def _connect(self) -> Wire:
-        wire = Wire(
-            self._settings["host"],
-            self._settings["port"],
-            clock=self._clock,
-            on_lost=lambda reason: self._link.lost(wire, reason),
-        )
+    async def _connect(self) -> AnyWire:
+        wire = self._transport.wire(lambda reason: self._link.lost(wire, reason))
         await wire.connect()
         return wire
 
-    def _disconnect(self, wire: Wire) -> None:
+    def _disconnect(self, wire: AnyWire) -> None:
         self._foreign += wire.foreign
         wire.abandon()
 

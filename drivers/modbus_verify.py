@@ -11,7 +11,10 @@ from drivers.errors import DeviceException, ReplyMismatch
 from drivers.tag import Quality
 
 _SHORTEST, _LONGEST = 3, 254  # the length field: unit, function and at least one byte; a PDU has at most 253 bytes
-_TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input", 15: "coil", 16: "holding"}
+IDENTIFY = 43
+"""Function 43 with MEI type 14: the device says who it is (V1.1b3, 6.21)."""
+_MEI_IDENTITY = 14
+_TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input", 15: "coil", 16: "holding", IDENTIFY: "identity"}
 _REGISTERS, _WRITES = frozenset({3, 4}), frozenset({15, 16})
 
 # V1.1b3 section 7: what the device says, and what that makes of a reading.
@@ -46,7 +49,9 @@ class Asked:
 
 
 def asked(request: bytes) -> Asked:
-    """Read a request of function 1 to 4, 15 or 16."""
+    """Read a request of function 1 to 4, 15 or 16, or of 43 (which has neither address nor count)."""
+    if request[7] == IDENTIFY:
+        return Asked(int.from_bytes(request[:2], "big"), request[6], IDENTIFY, 0, 0)
     transaction, _, _, unit, function, address, count = struct.unpack(">HHHBBHH", request[:12])
     return Asked(transaction, unit, function, address, count)
 
@@ -81,7 +86,9 @@ def check_reply(request: Asked, reply: bytes) -> None:
         raise _refusal(request, body)
     if function != request.function:
         raise ReplyMismatch(f"{request}: the reply is of function {function} and {request.function} was asked")
-    if function in _WRITES:
+    if function == IDENTIFY:
+        _check_identity(request, body)
+    elif function in _WRITES:
         _check_echo(request, body)
     else:
         _check_count(request, body)
@@ -106,6 +113,11 @@ def _check_echo(request: Asked, body: bytes) -> None:
     expected = struct.pack(">HH", request.address, request.count)
     if body != expected:
         raise ReplyMismatch(f"{request}: the device confirms {body.hex()} instead of {expected.hex()}")
+
+
+def _check_identity(request: Asked, body: bytes) -> None:
+    if len(body) < 6 or body[0] != _MEI_IDENTITY:
+        raise ReplyMismatch(f"{request}: the reply holds no identification")
 
 
 def quality_of(code: int) -> Quality:

@@ -1,18 +1,21 @@
-"""One TCP connection to a Modbus device: pymodbus 3.16.1 behind our own verification of every received byte.
+"""One TCP or TLS connection to a Modbus device: pymodbus 3.16.1 behind our own verification of every received byte.
 
 pymodbus builds the requests, numbers them, moves the bytes and decodes the replies. It hands every received byte to
 `trace_packet` first; there the stream is cut into frames, and only a frame that answers the outstanding request goes
-on to the library. That hook, `trace_connect` and the transport behind `client.ctx` are all that is used beyond its
-everyday interface; tests/drivers/test_pymodbus_contract.py fails if they change.
+on to the library, whole: its TLS framer takes every record for a frame. That hook, `callback_disconnected`,
+`call_create` and the transport behind `client.ctx` are all that is used beyond its everyday interface;
+tests/drivers/test_pymodbus_contract.py fails if they change.
 """
 
 import asyncio
 import socket
+import ssl
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
-from pymodbus.client import AsyncModbusTcpClient
+from pymodbus.client import AsyncModbusTcpClient, AsyncModbusTlsClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.bit_message import ReadCoilsRequest, ReadDiscreteInputsRequest, WriteMultipleCoilsRequest
@@ -26,6 +29,7 @@ from drivers.driver import Clock
 from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.modbus_address import Area
 from drivers.modbus_verify import Asked, asked, check_reply, split_frames
+from drivers.tap import current, moved
 
 # More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line.
 _FLOOD = 65536
@@ -61,21 +65,29 @@ def write_request(area: Area, start: int, words: Sequence[int], unit: int) -> Mo
     return WriteMultipleRegistersRequest(address=start, registers=list(words), dev_id=unit)
 
 
-class Wire:
-    """A connection, from `connect` to `abandon`, for one exchange at a time. `on_lost` hears why it broke."""
+@dataclass(frozen=True, slots=True)
+class Secured:
+    """TLS for a wire: the context, the name that the server's certificate must have, and failures in words."""
 
-    def __init__(self, host: str, port: int, *, clock: Clock, on_lost: Callable[[str], None]) -> None:
+    context: ssl.SSLContext
+    name: str
+    sentence: Callable[[Exception], str]
+
+
+class Wire:
+    """A connection, from `connect` to `abandon`, for one exchange at a time. `on_lost` hears why it broke.
+
+    `last` is the unit and the PDU of the last reply that answered a request.
+    """
+
+    def __init__(
+        self, host: str, port: int, *, clock: Clock, on_lost: Callable[[str], None], secured: Secured | None = None
+    ) -> None:
         self._clock = clock
         self._on_lost = on_lost
-        self._client = AsyncModbusTcpClient(
-            host,
-            port=port,
-            retries=0,
-            reconnect_delay=0,
-            timeout=_NEVER,
-            trace_packet=self._inspect,
-            trace_connect=self._connection_changed,
-        )
+        self._secured = secured
+        self._client = self._made(host, port, secured)
+        self._client.ctx.callback_disconnected = self._disconnected  # type: ignore[method-assign]
         self._client.ctx.max_buffer_size = 2 * _FLOOD
         self._request: Asked | None = None
         self._verdict: asyncio.Future[DriverError] | None = None
@@ -83,6 +95,28 @@ class Wire:
         self._stream = b""
         self._seen = 0
         self.foreign = 0
+        self.last = b""
+        self._tap = current()
+
+    def _made(self, host: str, port: int, secured: Secured | None) -> AsyncModbusTcpClient:
+        """pymodbus's client for the connection, with everything that it does by itself turned off."""
+        if secured is None:
+            return AsyncModbusTcpClient(
+                host, port=port, retries=0, reconnect_delay=0, timeout=_NEVER, trace_packet=self._inspect
+            )
+        client = AsyncModbusTlsClient(
+            host,
+            port=port,
+            sslctx=secured.context,
+            retries=0,
+            reconnect_delay=0,
+            timeout=_NEVER,
+            trace_packet=self._inspect,
+        )
+        create = client.ctx.loop.create_connection
+        names = {"ssl": secured.context, "server_hostname": secured.name}
+        client.ctx.call_create = partial(create, client.ctx.handle_new_connection, host, port, **names)
+        return client
 
     async def connect(self) -> None:
         """Connect; the caller sets the deadline by cancelling. Raises LinkDown with the system's own reason."""
@@ -90,9 +124,9 @@ class Wire:
         try:
             # Not client.connect(): that one answers False and keeps the reason to itself.
             await self._client.ctx.call_create()
-        except (OSError, UnicodeError) as error:  # UnicodeError: a host name that DNS cannot even be asked for
+        except (OSError, ValueError) as error:  # ValueError: a host name that DNS or TLS cannot even be asked for
             self._client.close()
-            reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+            reason = self._secured.sentence(error) if self._secured else _reason(error)
             raise LinkDown(f"{parameters.host}:{parameters.port} does not connect: {reason}") from error
         except asyncio.CancelledError:
             self._client.close()
@@ -153,6 +187,7 @@ class Wire:
         as many bytes as it was given back here. The stream is framed apart from that, so that a late reply whose first
         half came before a new request and whose second half comes after is still recognised.
         """
+        self._tell(data if sending else data[self._seen :], sent=sending)
         if sending:
             self._request, self._sent, self._seen = asked(data), self._clock(), 0
             return data
@@ -162,6 +197,13 @@ class Wire:
         if self._seen > _FLOOD:
             self._break("the peer floods the line with frames that nobody asked for")
         return passed
+
+    def _tell(self, data: bytes, *, sent: bool) -> None:
+        """Let the evidence know, where somebody gathers it."""
+        transport = self._client.ctx.transport
+        if self._tap is not None and isinstance(transport, asyncio.Transport):
+            ends = [socket_place(transport.get_extra_info(name)) for name in ("peername", "sockname")]
+            self._tap(moved("tcp", ends[0], data, sent=sent, local=ends[1]))
 
     def _passed(self) -> bytes:
         try:
@@ -191,14 +233,18 @@ class Wire:
             self._request = None
             self._fail(error)
             return b""
+        self.last = frame[6:]
         return frame
 
-    def _connection_changed(self, connected: bool) -> None:
-        if connected:
-            return
+    def _disconnected(self, exc: Exception | None) -> None:
         where = " in the middle of a reply" if self._stream else ""
-        self._fail(LinkDown(f"the peer closed the connection{where}"))
-        self._on_lost(f"the peer closed the connection{where}")
+        said = f"the peer closed the connection{where}"
+        if self._secured is not None and isinstance(exc, ssl.SSLError):
+            said = self._secured.sentence(exc)
+        elif self._secured is not None and not self._received and not where:
+            said = "the peer closed the connection after the TLS handshake: it may not accept our certificate"
+        self._fail(LinkDown(said))
+        self._on_lost(said)
 
     def _break(self, reason: str) -> None:
         self.abandon()
@@ -208,3 +254,12 @@ class Wire:
     def _fail(self, error: DriverError) -> None:
         if self._verdict is not None and not self._verdict.done():
             self._verdict.set_result(error)
+
+
+def socket_place(name: tuple[str, int] | None) -> str:
+    """A socket's name as `host:port`."""
+    return f"{name[0]}:{name[1]}" if name else ""
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)

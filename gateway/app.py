@@ -11,7 +11,7 @@ from typing import Any
 
 from structlog.typing import FilteringBoundLogger
 
-from drivers.driver import Driver
+from drivers.driver import Cautions, Driver
 from drivers.errors import DriverError
 from gateway.clock import Clock, PlantClock, plant_clock
 from gateway.config import Config
@@ -20,7 +20,9 @@ from gateway.log import open_log
 from gateway.outlook import block_values
 from gateway.quality import Rules
 from gateway.records import percentile
+from gateway.redundant import Redundant
 from gateway.scan import Scan, scans
+from gateway.startup import scans_on_change
 from gateway.status import write_status
 
 STATUS_SECONDS = 0.25
@@ -68,6 +70,8 @@ async def run(
 async def _supervised(gateway: Gateway, stop: asyncio.Event) -> None:
     """Scan until the stop; whatever fails is logged, made known to the PLC, and begun anew a second later."""
     log = gateway.log
+    for caution in gateway.driver.cautions() if isinstance(gateway.driver, Cautions) else ():
+        log.warning("this works today and should not stay so", reason=caution)
     try:
         await gateway.driver.open()
     except DriverError as error:
@@ -87,7 +91,8 @@ async def _scanned(gateway: Gateway, stop: asyncio.Event) -> None:
     config, clock = gateway.config, gateway.clock
     rules = Rules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period * clock.speed)
     gateway.phase = "running"
-    async with aclosing(scans(gateway.driver, config.map.tags, clock, rules, stop)) as stream:
+    urgent = gateway.urgent if scans_on_change(config) else None
+    async with aclosing(scans(gateway.driver, config.map.tags, clock, rules, stop, urgent)) as stream:
         async for scan in stream:
             await gateway.take(scan)
 
@@ -119,11 +124,12 @@ async def _stopped(gateway: Gateway) -> None:
     await gateway.pickup.close()
     gateway.save(gateway.clock.now())
     await gateway.driver.close()
-    complete = await asyncio.to_thread(gateway.historian.close)
+    complete = await asyncio.to_thread(gateway.close)
     if complete:
         gateway.log.info("stopped", scans=gateway.tally.scans, events=gateway.tally.events)
     else:
-        gateway.log.error("stopped, with records that could not be stored", reason=gateway.historian.failure)
+        failure = gateway.historian.failure or (gateway.audit.failure if gateway.audit else "")
+        gateway.log.error("stopped, with records that could not be stored", reason=failure)
 
 
 async def _pause(stop: asyncio.Event, seconds: float) -> None:
@@ -171,7 +177,13 @@ def snapshot(gateway: Gateway) -> dict[str, Any]:
             "outages": [outage.plain(speed) for outage in link.outages],
             "outage_count": link.count,
         },
-        "scan": {"count": tally.scans, "missed": tally.missed, "period": gateway.config.scan.period},
+        "links": _links(gateway),
+        "scan": {
+            "count": tally.scans,
+            "early": tally.early,
+            "missed": tally.missed,
+            "period": gateway.config.scan.period,
+        },
         "values": _values(gateway),
         "prediction": _prediction(gateway),
         "forecast": _forecast(gateway),
@@ -183,9 +195,20 @@ def snapshot(gateway: Gateway) -> dict[str, Any]:
         "writeback": _writeback(gateway),
         "historian": {"dropped": gateway.historian.dropped, "failure": gateway.historian.failure},
         "driver": dict(gateway.driver.statistics()),
+        "complaints": list(gateway.complaints()),
         "failures": tally.failures,
         "last_failure": tally.last_failure,
     }
+
+
+def _links(gateway: Gateway) -> list[dict[str, Any]]:
+    """Every link to the device, the primary first."""
+    driver, links = gateway.driver, gateway.config.links
+    places = {link.name: {"driver": link.map.driver, "place": link.place} for link in links}
+    if isinstance(driver, Redundant):
+        return [one | places[one["name"]] for one in driver.report()]
+    alone = {"active": True, "connected": driver.connected, "well": gateway.link.alive, "reason": ""}
+    return [{"name": link.name, **alone, **places[link.name]} for link in links[:1]]
 
 
 def _values(gateway: Gateway) -> dict[str, Any]:
@@ -229,6 +252,7 @@ def _writeback(gateway: Gateway) -> dict[str, Any]:
         "armed_until": writer.arming.until if writer.arming else None,
         "armed_by": writer.arming.by if writer.arming else None,
         **asdict(writer.counters),
+        "audit": {"path": str(gateway.config.audit), "complaint": writer.audit.complaint if writer.audit else ""},
         "last_verdict": last.verdict if last else None,
         "last_reason": last.reason if last else "",
         "last_validity": int(last.block.validity) if last else None,

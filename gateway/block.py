@@ -20,7 +20,7 @@ _MINUTES = frozenset({"minutes_low", "minutes_median", "minutes_high"})
 
 
 class Validity(IntFlag):
-    """The validity word. USABLE stands only where all the others but SHADOW do."""
+    """The validity word. USABLE stands only where all the others but SHADOW do, and the model fits what it reads."""
 
     NONE = 0
     USABLE = 1
@@ -31,13 +31,19 @@ class Validity(IntFlag):
     SHADOW = 32
 
 
-def validity(*, inputs: bool, location: bool, forecast: bool, model: bool, shadow: bool = False) -> Validity:
-    """The word from its parts."""
+def validity(
+    *, inputs: bool, location: bool, forecast: bool, model: bool, familiar: bool = True, shadow: bool = False
+) -> Validity:
+    """The word from its parts.
+
+    `familiar` False: the newest readings are out of the model's own distribution. That takes USABLE away and has no bit
+    of its own: the field `zone` says red then.
+    """
     parts = ((inputs, Validity.INPUTS), (location, Validity.LOCATION), (forecast, Validity.FORECAST))
     word = Validity.MODEL if model else Validity.NONE
     for true, bit in parts:
         word |= bit if true else Validity.NONE
-    if inputs and location and forecast and model:
+    if inputs and location and forecast and model and familiar:
         word |= Validity.USABLE
     return word | Validity.SHADOW if shadow else word
 

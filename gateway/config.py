@@ -2,36 +2,31 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from gateway.checked import ConfigError, Section, checked, read_toml
-from gateway.devices import DeviceMap, load_device
+from gateway.devices import DeviceMap
+from gateway.links import DeviceSection, FilePath, Link, link_problems, links_of
 
-FilePath = Annotated[Path, Field(strict=False)]
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 Seconds = Annotated[tuple[float, ...], Field(strict=False)]
 
 MAX_ARMED_MINUTES = 480.0
-
-
-class DeviceSection(Section):
-    """Where the device is, and the file of its register map."""
-
-    file: FilePath = Field(description="the path of the register map, relative to this file")
-    host: str = Field("127.0.0.1", min_length=1, description="the PLC's address or name")
-    port: int = Field(502, ge=1, le=65535, description="a TCP port from 1 to 65535")
-    timeout: float = Field(0.5, gt=0, le=60, description="the deadline of one request in seconds, at most 60")
-    heartbeat_period: float = Field(0.0, ge=0, description="the longest time in real seconds between two heartbeats")
+LEAST_BLOCKS = 10.0
 
 
 class ScanSection(Section):
     """How often the device is read."""
 
     period: float = Field(1.0, ge=0.01, le=3600, description="the seconds between two scans, 0.01 to 3600")
+    on_change: bool | None = Field(
+        None,
+        description="true: a device that speaks by itself is scanned at once when a tag of the model or of an alarm "
+        "changes; false: at the period only; no key: true for canopen and can",
+    )
 
 
 class ModelSection(Section):
@@ -51,6 +46,10 @@ class WritebackSection(Section):
         None, gt=0, le=MAX_ARMED_MINUTES, description=f"for how many minutes, at most {MAX_ARMED_MINUTES:g}"
     )
     horizon: float | None = Field(None, gt=0, description="one of forecast.horizons, in seconds")
+    most_per_second: float | None = Field(
+        None, ge=0.1, le=1000, description="the most blocks a real second, 0.1 to 1000, or no key for twice the scans"
+    )
+    audit: FilePath | None = Field(None, description="the path of the audit log, beside the historian without this key")
 
     @model_validator(mode="after")
     def _armed_is_signed(self) -> "WritebackSection":
@@ -177,7 +176,22 @@ class Config:
     forecast: ForecastSection
     ensemble: EnsembleSection
     clock: ClockSection
-    map: DeviceMap
+    links: tuple[Link, ...]
+
+    @property
+    def map(self) -> DeviceMap:
+        """The device file of the primary link: the tags, and the block that is written back."""
+        return self.links[0].map
+
+    @property
+    def audit(self) -> Path:
+        """Where every write and refusal is accounted for."""
+        return self.writeback.audit or self.historian.path.with_name("audit.sqlite")
+
+    @property
+    def blocks_per_second(self) -> float:
+        """The most blocks a real second: as configured, or twice the scans and at least LEAST_BLOCKS."""
+        return self.writeback.most_per_second or max(LEAST_BLOCKS, 2.0 * self.clock.speed / self.scan.period)
 
     @property
     def watched(self) -> tuple[str, ...]:
@@ -200,30 +214,30 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
     data = _overridden(read_toml(path), overrides or {})
     content = checked(_PlantFile, data, path)
     home = path.parent
-    device_file = home / content.device.file
-    device_map = load_device(device_file)
-    problems = _problems(content, device_map, home)
+    links = links_of(content.device, home)
+    problems = _problems(content, links, home)
     if problems:
         raise ConfigError([f"{path}: {problem}" for problem in problems])
     historian = content.historian.model_copy(update={"path": home / content.historian.path})
     log = content.log.model_copy(update={"path": content.log.path and home / content.log.path})
     model = content.model.model_copy(update={"path": content.model.path and home / content.model.path})
-    device = content.device.model_copy(update={"file": device_file})
     members = tuple(home / member for member in content.ensemble.members)
     return Config(
         path=path,
         stamp=path.stat().st_mtime,
-        device=device,
+        device=content.device,
         scan=content.scan,
         model=model,
-        writeback=content.writeback,
+        writeback=content.writeback.model_copy(
+            update={"audit": content.writeback.audit and home / content.writeback.audit}
+        ),
         alarms=content.alarms,
         historian=historian,
         log=log,
         forecast=content.forecast,
         ensemble=content.ensemble.model_copy(update={"members": members}),
         clock=content.clock,
-        map=device_map,
+        links=links,
     )
 
 
@@ -237,8 +251,9 @@ def _overridden(data: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str,
     return merged
 
 
-def _problems(content: _PlantFile, device: DeviceMap, home: Path) -> list[str]:
+def _problems(content: _PlantFile, links: tuple[Link, ...], home: Path) -> list[str]:
     """What no single key shows: tags that the map lacks, a model that is not there, a speed for a real plant."""
+    device = links[0].map
     tags = {tag.name for tag in device.tags}
     named = [("model.temperature", content.model.temperature), *(("alarms.tags", tag) for tag in content.alarms.tags)]
     problems = [
@@ -256,12 +271,7 @@ def _problems(content: _PlantFile, device: DeviceMap, home: Path) -> list[str]:
     if horizon is not None and horizon not in content.forecast.horizons:
         known = ", ".join(f"{value:g}" for value in content.forecast.horizons)
         problems.append(f"writeback.horizon: {horizon:g} is not among forecast.horizons; give one of {known}")
-    if content.clock.speed != 1.0 and not _loopback(content.device.host):
-        problems.append(
-            f"clock.speed: {content.clock.speed:g} is only for a software PLC on this machine, and device.host is "
-            f"{content.device.host!r}; set speed to 1"
-        )
-    return problems
+    return problems + link_problems(links, content.clock.speed)
 
 
 def _ensemble_problems(content: _PlantFile, home: Path) -> list[str]:
@@ -284,12 +294,3 @@ def _ensemble_problems(content: _PlantFile, home: Path) -> list[str]:
             f"ensemble.floor: {ensemble.floor:g} is too much for {models} models; give less than {1 / models:g}"
         )
     return problems
-
-
-def _loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return False

@@ -4,9 +4,10 @@ from typing import Any
 
 from structlog.typing import FilteringBoundLogger
 
-from drivers.driver import Driver
-from gateway import records
+from drivers.driver import Complains, Driver
+from gateway import arming, records
 from gateway.alarms import Alarm, acknowledge, step, to_plain, word
+from gateway.audit import Audit, open_audit
 from gateway.block import Validity, validity
 from gateway.clock import Clock
 from gateway.config import Config
@@ -16,22 +17,24 @@ from gateway.historian import open_historian
 from gateway.outlook import Outlook, block_values
 from gateway.pickup import Pickup, Ready
 from gateway.predict import ZONES, Prediction, Predictor
+from gateway.redundant import Redundant, Switch
 from gateway.scan import Scan
 from gateway.startup import (
+    DEVICE,
     LoadedModel,
     load_members,
     load_model,
     loaded,
     make_conditions,
     make_driver,
-    make_writer,
     restored_alarms,
 )
 from gateway.status import Link, Tally
-from gateway.writeback import Attempt
+from gateway.writeback import Arming, Attempt
 from sim.sha.forecast import Forecast
 
 SAVE_SECONDS = 10.0
+ORDERS = ("WritePermit", "AcknowledgeBits")
 _HOUR = 3600.0
 
 
@@ -47,13 +50,19 @@ class Gateway:
         self.members = load_members(config, self.loaded)
         self.driver = driver or make_driver(config, clock)
         self.historian, numbers = open_historian(config.historian.path, config.map.tags, max_mb=config.historian.max_mb)
+        self.audit: Audit | None = None
         opened = False
         try:
             self._open(numbers)
             opened = True
         finally:
             if not opened:
-                self.historian.close()
+                self.close()
+
+    def close(self) -> bool:
+        """Store what waits and close historian and audit log; False if records had to be given up."""
+        accounted = self.audit is None or self.audit.close()
+        return self.historian.close() and accounted
 
     def _open(self, numbers: dict[str, int]) -> None:
         config, now = self.config, self.clock.now()
@@ -63,15 +72,20 @@ class Gateway:
             if one is not None and one.warning:
                 self.log.warning("a model runs that does not verify", reason=one.warning)
         watched = self.predictor.inputs if self.predictor else config.watched
-        self.conditions = make_conditions(config, watched)
+        self.conditions = make_conditions(config, watched, complains=isinstance(self.driver, Complains))
         self.alarms = restored_alarms(self.conditions, self.historian, now, self.log)
-        self.writer = make_writer(config, self.clock, self.driver, self.historian, self.log)
+        if config.map.writeback is not None and config.writeback.mode != "off":
+            self.audit = open_audit(config.audit)
+        parts = (self.driver, self.historian, self.audit, self.log)
+        self.writer = arming.make_writer(config, self.clock, *parts)
         heartbeat = config.map.heartbeat
         left_out = frozenset({heartbeat} if heartbeat else ())
         self.keeper = records.Keeper(config.map.by_name, numbers, config.historian.max_interval, left_out)
         refusals = config.map.by_name.get("LastRefusal")
         self.refusals = refusals.labels if refusals else {}
         self.link, self.tally = Link(), Tally()
+        if isinstance(self.driver, Redundant):
+            self.driver.tell = self._switched
         self.prediction: Prediction | None = None
         self.last: Scan | None = None
         self.attempt: Attempt | None = None
@@ -105,6 +119,7 @@ class Gateway:
         """Do all that a scan brings: the threshold alarm first, then the model, then the block, then the records."""
         self.last = scan
         self.tally.scans, self.tally.missed = self.tally.scans + 1, self.tally.missed + scan.missed
+        self.tally.early += scan.early
         self._watch_link(scan)
         self._acknowledge(scan)
         self._alarm({f"over limit {name}": scan.good(name) for name in self.config.watched}, scan.time)
@@ -138,7 +153,9 @@ class Gateway:
         self.predictor, self.outlook, self.guards = self._new_model(found.predictor)
         if self.outlook is not None and self.outlook.ensemble is not None:
             self.outlook.ensemble.members = others
-        self.conditions = make_conditions(self.config, found.predictor.inputs)
+        self.conditions = make_conditions(
+            self.config, found.predictor.inputs, complains=isinstance(self.driver, Complains)
+        )
         self._clamped = False
         self._begin_run(now)
         version, before = found.loaded.version, former.version if former else ""
@@ -162,6 +179,20 @@ class Gateway:
             self.log.warning("no good reading any more", time=scan.time, reason=reason)
         elif change == "back":
             self.log.info("good readings arrive", time=scan.time, outages=self.link.count)
+
+    def _switched(self, switch: Switch) -> None:
+        """Another link is used from now on: said, and kept."""
+        change = {"before": switch.before, "after": switch.after, "reason": switch.reason}
+        self.log.warning("another link is used", time=switch.time, waited=round(switch.waited, 4), **change)
+        self.historian.put("audit", [(switch.time, f"link {switch.after}", switch.before, switch.reason)])
+
+    def urgent(self) -> frozenset[str]:
+        """The tags whose change is worth a scan of its own: those of the model, of the alarms, the PLC's orders."""
+        return frozenset((*(self.predictor.inputs if self.predictor else ()), *self.config.watched, *ORDERS))
+
+    def complaints(self) -> tuple[str, ...]:
+        """What the device itself says is wrong with it, now."""
+        return self.driver.complaints() if isinstance(self.driver, Complains) else ()
 
     def _predict(self, scan: Scan) -> Forecast | None:
         """Move the model on; the newest forecast that may be used, if any."""
@@ -218,9 +249,10 @@ class Gateway:
     def _findings(self, scan: Scan, made: Forecast | None) -> dict[str, float | None]:
         """What the alarms beside the threshold look at; None where it is not known."""
         p = self.prediction if self.predictor else None
+        device = {DEVICE: float(bool(self.complaints()))} if DEVICE in self.conditions else {}
         if p is None:
             bad = any(scan.good(name) is None for name in self.config.watched)
-            return {"inputs bad": float(bad)}
+            return {"inputs bad": float(bad), **device}
         limit = None if made is None else block_values(made, self.config.block_horizon, scan.time)["p_limit"]
         return {
             "predicted over limit": limit,
@@ -228,6 +260,7 @@ class Gateway:
             "review": float(self.guards.flagged) if self.guards and p.known and p.inputs_good else None,
             "drift": float(self.guards.drift.running) if self.guards else None,
             "inputs bad": float(p.worst),
+            **device,
         }
 
     def _alarm(self, values: dict[str, float | None], now: float) -> None:
@@ -262,14 +295,44 @@ class Gateway:
         if writer is None:
             return
         writer.heard(scan, self.refusals)
-        if writer.expired(scan.time):
-            await self.withdraw("the arming is over", scan)
-            writer.disarm()
+        if over := self._disarming(scan.time):
+            await self.withdraw(over, scan)
+            writer.disarm(scan.time, reason=over)
         p = self.prediction if self.predictor else None
         state = Validity.NONE
         if p is not None:
-            state = validity(inputs=p.inputs_good, location=p.known, forecast=made is not None, model=True)
+            parts = {"inputs": p.inputs_good, "location": p.known, "forecast": made is not None}
+            state = validity(**parts, model=True, familiar=p.zone != "red")
         self._record(await writer.offer(scan, self._values(scan, p, made), state))
+
+    def _disarming(self, now: float) -> str:
+        """Why the gateway has to disarm itself at this scan; "" if it has not."""
+        if self.writer is None or not self.writer.armed:
+            return ""
+        if self.writer.expired(now):
+            return "the arming is over"
+        warning = next((one.warning for one in (self.loaded, *self.members) if one and one.warning), "")
+        return f"the model that runs does not verify: {warning}" if warning else ""
+
+    async def arm(self, by: str, reason: str, minutes: float) -> Arming:
+        """Let blocks be written from the next scan on. Raises ArmingError."""
+        warning = next((one.warning for one in (self.loaded, *self.members) if one and one.warning), "")
+        if warning:
+            raise arming.ArmingError(f"the model that runs does not verify: {warning}")
+        made = await arming.arm(self.writer, self.driver, self.clock, by, reason, minutes)
+        self.historian.put("audit", [(self.clock.now(), f"armed until {made.until:.0f}", made.by, made.reason)])
+        self.log.warning("armed", by=made.by, reason=made.reason, until=made.until)
+        return made
+
+    async def disarm(self, by: str, reason: str) -> bool:
+        """Take everything back at the PLC, if it can be reached, and write no more; False if it was not armed."""
+        if self.writer is None or not self.writer.armed:
+            return False
+        await self.withdraw(f"disarmed by {by}: {reason}")
+        self.writer.disarm(self.clock.now(), by, reason)
+        self.historian.put("audit", [(self.clock.now(), "disarmed", by, reason)])
+        self.log.warning("disarmed", by=by, reason=reason)
+        return True
 
     def _values(self, scan: Scan, p: Prediction | None, made: Forecast | None) -> dict[str, float | None]:
         """The block's fields; a number that is not known is left out, and the block says so."""

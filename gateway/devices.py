@@ -127,8 +127,16 @@ class _BlockRow(Section):
         return name
 
 
+_FIELD = "{field}"
+_BLOCK_ADDRESS = r":\d+$|\{field\}"
+
+
 class _Writeback(Section):
-    address: str = Field(pattern=r"^holding:\d+$", description="the first register, such as 'holding:400'")
+    address: str = Field(
+        pattern=_BLOCK_ADDRESS,
+        description="the first word in the driver's notation, from which the fields are counted up ('holding:400', "
+        "'0x2100:1'), or a pattern with {field} for the field's name",
+    )
     layout_version: int = Field(ge=0, le=65535, description="the layout's version, 0 to 65535")
     timeout_s: float = Field(gt=0, description="the PLC's timer in seconds")
     unknown: int = Field(65535, ge=0, le=65535, description="the word for 'not within the forecast'")
@@ -141,6 +149,18 @@ class _MapFile(Section):
     writeback: _Writeback | None = Field(None, description="a [writeback] table")
 
 
+PATH_SETTINGS = frozenset({"certificates", "dbc", "eds", "log"})
+"""Settings of drivers that name files or folders: relative ones are relative to the file in which they stand."""
+
+
+def complete_paths(settings: Mapping[str, Any], home: Path) -> dict[str, Any]:
+    """The settings with the paths among them made complete."""
+    return {
+        key: str(home / value) if key in PATH_SETTINGS and isinstance(value, str) and value else value
+        for key, value in settings.items()
+    }
+
+
 def load_device(path: Path) -> DeviceMap:
     """The register map in `path`. Raises ConfigError with one sentence for each thing that is wrong."""
     content = checked(_MapFile, read_toml(path), path)
@@ -151,7 +171,7 @@ def load_device(path: Path) -> DeviceMap:
         path=path,
         name=content.device.name,
         driver=content.device.driver,
-        settings=dict(content.device.model_extra or {}),
+        settings=complete_paths(content.device.model_extra or {}, path.parent),
         heartbeat=content.device.heartbeat,
         tags=tuple(_tag(row) for row in content.tags),
         writeback=_layout(content.writeback) if content.writeback else None,
@@ -165,17 +185,24 @@ def _tag(row: _TagRow) -> Tag:
 
 
 def _layout(table: _Writeback) -> WritebackLayout:
-    space, _, first = table.address.partition(":")
     return WritebackLayout(
         version=table.layout_version,
         timeout=table.timeout_s,
         unknown=table.unknown,
         fields=tuple(BlockField(row.name, row.dtype == "int16", row.scale) for row in table.fields),
         words=tuple(
-            Tag(f"Writeback.{row.name}", f"{space}:{int(first) + index}", writable=True)
+            Tag(f"Writeback.{row.name}", _word_address(table.address, index, row.name), writable=True)
             for index, row in enumerate(table.fields)
         ),
     )
+
+
+def _word_address(pattern: str, index: int, name: str) -> str:
+    """The address of the block's word `index`: `holding:400` -> `holding:403`, `0x2100:1` -> `0x2100:4` for index 3."""
+    if _FIELD in pattern:
+        return pattern.replace(_FIELD, name)
+    space, _, first = pattern.rpartition(":")
+    return f"{space}:{int(first) + index}"
 
 
 def _inconsistencies(content: _MapFile) -> list[str]:

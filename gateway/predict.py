@@ -79,6 +79,7 @@ class Predictor:
         self.free: Belief | None = None
         self.events = 0
         self._restart = True
+        self._read_at: float | None = None
         self._index = {location.name: index for index, location in enumerate(model.sha.locations)}
         self._channels = tuple(channel.signal for channel in model.alphabet.channels)
         self._driving = tuple(sorted(self.tracker.inputs))
@@ -102,7 +103,7 @@ class Predictor:
     def step(self, scan: Scan) -> Prediction:
         """Take one scan in. Only good readings count: anything else makes its channel unknown and corrects nothing."""
         events = self.encoder.feed(scan.time, {name: scan.good(name) for name in self._channels})
-        measured = scan.good(self.temperature)
+        measured = self._measured(scan)
         signals = {name: value for name in self._driving if (value := scan.good(name)) is not None}
         expected = self._expected(scan.time, events, signals)
         self.belief = expected if measured is None else observe(self.tracker, expected, scan.time, measured)
@@ -132,6 +133,13 @@ class Predictor:
             reset=any(event.symbol == UNKNOWN for event in events),
             free_sigma=None if free_run is None or self.free is None else sqrt(self.free.xx + self.tracker.sensor),
         )
+
+    def _measured(self, scan: Scan) -> float | None:
+        """The temperature, None where it is not known; in an early scan a reading counts only once."""
+        sample = scan.samples.get(self.temperature)
+        old = scan.early and sample is not None and sample.time == self._read_at
+        self._read_at = None if sample is None else sample.time
+        return None if old else scan.good(self.temperature)
 
     def _expected(self, time: float, events: list[Event], signals: Mapping[str, float]) -> Belief:
         """The belief at `time`, after the events and inputs and before the reading."""

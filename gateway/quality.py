@@ -1,6 +1,8 @@
 """What a reading is worth by the time it is used: staleness, the device's heartbeat, believable rates, frozen signals.
 
-The promise of GOOD: the tag had this value at some moment within the last STALE_PERIODS scan periods. It is kept thus:
+The promise of GOOD: the tag had this value at some moment within the last STALE_PERIODS scan periods; of a device that
+speaks by itself: it was the last that the device has said, and its driver has not found the device late. It is kept
+thus:
 
 - A read that fails in the link is never held as good: the last good value goes on as LAST_USABLE, and after
   DEAD_PERIODS without a new one as bad, without a value. What the device itself says to be bad is bad at once.
@@ -122,7 +124,9 @@ def _own(tag: Tag, sample: Sample, histories: dict[str, History], now: float, pe
     if tag.frozen_after and sample.time - changed > tag.frozen_after:
         reason = f"has not moved for {sample.time - changed:.0f} s (limit {tag.frozen_after:g} s)"
         return replace(sample, quality=Quality.SENSOR_NOT_ACCURATE, reason=reason)
-    return _held(sample, histories[tag.name], now, period) if _periods(sample, now, period) > STALE_PERIODS else sample
+    # What was not asked for (`sent` is None) has a deadline of its own, which the driver keeps.
+    stale = sample.sent is not None and _periods(sample, now, period) > STALE_PERIODS
+    return _held(sample, histories[tag.name], now, period) if stale else sample
 
 
 def _periods(sample: Sample, now: float, period: float) -> float:

@@ -1,32 +1,34 @@
-"""Opening what the gateway is made of: model, driver, historian, alarms, arming; fails loudly and precisely."""
+"""Opening what the gateway is made of: model, driver, historian, alarms; fails loudly and precisely."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from shlex import join
 from typing import Any
 
 import structlog
 
-from drivers.driver import Driver, Writes, open_driver
-from drivers.errors import DriverError
+from drivers.driver import Driver, open_driver
+from drivers.errors import AddressError, DriverError
+from drivers.tag import Tag
 from gateway.alarms import Alarm, Condition, from_plain, new_alarm
 from gateway.checked import ConfigError
 from gateway.clock import Clock
 from gateway.config import Config
 from gateway.historian import Historian
+from gateway.links import Link
 from gateway.predict import Predictor
 from gateway.quality import STALE_PERIODS
-from gateway.writeback import Arming, Writer
+from gateway.redundant import Redundant, Rules, Way
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import current, forced, is_store, load, read_model
 from sim.checking.verify import verify
 from sim.sha.model import Model
 
-_HERE = frozenset({"soft"})
-"""Drivers without an address: everything that they need stands in the device's own file."""
-
-
+_SPEAKS = frozenset({"can", "canopen"})
+"""Drivers of devices that speak by themselves."""
+DEVICE = "device"
+"""The alarm for what the device itself says is wrong with it."""
 DRIFT_SINCE = "14d"
 """The span of the historian that a diagnosis is offered for: ten cycles or more of a plant that runs every day."""
 REVIEW = "the readings lie beyond 3 sigma of the model too often: look at the sensor, then learn or correct the model"
@@ -113,20 +115,47 @@ def _unverified(config: Config, model: Model, path: Path, key: str, version: str
 
 
 def make_driver(config: Config, clock: Clock) -> Driver:
-    """The device's driver, not yet opened, able to write the block and nothing else. Raises ConfigError."""
-    settings: dict[str, Any] = dict(config.map.settings)
-    if config.map.driver not in _HERE:
-        settings |= {"host": config.device.host, "port": config.device.port, "timeout": config.device.timeout}
-    armed = config.writeback.mode == "armed" and config.map.writeback is not None
-    write_map = config.map.writeback.words if armed and config.map.writeback else ()
+    """The device's driver, not yet opened, able to write the block and nothing else; one for all links together.
+
+    Raises ConfigError.
+    """
+    if len(config.links) == 1:
+        return link_driver(config, config.links[0], clock)
+    ways = [Way(link.name, link_driver(config, link, clock), _addressed(link)) for link in config.links]
+    beat = max(config.scan.period, config.device.heartbeat_period * clock.speed)
+    rules = Rules(config.device.switch_after, config.device.return_after, config.map.heartbeat, beat)
+    return Redundant(ways, rules, clock.now)
+
+
+def link_driver(config: Config, link: Link, clock: Clock) -> Driver:
+    """The driver of one link, with the closed write map unless the mode is off. Raises ConfigError.
+
+    In shadow it may be armed later; a link that cannot write is one that reads then.
+    """
+    block, mode = link.map.writeback, config.writeback.mode
+    write_map = block.words if mode != "off" and block is not None else ()
     try:
-        return open_driver(config.map.driver, settings, clock=clock.now, write_map=write_map)
+        try:
+            return open_driver(link.map.driver, link.settings, clock=clock.now, write_map=write_map)
+        except AddressError:
+            if mode == "armed":
+                raise
+            return open_driver(link.map.driver, link.settings, clock=clock.now)
     except DriverError as error:
-        raise ConfigError([f"{config.map.path}: device: {error}"]) from None
+        raise ConfigError([f"{link.map.path}: device: {error}"]) from None
 
 
-def make_conditions(config: Config, inputs: tuple[str, ...]) -> dict[str, Condition]:
-    """The alarms by name; their bits are those of the block's alarm word."""
+def _addressed(link: Link) -> dict[str, Tag]:
+    """All tags of a link by name, the words of its block too."""
+    block = link.map.writeback
+    return {tag.name: tag for tag in (*link.map.tags, *(block.words if block else ()))}
+
+
+def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool = False) -> dict[str, Condition]:
+    """The alarms by name; their bits are those of the block's alarm word.
+
+    A driver that `complains` has an alarm of its own for what its device says.
+    """
     a, period = config.alarms, config.scan.period
     tags = config.map.by_name
     conditions = [
@@ -151,7 +180,16 @@ def make_conditions(config: Config, inputs: tuple[str, ...]) -> dict[str, Condit
             Condition("drift", config.model.temperature, 3, a.drift_cycles - 0.5, priority=3, response=_offer(config)),
         ]
     bad = Condition("inputs bad", ", ".join(inputs), 4, 0.5, 0.0, STALE_PERIODS * period, 0.0)
+    if complains:
+        response = "the device or its bus says that something is wrong: see complaints in the status"
+        conditions.append(Condition(DEVICE, config.map.name, 6, 0.5, off_delay=a.off_delay, response=response))
     return {condition.name: condition for condition in (*conditions, bad)}
+
+
+def scans_on_change(config: Config) -> bool:
+    """Whether a change that a device tells by itself brings a scan of its own."""
+    asked = config.scan.on_change
+    return any(link.map.driver in _SPEAKS for link in config.links) if asked is None else asked
 
 
 def _offer(config: Config) -> str:
@@ -187,47 +225,3 @@ def loaded(
         log.warning("a saved state cannot be read and is not used", state=key, reason=str(error))
         return None
     return found if found is not None and isinstance(found[1], dict) else None
-
-
-def make_writer(
-    config: Config, clock: Clock, driver: Driver, historian: Historian, log: structlog.typing.FilteringBoundLogger
-) -> Writer | None:
-    """The writer in its mode; armed only while the arming's time lasts, and only once its audit record is stored.
-
-    The time counts from when this arming was first used: a restart does not begin it anew. An arming is another one
-    when its name, reason, minutes or the configuration file's time of change differ. Raises ConfigError for a driver
-    that cannot write.
-    """
-    section, layout, now = config.writeback, config.map.writeback, clock.now()
-    if layout is None or section.mode == "off":
-        return None
-    writer = Writer(layout, clock, "shadow")
-    if section.mode == "shadow":
-        return writer
-    if not isinstance(driver, Writes):
-        raise ConfigError(
-            [f"{config.map.path}: device.driver: {config.map.driver!r} cannot write; set writeback.mode to 'shadow'"]
-        )
-    arming = _arming(config, historian, now, log)
-    if now >= arming.until:
-        log.warning("the arming is over; save the configuration anew to arm again", by=arming.by, until=arming.until)
-        historian.put("audit", [(now, "arming is over, shadow", arming.by, arming.reason)])
-        return writer
-    historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])
-    if not historian.flush():
-        log.error("not armed, as the audit record cannot be stored", reason=historian.failure)
-        return writer
-    writer.mode, writer.driver, writer.arming = "armed", driver, arming
-    log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
-    return writer
-
-
-def _arming(config: Config, historian: Historian, now: float, log: structlog.typing.FilteringBoundLogger) -> Arming:
-    section = config.writeback
-    fresh = Arming(section.armed_by, section.reason, now + 60.0 * (section.minutes or 0.0))
-    key = {"by": section.armed_by, "reason": section.reason, "minutes": section.minutes, "stamp": config.stamp}
-    saved = loaded(historian, "arming", log)
-    if saved is not None and saved[1].get("key") == key and isinstance(saved[1].get("until"), float):
-        return Arming(fresh.by, fresh.reason, min(saved[1]["until"], fresh.until))
-    historian.save("arming", now, {"key": key, **asdict(fresh)})
-    return fresh

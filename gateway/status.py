@@ -59,6 +59,7 @@ class Tally:
     """Counters since the start, and the newest events and latencies (ms)."""
 
     scans: int = 0
+    early: int = 0
     missed: int = 0
     events: int = 0
     failures: int = 0

@@ -1,18 +1,27 @@
-"""Writing back: off, shadow or armed; armed for a limited time, only with the PLC's permit, each block at most once."""
+"""Writing back: off, shadow or armed; armed for a limited time, only with the PLC's permit, each block at most once.
+
+What is given to the wire, and what was refused on the way there, goes into the audit log: a block's row is under way to
+the disk before the block is sent, and one that failed gets a second row. What cannot be accounted for is not written.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from struct import pack
+from typing import Any, Literal
 
 from drivers.driver import Writes
 from drivers.errors import DriverError
+from gateway.audit import DISARMED, EXPIRED, Audit, Entry
 from gateway.block import Block, Validity, build, next_heartbeat
 from gateway.clock import Clock
 from gateway.devices import WritebackLayout
 from gateway.scan import Scan
 
 Mode = Literal["off", "shadow", "armed"]
-Verdict = Literal["shadow", "written", "failed", "not permitted"]
+Verdict = Literal["shadow", "written", "failed", "not permitted", "held back"]
+
+WRITE, FAILED, REFUSED, REFUSED_BY_PLC = "write", "write failed", "write refused", "refused by the PLC"
+"""Kinds of the audit log's rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +56,7 @@ class Counters:
     written: int = 0
     failed: int = 0
     not_permitted: int = 0
+    held_back: int = 0
     shadow: int = 0
     accepted: int = 0
     refused: int = 0
@@ -59,15 +69,36 @@ _COUNTED: Mapping[Verdict, Callable[[Counters], Counters]] = {
     "written": lambda c: replace(c, written=c.written + 1),
     "failed": lambda c: replace(c, failed=c.failed + 1),
     "not permitted": lambda c: replace(c, not_permitted=c.not_permitted + 1),
+    "held back": lambda c: replace(c, held_back=c.held_back + 1),
     "shadow": lambda c: replace(c, shadow=c.shadow + 1),
 }
+
+
+@dataclass(slots=True)
+class Pace:
+    """The most blocks a second: a bucket of `rate` tokens that fills at `rate` a second, real time."""
+
+    rate: float
+    _tokens: float = field(default=0.0, init=False)
+    _at: float | None = field(default=None, init=False)
+
+    def allows(self, moment: float) -> bool:
+        """True, and a token less, if a block may be sent at `moment` (real seconds)."""
+        most = max(1.0, self.rate)
+        gained = most if self._at is None else (moment - self._at) * self.rate
+        self._tokens, self._at = min(most, self._tokens + gained), moment
+        if self._tokens < 1.0:
+            return False
+        self._tokens -= 1.0
+        return True
 
 
 @dataclass(slots=True)
 class Writer:
     """The one place from which the gateway writes. `driver` is None where nothing can be written (off, shadow).
 
-    The sequence moves on with every block, so that a block that failed is never sent again.
+    The sequence moves on with every block, so that a block that failed is never sent again. `pace` bounds the blocks a
+    second, `audit` takes an account of every one.
     """
 
     layout: WritebackLayout
@@ -78,6 +109,8 @@ class Writer:
     sequence: int = 0
     heartbeat: int = 0
     counters: Counters = field(default_factory=Counters)
+    pace: Pace | None = None
+    audit: Audit | None = None
 
     @property
     def armed(self) -> bool:
@@ -88,22 +121,28 @@ class Writer:
         """True once the arming's time is over: say so to the PLC (`withdraw`), then `disarm`."""
         return self.armed and self.arming is not None and now >= self.arming.until
 
-    def disarm(self) -> None:
+    def arm(self, driver: Writes, arming: Arming) -> None:
+        """From now on blocks are written; the audit log has to have it already (`gateway.arming`)."""
+        self.mode, self.driver, self.arming = "armed", driver, arming
+
+    def disarm(self, now: float = 0.0, by: str = "", reason: str = "") -> None:
         """Fall back to shadow: blocks are computed and stored, and none is written."""
+        arming = self.arming
+        if arming is not None:
+            over = now >= arming.until
+            self._note(Entry(now, EXPIRED if over else DISARMED, by or arming.by, reason or "the arming is over"))
         self.mode, self.arming = "shadow" if self.mode == "armed" else self.mode, None
 
     async def offer(self, scan: Scan, values: Mapping[str, float | None], validity: Validity) -> Attempt | None:
         """Build the block of this scan and do with it what the mode says; None when the mode is off."""
         if self.mode == "off":
             return None
-        attempt = await self._sent(self._next(values, validity), scan)
-        self.counters = _COUNTED[attempt.verdict](self.counters)
-        return attempt
+        return await self._counted(values, validity, scan)
 
     async def withdraw(self, scan: Scan, alarms: int = 0) -> Attempt | None:
         """Write a block of validity 0 once, if armed and permitted: of what stands in the PLC only `alarms` is true."""
         values = {"alarms": float(alarms), "zone": 0.0, "input_quality": 2.0}
-        return await self.offer(scan, values, Validity.NONE) if self.armed else None
+        return await self._counted(values, Validity.NONE, scan, last=True) if self.armed else None
 
     def heard(self, scan: Scan, refusals: Mapping[int, str]) -> None:
         """Take over what the PLC says of the blocks, as far as this scan read it well."""
@@ -114,6 +153,8 @@ class Writer:
         more = _increase(c.plc_refused, refused)
         code = scan.good("LastRefusal")
         why = refusals.get(int(code), f"code {code:g}") if more and code is not None else c.last_refusal
+        if more and self.armed:
+            self._note(Entry(scan.time, REFUSED_BY_PLC, "PLC", why, {"blocks": more, "sequence": self.sequence}))
         self.counters = replace(
             c,
             accepted=c.accepted + _increase(c.plc_accepted, accepted),
@@ -129,17 +170,58 @@ class Writer:
         shadow = validity if self.armed else validity | Validity.SHADOW
         return build(self.layout, values, shadow, self.sequence, self.heartbeat)
 
-    async def _sent(self, block: Block, scan: Scan) -> Attempt:
+    async def _counted(
+        self, values: Mapping[str, float | None], validity: Validity, scan: Scan, *, last: bool = False
+    ) -> Attempt:
+        block = self._next(values, validity)
+        attempt = await self._sent(block, scan, last=last)
+        self.counters = _COUNTED[attempt.verdict](self.counters)
+        if attempt.verdict in ("failed", "not permitted", "held back"):
+            kind = FAILED if attempt.verdict == "failed" else REFUSED
+            self._note(Entry(scan.time, kind, self._by, attempt.reason, _plain(block)))
+        return attempt
+
+    async def _sent(self, block: Block, scan: Scan, *, last: bool) -> Attempt:
+        """`last`: the block that takes everything back is neither too late nor too fast."""
         if not self.armed or self.driver is None:
             return Attempt(scan.time, block, self.mode, "shadow")
-        if not scan.good("WritePermit"):
-            return Attempt(scan.time, block, self.mode, "not permitted", reason=_why_not(scan))
+        refused = self._refusal(scan, last=last)
+        if refused is not None:
+            return Attempt(scan.time, block, self.mode, refused[0], reason=refused[1])
+        self._note(Entry(scan.time, WRITE, self._by, "", _plain(block)))
         try:
             await self.driver.write(list(zip(self.layout.words, block.words, strict=True)))
         except DriverError as error:
             return Attempt(scan.time, block, self.mode, "failed", reason=str(error))
         latency = (self.clock.now() - scan.time) / self.clock.speed * 1000.0
         return Attempt(scan.time, block, self.mode, "written", latency)
+
+    def _refusal(self, scan: Scan, *, last: bool) -> tuple[Verdict, str] | None:
+        """Why a block is not sent, and what that counts as; None if it may be."""
+        now = self.clock.now()
+        if not last and self.expired(now):
+            return "not permitted", "the arming is over"
+        if self.audit is not None and self.audit.complaint:
+            return "not permitted", f"no audit record could be kept: {self.audit.complaint}"
+        if not scan.good("WritePermit"):
+            return "not permitted", _why_not(scan)
+        if not last and self.pace is not None and not self.pace.allows(now / self.clock.speed):
+            return "held back", f"more than {self.pace.rate:g} blocks a second"
+        return None
+
+    @property
+    def _by(self) -> str:
+        return self.arming.by if self.arming else ""
+
+    def _note(self, entry: Entry) -> None:
+        if self.audit is not None:
+            self.audit.put(entry)
+
+
+def _plain(block: Block) -> dict[str, Any]:
+    """The block as the audit log keeps it: its words high byte first, as they go on the wire."""
+    words = pack(f">{len(block.words)}H", *block.words).hex()
+    return {"sequence": block.sequence, "validity": int(block.validity), "words": words}
 
 
 def _why_not(scan: Scan) -> str:

@@ -13,6 +13,7 @@ from gateway.cli.options import finite, map_option, seed_option
 from gateway.cli.output import Exit, emit, fail, progress, sentences, table
 from gateway.cli.places import config_dir, shipped
 from gateway.cli.traces import load
+from gateway.demo.links import LINKS
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,6 +48,9 @@ INTERRUPTED = 130
     "[default: the whole trace, in 34 s or as long as it takes]",
 )
 @seed_option
+@click.option(
+    "--link", type=click.Choice(tuple(LINKS)), default="modbus", show_default=True, help="The way to the PLC."
+)
 @click.option("--discrepancy", is_flag=True, help="The other demonstration: a hidden effect is found, named and added.")
 @click.option("--out", type=click.Path(path_type=Path), help="[default: out/demo, out/demo-discrepancy]")
 @click.option("--json", "as_json", is_flag=True, help="Only one JSON object at the end.")
@@ -56,13 +60,14 @@ def demo(
     limit: float | None,
     seconds: float | None,
     seed: int,
+    link: str,
     discrepancy: bool,
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Run the main job end to end: PLC over Modbus TCP, events, prediction, registers written back.
+    """Run the main job end to end: PLC over Modbus or another link, events, prediction, registers written back.
 
-    A software PLC replays a trace and the gateway reads it over a real socket, as two processes. The model is learned
+    A software PLC replays a trace and the gateway reads it over a real link, as two processes. The model is learned
     before: from three synthetic days for 56 minutes of another one, or from the first 60 % of a trace of yours for
     the rest. Half way the PLC refuses its connections for two seconds.
 
@@ -70,13 +75,15 @@ def demo(
     Where they disagree is found, the missing effect named and added, and the error on new days shown before and after.
     """
     if discrepancy:
-        if paths or limit is not None or seconds is not None:
-            raise click.UsageError("--discrepancy simulates its own plant; leave --trace, --limit and --seconds out")
+        if paths or limit is not None or seconds is not None or link != "modbus":
+            raise click.UsageError(
+                "--discrepancy simulates its own plant; leave --trace, --limit, --seconds, --link out"
+            )
         from gateway.cli.demo_gap import demonstrate
 
         demonstrate(seed, out or Path("out/demo-discrepancy"), as_json=as_json)
         return
-    _main_job(paths, map_name, limit, seconds, seed, out or Path("out/demo"), as_json=as_json)
+    _main_job(paths, map_name, limit, seconds, seed, link, out or Path("out/demo"), as_json=as_json)
 
 
 def _main_job(
@@ -85,6 +92,7 @@ def _main_job(
     limit: float | None,
     seconds: float | None,
     seed: int,
+    link: str,
     out: Path,
     *,
     as_json: bool,
@@ -98,7 +106,7 @@ def _main_job(
         console = Console(stderr=as_json, width=140)
     try:
         with interruptible(), sentences(), held(out):
-            setting = prepare(paths, map_name, limit, seconds, seed, out)
+            setting = prepare(paths, map_name, limit, seconds, seed, link, out)
             data = perform(setting, console, as_json=as_json)
     except KeyboardInterrupt:
         fail(f"stopped before the end; PLC and gateway are stopped too, and what there is lies in {out}", INTERRUPTED)
@@ -140,13 +148,13 @@ def perform(setting: "Setting", console: "Console", *, as_json: bool) -> dict[st
 
 
 def prepare(
-    paths: Sequence[str], map_name: str, limit: float | None, seconds: float | None, seed: int, out: Path
+    paths: Sequence[str], map_name: str, limit: float | None, seconds: float | None, seed: int, link: str, out: Path
 ) -> "Setting":
     """Learn the model and write all files of the demonstration into `out`. Raises ValueError or OSError."""
     import numpy as np
 
     from gateway.demo.folder import clear
-    from gateway.demo.prepare import Setting, limit_for, pace, split, suits, write_device, write_plant
+    from gateway.demo.prepare import Setting, limit_for, pace, split, suits, write_device
     from sim.validation.trace_file import write_trace
 
     template = config_dir() / "devices" / "decanter_plc.toml"
@@ -163,14 +171,18 @@ def prepare(
     replayed, speed, period = pace(rest, seconds)
     bound, note = limit_for(training, column_map.temperature, limit)
     write_trace(replayed, out / "replay.csv")
-    device = template
+    device, addresses = template, config_dir() / "devices" / LINKS[link].device if LINKS[link].device else None
     if not suits(template, replayed):
+        if addresses is not None:
+            raise ValueError(f"--link {link}: {addresses} has not all signals of this trace; give --link modbus for it")
         units = {name: signal.unit for name, signal in column_map.signals.items()}
         device = write_device(replayed, column_map.alphabet, units, template, out / "device.toml")
-    plant = write_plant(out, device, column_map.temperature, bound, period)
-    lasts = f"the replay takes {np.ptp(replayed.times) / speed:.0f} s"
+    lasts = f"the replay takes {np.ptp(replayed.times) / speed:.0f} s over {link}"
     notes = tuple(filter(None, (f"{_origin(training, replayed, rest)}; {lasts}", note)))
-    return Setting(out, replayed, learned.model, device, plant, out / "replay.csv", bound, speed, period, notes)
+    figures = (bound, speed, period, notes)
+    return Setting(
+        out, replayed, learned.model, device, out / "plant.toml", out / "replay.csv", *figures, link, addresses
+    )
 
 
 def _origin(training: "Sequence[Trace]", replayed: "Trace", rest: "Trace") -> str:

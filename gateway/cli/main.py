@@ -19,10 +19,15 @@ COMMANDS: Table = {
         "gateway.cli.emulate:emulate",
         "Start the software PLC, which replays a trace, as a process of its own.",
     ),
+    "certificates": (
+        "gateway.cli.certificates:certificates",
+        "Make certificates and keys for Modbus/TCP Security.",
+    ),
     "diagnose": (
         "gateway.cli.diagnose:diagnose",
         "Find where a model and traces disagree, name what is missing, add it, prove it.",
     ),
+    "plc": ("gateway.cli.plc:plc", "Commission a PLC: probe, scan, read, guess, bind, verify, arm."),
     "trace": ("gateway.cli.trace:trace", "Make and look at traces."),
     "model": ("gateway.cli.model:model", "The model laboratory: learn, validate, check and export models."),
 }

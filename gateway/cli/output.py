@@ -11,7 +11,15 @@ from typing import Any, NoReturn
 
 import click
 
-from drivers.errors import AddressError, DeviceException, DriverError, EncodingError, ReplyTimeout, WriteForbidden
+from drivers.errors import (
+    AddressError,
+    DeviceException,
+    DriverError,
+    EncodingError,
+    RecordingError,
+    ReplyTimeout,
+    WriteForbidden,
+)
 
 
 class Exit(IntEnum):
@@ -64,6 +72,7 @@ _CODES: tuple[tuple[type[Exception], Exit], ...] = (
     (WriteForbidden, Exit.NOT_ARMED),
     (AddressError, Exit.USAGE),
     (EncodingError, Exit.USAGE),
+    (RecordingError, Exit.USAGE),
     (DriverError, Exit.CANNOT_CONNECT),
 )
 

@@ -16,8 +16,10 @@ from gateway.cli.output import Exit, emit, exit_code, fail, sentences, table
 from gateway.cli.places import config_dir
 
 if TYPE_CHECKING:
+    from drivers.tag import Sample, Tag
     from gateway.clock import PlantClock
     from gateway.config import Config
+    from gateway.links import Link
 
 
 def _config_option(command: Any) -> Any:
@@ -82,19 +84,19 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
 
         config = load(path, host, port, None)
         loaded = load_model(config)
-        plan = _plan(config)
+        plan, cautions = _plan(config)
     facts: dict[str, str | int] = {
         "configuration": str(path),
         "register map": str(config.map.path),
         "tags": len(config.map.tags),
-        "driver": config.map.driver,
-        "device": f"{config.device.host}:{config.device.port}",
+        "links": "; ".join(f"{link.name} ({link.map.driver}, {link.place})" for link in config.links),
         "model": f"{loaded.model.sha.name} {loaded.hash[:12]}"
         if loaded
         else "none: threshold alarm and historian only",
         "write-back": config.writeback.mode,
         "historian": str(config.historian.path),
         "requests of a scan": "; ".join(plan),
+        "cautions": "; ".join(cautions) or "none",
     }
     rows: list[dict[str, Any]] = []
     if connect:
@@ -111,14 +113,15 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
         fail(f"{len(bad)} tags are not good, {bad[0]['tag']} the first: {bad[0]['reason']}", Exit.CHECK_FAILED)
 
 
-def _plan(config: "Config") -> tuple[str, ...]:
-    """The requests by which a scan reads all tags, in the driver's own sentences; nothing is sent."""
-    from drivers.driver import Explains
+def _plan(config: "Config") -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The requests by which a scan reads all tags, in the driver's own sentences, and its cautions; nothing is sent."""
+    from drivers.driver import Cautions, Explains
     from gateway.clock import plant_clock
     from gateway.startup import make_driver
 
     driver = make_driver(config, plant_clock())
-    return driver.explain(config.map.tags) if isinstance(driver, Explains) else ()
+    plan = driver.explain(config.map.tags) if isinstance(driver, Explains) else ()
+    return plan, driver.cautions() if isinstance(driver, Cautions) else ()
 
 
 def _show_check(facts: dict[str, str | int], rows: list[dict[str, Any]], bad: int) -> None:
@@ -157,27 +160,39 @@ def _clock(text: str) -> "PlantClock":
 
 
 def _read_once(config: "Config") -> list[dict[str, Any]]:
-    """One reading of every tag. Raises DriverError when there is no connection."""
+    """One reading of every tag over every link. Raises DriverError when no link has a connection."""
     import asyncio
 
     from gateway.clock import plant_clock
-    from gateway.startup import make_driver
+    from gateway.startup import link_driver
 
     with sentences():
-        driver = make_driver(config, plant_clock())
+        drivers = [link_driver(config, link, plant_clock()) for link in config.links]
 
     async def read() -> list[dict[str, Any]]:
-        try:
-            await driver.open()
-            samples = await driver.read(config.map.tags)
-        finally:
-            await driver.close()
-        return [
-            {"tag": s.tag, "value": s.value, "unit": tag.unit, "quality": s.quality.name, "reason": s.reason}
-            for tag, s in zip(config.map.tags, samples, strict=True)
-        ]
+        failures: list[DriverError] = []
+        rows: list[dict[str, Any]] = []
+        for link, driver in zip(config.links, drivers, strict=True):
+            try:
+                try:
+                    await driver.open()
+                except DriverError as error:
+                    failures.append(error)
+                rows += [
+                    _row(link, tag, s) for tag, s in zip(link.map.tags, await driver.read(link.map.tags), strict=True)
+                ]
+            finally:
+                await driver.close()
+        if len(failures) == len(drivers):
+            raise failures[0]
+        return rows
 
     return asyncio.run(read())
+
+
+def _row(link: "Link", tag: "Tag", sample: "Sample") -> dict[str, Any]:
+    seen = {"value": sample.value, "unit": tag.unit, "quality": sample.quality.name, "reason": sample.reason}
+    return {"link": link.name, "tag": sample.tag, **seen}
 
 
 def _connection_code(bad: list[dict[str, Any]]) -> Exit:

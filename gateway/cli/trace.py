@@ -10,6 +10,7 @@ import click
 from gateway.cli.options import json_option, map_option, picture_option, seed_option
 from gateway.cli.output import emit, make_folder, progress, sentences, table
 from gateway.cli.places import shipped
+from gateway.cli.trace_can import can_log
 
 if TYPE_CHECKING:
     from sim.sha.trace import Trace
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 @click.group()
 def trace() -> None:
     """Make and look at traces."""
+
+
+trace.add_command(can_log)
 
 
 @trace.command(short_help="Write SYNTHETIC traces as CSV.")

@@ -3,14 +3,15 @@
 import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 MARKER = ".decanter-demo"
 WRITTEN = (
     "device.toml", "plant.toml", "replay.csv", "plc.jsonl", "plc.log", "gateway.out", "gateway.log.jsonl",
-    "status.json", "samples.jsonl", "demo.png", "historian.sqlite", "historian.sqlite-wal", "historian.sqlite-shm",
-    "historian.sqlite.lock",
+    "can_hub.log", "status.json", "samples.jsonl", "demo.png", "historian.sqlite", "historian.sqlite-wal",
+    "historian.sqlite-shm", "historian.sqlite.lock", "certificates/ca.pem", "certificates/ca.key",
+    "certificates/server.pem", "certificates/server.key", "certificates/client.pem", "certificates/client.key",
 )  # fmt: skip
 """What a demonstration leaves, beside the folder `model`; the next one in the same folder begins without them."""
 
@@ -47,3 +48,5 @@ def clear(folder: Path) -> None:
     """Remove what an earlier demonstration left. Raises OSError."""
     for name in WRITTEN:
         (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):  # not there, or with somebody else's files in it
+        (folder / "certificates").rmdir()

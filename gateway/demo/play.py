@@ -3,14 +3,16 @@
 import subprocess
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console, RenderableType
 from rich.live import Live
 
+from gateway.demo.links import LINKS
 from gateway.demo.live import live_table, read_status
-from gateway.demo.prepare import Setting
+from gateway.demo.prepare import Setting, write_plant
 from gateway.demo.processes import READY_S, DemoError, Plc, gateway, last_words, software_plc
 
 OUTAGE_AT = 0.45
@@ -26,7 +28,12 @@ def play(setting: Setting, console: Console, *, quiet: bool) -> tuple[Path, Path
     """
     folder = setting.folder
     recording, historian, status = folder / "plc.jsonl", folder / "historian.sqlite", folder / "status.json"
-    with software_plc(setting, recording) as plc, gateway(setting, plc.ready, status) as process:
+    link = LINKS[setting.link]
+    with ExitStack() as running:
+        running.enter_context(link.beside(folder))
+        plc = running.enter_context(software_plc(setting, recording))
+        write_plant(setting, link.settings(folder, plc.ready))
+        process = running.enter_context(gateway(setting, plc.ready, status))
         _wait_for_readings(status, process, folder)
         plc.command("start")
         plc.command("fault", fault={"kind": "refuse", "start": OUTAGE_AT * setting.seconds, "duration": OUTAGE_S})

@@ -36,7 +36,8 @@ Report = Callable[[str, float], None]
 class Setting:
     """All files of one demonstration in `folder`, and the figures that its processes need.
 
-    `limit` (degC) is the alarm limit, `speed` plant seconds per real second, `period` the scan's in plant seconds.
+    `device` is the register map; `addresses` is the link's own device file where that is another one. `limit` (degC) is
+    the alarm limit, `speed` plant seconds per real second, `period` the scan's in plant seconds.
     """
 
     folder: Path
@@ -49,6 +50,8 @@ class Setting:
     speed: float
     period: float
     notes: tuple[str, ...]
+    link: str = "modbus"
+    addresses: Path | None = None
 
     @property
     def seconds(self) -> float:
@@ -164,32 +167,34 @@ def _toml(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def write_plant(setting_folder: Path, device: Path, temperature: str, limit: float, period: float) -> Path:
-    """The gateway's configuration for the demonstration: armed on loopback, everything in one folder."""
-    path = setting_folder / "plant.toml"
-    path.write_text(
+def write_plant(setting: Setting, settings: Mapping[str, object]) -> Path:
+    """The gateway's configuration: armed on this machine, everything in one folder, over the link of `settings`."""
+    rows = "\n".join(f"{key} = {_value(value)}" for key, value in settings.items())
+    setting.plant.write_text(
         f"""# Written by `decanter demo`: a gateway against a software PLC on this machine.
 [device]
-file = {_toml(str(device.absolute()))}
-host = "127.0.0.1"
-timeout = 0.3
 heartbeat_period = 0.1
 
+[[device.links]]
+name = {_toml(setting.link)}
+file = {_toml(str((setting.addresses or setting.device).absolute()))}
+{rows}
+
 [scan]
-period = {period:g}
+period = {setting.period:g}
 
 [model]
 path = "model"
-temperature = {_toml(temperature)}
+temperature = {_toml(setting.model.temperature)}
 
 [writeback]
 mode = "armed"
 armed_by = "decanter demo"
-reason = "demonstration against the software PLC on loopback"
+reason = "demonstration against the software PLC on this machine"
 minutes = 480
 
 [alarms]
-limit = {limit:g}
+limit = {setting.limit:g}
 
 [historian]
 path = "historian.sqlite"
@@ -199,8 +204,15 @@ path = "gateway.log.jsonl"
 
 [forecast]
 horizons = [60, 300, 900]
-period = {max(10.0, 5 * period):g}
+period = {max(10.0, 5 * setting.period):g}
 """,
         encoding="utf-8",
     )
-    return path
+    return setting.plant
+
+
+def _value(value: object) -> str:
+    """A TOML value: text, a number, true or false."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return _toml(str(value)) if isinstance(value, str | Path) else repr(value)

@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
+from gateway.demo.links import LINKS
 from gateway.demo.prepare import Setting
 
 READY_S = 20.0
@@ -68,8 +69,18 @@ class Plc:
 def software_plc(setting: Setting, recording: Path) -> Iterator[Plc]:
     """Start the PLC with its replay held; terminated on leaving. Raises DemoError when it does not come up."""
     epoch = float(setting.trace.times[0])
-    arguments = ["--map", setting.device, "--trace", setting.replay, "--record", recording, "--stdin", "--hold"]
+    arguments: list[object] = [
+        "--map",
+        setting.device,
+        "--trace",
+        setting.replay,
+        "--record",
+        recording,
+        "--stdin",
+        "--hold",
+    ]
     arguments += ["--speed", repr(setting.speed), "--epoch", repr(epoch)]
+    arguments += LINKS[setting.link].arguments(setting.folder)
     log = setting.folder / "plc.log"
     with log.open("w", encoding="utf-8") as complaints:
         process = subprocess.Popen(
@@ -96,7 +107,7 @@ def software_plc(setting: Setting, recording: Path) -> Iterator[Plc]:
 def gateway(setting: Setting, ready: Mapping[str, Any], status: Path) -> Iterator["subprocess.Popen[bytes]"]:
     """Start the gateway on the PLC's clock; asked to stop on leaving."""
     clock = f"{ready['epoch']!r},{ready['monotonic']!r},{ready['speed']!r}"
-    arguments = ["run", "--config", setting.plant, "--port", ready["port"], "--clock", clock, "--status", status]
+    arguments = ["run", "--config", setting.plant, "--clock", clock, "--status", status]
     arguments += ["--quiet", "--stdin"]
     with (setting.folder / "gateway.out").open("wb") as words:
         process = subprocess.Popen(

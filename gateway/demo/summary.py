@@ -92,6 +92,7 @@ def result(setting: Setting, recording: Path, historian: Path, picture: Path) ->
         "synthetic": setting.trace.synthetic,
         "trace": setting.trace.name,
         "model": setting.model.sha.name,
+        "link": setting.link,
         "rows": int(setting.trace.times.size),
         "speed": setting.speed,
         "events": card.events,

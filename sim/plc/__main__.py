@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from sim.plc.checks import InputError, read_text, read_toml
 from sim.plc.clock import PlantClock
 from sim.plc.control import describe as commands_table
 from sim.plc.control import listen_on_loopback, listen_to_stdin, say
+from sim.plc.faces import Face, face_options, make_faces, with_faces
 from sim.plc.faults import Fault, parse_fault
 from sim.plc.faults import describe as faults_table
 from sim.plc.program import Plc, Settings
@@ -54,6 +55,7 @@ class Options:
     writable: tuple[str, ...]
     stdin: bool
     control_port: int | None
+    faces: Mapping[str, Any]
 
 
 def complain(sentence: str) -> None:
@@ -68,6 +70,7 @@ def _explain(context: click.Context, _: click.Parameter, wanted: bool) -> None:
         context.exit()
 
 
+@with_faces
 @click.command(context_settings={"show_default": True})
 @click.option("--map", "map_path", type=click.Path(path_type=Path), required=True, help="Register map (TOML).")
 @click.option("--trace", type=click.Path(path_type=Path), help="Trace to replay (wide CSV, first column time).")
@@ -96,9 +99,10 @@ def _explain(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     "--explain", is_flag=True, is_eager=True, expose_value=False, callback=_explain, help="List faults and commands."
 )
 def main(**options: Any) -> None:
-    """Run a software PLC that replays a trace and serves it over Modbus TCP until it is told to stop."""
+    """Run a software PLC that replays a trace and serves it over Modbus TCP, and whatever other face is asked for."""
+    faces = face_options(options)
     try:
-        sys.exit(run(Options(**options)))
+        sys.exit(run(Options(**{name: options[name] for name in options if name not in faces}, faces=faces)))
     except InputError as error:
         complain(str(error))
         sys.exit(UNUSABLE_INPUT)
@@ -169,9 +173,11 @@ def _replay(options: Options, now: float) -> Replay | None:
 async def _live(plc: Plc, options: Options, recorder: Recorder | None) -> int:
     loop = asyncio.get_running_loop()
     server = ModbusServer(plc, options.host, options.port, options.max_clients, complain)
+    faces: list[Face] = [server, *make_faces(plc, _for_faces(options), complain)]
     line = plc.begin(plc.clock.monotonic(), hold=options.hold)
     try:
-        await server.open()
+        for face in faces:
+            await face.open()
         control = None if options.control_port is None else await listen_on_loopback(plc, options.control_port)
     except OSError as error:
         complain(f"cannot listen ({error.strerror or error}); choose another --host, --port or --control-port")
@@ -180,25 +186,34 @@ async def _live(plc: Plc, options: Options, recorder: Recorder | None) -> int:
         loop.add_signal_handler(number, lambda: setattr(plc, "stopping", True))
     if ignored := plc.ignored_signals():
         complain(f"the trace's signals {', '.join(ignored)} have no register in {options.map_path} and are ignored")
-    await server.apply(line)
-    say(_ready(plc, server, options, control))
+    for face in faces:
+        await face.apply(line.at(face.name))
+    say(_ready(plc, faces, options, control))
     if options.stdin:
         listen_to_stdin(plc, loop)
-    await _run_cycles(plc, server, options.cycle)
+    await _run_cycles(plc, faces, options.cycle)
     plc.event("stopped", plc.clock.monotonic())
     if control is not None:
         control.close()
-    await server.close()
+    for face in faces:
+        await face.close()
     say({"event": "stopped", "lost_rows": recorder.lost if recorder else 0})
     return 0
 
 
-async def _run_cycles(plc: Plc, server: ModbusServer, cycle_s: float) -> None:
+def _for_faces(options: Options) -> dict[str, Any]:
+    """What every face may need of the command line: its own options, and those that all servers share."""
+    return {**options.faces, "host": options.host, "max_clients": options.max_clients}
+
+
+async def _run_cycles(plc: Plc, faces: Sequence[Face], cycle_s: float) -> None:
     """Cycles on absolute deadlines until the PLC is to stop; a missed cycle is skipped, never made up for."""
     due = plc.clock.monotonic()
     while not plc.stopping:
         now = plc.clock.monotonic()
-        await server.apply(plc.cycle(now))
+        line = plc.cycle(now)
+        for face in faces:
+            await face.apply(line.at(face.name))
         _report_end(plc, now, say)
         due = max(due + cycle_s, plc.clock.monotonic())
         await asyncio.sleep(due - plc.clock.monotonic())
@@ -212,9 +227,9 @@ def _report_end(plc: Plc, now: float, tell: Callable[[dict[str, object]], None])
     tell({"event": "end_of_trace", "position": plc.replay.at(now), "plant_time": plc.clock.at(now)})
 
 
-def _ready(plc: Plc, server: ModbusServer, options: Options, control: asyncio.Server | None) -> dict[str, object]:
+def _ready(plc: Plc, faces: Sequence[Face], options: Options, control: asyncio.Server | None) -> dict[str, object]:
     clock = {"epoch": plc.clock.epoch, "monotonic": plc.clock.start, "speed": plc.clock.speed}
-    where = {"host": server.host, "port": server.port, "unit": plc.registers.unit, "pid": os.getpid()}
+    where = {**faces[0].ready(), "unit": plc.registers.unit, "pid": os.getpid()}
     ports: Sequence[Any] = () if control is None else control.sockets
     replay: dict[str, object] | None = None
     if plc.replay is not None:
@@ -226,6 +241,7 @@ def _ready(plc: Plc, server: ModbusServer, options: Options, control: asyncio.Se
         "event": "ready",
         **where,
         **clock,
+        "faces": {face.name: face.ready() for face in faces},
         "control_port": ports[0].getsockname()[1] if ports else None,
         "replay": replay,
         "record": record,

@@ -12,6 +12,8 @@ from random import Random
 
 from pydantic import ConfigDict, Field
 
+from sim.plc.can_bend import CanBend
+from sim.plc.canopen.bend import NodeBend
 from sim.plc.checks import Entry, InputError, checked_arguments, listed, signature_of, validated
 from sim.plc.modbus import Reply, Request, exception
 from sim.plc.registers import parse_address
@@ -25,7 +27,8 @@ class Effect:
     """What a fault does while it is in force; the defaults are a healthy PLC.
 
     `reset` and `deafen` happen once, when the fault begins: all connections are reset, or are left open and never
-    served again. `refused` gives the exception code of an address.
+    served again. `refused` gives the exception code of an address. `can` bends frames, `node` a CANopen node; `abort`
+    is the code by which SDO requests are aborted.
     """
 
     listen: bool = True
@@ -38,11 +41,14 @@ class Effect:
     refused: tuple[tuple[str, int], ...] = ()
     code: int | None = None
     alter: Alter | None = None
+    can: CanBend | None = None
+    node: NodeBend | None = None
+    abort: int | None = None
 
     @property
     def per_request(self) -> bool:
         """True if the fault strikes single requests, so that they can be counted, chosen and drawn."""
-        return not self.store or bool(self.refused) or self.code is not None or self.alter is not None
+        return not self.store or bool(self.refused) or self.alter is not None or {self.code, self.abort} != {None}
 
 
 def refuse(_: float, *, reset: bool = True) -> Effect:
@@ -150,6 +156,81 @@ def write_ignored(_: float) -> Effect:
     return Effect(store=False)
 
 
+def wrong_checksum(_: float) -> Effect:
+    """The last byte of the reply is another one, so that its CRC does not fit; only where frames have one."""
+
+    def alter(_: Request, reply: Reply, rng: Random) -> Reply:
+        frame = reply.frame()
+        return replace(reply, raw=frame[:-1] + bytes((frame[-1] ^ 0xFF,))) if reply.rtu else reply
+
+    return Effect(alter=alter)
+
+
+def frame_loss(_: float, *, share: float = 0.3, messages: list[str] | None = None) -> Effect:
+    """Of the CAN frames of `messages` (of all without it) a `share` in 0..1 is lost, as drawn."""
+    return Effect(can=CanBend(frozenset(messages or ()), loss=min(max(share, 0.0), 1.0)))
+
+
+def short_frame(_: float, *, cut: int = 1, messages: list[str] | None = None) -> Effect:
+    """The CAN frames of `messages` have `cut` bytes fewer."""
+    return Effect(can=CanBend(frozenset(messages or ()), cut=max(1, cut)))
+
+
+def stale_message(_: float, *, messages: list[str] | None = None) -> Effect:
+    """The CAN frames of `messages` are repeated as they were, with counter and checksum, while the truth goes on."""
+    return Effect(can=CanBend(frozenset(messages or ()), stale=True))
+
+
+def corrupt_frame(_: float, *, messages: list[str] | None = None) -> Effect:
+    """In each CAN frame of `messages` one drawn bit is another one."""
+    return Effect(can=CanBend(frozenset(messages or ()), corrupt=True))
+
+
+def babbling_node(_: float, *, rate: float = 2000.0, known: bool = False) -> Effect:
+    """A strange CAN node sends `rate` random frames a second, with random ids or (`known`) with the PLC's own."""
+    return Effect(can=CanBend(babble=min(max(rate, 0.0), 20_000.0), known=known))
+
+
+def bus_off(_: float) -> Effect:
+    """Every controller on the CAN bus is bus-off: nothing is sent and nothing heard."""
+    return Effect(can=CanBend(bus_off=True))
+
+
+def missing_heartbeat(_: float) -> Effect:
+    """The CANopen node sends no heartbeat, and everything else as before."""
+    return Effect(node=NodeBend(no_heartbeat=True))
+
+
+def short_pdo(_: float, *, pdo: int = 0, cut: int = 1) -> Effect:
+    """TPDO number `pdo` (0: every one) has `cut` bytes fewer than are mapped."""
+    return Effect(node=NodeBend(pdo=pdo, length=-max(1, cut)))
+
+
+def long_pdo(_: float, *, pdo: int = 0, extra: int = 1) -> Effect:
+    """TPDO number `pdo` (0: every one) has `extra` bytes more than are mapped, as far as 8 bytes allow."""
+    return Effect(node=NodeBend(pdo=pdo, length=max(1, extra)))
+
+
+def emcy(_: float, *, code: int = 0x5000, register: int = 1) -> Effect:
+    """The CANopen node announces error `code` with this error register, and takes it back at the end."""
+    return Effect(node=NodeBend(emergency=(code & 0xFFFF, register & 0xFF)))
+
+
+def sdo_abort(_: float, *, code: int = 0x08000000) -> Effect:
+    """The CANopen node aborts SDO requests with this abort code and does not act on them."""
+    return Effect(abort=code & 0xFFFFFFFF)
+
+
+def sdo_late(_: float, *, delay_s: float = 1.0) -> Effect:
+    """Each SDO answer holds what was true when the request came, and is sent `delay_s` later, in its turn."""
+    return late(_, delay_s=delay_s)
+
+
+def node_reset(_: float) -> Effect:
+    """The CANopen node boots: the EDS's parameters, pre-operational, no PDO until a master starts it."""
+    return Effect(node=NodeBend(reset=True), over=True)
+
+
 FAULTS: dict[str, Callable[..., Effect]] = {
     "refuse": refuse,
     "silent": silent,
@@ -168,7 +249,35 @@ FAULTS: dict[str, Callable[..., Effect]] = {
     "frozen": frozen,
     "restart": restart,
     "write_ignored": write_ignored,
+    "wrong_checksum": wrong_checksum,
+    "frame_loss": frame_loss,
+    "short_frame": short_frame,
+    "stale_message": stale_message,
+    "corrupt_frame": corrupt_frame,
+    "babbling_node": babbling_node,
+    "bus_off": bus_off,
+    "missing_heartbeat": missing_heartbeat,
+    "short_pdo": short_pdo,
+    "long_pdo": long_pdo,
+    "emcy": emcy,
+    "sdo_abort": sdo_abort,
+    "sdo_late": sdo_late,
+    "node_reset": node_reset,
 }
+
+ONLY_AT: dict[str, tuple[str, ...]] = {
+    "wrong_checksum": ("serial", "rtu-tcp"),
+    "frame_loss": ("can", "canopen"),
+    "short_frame": ("can",),
+    "stale_message": ("can",),
+    "corrupt_frame": ("can",),
+    "babbling_node": ("can", "canopen"),
+    "bus_off": ("can", "canopen"),
+    **dict.fromkeys(
+        ("missing_heartbeat", "short_pdo", "long_pdo", "emcy", "sdo_abort", "sdo_late", "node_reset"), ("canopen",)
+    ),
+}
+"""The faults that only some faces can show, with those faces; all others strike any face."""
 
 
 def describe() -> str:
@@ -188,11 +297,12 @@ class _FaultEntry(Entry):
     count: int | None = Field(None, strict=True, ge=1, description="how many requests it strikes, 1 or more")
     probability: float = Field(1.0, strict=True, ge=0, le=1, description="a number in 0..1")
     functions: tuple[int, ...] = Field((), description="a list of function codes, such as [3, 16]")
+    face: str = Field("", strict=True, description="the face that it strikes, such as 'tcp'; without it all of them")
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One entry of a schedule. `functions` empty: all of them; `probability` is drawn for each request."""
+    """One entry of a schedule. `functions`, `face` empty: all of them; `probability` is drawn for each request."""
 
     kind: str
     effect: Callable[[float], Effect]
@@ -201,6 +311,7 @@ class Fault:
     count: int | None = None
     probability: float = 1.0
     functions: tuple[int, ...] = ()
+    face: str = ""
 
 
 def parse_fault(data: object, where: str) -> Fault:
@@ -216,7 +327,9 @@ def parse_fault(data: object, where: str) -> Fault:
         raise InputError(f"{where} ({entry.kind}): count, probability and functions are of faults that strike requests")
     for register, _ in effect(0.0).refused:
         parse_address(register, f"{where} ({entry.kind}): key 'registers'")
-    limits = (entry.start, entry.duration, entry.count, entry.probability, entry.functions)
+    if entry.face and (not effect(0.0).run or effect(0.0).frozen):
+        raise InputError(f"{where} ({entry.kind}): key 'face': it strikes the program behind all faces; leave it out")
+    limits = (entry.start, entry.duration, entry.count, entry.probability, entry.functions, entry.face)
     return Fault(entry.kind, effect, *limits)
 
 
@@ -231,6 +344,7 @@ def merged(effects: Iterable[Effect]) -> Effect:
             frozen=whole.frozen | effect.frozen,
             refused=whole.refused + effect.refused,
             code=effect.code if whole.code is None else whole.code,
+            abort=effect.abort if whole.abort is None else whole.abort,
         )
     return whole
 

@@ -50,6 +50,11 @@ class ProcessImage:
                 self._store(self.registers.tags[name], value)
                 self._served[name] = value
 
+    @property
+    def served(self) -> Mapping[str, Value | None]:
+        """What a client reads of each tag at present; of a tag that is not in it, zeros."""
+        return self._served
+
     def clear(self) -> None:
         """All addresses to 0, as after a power failure; the next `serve` writes every tag anew."""
         for table in self._tables.values():

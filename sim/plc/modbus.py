@@ -52,12 +52,18 @@ class Memory(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One request as it arrived."""
+    """One request as it arrived at a face. RTU has no transactions: there it is 0.
+
+    `refused` is the exception code by which the face itself refuses it, if it does.
+    """
 
     peer: str
     transaction: int
     unit: int
     pdu: bytes
+    face: str = "tcp"
+    rtu: bool = False
+    refused: int | None = None
 
     @property
     def function(self) -> int:
@@ -69,7 +75,8 @@ class Request:
 class Reply:
     """One reply, and how it goes out: after `delay_s`, `copies` times, in pieces of `piece` bytes, or not at all.
 
-    `raw` stands in for the whole frame; `cut` sends only so many bytes of it and then resets the connection.
+    `rtu`: framed by unit and CRC as on a serial line, instead of by a header. `raw` stands in for the whole frame;
+    `cut` sends only so many bytes of it and then resets the connection.
     """
 
     transaction: int
@@ -81,11 +88,26 @@ class Reply:
     piece: int | None = None
     cut: int | None = None
     raw: bytes | None = None
+    rtu: bool = False
 
     def frame(self) -> bytes:
         """The bytes for the wire."""
-        whole = HEADER.pack(self.transaction, 0, len(self.pdu) + 1, self.unit) + self.pdu
+        if self.rtu:
+            plain = bytes((self.unit,)) + self.pdu
+            whole = plain + crc(plain)
+        else:
+            whole = HEADER.pack(self.transaction, 0, len(self.pdu) + 1, self.unit) + self.pdu
         return (whole if self.raw is None else self.raw) * self.copies
+
+
+def crc(data: bytes) -> bytes:
+    """CRC-16/MODBUS (polynomial 0x8005 reflected, start 0xFFFF) bit by bit, low byte first as on the wire."""
+    register = 0xFFFF
+    for octet in data:
+        register ^= octet
+        for _ in range(8):
+            register = register >> 1 ^ 0xA001 if register & 1 else register >> 1
+    return register.to_bytes(2, "little")
 
 
 def exception(function: int, code: int) -> bytes:

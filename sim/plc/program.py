@@ -13,23 +13,14 @@ from sim.plc import modbus, writeback
 from sim.plc.checks import InputError, listed
 from sim.plc.clock import PlantClock
 from sim.plc.encode import Unrepresentable, encode, is_bool, resolution, value_at_rest
-from sim.plc.faults import ALL_TAGS, Fault, merged, refusal
+from sim.plc.faults import ALL_TAGS, Effect, Fault, merged, refusal
 from sim.plc.image import ProcessImage, Undefined
 from sim.plc.modbus import Refusal, Reply, Request
 from sim.plc.recorder import Record, record_nothing
 from sim.plc.registers import Place, RegisterMap
 from sim.plc.replay import Replay
-from sim.plc.schedule import Schedule
+from sim.plc.schedule import Line, Schedule
 from sim.plc.writeback import Intake
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """What the network side has to do after a cycle: listen or not, reset its connections, let them go deaf."""
-
-    listen: bool
-    reset: bool
-    deafen: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +91,7 @@ class Plc:
         self.event("start", now)
 
     def cycle(self, now: float) -> Line:
-        """One cycle of the program; gives what the network side has to do."""
+        """One cycle of the program; gives what the faces have to do."""
         begun, over = self.schedule.advance(now)
         for entry in begun:
             self.event("fault began", now, {"number": entry.number, "kind": entry.fault.kind})
@@ -113,8 +104,7 @@ class Plc:
             self.heartbeat = self.heartbeat % 0xFFFF + 1
             self._learn(self._values(now), now)
             self.image.serve(lambda name: name in effect.frozen or ALL_TAGS in effect.frozen)
-        fresh = [entry.effect(now) for entry in begun]
-        return Line(effect.listen, any(e.reset for e in fresh), any(e.deafen for e in fresh))
+        return self.schedule.line(begun, now)
 
     def _switch(self, run: bool, now: float) -> None:
         """The program stops (memory to 0, nothing is true any more but the heartbeat's 0) or begins anew."""
@@ -164,24 +154,36 @@ class Plc:
         """Act on one request and give the reply, bent by the faults in force; None: no reply at all."""
         if request.unit != self.registers.unit:
             code = modbus.exception(request.function, modbus.TARGET_SILENT)
-            reply = Reply(request.transaction, request.unit, code, sent=self.settings.answer_unknown_unit)
+            answered = self.settings.answer_unknown_unit
+            reply = Reply(request.transaction, request.unit, code, sent=answered, rtu=request.rtu)
             return self._noted(request, reply, (), now)
-        struck = list(self.schedule.strike(request.function, now))
+        struck = list(self.schedule.strike(request.function, now, request.face))
         effect = merged(effect for _, effect in struck)
-        pdu = refusal(effect, request, modbus.reads(request.pdu)) or modbus.answer(
-            request.pdu, _Access(self, request.peer, effect.store, now)
-        )
-        reply = Reply(request.transaction, request.unit, pdu)
+        pdu = self._answer(request, effect, now)
+        reply = Reply(request.transaction, request.unit, pdu, rtu=request.rtu)
         for entry, bent in struck:
             reply = bent.alter(request, reply, entry.rng) if bent.alter else reply
         return self._noted(request, reply, tuple(entry.fault.kind for entry, _ in struck), now)
+
+    def _answer(self, request: Request, effect: Effect, now: float) -> bytes:
+        if request.refused is not None:
+            return modbus.exception(request.function, request.refused)
+        refused = refusal(effect, request, modbus.reads(request.pdu))
+        return refused or modbus.answer(request.pdu, _Access(self, request.peer, effect.store, now))
 
     def _noted(self, request: Request, reply: Reply, faults: Sequence[str], now: float) -> Reply | None:
         address, count = modbus.span(request.pdu)
         plain = reply.sent and reply.raw is None
         refused = reply.pdu[1] if plain and len(reply.pdu) == 2 and reply.pdu[0] & 0x80 else None
         asked = {"transaction": request.transaction, "unit": request.unit, "function": request.function}
-        what = {"peer": request.peer, **asked, "address": address, "count": count, "pdu": request.pdu.hex()}
+        what = {
+            "peer": request.peer,
+            "face": request.face,
+            **asked,
+            "address": address,
+            "count": count,
+            "pdu": request.pdu.hex(),
+        }
         sent = reply.frame()[: reply.cut].hex() if reply.sent else None
         outcome = {"reply": sent, "exception": refused, "delay_s": reply.delay_s, "faults": faults}
         self.record("request", now, {**what, **outcome, "version": self.image.version})

@@ -7,6 +7,7 @@ does not grow. Lines are numbered (`n`), so that a reader sees whether any is mi
     truth     tags that changed, with their true values, and the image's version from here on
     request   one request, the reply, the faults that struck it, the version it was answered from
     block     one write into the write-back area, decoded, and the PLC's verdict
+    frame     one CAN frame, sent or taken from the gateway
     event     anything else: a connection, a fault that begins or ends, a command, the end
 
 `t` is monotonic seconds; the run's clock turns it into plant time.

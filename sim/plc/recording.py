@@ -10,7 +10,7 @@ from drivers.tag import Value
 from sim.plc.checks import InputError, read_text
 from sim.plc.clock import PlantClock
 
-_KINDS = ("run", "truth", "request", "block", "event")
+_KINDS = ("run", "truth", "request", "block", "frame", "event")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +74,18 @@ class BlockRow:
 
 
 @dataclass(frozen=True, slots=True)
+class FrameRow:
+    """One CAN frame, `sent` by the PLC or taken from the gateway; `data` None: a fault kept it from the bus."""
+
+    monotonic: float
+    time: float
+    face: str
+    sent: bool
+    id: int
+    data: bytes | None
+
+
+@dataclass(frozen=True, slots=True)
 class EventRow:
     """Anything else, with its particulars."""
 
@@ -94,6 +106,7 @@ class Recording:
     events: tuple[EventRow, ...]
     missing: int
     damaged: int
+    frames: tuple[FrameRow, ...] = ()
 
 
 def read_recording(path: Path) -> Recording:
@@ -102,6 +115,7 @@ def read_recording(path: Path) -> Recording:
     truth: list[TruthRow] = []
     requests: list[RequestRow] = []
     blocks: list[BlockRow] = []
+    frames: list[FrameRow] = []
     events: list[EventRow] = []
     counts = {"missing": 0, "damaged": 0}
     expected = 1
@@ -121,10 +135,12 @@ def read_recording(path: Path) -> Recording:
             requests.append(_request(row, time))
         elif kind == "block":
             blocks.append(_block(row, time))
+        elif kind == "frame":
+            frames.append(_frame(row, time))
         elif kind == "event":
             events.append(_event(row, time))
     rows = (tuple(truth), tuple(requests), tuple(blocks), tuple(events))
-    return Recording(tuple(runs), *rows, counts["missing"], counts["damaged"])
+    return Recording(tuple(runs), *rows, counts["missing"], counts["damaged"], tuple(frames))
 
 
 def _rows(path: Path, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
@@ -164,6 +180,11 @@ def _request(row: Mapping[str, Any], time: float) -> RequestRow:
 def _block(row: Mapping[str, Any], time: float) -> BlockRow:
     words = tuple(row["words"])
     return BlockRow(row["t"], time, row["peer"], row["address"], words, row["fields"], row["verdict"], row["accepted"])
+
+
+def _frame(row: Mapping[str, Any], time: float) -> FrameRow:
+    data = None if row["data"] is None else bytes.fromhex(row["data"])
+    return FrameRow(row["t"], time, row["face"], row["sent"], row["id"], data)
 
 
 def _event(row: Mapping[str, Any], time: float) -> EventRow:

@@ -1,6 +1,6 @@
 """The faults in force: each begins, strikes requests, and ends; its draws depend on the seed and its number alone."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from random import Random
 
@@ -34,6 +34,37 @@ class Scheduled:
     def effect(self, now: float) -> Effect:
         """What it does at the moment."""
         return self.fault.effect(now - self.begins)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """What a cycle asks of the faces: the faults in force, and those that have just begun.
+
+    Each effect stands beside the face that it strikes, "" for all of them; `at` narrows the line to one face.
+    """
+
+    standing: tuple[tuple[str, Effect], ...] = ()
+    begun: tuple[tuple[str, Effect], ...] = ()
+
+    def at(self, face: str) -> "Line":
+        """The line as one face has to obey it."""
+        standing = tuple(pair for pair in self.standing if pair[0] in ("", face))
+        return Line(standing, tuple(pair for pair in self.begun if pair[0] in ("", face)))
+
+    @property
+    def listen(self) -> bool:
+        """False while the face must not be reachable."""
+        return all(effect.listen for _, effect in self.standing)
+
+    @property
+    def reset(self) -> bool:
+        """True in the cycle in which all connections are to be reset."""
+        return any(effect.reset for _, effect in self.begun)
+
+    @property
+    def deafen(self) -> bool:
+        """True in the cycle in which the open connections are left open and no longer served."""
+        return any(effect.deafen for _, effect in self.begun)
 
 
 @dataclass(slots=True)
@@ -73,11 +104,16 @@ class Schedule:
         """The merged effect of all faults in force on the PLC as a whole."""
         return merged(entry.effect(now) for entry in self.entries if entry.in_force(now))
 
-    def strike(self, function: int, now: float) -> Iterator[tuple[Scheduled, Effect]]:
-        """The faults that hit a request of this function code, each with its effect; they are counted."""
+    def line(self, begun: Iterable[Scheduled], now: float) -> Line:
+        """What the faces have to do in the cycle in which the faults `begun` have begun."""
+        standing = tuple((entry.fault.face, entry.effect(now)) for entry in self.entries if entry.in_force(now))
+        return Line(standing, tuple((entry.fault.face, entry.effect(now)) for entry in begun))
+
+    def strike(self, function: int, now: float, face: str = "") -> Iterator[tuple[Scheduled, Effect]]:
+        """The faults that hit a request of this function code at a face, each with its effect; they are counted."""
         for entry in self.entries:
             wanted = not entry.fault.functions or function in entry.fault.functions
-            if not wanted or not entry.in_force(now):
+            if not wanted or entry.fault.face not in ("", face) or not entry.in_force(now):
                 continue
             effect = entry.effect(now)
             if effect.per_request and entry.rng.random() < entry.fault.probability:

@@ -1,14 +1,21 @@
-"""The Modbus TCP server: bytes between sockets and the program, and the faults that only a socket can show."""
+"""The Modbus server over TCP, plain, secured or with RTU frames: bytes between sockets and the program.
+
+The faults that only a socket can show are made here.
+"""
 
 import asyncio
 import contextlib
 import socket
+import ssl
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from sim.plc.modbus import HEADER, MAX_PDU, Reply, Request
-from sim.plc.program import Line, Plc
+from sim.plc.framing import HEADED, RTU, Framing
+from sim.plc.modbus import Reply, Request
+from sim.plc.program import Plc
+from sim.plc.schedule import Line
 
 _RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # SO_LINGER on, 0 s: close sends RST
 _PAUSE_S = 0.002  # between the pieces of a split reply, so that each is a segment of its own
@@ -21,6 +28,7 @@ class _Connection:
     peer: str
     task: asyncio.Task[None] | None
     deaf: bool = False
+    refuses: Callable[[int], int | None] = lambda _: None
 
     def reset(self) -> None:
         """Close so that the peer sees a reset."""
@@ -29,19 +37,44 @@ class _Connection:
         self.writer.transport.abort()
 
 
+@dataclass(frozen=True, slots=True)
+class Security:
+    """TLS for a server: its context, and what a connection may do by its certificate.
+
+    `rights` gives the name of a peer's role, and the function that tells by which exception code a Modbus function is
+    refused to that role (None: it is not).
+    """
+
+    context: ssl.SSLContext
+    rights: Callable[[bytes | None], tuple[str, Callable[[int], int | None]]]
+
+
 class ModbusServer:
     """Listens, answers each connection's requests in their order, and does what a cycle's Line says."""
 
-    def __init__(self, plc: Plc, host: str, port: int, max_clients: int, complain: Callable[[str], None]) -> None:
-        self.host, self.port = host, port
+    def __init__(
+        self,
+        plc: Plc,
+        host: str,
+        port: int,
+        max_clients: int,
+        complain: Callable[[str], None],
+        *,
+        name: str = "tcp",
+        framing: Framing = HEADED,
+        security: Security | None = None,
+    ) -> None:
+        self.name, self.host, self.port = name, host, port
         self._plc, self._max_clients, self._complain = plc, max_clients, complain
+        self._framing, self._security = framing, security
         self._listener: asyncio.Server | None = None
         self._connections: set[_Connection] = set()
         self._taken = False
 
     async def open(self) -> None:
         """Listen; with port 0 the port is chosen now and kept. Raises OSError."""
-        self._listener = await asyncio.start_server(self._accept, self.host, self.port)
+        context = self._security.context if self._security else None
+        self._listener = await asyncio.start_server(self._accept, self.host, self.port, ssl=context)
         self.port = self._listener.sockets[0].getsockname()[1]
 
     async def apply(self, line: Line) -> None:
@@ -57,6 +90,10 @@ class ModbusServer:
                 connection.deaf = True
         if line.listen and self._listener is None:
             await self._reopen()
+
+    def ready(self) -> dict[str, object]:
+        """Where it listens."""
+        return {"host": self.host, "port": self.port}
 
     async def close(self) -> None:
         """Stop listening and close every connection."""
@@ -85,8 +122,7 @@ class ModbusServer:
             self._event("connection turned away", connection)
             writer.close()
             return
-        self._connections.add(connection)
-        self._event("connected", connection)
+        self._admit(connection)
         try:
             await self._serve(connection)
         except (asyncio.IncompleteReadError, OSError):
@@ -95,20 +131,33 @@ class ModbusServer:
             pass  # the server closes: nobody awaits this task for more than its end
         finally:
             self._connections.discard(connection)
+            self._plc.connections -= 1
             self._event("disconnected", connection)
             writer.close()
 
+    def _admit(self, connection: _Connection) -> None:
+        self._connections.add(connection)
+        self._plc.connections += 1
+        detail = {}
+        if self._security is not None:
+            peer = connection.writer.get_extra_info("ssl_object").getpeercert(binary_form=True)
+            role, connection.refuses = self._security.rights(peer)
+            detail = {"role": role}
+        self._event("connected", connection, detail)
+
     async def _serve(self, connection: _Connection) -> None:
         while True:
-            head = await connection.reader.readexactly(HEADER.size)
-            transaction, protocol, length, unit = HEADER.unpack(head)
-            if protocol != 0 or not 2 <= length <= MAX_PDU + 1:
-                self._event("not Modbus", connection, head.hex())
-                return
-            pdu = await connection.reader.readexactly(length - 1)
+            frame = await self._framing.read(connection.reader)
+            if frame.pdu is None:
+                self._event("not Modbus", connection, {"bytes": frame.raw.hex()})
+                if self._framing.closes:
+                    return
+                continue
             if connection.deaf:
                 continue
-            request = Request(connection.peer, transaction, unit, pdu)
+            refused = connection.refuses(frame.pdu[0])
+            head = (connection.peer, frame.transaction, frame.unit, frame.pdu)
+            request = Request(*head, face=self.name, rtu=self._framing.rtu, refused=refused)
             reply = self._plc.exchange(request, self._plc.clock.monotonic())
             if reply is not None and not await self._send(connection, reply):
                 return
@@ -132,7 +181,12 @@ class ModbusServer:
         await connection.writer.drain()
         return True
 
-    def _event(self, what: str, connection: _Connection, frame: str | None = None) -> None:
-        self._plc.connections = len(self._connections)
-        detail = {"peer": connection.peer} if frame is None else {"peer": connection.peer, "bytes": frame}
-        self._plc.event(what, self._plc.clock.monotonic(), detail)
+    def _event(self, what: str, connection: _Connection, detail: Mapping[str, object] | None = None) -> None:
+        about = {"peer": connection.peer, "face": self.name, **(detail or {})}
+        self._plc.event(what, self._plc.clock.monotonic(), about)
+
+
+def make_rtu_tcp(plc: Plc, options: Mapping[str, Any], complain: Callable[[str], None]) -> ModbusServer:
+    """The face of RTU frames over TCP, as serial device servers speak them."""
+    place = (options["host"], options["rtu_tcp"], options["max_clients"])
+    return ModbusServer(plc, *place, complain, name="rtu-tcp", framing=RTU)

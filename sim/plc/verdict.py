@@ -52,7 +52,8 @@ def counts(recording: Recording) -> dict[str, int]:
         "writes_outside": sum(
             request.function in (5, 6, 15, 16, 22, 23) and request.exception is not None
             for request in recording.requests
-        ),
+        )
+        + sum(row.event == "write refused" for row in recording.events),
         "blocks_accepted": accepted,
         "blocks_refused": len(recording.blocks) - accepted,
         "missing": recording.missing,

@@ -62,6 +62,8 @@ def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> N
         ("encoder", ("--rows", "3000", "--repeats", "1")),
         ("belief", ("--quick",)),
         ("simulation", ("--quick",)),
+        ("can", ("--quick",)),
+        ("can_logs", ("--quick", "--repeats", "1")),
     ],
 )
 def test_a_benchmark_prints_its_figures_as_json(name: str, options: Sequence[str]) -> None:

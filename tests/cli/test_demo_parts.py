@@ -54,6 +54,7 @@ def test_a_file_in_the_folders_place_is_refused(tmp_path: Path) -> None:
 
 def test_clearing_takes_the_demos_own_files_and_no_other(tmp_path: Path) -> None:
     for name in (*WRITTEN, "notes.txt"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     clear(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

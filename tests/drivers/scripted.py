@@ -1,6 +1,7 @@
 """A Modbus TCP device of a few lines whose every byte a test can bend; it shares no code with the driver."""
 
 import asyncio
+import ssl
 import struct
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
@@ -36,11 +37,12 @@ class ScriptedPlc:
     requests: list[bytes] = field(default_factory=list)
     connections: int = 0
     port: int = 0
+    context: ssl.SSLContext | None = None
     _server: asyncio.Server | None = None
     _writers: set[asyncio.StreamWriter] = field(default_factory=set)
 
     async def start(self) -> None:
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port)
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port, ssl=self.context)
         self.port = self._server.sockets[0].getsockname()[1]
 
     async def stop(self, *, reset: bool = True) -> None:
@@ -81,9 +83,9 @@ class ScriptedPlc:
 
     def answer(self, request: bytes) -> bytes:
         function, start, count = request[7], *struct.unpack(">HH", request[8:12])
-        return mbap(transaction_of(request), request[6], self._pdu(function, start, count, request[13:]))
+        return mbap(transaction_of(request), request[6], self.pdu(function, start, count, request[13:]))
 
-    def _pdu(self, function: int, start: int, count: int, data: bytes) -> bytes:
+    def pdu(self, function: int, start: int, count: int, data: bytes) -> bytes:
         if self.exception:
             return bytes([function | 0x80, self.exception])
         if count > self.max_count and function in (3, 4):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import LinkDown
 from drivers.link import Backoff, DeadPeer, Link
-from drivers.modbus import SETTINGS
+from drivers.modbus_transport import SETTINGS, TRANSPORTS
 
 
 class Wires:
@@ -59,7 +59,7 @@ def test_the_pause_doubles_up_to_the_cap_within_the_jitter(failures: int, seed: 
 def test_the_default_pause_and_one_connect_deadline_are_together_under_a_second() -> None:
     backoff = Backoff(SETTINGS["backoff_first"].default, SETTINGS["backoff_cap"].default)
     assert backoff == Backoff()
-    assert backoff.longest + SETTINGS["connect_timeout"].default < 1.0
+    assert backoff.longest + TRANSPORTS["tcp"]["connect_timeout"] < 1.0
 
 
 async def test_the_same_seed_gives_the_same_pauses() -> None:

@@ -7,14 +7,18 @@ of drivers/modbus_wire.py can be thought over, or that a hook it stands on has g
 import asyncio
 import inspect
 import logging
+import ssl
 import struct
 from collections.abc import AsyncIterator
+from functools import partial
+from pathlib import Path
 
 import pymodbus
 import pytest
-from pymodbus.client import AsyncModbusTcpClient
-from pymodbus.exceptions import ModbusIOException
+from pymodbus.client import AsyncModbusTcpClient, AsyncModbusTlsClient
+from pymodbus.exceptions import ConnectionException, ModbusIOException
 
+from tests.drivers import certified
 from tests.drivers.scripted import ScriptedPlc, always, mbap, read_reply, silent, transaction_of
 
 
@@ -171,6 +175,65 @@ async def test_the_hooks_that_the_driver_stands_on_are_there(plc: ScriptedPlc) -
     await plc.stop()
     await asyncio.sleep(0.02)
     assert links == [True, False]
+    client.close()
+
+
+# ------------------------------------------------------------------ TLS
+
+
+async def secured(folder: Path) -> tuple[ScriptedPlc, ssl.SSLContext]:
+    """A device that demands certificates, and the context of a client that has one."""
+    plc = ScriptedPlc(context=certified.server_context(folder))
+    await plc.start()
+    certified.folder(folder)
+    context = ssl.create_default_context(cafile=str(folder / "ca.pem"))
+    context.load_cert_chain(folder / "client.pem", folder / "client.key")
+    return plc, context
+
+
+async def test_a_tls_reply_split_over_two_records_fails(tmp_path: Path) -> None:
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+    plc, context = await secured(tmp_path)
+
+    async def in_two(plc: ScriptedPlc, request: bytes, honest: bytes, writer: asyncio.StreamWriter) -> None:
+        writer.write(honest[:9])
+        await asyncio.sleep(0.02)
+        writer.write(honest[9:])
+
+    plc.bend = in_two
+    client = AsyncModbusTlsClient("localhost", port=plc.port, sslctx=context, timeout=0.2, retries=0, reconnect_delay=0)
+    await client.connect()
+    with pytest.raises(ModbusIOException):
+        await client.read_holding_registers(5, count=2)
+    client.close()
+    await plc.stop()
+
+
+async def test_without_a_client_certificate_connect_says_true_and_the_first_read_fails(tmp_path: Path) -> None:
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+    plc, _ = await secured(tmp_path)
+    bare = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
+    client = AsyncModbusTlsClient("localhost", port=plc.port, sslctx=bare, timeout=0.2, retries=0, reconnect_delay=0)
+    assert await client.connect() is True
+    with pytest.raises((ModbusIOException, ConnectionException)):
+        await client.read_holding_registers(5, count=1)
+    client.close()
+    await plc.stop()
+
+
+async def test_the_hooks_for_tls_are_there(tmp_path: Path) -> None:
+    plc, context = await secured(tmp_path)
+    client = AsyncModbusTlsClient("localhost", port=plc.port, sslctx=context, reconnect_delay=0)
+    reasons: list[object] = []
+    client.ctx.callback_disconnected = reasons.append  # type: ignore[method-assign]
+    create = partial(client.ctx.loop.create_connection, client.ctx.handle_new_connection, "localhost", plc.port)
+    client.ctx.call_create = partial(create, ssl=context, server_hostname="localhost")
+    await client.ctx.call_create()
+    assert isinstance(client.ctx.transport, asyncio.Transport)
+    assert (await client.read_holding_registers(5, count=1)).registers == [5]
+    await plc.stop()
+    await asyncio.sleep(0.05)
+    assert len(reasons) == 1
     client.close()
 
 

@@ -52,7 +52,7 @@ def test_all_that_is_wrong_is_said_at_once_with_file_key_reason_and_remedy(tmp_p
 
 def test_an_unknown_key_far_from_any_other_is_answered_by_the_known_ones(tmp_path: Path) -> None:
     (problem,) = problems(plant_file(tmp_path, "[scan]\nzzzzzz = 1"))
-    assert problem.endswith("scan.zzzzzz: there is no such key; known are period")
+    assert problem.endswith("scan.zzzzzz: there is no such key; known are period, on_change")
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def edited(folder: Path, old: str, new: str) -> Path:
         ('name = "Coppia"', 'name = "Assorbimento"', "'Assorbimento' is already used"),
         ("low = 0\nhigh = 350", "low = 400\nhigh = 350", "low: 400.0 is not below high 350.0"),
         ('heartbeat = "PlcHeartbeat"', 'heartbeat = "Pulse"', "device.heartbeat: 'Pulse' is not a tag"),
-        ('driver = "modbus"', 'driver = "modbsu"', "device.driver: 'modbsu' is no driver; give one of modbus, soft"),
+        ('driver = "modbus"', 'driver = "modbsu"', "device.driver: 'modbsu' is no driver; give one of can"),
         ('dtype = "float32"\norder = "CDAB"', 'dtype = "float33"\norder = "CDAB"', "dtype: must be"),
         ("scale = 0.1\nunit", "scale = 0\nunit", "scale 0 would make every reading 0"),
         ("max_rate = 5", "max_rat = 5", "did you mean 'max_rate'?"),

@@ -1,0 +1,119 @@
+"""The gateway and the software PLC over CANopen: a hub, the PLC's node on it, the gateway as its master.
+
+`python -m benchmarks.canopen_rig [FAULT ...]` measures the fault matrix of this link, as `benchmarks.fault_matrix` does
+over Modbus TCP; one row a fault, in real seconds.
+"""
+
+import json
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from benchmarks.fault_matrix import PERIOD, TOLERANCE_S, Matrix, suffered, table
+from benchmarks.rig import ROOT, Rig, make_rig, restless_trace
+from gateway.demo.can_bus import can_hub
+from sim.plc.recording import Recording
+from sim.sha.trace import Trace
+
+DEVICE = ROOT / "config/devices/decanter_canopen.toml"
+NODE = 1
+EVENT_TIMER_S = 0.1
+"""The device file's: so much later than its count stands still a PLC may send the count that it stands at."""
+BLOCK = 0x2100
+WRITES = (1, 6)
+"""Command specifiers of an SDO client's first frame that writes (download, block download)."""
+
+FAULTS: Mapping[str, Mapping[str, Any]] = {
+    "missing heartbeat": {"kind": "missing_heartbeat", "duration": 1.0},
+    "short PDO": {"kind": "short_pdo", "duration": 1.0},
+    "long PDO": {"kind": "long_pdo", "pdo": 2, "duration": 1.0},
+    "EMCY": {"kind": "emcy", "code": 0x5000, "duration": 1.0},
+    "SDO abort": {"kind": "sdo_abort", "duration": 1.0},
+    "SDO late": {"kind": "sdo_late", "delay_s": 1.0, "duration": 1.5},
+    "SDO silent": {"kind": "silent", "face": "canopen", "duration": 1.0},
+    "node reset": {"kind": "node_reset"},
+    "bus-off": {"kind": "bus_off", "duration": 1.5},
+    "node off the bus": {"kind": "refuse", "face": "canopen", "duration": 1.5},
+    "restart": {"kind": "restart", "down_s": 0.7, "zeros_s": 0.7},
+    "frozen image": {"kind": "frozen", "duration": 1.6},
+    "frame loss": {"kind": "frame_loss", "share": 0.3, "duration": 1.5},
+    "babbling node": {"kind": "babbling_node", "rate": 1000.0, "duration": 1.5},
+    "babbling node, our identifiers": {"kind": "babbling_node", "rate": 500.0, "known": True, "duration": 1.5},
+    "write ignored": {"kind": "write_ignored", "duration": 1.0},
+}
+"""What is ordered from the PLC, by the row's name."""
+TOLERATED = ("SDO abort", "SDO late", "SDO silent")
+"""While the PDOs come, nothing is lost to these."""
+
+
+@contextmanager
+def canopen_rig(folder: Path, trace: Trace, *, period: float, **settings: object) -> Iterator[tuple[Rig, list[str]]]:
+    """A rig whose gateway speaks CANopen, and the options with which its PLC has a node; the hub runs meanwhile.
+
+    `settings` are the driver's own, beside those of the device file.
+    """
+    rig = make_rig(folder, trace, period=period)
+    with can_hub(folder) as path:
+        own = {"name": "canopen", "file": str(DEVICE), "interface": "hub", "channel": str(path), "configure": True}
+        rows = "\n".join(f"{key} = {_toml(value)}" for key, value in {**own, **settings}.items())
+        before, _, after = rig.plant.read_text(encoding="utf-8").partition("[scan]")
+        kept = [line for line in before.splitlines() if line.startswith("heartbeat_period")]
+        head = "\n".join(["[device]", *kept, "[[device.links]]", rows])
+        rig.plant.write_text(f"{head}\n[scan]{after}", encoding="utf-8")
+        yield rig, face(path)
+
+
+def face(path: Path, device: Path = DEVICE) -> list[str]:
+    """The software PLC's options for a node on the hub at `path`."""
+    return ["--canopen", str(device), "--can-interface", "hub", "--can-channel", str(path)]
+
+
+def _toml(value: object) -> str:
+    """Numbers, truths and text are written as in JSON; a table of them inline."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{json.dumps(key)} = {_toml(inner)}" for key, inner in value.items()) + " }"
+    return json.dumps(value)
+
+
+def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]]) -> Matrix:
+    """Run the faults one after the other against one pair of processes, and judge what was recorded."""
+    with canopen_rig(folder, restless_trace(160.0), period=PERIOD) as (rig, options):
+        return suffered(rig, faults, options, TOLERANCE_S + EVENT_TIMER_S)
+
+
+def outside(recording: Recording) -> list[str]:
+    """The objects that the gateway wrote by SDO and that are neither the block nor parameters of communication."""
+    strange = []
+    for row in recording.frames:
+        if row.sent or row.id != 0x600 + NODE or not row.data or row.data[0] >> 5 not in WRITES:
+            continue
+        if row.data[0] >> 5 == 6 and row.data[0] & 1:
+            continue  # the end of a block download
+        index = int.from_bytes(row.data[1:3], "little")
+        if index != BLOCK and index != 0x1017 and not 0x1400 <= index < 0x1C00:
+            strange.append(f"0x{index:04X}:{row.data[3]}")
+    return strange
+
+
+def repeated(recording: Recording) -> int:
+    """How many first RPDOs of a block carry a sequence number that was there before."""
+    sequences = [row.data[2:4] for row in recording.frames if not row.sent and row.id == 0x200 + NODE and row.data]
+    return len(sequences) - len(set(sequences))
+
+
+@click.command()
+@click.argument("faults", nargs=-1, type=click.Choice(tuple(FAULTS)), metavar="[FAULT]...")
+def main(faults: Sequence[str]) -> None:
+    """Measure the fault matrix over CANopen; exit code 1 if a wrong value was good."""
+    with tempfile.TemporaryDirectory(prefix="canopen-") as folder:
+        matrix = measure(Path(folder), {name: FAULTS[name] for name in faults or FAULTS})
+    click.echo(table(matrix, TOLERANCE_S + EVENT_TIMER_S))
+    raise SystemExit(1 if any(row.wrong_good for row in matrix.rows) else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""Messages and signals of a DBC file: where a signal lies, what its number means, how often its message comes.
+
+The address `dbc:Message.Signal` names a signal. Its place, sign, scale and offset are the file's; so are the range and
+the unit where the tag has none. Names of values are not taken over: a DBC file may name the special ones only, and a
+tag's labels name all that there are. Read with cantools, decoded by `drivers.can.fields`.
+
+Attributes that are read: `GenMsgCycleTime` (ms), and for protected messages `E2EProfile` ("P05"), `E2EDataID` and
+`E2EMaxDeltaCounter`.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import cantools
+from cantools.database.can import Database, Message, Signal
+
+from drivers.can.fields import Bits, Condition, Field, check_type, frame_key
+from drivers.can.protection import PROFILE, Protection
+from drivers.errors import AddressError, DriverError
+from drivers.tag import DType, Tag
+
+PREFIX = "dbc:"
+_SIZES = ((8, DType.INT8, DType.UINT8), (16, DType.INT16, DType.UINT16), (32, DType.INT32, DType.UINT32))
+_LARGEST = (DType.INT64, DType.UINT64)
+
+
+@dataclass(frozen=True, slots=True)
+class MessageFacts:
+    """What a DBC file says of a whole message: `cycle` in s (None: not cyclic), `layouts` if multiplexed (else 1)."""
+
+    name: str
+    key: int
+    length: int
+    cycle: float | None
+    layouts: int
+    protection: Protection | None
+
+
+class Dbc:
+    """One DBC file. Raises DriverError if it cannot be read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            # Not strict: that signals overlap, or lie outside their message, in other people's files is theirs to mend.
+            loaded = cantools.database.load_file(path, database_format="dbc", strict=False)
+        except (OSError, UnicodeError, cantools.Error) as error:
+            raise DriverError(f"{path}: is no DBC file that can be used: {error}") from None
+        if not isinstance(loaded, Database):
+            raise DriverError(f"{path}: is no DBC file")
+        self._messages = {message.name: message for message in loaded.messages}
+
+    @cached_property
+    def messages(self) -> Mapping[str, MessageFacts]:
+        """All messages by name."""
+        return {name: self._facts(message) for name, message in self._messages.items()}
+
+    def locate(self, tag: Tag) -> tuple[Tag, Field, MessageFacts]:
+        """The tag as the file completes it, its place, and its message. Raises AddressError."""
+        name, _, signal_name = tag.address.removeprefix(PREFIX).partition(".")
+        message = self._messages.get(name)
+        if message is None:
+            raise AddressError(f"{tag.name}: {self.path} has no message {name!r}; it has {', '.join(self._messages)}")
+        signals = {signal.name: signal for signal in message.signals}
+        signal = signals.get(signal_name)
+        if signal is None:
+            raise AddressError(f"{tag.name}: {name} has no signal {signal_name!r}; it has {', '.join(signals)}")
+        field = Field(self.messages[name].key, _bits(signal), tuple(_conditions(message, signal)))
+        completed = _completed(tag, signal)
+        check_type(completed, field.bits)
+        return completed, field, self.messages[name]
+
+    def _facts(self, message: Message) -> MessageFacts:
+        key = frame_key(message.frame_id, extended=message.is_extended_frame)
+        cycle = None if not message.cycle_time else message.cycle_time / 1000.0
+        layouts = {ids for s in message.signals for ids in (tuple(s.multiplexer_ids or ()),) if ids}
+        protection = self._protection(message)
+        return MessageFacts(message.name, key, message.length, cycle, max(1, len(layouts)), protection)
+
+    def _protection(self, message: Message) -> Protection | None:
+        attributes = message.dbc.attributes if message.dbc is not None else {}
+        given = {name: attributes[name].value for name in attributes if name.startswith("E2E")}
+        profile = str(given.get("E2EProfile", "") or "")
+        if profile in ("", "none"):
+            return None
+        where = f"{self.path}: message {message.name}"
+        if profile != PROFILE:
+            raise DriverError(f"{where}: E2EProfile {profile!r} is not known; {PROFILE!r} is")
+        data_id, delta = given.get("E2EDataID", message.frame_id & 0xFFFF), given.get("E2EMaxDeltaCounter", 10)
+        if not (isinstance(data_id, int) and 0 <= data_id <= 0xFFFF):
+            raise DriverError(f"{where}: E2EDataID {data_id!r} must be a whole number in 0..65535")
+        if not (isinstance(delta, int) and 1 <= delta <= 255):
+            raise DriverError(f"{where}: E2EMaxDeltaCounter {delta!r} must be a whole number in 1..255")
+        return Protection(data_id, delta)
+
+
+def _bits(signal: Signal) -> Bits:
+    return Bits(signal.start, signal.length, signal.byte_order == "big_endian")
+
+
+def _conditions(message: Message, signal: Signal) -> Iterator[Condition]:
+    """The multiplexors that must hold the signal's numbers, its own first, then those above it."""
+    signals = {other.name: other for other in message.signals}
+    while signal.multiplexer_ids and signal.multiplexer_signal:
+        selector = signals[signal.multiplexer_signal]
+        yield Condition(_bits(selector), frozenset(signal.multiplexer_ids))
+        signal = selector
+
+
+def _completed(tag: Tag, signal: Signal) -> Tag:
+    """The tag with the file's type, scale and offset, and its range and unit where the tag has none."""
+    if tag.scale != 1.0 or tag.offset != 0.0:
+        raise AddressError(f"{tag.name}: the DBC file gives the scale and the offset of {tag.address}; leave them out")
+    if tag.dtype is DType.STRING:
+        return tag
+    bit = tag.dtype is DType.BOOL and tag.bit is None
+    if bit and signal.length != 1:
+        raise AddressError(f"{tag.name}: a bool has 1 bit, and {tag.address} has {signal.length}; give its bit")
+    scale, offset = float(signal.scale), float(signal.offset)
+    return replace(
+        tag,
+        dtype=tag.dtype if bit or tag.bit is not None else _dtype(tag, signal),
+        scale=scale,
+        offset=offset,
+        low=_limit(tag.low, signal.minimum, signal),
+        high=_limit(tag.high, signal.maximum, signal),
+        unit=tag.unit or signal.unit or "",
+    )
+
+
+def _limit(own: float | None, given: float | None, signal: Signal) -> float | None:
+    """The tag's limit, else the file's; 0 and 0 in the file mean none (and cantools gives None for them)."""
+    if own is not None or given is None or not math.isfinite(given) or signal.minimum == signal.maximum:
+        return own
+    return float(given)
+
+
+def _dtype(tag: Tag, signal: Signal) -> DType:
+    if signal.is_float:
+        kinds = {32: DType.FLOAT32, 64: DType.FLOAT64}
+        if signal.length not in kinds:
+            raise AddressError(f"{tag.name}: {tag.address} is a float of {signal.length} bits; 32 and 64 can be read")
+        return kinds[signal.length]
+    if signal.length > 64:
+        raise AddressError(f"{tag.name}: {tag.address} has {signal.length} bits; a number has 64 at most")
+    pair = next(((signed, plain) for bits, signed, plain in _SIZES if signal.length <= bits), _LARGEST)
+    return pair[0] if signal.is_signed else pair[1]

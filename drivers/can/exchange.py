@@ -1,0 +1,93 @@
+"""One write: its frames on the bus, each once, and the wait for the device's echo of every one."""
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+
+import can
+
+from drivers.can.fields import frame_key, frame_name
+from drivers.can.pump import Pump
+from drivers.can.reception import Reception, Slot
+from drivers.can.writing import Outgoing, WriteMap
+from drivers.errors import LinkDown, ReplyTimeout, WriteUnverified
+
+_SEND_TIMEOUT = 0.05
+
+
+class Exchange:
+    """Sends frames of the write map and no others. `heard` is to be set when frames have come, or the bus is gone."""
+
+    def __init__(self, write_map: WriteMap, reception: Reception, deadline: float) -> None:
+        self.heard = asyncio.Event()
+        self.counts = dict.fromkeys(("sent", "writes", "timeouts", "mismatches"), 0)
+        self._write_map = write_map
+        self._reception = reception
+        self._deadline = deadline
+        self._lock = asyncio.Lock()
+
+    async def write(self, pump: Pump, composed: Sequence[tuple[Outgoing, bytes]], lost: Callable[[], str]) -> None:
+        """Send each frame once, then wait for the echoes; `lost` says why the bus is gone, "" while it is there.
+
+        Raises LinkDown, ReplyTimeout or WriteUnverified.
+        """
+        async with self._lock:
+            if reason := lost():
+                raise LinkDown(reason)
+            self.counts["writes"] += 1
+            begun = time.monotonic()
+            for frame, data in composed:
+                self._send(pump, frame, data)
+            await self._verified(composed, begun, lost)
+
+    def _send(self, pump: Pump, frame: Outgoing, data: bytes) -> None:
+        put(pump, frame.number, frame.extended, self._write_map.sealed(frame, data))
+        self.counts["sent"] += 1
+
+    async def _verified(
+        self, composed: Sequence[tuple[Outgoing, bytes]], begun: float, lost: Callable[[], str]
+    ) -> None:
+        """Wait for the echoes. Raises LinkDown, ReplyTimeout, WriteUnverified."""
+        deadline = asyncio.get_running_loop().time() + self._deadline
+        while True:
+            self.heard.clear()
+            doubts = [doubt for frame, data in composed if (doubt := self._doubt(frame, data, begun))]
+            if not doubts:
+                return
+            if reason := lost():
+                raise LinkDown(f"it is not known whether the device took the write: {reason}")
+            try:
+                async with asyncio.timeout_at(deadline):
+                    await self.heard.wait()
+            except TimeoutError:
+                break
+        wrong = [words for echoed, words in doubts if echoed]
+        if wrong:
+            self.counts["mismatches"] += 1
+            raise WriteUnverified(wrong[0])
+        self.counts["timeouts"] += 1
+        raise ReplyTimeout(f"{doubts[0][1]} within {self._deadline:g} s")
+
+    def _doubt(self, frame: Outgoing, data: bytes, begun: float) -> tuple[bool, str] | None:
+        """What speaks against a frame's having been stored: (an echo has come, words); None if it was confirmed."""
+        slot = self._echo(next(iter(frame.places)))
+        if slot.frame is None or slot.heard < begun:
+            return False, f"no echo {frame_name(frame.echo)} of {frame_name(frame.key)}"
+        difference = frame.echoed(data, slot.frame.data)
+        return (True, difference) if difference else None
+
+    def _echo(self, name: str) -> Slot:
+        place = self._write_map.echoes[name]
+        _, slot = self._reception.listen(place.rules, place.field.conditions, place.timeout, time.monotonic())
+        return slot
+
+
+def put(pump: Pump, number: int, extended: bool, data: bytes) -> None:
+    """Put one frame on the bus: all that the driver ever sends goes this way. Raises LinkDown if it cannot."""
+    message = can.Message(arbitration_id=number, is_extended_id=extended, data=data, is_fd=len(data) > 8)
+    try:
+        pump.bus.send(message, timeout=_SEND_TIMEOUT)
+    except (can.CanError, OSError, ValueError) as error:
+        raise LinkDown(
+            f"frame {frame_name(frame_key(number, extended=extended))} could not be sent: {error}"
+        ) from error

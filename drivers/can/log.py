@@ -1,0 +1,311 @@
+"""Recorded CAN logs as frames: candump, ASC, BLF, TRC, CSV and MF4 by python-can's readers, whatever is in them.
+
+What is no frame is counted and skipped; a log that ends in the middle of a record gives what lies before. The readers
+of text are fed line by line, so that one bad line costs one line.
+"""
+
+import gzip
+import logging
+import math
+import re
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import BinaryIO, TextIO, cast
+
+import can
+from can.io.blf import OBJ_HEADER_BASE_STRUCT, BLFParseError
+
+from drivers.can.frame import Frame
+from drivers.errors import RecordingError
+
+_LONGEST_LINE = 4096
+_PARSE_ERRORS = (
+    ValueError, IndexError, KeyError, TypeError, AttributeError, OverflowError, AssertionError, EOFError, OSError,
+    struct.error, zlib.error, BLFParseError,
+)  # fmt: skip
+_MF4_RAISES = (("asammdf.blocks.utils", "MdfException"), ("isal.isal_zlib", "error"), ("zstd", "Error"))
+# Classic, remote and FD frames as `candump -L` writes them. The error flag (0x20000000) is looked at separately, as the
+# reader takes most error frames for data.
+_CANDUMP = re.compile(
+    r"\s*\(\d+\.\d+\)\s+\S+\s+(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
+    r"#(?:#[0-7](?:[0-9A-Fa-f]{2}){0,64}|[Rr][0-8]?|(?:[0-9A-Fa-f]{2}){0,8})(?:\s+[RTrt])?\s*"
+)
+_CSV = re.compile(r"\s*-?[\d.]+(?:[eE][-+]?\d+)?,(?:0x)?[0-9A-Fa-f]+,[01],[01],[01],\d+,[A-Za-z0-9+/=]*\s*")
+_CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
+_TRC = re.compile(r"\s*(?:;.*|\d+\)?\s+[\d.]+\s+\S.*)?\s*")
+
+# The TRC reader warns of each line; they are counted here.
+logging.getLogger("can.io.trc").addHandler(logging.NullHandler())
+
+LineCheck = Callable[[str], str]
+"""What a line is: "" for the reader, else the count that it goes to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A kind of log: its reader, whether it is text, what lines it has, and a line to restart the reader with."""
+
+    reader: Callable[..., can.io.generic.MessageReader]
+    text: bool = True
+    check: LineCheck = lambda _: ""
+    restart: str | None = None
+    header: str = ""
+
+
+def _candump_line(line: str) -> str:
+    match = _CANDUMP.fullmatch(line)
+    if match is None:
+        return "" if not line.strip() else "refused"
+    return "error_frames" if len(match["id"]) == 8 and int(match["id"], 16) & 0x20000000 else ""
+
+
+class _CheckedBlf(can.BLFReader):
+    """A BLF reader that stops at an object which would keep it in place for ever."""
+
+    def _parse_container(self, data: bytes) -> Iterator[can.Message]:
+        before = len(self._tail)
+        end = _stuck(self._tail + data)
+        if end is None:
+            yield from super()._parse_container(data)
+            return
+        yield from super()._parse_container(data[: max(0, end - before)])
+        raise BLFParseError("an object without a length")
+
+
+def _stuck(data: bytes) -> int | None:
+    """Where an object of a container says that it is shorter than its own header, if one does."""
+    size, at = OBJ_HEADER_BASE_STRUCT.size, 0
+    while (at := data.find(b"LOBJ", at, at + 8)) >= 0 and at + size <= len(data):
+        length: int = OBJ_HEADER_BASE_STRUCT.unpack_from(data, at)[3]
+        if length < size:
+            return at
+        at += length
+    return None
+
+
+FORMATS: dict[str, Format] = {
+    "candump": Format(can.CanutilsLogReader, check=_candump_line),
+    "asc": Format(can.ASCReader, restart="\n"),
+    "trc": Format(can.TRCReader, check=lambda line: "" if _TRC.fullmatch(line) else "refused"),
+    "csv": Format(
+        can.CSVReader,
+        check=lambda line: "" if _CSV.fullmatch(line) else "refused" if line.strip() else "blank",
+        restart=_CSV_HEADER + "\n",
+        header=_CSV_HEADER,
+    ),
+    "blf": Format(_CheckedBlf, text=False),
+    "mf4": Format(can.MF4Reader, text=False),
+}
+"""Readers by format; a file's suffix is the format's name, or .log for candump, with .gz where it is compressed."""
+_SUFFIXES = {".log": "candump"} | {f".{name}": name for name in FORMATS}
+
+
+@dataclass(slots=True)
+class Log:
+    """One log being read. `counts` say what became of its records, `problem` is the first thing wrong, as a sentence.
+
+    `frames` (data frames given), `error_frames`, `remote_frames`, `truncated` (less data than announced), `refused`
+    (no record of this format, or one that means nothing), `broken` (1: the log could not be read to its end).
+    """
+
+    path: Path
+    format: str
+    counts: dict[str, int] = field(
+        default_factory=lambda: dict.fromkeys(
+            ("frames", "error_frames", "remote_frames", "truncated", "refused", "broken"), 0
+        )
+    )
+    problem: str = ""
+    size: int = 0
+    _raw: BinaryIO | None = None
+
+    @property
+    def progress(self) -> float:
+        """How much of the file has been read, 0..1."""
+        if self._raw is None or self._raw.closed or not self.size:
+            return 0.0
+        return min(1.0, self._raw.tell() / self.size)
+
+    def frames(self) -> Iterator[Frame]:
+        """The data frames in the order of the log, from its beginning; times as they are logged (finite seconds)."""
+        kind = FORMATS[self.format]
+        try:
+            raw = self.path.open("rb")
+        except OSError as error:
+            self.note("broken", f"it cannot be read: {error.strerror}")
+            return
+        with raw:
+            self._raw = raw
+            stream = gzip.GzipFile(fileobj=raw) if self.path.suffix.lower() == ".gz" else raw
+            messages = self._from_text(kind, cast(BinaryIO, stream)) if kind.text else self._from_binary(kind, stream)
+            for message in messages:
+                frame = self._frame(message)
+                if frame is not None:
+                    self.counts["frames"] += 1
+                    yield frame
+
+    def _from_text(self, kind: Format, stream: BinaryIO) -> Iterator[can.Message]:
+        lines = _Lines(stream, kind, self)
+        reader = kind.reader(cast(TextIO, lines))
+        while not lines.ended:
+            try:
+                yield from reader
+            except _PARSE_ERRORS as error:
+                self.note("refused", f"line {lines.number}: {error}")
+                if kind.restart is not None:
+                    lines.first = kind.restart
+            else:
+                return
+
+    def _from_binary(self, kind: Format, stream: "BinaryIO | gzip.GzipFile") -> Iterator[can.Message]:
+        errors: tuple[type[Exception], ...] = (*_PARSE_ERRORS, *_errors_of_mf4(self.format))
+        try:
+            # asammdf maps a file of its own; the other readers take the open one.
+            yield from kind.reader(str(self.path) if self.format == "mf4" else stream)
+        except errors as error:
+            self.note("broken", f"after {self.counts['frames']} frames: {str(error) or type(error).__name__}")
+
+    def _frame(self, message: can.Message) -> Frame | None:
+        if message.is_error_frame:
+            self.counts["error_frames"] += 1
+            return None
+        if message.is_remote_frame:
+            self.counts["remote_frames"] += 1
+            return None
+        data = bytes(message.data)
+        if not message.is_fd and len(data) != message.dlc:
+            self.note("truncated", f"a frame {message.arbitration_id:X} has {len(data)} of {message.dlc} bytes")
+            return None
+        limit = 0x1FFFFFFF if message.is_extended_id else 0x7FF
+        if not (math.isfinite(message.timestamp) and 0 <= message.arbitration_id <= limit):
+            self.note("refused", f"no frame has the identifier {message.arbitration_id:X} at {message.timestamp}")
+            return None
+        channel = "" if message.channel is None else str(message.channel)
+        return Frame(message.timestamp, message.arbitration_id, message.is_extended_id, data, channel, message.is_fd)
+
+    def note(self, what: str, sentence: str) -> None:
+        """Count a fault; the first one is remembered."""
+        self.counts[what] += 1
+        self.problem = self.problem or sentence
+
+    def summary(self) -> str:
+        """What was found beside data frames, as words; "" if nothing."""
+        others = [
+            f"{count} {name.replace('_', ' ')}" for name, count in self.counts.items() if count and name != "frames"
+        ]
+        return ", ".join(others) + (f" (first: {self.problem})" if self.problem else "")
+
+
+_NEEDS_ASAMMDF = (
+    "MF4 logs need the package asammdf, which is not installed here; install it, or convert the log to BLF, ASC or "
+    "candump text"
+)
+
+
+def _errors_of_mf4(format_: str) -> tuple[type[Exception], ...]:
+    """What asammdf and its decompressors raise for a file that they cannot read; they are there if an MF4 is read."""
+    if format_ != "mf4":
+        return ()
+    names = [(module, name) for module, name in _MF4_RAISES if find_spec(module.partition(".")[0]) is not None]
+    return (RuntimeError, *(getattr(import_module(module), name) for module, name in names))
+
+
+def open_log(path: Path, format_: str | None = None) -> Log:
+    """The log at `path`, not yet read; `format_` is a key of FORMATS where the suffix does not say it.
+
+    Raises RecordingError with one sentence for what is no file, is empty or of no known format.
+    """
+    if format_ is not None and format_ not in FORMATS:
+        raise RecordingError(f"{format_!r} is no format of CAN logs; give one of {', '.join(FORMATS)}")
+    try:
+        size = path.stat().st_size
+        if path.is_dir():
+            raise RecordingError(f"{path}: is a folder; give one log file")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    if size == 0:
+        raise RecordingError(f"{path}: is empty")
+    name = path.name.lower().removesuffix(".gz")
+    chosen = format_ or _SUFFIXES.get(Path(name).suffix)
+    if chosen is None:
+        raise RecordingError(
+            f"{path}: the suffix does not tell the format; give it as one of {', '.join(FORMATS)} (known suffixes: "
+            f"{', '.join(_SUFFIXES)}, each with .gz too)"
+        )
+    if chosen == "mf4" and find_spec("asammdf") is None:
+        raise RecordingError(f"{path}: {_NEEDS_ASAMMDF}")
+    return Log(path, chosen, size=size)
+
+
+def require_frames(log: Log) -> None:
+    """Raises RecordingError if the log was read and had not one data frame."""
+    if log.counts["frames"] == 0:
+        others = log.summary()
+        raise RecordingError(
+            f"{log.path}: there is no data frame in this {log.format} log" + (f": {others}" if others else "")
+        )
+
+
+class _Lines:
+    """A text log's lines as python-can's readers take them: a file that is only iterated and closed."""
+
+    def __init__(self, stream: BinaryIO, kind: Format, log: Log) -> None:
+        self._stream = stream
+        self._kind = kind
+        self._log = log
+        self.number = 0
+        self.ended = False
+        self.first: str | None = None
+
+    def __iter__(self) -> "_Lines":
+        return self
+
+    def __next__(self) -> str:
+        if self.first is not None:
+            line, self.first = self.first, None
+            return line
+        while True:
+            line = self._line()
+            if self.number == 1 and self._kind.header:
+                if line.strip().lstrip("\ufeff") != self._kind.header:
+                    self._log.note("refused", f"line 1 is not {self._kind.header!r}")
+                return line
+            verdict = self._kind.check(line)
+            if not verdict:
+                return line
+            if verdict == "refused":
+                self._log.note("refused", f"line {self.number} is no {self._log.format} record: {line.strip()[:60]!r}")
+            elif verdict in self._log.counts:
+                self._log.counts[verdict] += 1
+
+    def close(self) -> None:
+        """The reader is done; the file is closed by whom it was opened."""
+
+    def _line(self) -> str:
+        """The next line that is text; others are counted. Raises StopIteration at the end."""
+        while True:
+            octets = self._read()
+            if not octets:
+                self.ended = True
+                raise StopIteration
+            self.number += 1
+            whole = len(octets) <= _LONGEST_LINE
+            if not whole:
+                while len(octets) > _LONGEST_LINE and not octets.endswith(b"\n"):
+                    octets = self._read()
+            text = octets.decode("utf-8", "replace")
+            if whole and "\0" not in text and "\ufffd" not in text:
+                return text
+            self._log.note("refused", f"line {self.number} is not text")
+
+    def _read(self) -> bytes:
+        try:
+            return self._stream.readline(_LONGEST_LINE + 1)
+        except (OSError, EOFError, zlib.error) as error:
+            self._log.note("broken", f"after line {self.number}: {error}")
+            return b""

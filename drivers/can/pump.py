@@ -1,0 +1,103 @@
+"""Frames from a bus into the event loop: by the bus's file descriptor where it has one, else by a thread."""
+
+import asyncio
+import threading
+from collections import deque
+from collections.abc import Callable
+
+import can
+
+_BURST = 256
+_LOOK = 0.1
+_QUEUE = 10_000
+
+
+class Pump:
+    """Gives `take` each frame, in order, in the event loop's thread; `lost` says once that the bus is gone, and why.
+
+    A burst of frames leaves the loop to others in between. `close` lets the bus go; nothing is given after that.
+    """
+
+    def __init__(self, bus: can.BusABC, take: Callable[[can.Message], None], lost: Callable[[str], None]) -> None:
+        self.bus = bus
+        self.dropped = 0
+        self._take = take
+        self._lost = lost
+        self._loop = asyncio.get_running_loop()
+        self._waiting: deque[can.Message] = deque()
+        self._closed = False
+        self._fd = _descriptor(bus)
+        if self._fd is None:
+            threading.Thread(target=self._listen, name=f"can {bus.channel_info}", daemon=True).start()
+        else:
+            self._loop.add_reader(self._fd, self._readable)
+
+    def close(self) -> None:
+        """Stop giving frames and shut the bus down. May be called twice."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._fd is not None:
+            self._loop.remove_reader(self._fd)
+            self.bus.shutdown()
+
+    def _readable(self) -> None:
+        for _ in range(_BURST):
+            try:
+                message = self.bus.recv(0.0)
+            except (can.CanError, OSError) as error:
+                self._lost(str(error))
+                return
+            if message is None:
+                return
+            self._take(message)
+            if self._closed:
+                return
+
+    # ------------------------------------------------------------ a bus without a descriptor
+
+    def _listen(self) -> None:
+        """The thread: it alone touches the bus for receiving, and shuts it down at its end."""
+        while not self._closed:
+            try:
+                message = self.bus.recv(_LOOK)
+            except (can.CanError, OSError) as error:
+                self._tell(self._gone, str(error))
+                break
+            if message is None:
+                continue
+            if len(self._waiting) >= _QUEUE:
+                self.dropped += 1
+                continue
+            self._waiting.append(message)
+            if len(self._waiting) == 1:
+                self._tell(self._drain)
+        self.bus.shutdown()
+
+    def _tell(self, what: Callable[..., None], *words: str) -> None:
+        # The loop may have ended before the thread has noticed that it is to end.
+        try:
+            self._loop.call_soon_threadsafe(what, *words)
+        except RuntimeError:
+            self._closed = True
+
+    def _gone(self, reason: str) -> None:
+        if not self._closed:
+            self._lost(reason)
+
+    def _drain(self) -> None:
+        for _ in range(min(_BURST, len(self._waiting))):
+            if self._closed:
+                return
+            self._take(self._waiting[0])
+            self._waiting.popleft()
+        if self._waiting:
+            self._loop.call_soon(self._drain)
+
+
+def _descriptor(bus: can.BusABC) -> int | None:
+    try:
+        number = bus.fileno()
+    except NotImplementedError:
+        return None
+    return number if number >= 0 else None

@@ -1,0 +1,1 @@
+"""CANopen: one node described by its EDS; PDOs heard as they come, everything else asked for by SDO."""

@@ -1,0 +1,184 @@
+"""Bringing a node up: is it the device of the EDS, how does it send, does it have to be configured, started.
+
+Reading is done in any case (unless the driver only listens); what changes the device (PDO parameters, heartbeat time,
+NMT commands) only with `configure`, and through `_configured`, which lets nothing else pass.
+"""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.canopen.channel import SdoChannel
+from drivers.canopen.eds import Sheet, parse_sheet
+from drivers.canopen.options import Options
+from drivers.canopen.pdo import COMMUNICATION, MAPPING, Kind, Pdo, from_objects, wanted, writes
+from drivers.canopen.place import Place
+from drivers.canopen.sdo import ABOUT_OBJECTS, SdoAbort
+from drivers.errors import DriverError, ReplyTimeout, WriteForbidden
+
+START, ENTER_PRE_OPERATIONAL = 1, 128
+OPERATIONAL = 5
+HEARTBEAT_TIME, ERROR_REGISTER, NEWEST_ERROR = Place(0x1017), Place(0x1001), Place(0x1003, 1)
+STORE_EDS, STORE_FORMAT = Place(0x1021), Place(0x1022)
+VENDOR, PRODUCT = Place(0x1018, 1), Place(0x1018, 2)
+BEATS = 2.5
+"""Heartbeat periods without a heartbeat after which the node is gone."""
+STARTED = 1.0
+"""Seconds within which a started node must say that it is operational."""
+
+
+@dataclass(frozen=True, slots=True)
+class Brought:
+    """What is known of a node that is up. `error`: code and register of a standing error; `life`: the life counter."""
+
+    sheet: Sheet
+    tpdos: tuple[Pdo, ...]
+    rpdos: tuple[Pdo, ...]
+    heartbeat_timeout: float
+    error: tuple[int, int] | None = None
+    life: int | None = None
+    changed: bool = False
+
+
+class BringUp:
+    """One bringing-up. `command` sends an NMT command, `state` gives the node's NMT state (None: not known).
+
+    Without a `sheet` the device is asked for its own EDS.
+    """
+
+    def __init__(
+        self,
+        sdo: SdoChannel,
+        command: Callable[[int], None],
+        options: Options,
+        sheet: Sheet | None,
+        state: Callable[[], int | None],
+    ) -> None:
+        self._sdo, self._command, self._options, self._sheet, self._state = sdo, command, options, sheet, state
+        self._beats = False
+
+    async def all(self) -> Brought:
+        """Everything but the start. Raises DriverError for a device that is another one, refuses or is silent."""
+        options = self._options
+        if options.listen_only:
+            return self._trusted()
+        sheet = self._sheet or await self._own_sheet()
+        await self._identified(sheet)
+        present = [*await self._pdos(sheet, "T"), *await self._pdos(sheet, "R")]
+        beat = await self._number(HEARTBEAT_TIME, 2) or 0
+        changed = False
+        if options.configure:
+            changed, present = await self._configure(sheet, present)
+            beat = await self._set_heartbeat(beat)
+        self._beats = beat > 0
+        register = await self._number(ERROR_REGISTER, 1) or 0
+        code = (await self._number(NEWEST_ERROR, 4) or 0) & 0xFFFF if register else 0
+        life = await self._number(options.life[0], 2) if options.life else None
+        return Brought(
+            sheet,
+            tuple(pdo for pdo in present if pdo.kind == "T"),
+            tuple(pdo for pdo in present if pdo.kind == "R"),
+            options.heartbeat_timeout or BEATS * beat / 1000.0,
+            (code or 0x1000, register) if register else None,
+            life,
+            changed,
+        )
+
+    async def start(self) -> None:
+        """Start the node, if that is allowed and needed, and wait for the heartbeat of one that has one.
+
+        Raises ReplyTimeout for a node that does not say that it is operational (one that may not be started: that it
+        lives); an answer by SDO alone does not make up for a heartbeat that is missing.
+        """
+        options = self._options
+        if options.configure and self._state() != OPERATIONAL:
+            self._command(START)
+        if not self._beats or options.listen_only:
+            return
+        deadline = asyncio.get_running_loop().time() + STARTED
+        while self._state() != OPERATIONAL and (options.configure or self._state() is None):
+            if asyncio.get_running_loop().time() > deadline:
+                what = "it is not operational" if options.configure else "it has sent no heartbeat"
+                raise ReplyTimeout(f"{what} within {STARTED:g} s")
+            await asyncio.sleep(0.005)
+
+    def _trusted(self) -> Brought:
+        """Who only listens has the EDS's word and no other."""
+        if self._sheet is None:
+            raise DriverError("listen_only needs an EDS")
+        sheet = self._sheet
+        beat = (sheet.value(HEARTBEAT_TIME) or 0) / 1000.0
+        tpdos = wanted(sheet.pdos("T"), self._options.tpdo, sheet.bits)
+        return Brought(sheet, tpdos, sheet.pdos("R"), self._options.heartbeat_timeout or BEATS * beat)
+
+    async def _own_sheet(self) -> Sheet:
+        """The EDS that the device keeps itself (0x1021), by block transfer where it can."""
+        text = await self._sdo.read(STORE_EDS, block=True)
+        if await self._number(STORE_FORMAT, 1):
+            raise DriverError("its own EDS (0x1021) is compressed; give the setting eds")
+        return parse_sheet(text.decode("utf-8", errors="replace"), self._options.node, "0x1021 of the device")
+
+    async def _identified(self, sheet: Sheet) -> None:
+        """Raises DriverError if vendor or product are not those of the EDS (0 in the EDS: any)."""
+        for place, what in ((VENDOR, "vendor"), (PRODUCT, "product")):
+            expected = sheet.value(place)
+            found = await self._number(place, 4) if expected else None
+            if expected and found is not None and found != expected:
+                raise DriverError(
+                    f"it is another device: {what} 0x{found:08X}, and {sheet.origin} is of 0x{expected:08X}"
+                )
+
+    async def _pdos(self, sheet: Sheet, kind: Kind) -> list[Pdo]:
+        """The PDOs as the device has them now."""
+        found = []
+        for number in sheet.numbers(kind):
+            values = {}
+            communication, mapping = COMMUNICATION[kind] + number - 1, MAPPING[kind] + number - 1
+            for place, size in ((Place(communication, 1), 4), (Place(communication, 2), 1), (Place(mapping, 0), 1)):
+                values[place] = await self._number(place, size)
+            for place in (Place(communication, 3), Place(communication, 5)):
+                values[place] = await self._number(place, 2) if place in sheet.objects else None
+            for sub in range(1, min(values[Place(mapping, 0)] or 0, 64) + 1):
+                values[Place(mapping, sub)] = await self._number(Place(mapping, sub), 4)
+            pdo = from_objects(kind, number, values.get)
+            found += [pdo] if pdo else []
+        return found
+
+    async def _configure(self, sheet: Sheet, present: list[Pdo]) -> tuple[bool, list[Pdo]]:
+        """Make the device's PDOs those that are wanted; whether anything had to be written."""
+        aims = [*wanted(sheet.pdos("T"), self._options.tpdo, sheet.bits), *sheet.pdos("R")]
+        by_name = {(pdo.kind, pdo.number): pdo for pdo in present}
+        steps = [step for aim in aims for step in writes(aim, by_name[aim.kind, aim.number])]
+        if not steps:
+            return False, aims
+        if self._state() in (None, OPERATIONAL):
+            self._command(ENTER_PRE_OPERATIONAL)
+        for place, data in steps:
+            await self._configured(place, data)
+        kept = [*await self._pdos(sheet, "T"), *await self._pdos(sheet, "R")]
+        wrong = [aim.name for aim, pdo in zip(aims, kept, strict=True) if writes(aim, pdo)]
+        if wrong:
+            raise DriverError(f"it has confirmed its configuration and not kept it: {', '.join(wrong)}")
+        return True, aims
+
+    async def _set_heartbeat(self, present: int) -> int:
+        milliseconds = round(self._options.heartbeat_time * 1000.0)
+        if milliseconds and milliseconds != present:
+            await self._configured(HEARTBEAT_TIME, milliseconds.to_bytes(2, "little"))
+            return milliseconds
+        return present
+
+    async def _configured(self, place: Place, data: bytes) -> None:
+        """Write one communication parameter. Raises WriteForbidden for any other object."""
+        if not (self._options.configure and (0x1400 <= place.index < 0x1C00 or place == HEARTBEAT_TIME)):
+            raise WriteForbidden(f"{place} is no communication parameter, or configure is false; nothing was sent")
+        await self._sdo.write(place, data)
+
+    async def _number(self, place: Place, size: int) -> int | None:
+        """The object as an unsigned number; None where the device has none."""
+        try:
+            return int.from_bytes((await self._sdo.read(place, size))[:size], "little")
+        except SdoAbort as abort:
+            if abort.code in ABOUT_OBJECTS:
+                return None
+            raise

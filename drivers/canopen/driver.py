@@ -1,0 +1,356 @@
+"""The CANopen driver: TPDOs as they come, SDO for the rest, one group of RPDOs or SDOs for a write that is verified."""
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import can
+
+from drivers.can.bus import open_bus
+from drivers.canopen.asking import Answer, ask
+from drivers.canopen.eds import Sheet, Where, load_sheet, locate
+from drivers.canopen.listeners import Listener
+from drivers.canopen.node import Heard, Node
+from drivers.canopen.options import Options, read_options
+from drivers.canopen.pdo import Mapped, Pdo, wanted
+from drivers.canopen.place import Place, bytes_needed, from_bytes
+from drivers.canopen.port import Port
+from drivers.canopen.writing import Writing
+from drivers.codec import Reading
+from drivers.driver import Clock
+from drivers.errors import LinkDown
+from drivers.link import Backoff, DeadPeer, Link
+from drivers.tag import DType, Quality, Sample, Tag, Value
+
+LARGE = 64
+"""Bytes of text from which a block transfer is tried first."""
+PLACES_KEPT = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """An open bus and what is known of the node on it."""
+
+    port: Port
+    node: Node
+
+
+def open_canopen(
+    settings: Mapping[str, Any], *, clock: Clock, write_map: Sequence[Tag] = (), seed: int = 0
+) -> "CanopenDriver":
+    """Make a CANopen driver, not yet opened.
+
+    Settings (times in seconds; docs/canopen.md has more): `interface`, `channel`, `bitrate` of the bus; `node` (1..127)
+    and its `eds` (without it the device is asked for its own). `listen_only`: nothing is ever sent. `configure`: the
+    driver may write PDO parameters and the heartbeat's time, send NMT commands and SYNC; false: it reads by SDO, and
+    writes the write map. `timeout` of one SDO answer and of an acknowledge; `connect_timeout` for the node at `open`;
+    `heartbeat_time` and `sync_period` to be set or expected; `heartbeat_timeout` and `pdo_timeout`, when not what the
+    device's periods make of them; `tpdo`, changes of the EDS's TPDOs; `life`, a counter in the TPDOs; `acknowledge`,
+    objects by which the device says that it has taken others; `emcy_ignore`; `backoff_first` and `backoff_cap`.
+
+    Raises DriverError for a setting or an EDS that cannot be used, AddressError for a tag of the write map that is no
+    writable object.
+    """
+    options = read_options(settings)
+    sheet = load_sheet(options.eds, options.node) if options.eds else None
+    if sheet is not None:
+        wanted(sheet.pdos("T"), options.tpdo, sheet.bits)
+    return CanopenDriver(options, sheet, clock=clock, write_map=tuple(write_map), seed=seed)
+
+
+class CanopenDriver:
+    """One CANopen node; a Driver that Streams and Writes. Made by `open_canopen`."""
+
+    def __init__(
+        self, options: Options, sheet: Sheet | None, *, clock: Clock, write_map: tuple[Tag, ...], seed: int
+    ) -> None:
+        self._options, self._sheet, self._clock = options, sheet, clock
+        self._writing = Writing(write_map, options, sheet)
+        self._places: dict[int, tuple[Tag, Where, Sheet | None]] = {}
+        self._listeners: set[Listener] = set()
+        self._open = False
+        self._past: dict[str, float] = {}
+        self._counts = dict.fromkeys(("reads", "writes"), 0)
+        self._link: Link[Connection] = Link(
+            self._connect,
+            self._disconnect,
+            connect_deadline=options.connect_timeout,
+            backoff=Backoff(options.backoff_first, options.backoff_cap),
+            dead_peer=DeadPeer(),
+            seed=seed,
+        )
+        self._ports: set[Port] = set()
+
+    # ------------------------------------------------------------ Driver
+
+    async def open(self) -> None:
+        """Open the bus and wait for the node. Raises LinkDown if it is not up within `connect_timeout`."""
+        self._open = True
+        await self._link.open()
+        connection = self._link.connection
+        if connection is None:
+            raise LinkDown(self._link.reason)
+        try:
+            async with asyncio.timeout(self._options.connect_timeout):
+                await connection.node.running.wait()
+        except TimeoutError:
+            raise LinkDown(connection.node.reason) from None
+
+    async def close(self) -> None:
+        """Leave the bus; the node is left as it is. Never raises; may be called twice."""
+        self._open = False
+        await self._link.close()
+        for port in tuple(self._ports):
+            await port.closed()
+            self._ports.discard(port)
+        for listener in self._listeners:
+            listener.wake.set()
+
+    @property
+    def connected(self) -> bool:
+        """True while the node is up, operational and heard within its heartbeat's limit."""
+        connection = self._link.connection
+        return connection is not None and connection.node.hindrance(asyncio.get_running_loop().time()) is None
+
+    def statistics(self) -> Mapping[str, float]:
+        """Counters since the driver was made: frames, PDOs, SDO requests, heartbeats, restarts, and how they failed."""
+        now = _counts_of(self._link.connection)
+        total = {name: value + self._past.get(name, 0) for name, value in now.items()}
+        link = self._link.statistics()
+        return {**self._counts, **total, "reconnects": max(0, link["connects"] - 1), **link}
+
+    def complaints(self) -> tuple[str, ...]:
+        """What the node says is wrong with it (emergencies), and what keeps it from being used; empty: nothing."""
+        connection = self._link.connection
+        if connection is None:
+            return (self._link.reason,) if self._open else ()
+        hindrance = connection.node.hindrance(asyncio.get_running_loop().time())
+        return (*connection.node.emergencies.sentences(), *([hindrance[1]] if hindrance else []))
+
+    async def read(self, tags: Sequence[Tag]) -> list[Sample]:
+        """Every tag: from the last TPDO that carries it (with the time of that frame), else asked for by SDO.
+
+        After one SDO request without an answer the others of this call are not sent.
+        """
+        self._counts["reads"] += 1
+        found: dict[Place, Answer] = {}
+        silent: Answer | None = None
+        samples = []
+        for tag in tags:
+            sample = self._held(tag)
+            if sample is None:
+                place = self._where(tag).place
+                if place not in found:
+                    found[place] = silent or await self._ask(tag, place)
+                    silent = found[place] if found[place].quality is Quality.TIMEOUT else None
+                sample = self._answered(tag, found[place])
+            samples.append(sample)
+        return samples
+
+    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+        """Which TPDO brings which tags and when it is late, which tags are asked for, and which lie nowhere."""
+        options, maps = self._options, self._tpdos()
+        carried: dict[Place, Pdo] = {}
+        for pdo in maps:
+            carried |= {one.place: pdo for one in pdo.objects if one.place not in carried}
+        here = [(tag, self._where(tag)) for tag in tags]
+        lines = [f"{tag.name}: {where.misplaced}" for tag, where in here if where.misplaced]
+        for pdo in maps:
+            names = [tag.name for tag, where in here if not where.misplaced and carried.get(where.place) is pdo]
+            limit = pdo.timeout(options.pdo_timeout, options.sync_period)
+            late = f"late after {limit:g} s" if limit else "without a period of its own"
+            lines += [f"{pdo.name}, {late}: {', '.join(names)}"] if names else []
+        asked = [tag.name for tag, where in here if not where.misplaced and where.place not in carried]
+        worst = len(asked) * options.timeout
+        return (*lines, *([f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(asked)}"] if asked else []))
+
+    # ------------------------------------------------------------ Streams
+
+    async def stream(self, tags: Sequence[Tag]) -> AsyncIterator[Sample]:
+        """Yield each tag's sample whenever a TPDO brings it, with the time of the frame, until `close`.
+
+        A tag that becomes unusable (late, malformed, node gone) yields one sample of bad quality. Tags that no TPDO
+        carries yield nothing: `read` asks for them.
+        """
+        listener = Listener(tags)
+        self._listeners.add(listener)
+        try:
+            while self._open:
+                for tag in tags:
+                    listener.look(self._held(tag))
+                for sample in listener.taken():
+                    yield sample
+                await listener.wait()
+        finally:
+            self._listeners.discard(listener)
+
+    # ------------------------------------------------------------ Writes
+
+    async def write(self, values: Sequence[tuple[Tag, Value]]) -> None:
+        """Write all values: by RPDOs where these carry nothing else, else by SDO; then verify.
+
+        Verified by the object that acknowledges, where one is configured, else by reading back. Raises WriteForbidden,
+        EncodingError or AddressError (nothing was sent), LinkDown, ReplyTimeout, ReplyMismatch, DeviceException,
+        WriteUnverified. Never retries.
+        """
+        pieces = self._writing.checked(values, self._known_sheet())
+        if not pieces:
+            return
+        connection = self._link.connection
+        if connection is None:
+            raise LinkDown(self._link.reason)
+        hindrance = connection.node.hindrance(asyncio.get_running_loop().time())
+        if hindrance is not None:
+            raise LinkDown(hindrance[1])
+        self._counts["writes"] += 1
+        await self._writing.carried_out(pieces, connection.node)
+
+    # ------------------------------------------------------------ samples
+
+    def _held(self, tag: Tag) -> Sample | None:
+        """What is known of a tag without asking; None if the device must be asked."""
+        now, moment = self._clock(), asyncio.get_running_loop().time()
+        where = self._where(tag)
+        if where.misplaced:
+            return Sample(tag.name, None, Quality.CONFIGURATION_ERROR, now, reason=where.misplaced)
+        connection = self._link.connection
+        if connection is None:
+            return Sample(tag.name, None, Quality.NOT_CONNECTED, now, reason=self._link.reason)
+        hindrance = connection.node.hindrance(moment)
+        if hindrance is not None:
+            return Sample(tag.name, None, hindrance[0], now, reason=hindrance[1])
+        carrier = connection.node.carrier(where.place)
+        if carrier is None:
+            return self._not_carried(tag, now) if self._options.listen_only else None
+        return self._carried(tag, connection.node, *carrier, now, moment)
+
+    def _carried(self, tag: Tag, node: Node, heard: Heard, mapped: Mapped, now: float, moment: float) -> Sample | None:
+        late = node.lateness(heard, moment)
+        if late:
+            return Sample(tag.name, None, Quality.TIMEOUT, now, reason=late)
+        if heard.fault:
+            return Sample(tag.name, None, Quality.COMMUNICATION_ERROR, now, reason=heard.fault)
+        if heard.asleep and node.life is not None and mapped.place != node.life.place:
+            reason = f"the device's program was not running when it sent {heard.pdo.name}"
+            return Sample(tag.name, None, Quality.OUT_OF_SERVICE, now, reason=reason)
+        payload = heard.value(mapped)
+        if payload is None:
+            if not self._options.listen_only:
+                return None
+            reason = f"{heard.pdo.name} has not come yet"
+            return Sample(tag.name, None, Quality.WAITING_FOR_INITIAL_DATA, now, reason=reason)
+        return self._sample(tag, from_bytes(tag, payload), heard.time, None)
+
+    def _not_carried(self, tag: Tag, now: float) -> Sample:
+        reason = f"no TPDO carries {tag.address}, and listen_only forbids to ask for it"
+        return Sample(tag.name, None, Quality.CONFIGURATION_ERROR, now, reason=reason)
+
+    def _sample(self, tag: Tag, reading: Reading, time: float, sent: float | None) -> Sample:
+        """The reading as far as the node's own emergencies let it count."""
+        value, quality, reason = reading
+        connection = self._link.connection
+        verdict = connection.node.emergencies.verdict() if connection is not None else None
+        if verdict is not None and not quality.is_bad:
+            quality, reason = verdict
+            value = None if quality.is_bad else value
+        return Sample(tag.name, value, quality, time, sent, reason)
+
+    def _answered(self, tag: Tag, answer: Answer) -> Sample:
+        if answer.payload is None:
+            return Sample(tag.name, None, answer.quality, answer.time, answer.sent, answer.reason)
+        return self._sample(tag, from_bytes(tag, answer.payload), answer.time, answer.sent)
+
+    async def _ask(self, tag: Tag, place: Place) -> Answer:
+        connection = self._link.connection
+        if connection is None:
+            now = self._clock()
+            return Answer(None, now, now, Quality.NOT_CONNECTED, self._link.reason)
+        node = connection.node
+        entry = node.sheet.objects.get(place) if node.sheet else None
+        text = tag.dtype is DType.STRING
+        size = entry.size if entry else None if text else bytes_needed(tag) or None
+        return await ask(node.sdo, place, size, self._clock, block=text and tag.length >= LARGE)
+
+    # ------------------------------------------------------------ where tags lie
+
+    def _where(self, tag: Tag) -> Where:
+        """The tag's object, or why it has none; worked out once for each tag, and anew with another EDS."""
+        sheet = self._known_sheet()
+        known = self._places.get(id(tag))
+        if known is None or known[0] is not tag or known[2] is not sheet:
+            if len(self._places) >= PLACES_KEPT:
+                self._places.clear()
+            known = self._places[id(tag)] = (tag, locate(tag, sheet), sheet)
+        return known[1]
+
+    def _known_sheet(self) -> Sheet | None:
+        connection = self._link.connection
+        return (connection.node.sheet if connection is not None else None) or self._sheet
+
+    def _tpdos(self) -> tuple[Pdo, ...]:
+        """The TPDOs as the device has them, or as the EDS says while it has not been asked."""
+        connection = self._link.connection
+        if connection is not None and connection.node.brought is not None:
+            return connection.node.brought.tpdos
+        return () if self._sheet is None else wanted(self._sheet.pdos("T"), self._options.tpdo, self._sheet.bits)
+
+    # ------------------------------------------------------------ the bus
+
+    async def _connect(self) -> Connection:
+        """Open the bus, in a thread since some interfaces take their time."""
+        options = self._options
+        opening = asyncio.create_task(
+            asyncio.to_thread(open_bus, options.interface, options.channel, options.bitrate), name="open CAN bus"
+        )
+        try:
+            bus = await asyncio.shield(opening)
+        except asyncio.CancelledError:
+            opening.add_done_callback(_let_go)
+            raise
+        node: Node
+        port = Port(bus, self._clock, lambda frame: node.take(frame), lambda reason: self._gone(port, reason))
+        node = Node(port.send, options, self._sheet, self._told)
+        self._ports.add(port)
+        node.start()
+        return Connection(port, node)
+
+    def _disconnect(self, connection: Connection) -> None:
+        for name, value in _counts_of(connection).items():
+            self._past[name] = self._past.get(name, 0) + value
+        connection.node.close(self._link.reason)
+        connection.port.close()
+
+    def _gone(self, port: Port, reason: str) -> None:
+        connection = self._link.connection
+        if connection is not None and connection.port is port:
+            self._link.lost(connection, reason)
+
+    def _told(self, node: Node, heard: Heard) -> None:
+        """A TPDO has come: the bus works, and whoever streams its tags hears of it."""
+        connection = self._link.connection
+        if connection is None or connection.node is not node:
+            return
+        self._link.answered(connection)
+        if not self._listeners:
+            return
+        carried = {one.place for one in heard.pdo.objects}
+        for listener in self._listeners:
+            for tag in listener.tags:
+                if self._where(tag).place in carried and (sample := self._held(tag)) is not None:
+                    listener.hear(sample)
+
+
+def _let_go(opening: "asyncio.Task[can.BusABC]") -> None:
+    """A bus that was opened too late is closed again."""
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result().shutdown()
+
+
+def _counts_of(connection: Connection | None) -> dict[str, float]:
+    if connection is None:
+        return {}
+    node = connection.node
+    life = {"stranger_pdos": node.life.strangers if node.life else 0}
+    emergencies = {"emergencies": node.emergencies.heard, "malformed_emergencies": node.emergencies.malformed}
+    return {**connection.port.counts, **asdict(node.counts), **node.sdo.counts, **emergencies, **life}

@@ -1,0 +1,122 @@
+"""An electronic data sheet (CiA 306) as the driver needs it: which objects there are, how large, and the PDOs."""
+
+import io
+from collections.abc import Callable, Mapping
+from configparser import Error as IniError
+from dataclasses import dataclass
+from pathlib import Path
+
+from canopen import ObjectDictionary
+from canopen.objectdictionary import ODVariable
+from canopen.objectdictionary.eds import import_eds
+
+from drivers.canopen.pdo import COMMUNICATION, Kind, Pdo, from_objects
+from drivers.canopen.place import Place, bytes_needed, from_bytes, parse_place
+from drivers.errors import AddressError, DriverError
+from drivers.tag import Tag
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One object: its name, bytes (None where they vary: text, domain), access, and the EDS's value (a number)."""
+
+    name: str
+    size: int | None
+    readable: bool
+    writable: bool
+    mappable: bool
+    value: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """The whole object dictionary of one node, with its node id worked in."""
+
+    origin: str
+    objects: Mapping[Place, Entry]
+
+    def value(self, place: Place) -> int | None:
+        """The number that the EDS gives to an object (ParameterValue before DefaultValue); None where it has none."""
+        entry = self.objects.get(place)
+        return entry.value if entry else None
+
+    def bits(self, place: Place) -> int | None:
+        """The bits of an object that may be mapped into a PDO; None for any other."""
+        entry = self.objects.get(place)
+        return 8 * entry.size if entry and entry.mappable and entry.size else None
+
+    def numbers(self, kind: Kind) -> list[int]:
+        """The numbers (from 1) of the PDOs that the device has."""
+        first = COMMUNICATION[kind]
+        return [
+            place.index - first + 1 for place in self.objects if place.subindex == 1 and 0 <= place.index - first < 512
+        ]
+
+    def pdos(self, kind: Kind) -> tuple[Pdo, ...]:
+        """The PDOs as the EDS maps them. Raises AddressError for a mapping that no frame can carry."""
+        found = (from_objects(kind, number, self.value) for number in self.numbers(kind))
+        return tuple(pdo for pdo in found if pdo is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """The object in which a tag lies; `misplaced`: why it cannot be read from there."""
+
+    place: Place
+    misplaced: str = ""
+
+
+def locate(tag: Tag, sheet: Sheet | None) -> Where:
+    """Where a tag lies, held against the EDS as far as that is known."""
+    try:
+        place = parse_place(tag.address, tag.name)
+        needed = bytes_needed(tag)
+        from_bytes(tag, bytes(needed or 1))
+    except AddressError as error:
+        return Where(Place(0), str(error))
+    entry = sheet.objects.get(place) if sheet else None
+    if sheet is None or (entry is not None and entry.readable and entry.size in (None, needed, needed or entry.size)):
+        return Where(place)
+    if entry is None:
+        return Where(place, f"{place} is not in the EDS ({sheet.origin})")
+    if not entry.readable:
+        return Where(place, f"{place} cannot be read")
+    return Where(place, f"{place} has {entry.size} bytes, and a {tag.dtype} has {needed}")
+
+
+def load_sheet(path: Path, node: int) -> Sheet:
+    """The EDS (or DCF) in a file, for this node id. Raises DriverError naming file and reason."""
+    try:
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
+    except OSError as error:
+        raise DriverError(f"canopen: eds: {path} cannot be read ({error.strerror}); give the device's EDS") from None
+    return parse_sheet(text, node, str(path))
+
+
+def parse_sheet(text: str, node: int, origin: str) -> Sheet:
+    """The EDS in a text. Raises DriverError naming `origin` and the reason."""
+    if "[DeviceInfo]" not in text:  # the library warns of that in a way that is deprecated itself
+        text += "\n[DeviceInfo]\n"
+    try:
+        read: Callable[..., ObjectDictionary] = import_eds
+        dictionary = read(io.StringIO(text), node)
+    except (IniError, KeyError, ValueError, TypeError, IndexError) as error:
+        reason = " ".join(str(error).split())
+        raise DriverError(
+            f"canopen: eds: {origin} is no EDS: {reason}; give the device's electronic data sheet"
+        ) from None
+    objects: dict[Place, Entry] = {}
+    for index, item in dictionary.items():
+        members = [item] if isinstance(item, ODVariable) else list(item.values())
+        for one in members:
+            objects[Place(index, one.subindex)] = _entry(one)
+    if not objects:
+        raise DriverError(f"canopen: eds: {origin} has no objects; give the device's own")
+    return Sheet(origin, objects)
+
+
+def _entry(one: ODVariable) -> Entry:
+    given = one.default if one.value is None else one.value
+    value = given if isinstance(given, int) else None
+    size = len(one) // 8 if one.fixed_size else None
+    return Entry(one.name, size, one.readable, one.writable, one.pdo_mappable, value)

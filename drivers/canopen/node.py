@@ -1,0 +1,315 @@
+"""One node on one open bus: heard, brought up, watched; its PDOs as they last came, and what keeps them from use."""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from drivers.canopen.bringup import ENTER_PRE_OPERATIONAL, BringUp, Brought
+from drivers.canopen.channel import DEVICE_TYPE, SdoChannel
+from drivers.canopen.eds import Sheet
+from drivers.canopen.emergency import Emergencies
+from drivers.canopen.options import Options
+from drivers.canopen.pdo import Mapped, Pdo
+from drivers.canopen.place import Place
+from drivers.canopen.port import Frame
+from drivers.errors import DriverError
+from drivers.tag import Quality
+
+BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
+STATES = {BOOT_UP: "booting", STOPPED: "stopped", OPERATIONAL: "operational", PRE_OPERATIONAL: "pre-operational"}
+PROBE = 0.25
+"""Seconds between two attempts at a node that is not there or cannot be brought up."""
+CONFIRM_ERRORS = 1.0
+"""Seconds between two looks at the error register while an emergency stands: its end may have been missed."""
+SYNC, EMCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x080, 0x080, 0x580, 0x600, 0x700
+
+
+@dataclass(slots=True)
+class Heard:
+    """A TPDO and its last frame: `time` by the driver's clock, `moment` by the loop's, `fault` why it means nothing.
+
+    `asleep`: the device's program did not run when it was sent, by the life counter in it.
+    """
+
+    pdo: Pdo
+    data: bytes | None = None
+    time: float = 0.0
+    moment: float = 0.0
+    fault: str = ""
+    asleep: bool = False
+
+    def value(self, mapped: Mapped) -> bytes | None:
+        """An object's bytes in the last frame; None if there is none that can be used."""
+        return None if self.data is None or self.fault else mapped.cut(self.data)
+
+
+@dataclass(slots=True)
+class Counts:
+    """What the node has sent, by what became of it."""
+
+    pdos: int = 0
+    malformed_pdos: int = 0
+    heartbeats: int = 0
+    malformed_heartbeats: int = 0
+    boots: int = 0
+    node_losses: int = 0
+    starts: int = 0
+
+
+class Node:
+    """The node of one open bus. `send` puts a frame on it; `heard` is told of each usable or faulty TPDO.
+
+    All methods are called in the event loop. `closed` is the reason that the bus was given up, "" while it is open.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[int, bytes], None],
+        options: Options,
+        sheet: Sheet | None,
+        heard: Callable[["Node", Heard], None],
+    ) -> None:
+        self.options, self.send, self._told = options, send, heard
+        self.sdo = SdoChannel(lambda data: send(SDO_REQUEST + options.node, data), options.timeout)
+        self.emergencies = Emergencies(options.emcy_ignore)
+        self.counts = Counts()
+        self.running = asyncio.Event()
+        self.brought: Brought | None = None
+        self.sheet = sheet
+        self.state: int | None = None
+        self.life = options.new_life()
+        self.reason = f"node {options.node} has not been heard yet"
+        self._tpdos: dict[int, Heard] = {}
+        self._carriers: dict[Place, list[tuple[Heard, Mapped]]] = {}
+        self._beat: float | None = None
+        self._news, self._pdo_news = asyncio.Event(), asyncio.Event()
+        self._rebooted = False
+        self._loop = asyncio.get_running_loop()
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def start(self) -> None:
+        """Begin to look for the node."""
+        self._tasks = [asyncio.create_task(self._live(), name="canopen node")]
+
+    def close(self, reason: str) -> None:
+        """Give the node up: the bus is gone."""
+        self.sdo.close(reason)
+        self._lose(reason)
+        for task in self._tasks:
+            task.cancel()
+
+    # ------------------------------------------------------------ frames
+
+    def take(self, frame: Frame) -> None:
+        """A frame of the bus; what is not this node's is nobody's business here."""
+        node = self.options.node
+        tpdo = self._tpdos.get(frame.id)
+        if tpdo is not None:
+            self._take_pdo(tpdo, frame)
+        elif frame.id == SDO_ANSWER + node:
+            self.sdo.heard(frame.data)
+        elif frame.id == HEARTBEAT + node:
+            self._take_heartbeat(frame)
+        elif frame.id == EMCY + node:
+            self.emergencies.take(frame.data)
+
+    def _take_pdo(self, heard: Heard, frame: Frame) -> None:
+        pdo, length, since = heard.pdo, len(frame.data), (frame.time, frame.moment)
+        self.counts.pdos += 1
+        if length != pdo.length:
+            self.counts.malformed_pdos += 1
+            heard.fault = f"{pdo.name} came with {length} bytes, and {pdo.length} are mapped"
+        else:
+            count = self._count(pdo, frame)
+            if self.life is not None and count is not None:
+                if not self.life.own(count, frame.time, frame.moment):
+                    return
+                since = self.life.since
+            heard.data, heard.fault, heard.asleep = frame.data, "", count == 0
+        heard.time, heard.moment = since
+        self._told(self, heard)
+        self._pdo_news.set()
+
+    def _count(self, pdo: Pdo, frame: Frame) -> int | None:
+        """The life counter in a frame; None where there is none."""
+        place = self.life.place if self.life is not None else None
+        counter = next((one for one in pdo.objects if one.place == place), None)
+        return None if counter is None else int.from_bytes(counter.cut(frame.data), "little")
+
+    def _take_heartbeat(self, frame: Frame) -> None:
+        state = frame.data[0] & 0x7F if len(frame.data) == 1 else -1
+        if state not in STATES:
+            self.counts.malformed_heartbeats += 1
+            return
+        self.counts.heartbeats += 1
+        if state == BOOT_UP:
+            self.counts.boots += 1
+            self._rebooted, state = True, PRE_OPERATIONAL
+            self._forget()
+        self._beat, self.state = frame.moment, state
+        self._news.set()
+
+    async def next_pdo(self) -> None:
+        """Wait for the next TPDO, whichever."""
+        self._pdo_news.clear()
+        await self._pdo_news.wait()
+
+    # ------------------------------------------------------------ what can be used
+
+    def value(self, place: Place) -> bytes | None:
+        """An object's bytes in the last TPDO that carries it; None where none does, or none that can be used."""
+        carrier = self.carrier(place)
+        return None if carrier is None else carrier[0].value(carrier[1])
+
+    def carrier(self, place: Place) -> tuple[Heard, Mapped] | None:
+        """The TPDO that has brought the object last and whole, and where it lies in it; None if no TPDO carries it."""
+        carriers = self._carriers.get(place)
+        return max(carriers, key=lambda carrier: (not carrier[0].fault, carrier[0].moment)) if carriers else None
+
+    def hindrance(self, moment: float) -> tuple[Quality, str] | None:
+        """Why nothing of the node can be used at this moment (by the loop's clock); None if nothing stands against."""
+        node = self.options.node
+        if not self.running.is_set() or self.brought is None:
+            return Quality.NO_COMMUNICATION, self.reason
+        if self._rebooted:
+            return Quality.NO_COMMUNICATION, f"node {node} has restarted"
+        limit = self.brought.heartbeat_timeout
+        if limit and self._beat is not None and moment - self._beat > limit:
+            return Quality.TIMEOUT, f"node {node}: no heartbeat for {moment - self._beat:.2f} s (limit {limit:g} s)"
+        if self.state not in (None, OPERATIONAL):
+            return Quality.OUT_OF_SERVICE, f"node {node} is {STATES[self.state or BOOT_UP]}"
+        return None
+
+    def lateness(self, heard: Heard, moment: float) -> str:
+        """Why the last frame of a TPDO is too old or faulty at this moment; empty if it may be used."""
+        options = self.options
+        limit = heard.pdo.timeout(options.pdo_timeout, options.sync_period)
+        silent = moment - heard.moment
+        what = "is silent" if self.life is None else "has brought no new count"
+        return f"{heard.pdo.name} {what} for {silent:.2f} s (limit {limit:g} s)" if limit and silent > limit else ""
+
+    # ------------------------------------------------------------ the node's life
+
+    async def _live(self) -> None:
+        """Wait for the node, bring it up, watch it; from the beginning whenever it goes or restarts."""
+        while True:
+            await self._present()
+            if self.running.is_set():
+                self.reason = f"node {self.options.node} has restarted or is not operational, and is brought up"
+                self.running.clear()
+            self._rebooted = False
+            try:
+                await self._bring_up()
+            except DriverError as error:
+                self._lose(f"node {self.options.node} cannot be brought up: {error}")
+                await self._pause(PROBE)
+            else:
+                await self._watch()
+
+    async def _present(self) -> None:
+        """Return when the node has shown that it is there: by a heartbeat, or by an answer if it may be asked."""
+        while not self._alive():
+            self._news.clear()
+            if self.options.listen_only:
+                await self._pause(PROBE)
+                continue
+            with suppress(DriverError):
+                await self.sdo.read(DEVICE_TYPE, 4)
+                return
+            await self._pause(PROBE)
+
+    def _alive(self) -> bool:
+        return self._beat is not None and self._loop.time() - self._beat <= (self._heartbeat_limit() or PROBE)
+
+    def _heartbeat_limit(self) -> float:
+        return self.brought.heartbeat_timeout if self.brought else self.options.heartbeat_timeout
+
+    async def _bring_up(self) -> None:
+        if self.options.configure and self.state == STOPPED:
+            self._command(ENTER_PRE_OPERATIONAL)  # a stopped node answers nothing
+        bringing = BringUp(self.sdo, self._command, self.options, self.sheet, lambda: self.state)
+        brought = await bringing.all()
+        self.sheet, self.brought = brought.sheet, brought
+        now = self._loop.time()
+        enabled = [pdo for pdo in brought.tpdos if pdo.enabled and pdo.objects]
+        self._tpdos = {pdo.cob_id: Heard(pdo, moment=now) for pdo in enabled}
+        self._carriers = {}
+        for heard in self._tpdos.values():
+            for one in heard.pdo.objects:
+                self._carriers.setdefault(one.place, []).append((heard, one))
+        if brought.error is not None:
+            self.emergencies.stands(*brought.error)
+        if self.life is not None and brought.life is not None:
+            self.life.anchor(brought.life, self._loop.time())
+        if brought.heartbeat_timeout and self._beat is None:
+            self._beat = self._loop.time()
+        await bringing.start()
+        self.counts.starts += 1
+        self.reason = ""
+        self.running.set()
+
+    async def _watch(self) -> None:
+        """Return when the node must be brought up anew: gone, restarted, or no longer operational and ours to start."""
+        sync = asyncio.create_task(self._sync(), name="canopen SYNC") if self._produces_sync() else None
+        errors = asyncio.create_task(self._confirm_errors(), name="canopen error register")
+        try:
+            while True:
+                self._news.clear()
+                limit = self._heartbeat_limit()
+                now = self._loop.time()
+                left = limit - (now - self._beat) if limit and self._beat is not None else PROBE
+                if self._rebooted or (self.options.configure and self.state not in (None, OPERATIONAL)):
+                    return
+                if left <= 0.0:
+                    self.counts.node_losses += 1
+                    self._lose(f"node {self.options.node} is gone: no heartbeat for {limit - left:.2f} s")
+                    return
+                await self._pause(left + 0.001)
+        finally:
+            errors.cancel()
+            if sync is not None:
+                sync.cancel()
+
+    async def _pause(self, seconds: float) -> None:
+        """Until the next heartbeat, or so many seconds."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await self._news.wait()
+
+    def _produces_sync(self) -> bool:
+        return self.options.configure and self.options.sync_period > 0.0
+
+    async def _sync(self) -> None:
+        due = self._loop.time()
+        while True:
+            with suppress(DriverError):
+                self.send(SYNC, b"")
+            due = max(due + self.options.sync_period, self._loop.time())
+            await asyncio.sleep(due - self._loop.time())
+
+    async def _confirm_errors(self) -> None:
+        """While an emergency stands, ask for the error register: 0 says that the end of it was missed."""
+        while not self.options.listen_only:
+            await asyncio.sleep(CONFIRM_ERRORS)
+            if self.emergencies.active:
+                with suppress(DriverError):
+                    if not any(await self.sdo.read(Place(0x1001), 1)):
+                        self.emergencies.active.clear()
+
+    def _command(self, code: int) -> None:
+        """An NMT command to this node."""
+        self.send(0x000, bytes([code, self.options.node]))
+
+    def _lose(self, reason: str) -> None:
+        self.reason, self.state, self._beat = reason, None, None
+        self.running.clear()
+        self._forget()
+
+    def _forget(self) -> None:
+        """Nothing that the node has said counts any more."""
+        self.emergencies.active.clear()
+        if self.life is not None:
+            self.life.forget()
+        for heard in self._tpdos.values():
+            heard.data, heard.fault, heard.moment = None, "", self._loop.time()

@@ -1,0 +1,112 @@
+"""A device asked by hand, before anything is configured: what `decanter plc` scans, probes and reads with.
+
+A driver hides addresses behind tags and heals what goes wrong; here every request is one request, and every failure is
+raised as it is.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Protocol
+
+from drivers.driver import Clock
+from drivers.errors import DriverError
+from drivers.tag import Sample, Tag
+
+
+@dataclass(frozen=True, slots=True)
+class Raw:
+    """One tag as it lies in the device and as it is read: `raw` are registers, bits or bytes, None where none came.
+
+    `place` is where it was asked for, in the notation of addresses; `count` how many addresses or bytes it covers.
+    """
+
+    tag: Tag
+    sample: Sample
+    place: str
+    count: int
+    raw: tuple[int, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """What one read request brought, and the seconds from its sending to the whole reply."""
+
+    words: tuple[int, ...]
+    seconds: float
+
+
+class AsksRegisters(Protocol):
+    """A Modbus device. All verbs raise DriverError by its kinds; `unit` None is the configured one."""
+
+    async def read(self, area: str, start: int, count: int, unit: int | None = None) -> Words:
+        """One request for registers or bits (0 and 1) of a table, sent once."""
+        ...
+
+    async def identity(self, unit: int | None = None) -> Mapping[str, str]:
+        """What the device says of itself (function 43/14): vendor, product, revision, ..."""
+        ...
+
+    async def tags(self, tags: Sequence[Tag]) -> list[Raw]:
+        """Each tag with its raw words, all from the fewest requests; a failure is a sample of bad quality."""
+        ...
+
+    def statistics(self) -> Mapping[str, float]:
+        """Counters since it was made, by the names of the driver's."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class BusFrame:
+    """One CAN frame heard: `time` in seconds since listening began."""
+
+    time: float
+    id: int
+    extended: bool
+    data: bytes
+
+
+class ListensToBus(Protocol):
+    """A CAN bus."""
+
+    async def listen(self, seconds: float) -> list[BusFrame]:
+        """All data frames of so many seconds; nothing is sent. Raises LinkDown."""
+        ...
+
+    async def object(self, node: int, index: int, subindex: int, timeout: float) -> bytes:
+        """One object of a CANopen node by SDO. Raises ReplyTimeout, DeviceException, ReplyMismatch or LinkDown."""
+        ...
+
+    def statistics(self) -> Mapping[str, float]:
+        """Counters since it was made, by the names of the drivers'."""
+        ...
+
+
+SURVEYS: dict[str, str] = {
+    "modbus": "drivers.modbus_survey:open_survey",
+    "canopen": "drivers.canopen.survey:open_survey",
+    "can": "drivers.canopen.survey:open_survey",
+}
+
+
+def open_registers(settings: Mapping[str, Any], *, clock: Clock) -> AbstractAsyncContextManager[AsksRegisters]:
+    """A connection to a Modbus device, by the Modbus driver's settings. Raises DriverError; LinkDown on entering."""
+    opened: Callable[..., AbstractAsyncContextManager[AsksRegisters]] = _factory("modbus")
+    return opened(settings, clock=clock)
+
+
+def open_bus_survey(
+    driver: str, settings: Mapping[str, Any], *, clock: Clock
+) -> AbstractAsyncContextManager[ListensToBus]:
+    """A CAN bus, by the settings of the driver `can` or `canopen`. Raises DriverError; LinkDown on entering."""
+    if driver not in ("can", "canopen"):
+        raise DriverError(f"{driver!r} is no CAN bus: give --link can or --link canopen, and --channel")
+    opened: Callable[..., AbstractAsyncContextManager[ListensToBus]] = _factory(driver)
+    return opened(settings, clock=clock)
+
+
+def _factory(driver: str) -> Callable[..., Any]:
+    module, _, function = SURVEYS[driver].partition(":")
+    made: Callable[..., Any] = getattr(import_module(module), function)
+    return made

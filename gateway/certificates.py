@@ -1,0 +1,133 @@
+"""Certificates for Modbus/TCP Security, for commissioning and tests: one authority, a server, clients with roles.
+
+For a plant with a public key infrastructure of its own these are not needed: its certificates do, with the role in
+the client's. Keys are elliptic (P-256), signatures ECDSA with SHA-256.
+"""
+
+import datetime as dt
+from collections.abc import Sequence
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+ROLE = x509.ObjectIdentifier("1.3.6.1.4.1.50316.802.1")
+"""The extension that holds a client's role as a UTF8String (MODBUS/TCP Security v21)."""
+
+LONGEST_ROLE = 64
+_UTF8_STRING = 0x0C
+_CLOCK_SLACK = dt.timedelta(hours=1)
+"""How far the PLC's clock may be behind without refusing a certificate made just now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signer:
+    """Who signs: the certificate and the key of the authority."""
+
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+
+def make_all(
+    folder: Path, *, hosts: Sequence[str], role: str = "Gateway", days: int = 825, now: dt.datetime | None = None
+) -> Path:
+    """Write ca.pem, ca.key, server.pem, server.key, client.pem and client.key into `folder`; gives the folder.
+
+    `hosts` are the names and addresses by which clients call the server, `role` is the client's. Keys are readable by
+    their owner alone. Raises ValueError for a role or host that cannot be, FileExistsError rather than replace an
+    authority that is there, OSError where it cannot be written.
+    """
+    now = now or dt.datetime.now(dt.UTC)
+    if (folder / "ca.key").exists():
+        raise FileExistsError(f"{folder}: there is an authority already; give another folder, or remove it")
+    authority = make_authority(now, days)
+    server = issue(authority, "decanter PLC", now, days, hosts=hosts)
+    client = issue(authority, "decanter gateway", now, days, role=role)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, one in (("ca", authority), ("server", server), ("client", client)):
+        write(folder, name, one)
+    return folder
+
+
+def make_authority(now: dt.datetime, days: int, name: str = "decanter commissioning authority") -> Signer:
+    """A new authority that signs its own certificate."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    builder = _builder(name, name, key, now, days)
+    builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+    builder = builder.add_extension(_key_usage(signs=True), critical=True)
+    identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
+    return Signer(builder.add_extension(identifier, critical=False).sign(key, hashes.SHA256()), key)
+
+
+def issue(
+    authority: Signer, name: str, now: dt.datetime, days: int, *, hosts: Sequence[str] = (), role: str = ""
+) -> Signer:
+    """A certificate of the authority: a server's with `hosts`, or a client's, with `role` unless that is empty."""
+    if len(role.encode()) > LONGEST_ROLE:
+        raise ValueError(f"the role {role!r} is longer than {LONGEST_ROLE} bytes; give a shorter one")
+    key = ec.generate_private_key(ec.SECP256R1())
+    issuer = authority.certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value
+    builder = _builder(name, str(issuer), key, now, days)
+    builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+    builder = builder.add_extension(_key_usage(signs=False), critical=True)
+    use = ExtendedKeyUsageOID.SERVER_AUTH if hosts else ExtendedKeyUsageOID.CLIENT_AUTH
+    builder = builder.add_extension(x509.ExtendedKeyUsage([use]), critical=False)
+    public = authority.key.public_key()
+    builder = builder.add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(public), critical=False)
+    if hosts:
+        builder = builder.add_extension(x509.SubjectAlternativeName([_host(host) for host in hosts]), critical=False)
+    if role:
+        text = role.encode()
+        value = bytes((_UTF8_STRING, len(text))) + text
+        builder = builder.add_extension(x509.UnrecognizedExtension(ROLE, value), critical=False)
+    return Signer(builder.sign(authority.key, hashes.SHA256()), key)
+
+
+def write(folder: Path, name: str, one: Signer) -> None:
+    """NAME.pem, and NAME.key for its owner's eyes only."""
+    (folder / f"{name}.pem").write_bytes(one.certificate.public_bytes(serialization.Encoding.PEM))
+    key = folder / f"{name}.key"
+    key.touch(mode=0o600)
+    key.chmod(0o600)
+    encoding, form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+    key.write_bytes(one.key.private_bytes(encoding, form, serialization.NoEncryption()))
+
+
+def _builder(
+    name: str, issuer: str, key: ec.EllipticCurvePrivateKey, now: dt.datetime, days: int
+) -> x509.CertificateBuilder:
+    return x509.CertificateBuilder(
+        issuer_name=x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, issuer)]),
+        subject_name=x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)]),
+        public_key=key.public_key(),
+        serial_number=x509.random_serial_number(),
+        not_valid_before=now - _CLOCK_SLACK,
+        not_valid_after=now + dt.timedelta(days=days),
+    )
+
+
+def _key_usage(*, signs: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=signs,
+        crl_sign=signs,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _host(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ip_address(host))
+    except ValueError:
+        if not host.isascii() or not host or " " in host:
+            raise ValueError(f"the host {host!r} is neither a name nor an address") from None
+        return x509.DNSName(host)

@@ -1,0 +1,217 @@
+"""Is the device there, does it speak, and who is it? Each step has its sentence; the first failure ends it."""
+
+import time
+from collections.abc import Mapping
+from contextlib import AsyncExitStack, suppress
+from statistics import median
+from typing import Any
+
+from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.survey import AsksRegisters, open_registers
+from gateway.commission.addresses import Register, parse_register
+from gateway.commission.bus_probe import probe_bus
+from gateway.commission.network import (
+    addresses_of,
+    connect_sentence,
+    greeting_of,
+    local_end,
+    looks_like,
+    not_modbus,
+)
+from gateway.commission.outcome import Outcome, Site
+from gateway.commission.steps import Step, failed, ok, verdict, warning
+from gateway.commission.target import Target
+
+CONNECT_S = 3.0
+ROUND_TRIPS = 10
+OTHER_UNITS = (1, 255, 0, 2, 247)
+"""Asked when the given unit is silent: what devices and gateways use where nothing was set."""
+_BEHIND_GATEWAY = (10, 11)
+_ILLEGAL_FUNCTION = 1
+_TABLES = ("coil", "discrete", "input", "holding")
+
+
+async def probe(site: Site) -> Outcome:
+    """Every step to the device, who it is, and which tables it offers. Sends reads only."""
+    steps: list[Step] = []
+    facts: dict[str, Any] = {}
+    if site.target.driver == "modbus":
+        await _probe_modbus(site, steps, facts)
+    else:
+        await probe_bus(site, steps, facts)
+    code, complaint = verdict(steps)
+    return Outcome({"steps": [step.plain() for step in steps], **facts}, code, complaint)
+
+
+async def _probe_modbus(site: Site, steps: list[Step], facts: dict[str, Any]) -> None:
+    settings = site.target.settings
+    if "host" in settings and not await _way(str(settings["host"]), steps, facts):
+        return
+    target = site.target
+    if "connect_timeout" not in settings:
+        target = target.with_settings(connect_timeout=CONNECT_S)
+    async with AsyncExitStack() as stack:
+        try:
+            survey = await stack.enter_async_context(open_registers(target.settings, clock=time.time))
+        except LinkDown as error:
+            steps.append(failed("connection", _no_connection(target, error), error))
+            return
+        steps.append(ok("connection", f"{target.place} is open"))
+        try:
+            first = await _speaks(site, survey, steps)
+            if first is not None:
+                await _facts(survey, first, steps, facts)
+        finally:
+            site.count(survey.statistics())
+
+
+async def _way(host: str, steps: list[Step], facts: dict[str, Any]) -> bool:
+    """Name and route; False ends the probe."""
+    try:
+        facts["addresses"] = await addresses_of(host)
+    except (OSError, UnicodeError):
+        sentence = f"{host!r} is no address, and no name that this machine can resolve: check it, or give the address"
+        steps.append(failed("name", sentence, LinkDown(sentence)))
+        return False
+    steps.append(ok("name", f"{host} is {', '.join(facts['addresses'])}"))
+    try:
+        facts["local"] = local_end(facts["addresses"][0])
+    except OSError as error:
+        sentence = f"this machine has no way to {facts['addresses'][0]} ({error.strerror}): check its network settings"
+        steps.append(failed("route", sentence, LinkDown(sentence)))
+        return False
+    steps.append(ok("route", f"from {facts['local']} to {facts['addresses'][0]}"))
+    return True
+
+
+def _no_connection(target: Target, error: LinkDown) -> str:
+    settings = target.settings
+    if "host" in settings:
+        return connect_sentence(str(settings["host"]), port_of(settings), error)
+    return f"{error}: is the adapter plugged in, is another program using it, and may this user open it (dialout)?"
+
+
+def port_of(settings: Mapping[str, Any]) -> int:
+    """The TCP port, the standard's where none is given."""
+    return int(settings.get("port", 802 if settings.get("transport") == "tls" else 502))
+
+
+# ---------------------------------------------------------------- does it speak Modbus
+
+
+async def _speaks(site: Site, survey: AsksRegisters, steps: list[Step]) -> Register | None:
+    """Whether the unit answers; the register that was asked."""
+    register = first_register(site.target)
+    unit = int(site.target.settings.get("unit", 1))
+    begun = time.monotonic()
+    try:
+        words = await survey.read(register.table, register.number, 1)
+    except DeviceException as error:
+        if error.code in _BEHIND_GATEWAY:
+            said = f"a gateway answers for unit {unit} that it cannot reach it (exception {error.code})"
+            steps.append(failed("modbus", await _with_others(survey, unit, said), error))
+            return None
+        steps.append(ok("modbus", f"unit {unit} answers in {_ms(begun)}, with a refusal: {error}"))
+    except ReplyTimeout as error:
+        steps.append(failed("modbus", await _silent(site, survey, unit), error))
+        return None
+    except ReplyMismatch as error:
+        steps.append(failed("modbus", f"{error}: what answers does not keep to the protocol", LinkDown(str(error))))
+        return None
+    except LinkDown as error:
+        steps.append(failed("modbus", _strange(site, error), error))
+        return None
+    else:
+        steps.append(ok("modbus", f"unit {unit} answers in {1e3 * words.seconds:.1f} ms"))
+    return register
+
+
+def _strange(site: Site, error: LinkDown) -> str:
+    """The peer was there and broke off: another protocol, or busy."""
+    received = site.evidence.greeting
+    if received and ("not Modbus TCP" in str(error) or looks_like(received)):
+        return not_modbus(port_of(site.target.settings), received)
+    return str(error)
+
+
+async def _silent(site: Site, survey: AsksRegisters, unit: int) -> str:
+    """Connected and no reply: another unit, another protocol, or nothing at all."""
+    settings = site.target.settings
+    said = await _with_others(survey, unit, f"unit {unit} does not answer")
+    if "give --unit" in said or site.target.kind not in ("modbus", "modbus-rtu-tcp"):
+        return said
+    received = site.evidence.greeting or await greeting_of(str(settings["host"]), port_of(settings))
+    if looks_like(received):
+        return not_modbus(port_of(settings), received)
+    other = "modbus-rtu-tcp" if site.target.kind == "modbus" else "modbus"
+    return (
+        f"{said}: the port takes connections and answers no request; is it a Modbus port, is the device busy with "
+        f"another client, or does it want other frames (--link {other})? `decanter plc scan units` tries all units"
+    )
+
+
+async def _with_others(survey: AsksRegisters, unit: int, said: str) -> str:
+    """The sentence with the units that do answer, where some do."""
+    found = []
+    for other in OTHER_UNITS:
+        if other == unit:
+            continue
+        try:
+            await survey.read("holding", 0, 1, other)
+        except DeviceException as error:
+            found += [] if error.code in _BEHIND_GATEWAY else [other]
+        except (ReplyTimeout, ReplyMismatch):
+            continue
+        except DriverError:  # a serial line knows no unit 0 or 255, or the connection is gone
+            break
+        else:
+            found.append(other)
+    if not found:
+        return said
+    return f"{said}, and unit {' and '.join(map(str, found))} does: give --unit {found[0]}"
+
+
+# ---------------------------------------------------------------- who is it
+
+
+async def _facts(survey: AsksRegisters, register: Register, steps: list[Step], facts: dict[str, Any]) -> None:
+    try:
+        facts["identity"] = dict(await survey.identity())
+        steps.append(ok("identity", ", ".join(f"{name} {text}" for name, text in facts["identity"].items()) or "empty"))
+    except (DeviceException, ReplyTimeout, ReplyMismatch):
+        steps.append(warning("identity", "the device does not say who it is (function 43), as most do not"))
+    facts["tables"] = await _tables(survey)
+    steps.append(ok("tables", ", ".join(f"{table} {state}" for table, state in facts["tables"].items())))
+    times = []
+    for _ in range(ROUND_TRIPS):
+        begun = time.monotonic()
+        with suppress(DeviceException):
+            await survey.read(register.table, register.number, 1)
+        times.append(1e3 * (time.monotonic() - begun))
+    facts["round_trip_ms"] = {"min": min(times), "median": median(times), "max": max(times)}
+    said = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
+    steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {said}"))
+
+
+async def _tables(survey: AsksRegisters) -> dict[str, str]:
+    """What each table answers to a read of its first address."""
+    found = {}
+    for table in _TABLES:
+        try:
+            await survey.read(table, 0, 1)
+        except DeviceException as error:
+            found[table] = "not offered" if error.code == _ILLEGAL_FUNCTION else "offered (address 0 refused)"
+        except (ReplyTimeout, ReplyMismatch):
+            found[table] = "no reply"
+        else:
+            found[table] = "offered"
+    return found
+
+
+def first_register(target: Target) -> Register:
+    """The address of the first tag, or holding:0 without a map."""
+    return parse_register(target.tags[0].address) if target.tags else Register("holding", 0)
+
+
+def _ms(begun: float) -> str:
+    return f"{1e3 * (time.monotonic() - begun):.1f} ms"

@@ -1,0 +1,82 @@
+"""The node's EDS as the PLC reads it: each object's type, access and value at power-on; a reader of its own."""
+
+import re
+import struct
+from collections.abc import Mapping
+from configparser import Error as IniError
+from configparser import RawConfigParser
+from dataclasses import dataclass
+from pathlib import Path
+
+from sim.plc.checks import InputError, read_text
+
+Address = tuple[int, int]
+_OBJECT = re.compile(r"([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?")
+_FORMATS = {1: "<B", 2: "<b", 3: "<h", 4: "<i", 5: "<B", 6: "<H", 7: "<I", 8: "<f", 0x11: "<d", 0x15: "<q", 0x1B: "<Q"}
+_FLOATS = (8, 0x11)
+TEXT, DOMAIN = 9, 0xF
+_LEAF = ("0x7", "0x2", "7", "2")
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One object: `size` in bytes (None where it varies), and its bytes at power-on."""
+
+    name: str
+    access: str
+    size: int | None
+    mappable: bool
+    default: bytes
+
+    @property
+    def readable(self) -> bool:
+        """True if a client may read it."""
+        return self.access != "wo"
+
+    @property
+    def writable(self) -> bool:
+        """True if a client may write it."""
+        return self.access in ("rw", "rww", "rwr", "wo")
+
+
+def read_eds(path: Path, node: int) -> tuple[Mapping[Address, Entry], str]:
+    """The objects of an EDS for this node id, and its text. Raises InputError naming file, object and reason."""
+    text = read_text(path, "an electronic data sheet such as config/decanter.eds")
+    parser = RawConfigParser(inline_comment_prefixes=(";",))
+    try:
+        parser.read_string(text)
+    except IniError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: is no EDS: {reason}; correct that place") from None
+    objects: dict[Address, Entry] = {}
+    for section in parser.sections():
+        match = _OBJECT.fullmatch(section)
+        if match is None or parser.get(section, "ObjectType", fallback="0x7").lower() not in _LEAF:
+            continue
+        address = int(match[1], 16), int(match[2] or "0", 16)
+        objects[address] = _entry(dict(parser.items(section)), node, f"{path}: [{section}]")
+    if not objects:
+        raise InputError(f"{path}: has no objects; give an electronic data sheet")
+    return objects, text
+
+
+def _entry(keys: Mapping[str, str], node: int, where: str) -> Entry:
+    try:
+        kind = int(keys["datatype"], 0)
+        form = _FORMATS.get(kind)
+        given = keys.get("defaultvalue", "")
+        default = given.encode("latin-1") if form is None else struct.pack(form, _number(given or "0", kind, node))
+    except (KeyError, ValueError, struct.error) as error:
+        raise InputError(f"{where}: cannot be read ({error}); give DataType, and a DefaultValue that fits it") from None
+    mappable = keys.get("pdomapping", "0").strip() not in ("0", "0x0")
+    access = keys.get("accesstype", "ro").strip().lower()
+    return Entry(keys.get("parametername", ""), access, struct.calcsize(form) if form else None, mappable, default)
+
+
+def _number(text: str, kind: int, node: int) -> float | int:
+    compact = text.replace(" ", "").upper()
+    if kind in _FLOATS:
+        return float(compact)
+    relative = "$NODEID" in compact
+    number = int(compact.replace("+$NODEID", "").replace("$NODEID+", "").replace("$NODEID", "0"), 0)
+    return number + (node if relative else 0)

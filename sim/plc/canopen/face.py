@@ -1,0 +1,231 @@
+"""The CANopen face: the node on a CAN bus, the faults that strike it, and the recorder's rows."""
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import can
+
+from drivers.can.bus import open_bus
+from drivers.can.pump import Pump
+from drivers.errors import DriverError
+from sim.plc.can_bend import CanBend, bent
+from sim.plc.canopen.bend import NodeBend, together
+from sim.plc.canopen.node import SDO_ANSWER, SDO_REQUEST, CanopenNode, Out
+from sim.plc.canopen.objects import Layout, read_layout
+from sim.plc.canopen.pdo import TPDO
+from sim.plc.canopen.sdo import GENERAL, abort_frame
+from sim.plc.faults import Effect, merged
+from sim.plc.modbus import Reply, Request
+from sim.plc.program import Plc
+from sim.plc.schedule import Line, Scheduled
+
+FIRST_REQUESTS, WRITES = (1, 2, 5, 6), (1, 6)
+ABORTED = 0x80
+"""Command specifiers of a client's first frames, those of them that write, and the first byte of an abort."""
+BENDS = frozenset({"silent", "late", "duplicate", "garbage", "sdo_late"})
+"""Of the faults that strike requests, those that an SDO answer can show."""
+REOPEN_S = 0.1
+OFF_EVERY_S = 0.05
+MOST_BABBLE = 400
+# linux/can/error.h: classes of error frames.
+BUS_OFF, RESTARTED = 0x40, 0x100
+
+
+class CanopenFace:
+    """One CANopen node, `name` "canopen"."""
+
+    name = "canopen"
+
+    def __init__(self, plc: Plc, layout: Layout, where: tuple[str, str], complain: Callable[[str], None]) -> None:
+        self._plc, self._complain = plc, complain
+        self._interface, self._channel = where
+        self.node = CanopenNode(layout, plc)
+        self._rng = Random(f"{plc.settings.seed}:canopen")  # noqa: S311 - a repeatable bench, not a secret
+        self._pump: Pump | None = None
+        self._bend = NodeBend()
+        self._bends: Sequence[CanBend] = ()
+        self._booted, self._down, self._off = False, True, False
+        self._next_open = self._next_off = self._answered = self._babbled = 0.0
+
+    # ---------------------------------------------------------------- Face
+
+    async def open(self) -> None:
+        """Join the bus and boot. Raises OSError with a reason."""
+        try:
+            self._join()
+        except DriverError as error:
+            raise OSError(0, str(error)) from None
+
+    async def apply(self, line: Line) -> None:
+        """Once a cycle: the node boots, falls silent or says what is due, as the faults in force have it."""
+        now = self._plc.clock.monotonic()
+        self._bends = [effect.can for _, effect in line.standing if effect.can is not None]
+        self._bend = together(effect.node for _, effect in line.standing if effect.node is not None)
+        if self._pump is None and not self._rejoined(now):
+            return
+        self._take_off(now)
+        self._babble(now)
+        self._down = not line.listen or self._off
+        reset = any(effect.node is not None and effect.node.reset for _, effect in line.begun)
+        # A node that is only cut off goes on where it was; one whose program has stopped boots again.
+        self._booted = self._booted and not reset and (line.listen or self._plc.running)
+        if self._down:
+            return
+        if not self._booted:
+            self._booted = True
+            self._put_all(self.node.boot(now))
+        self._put_all(self.node.cycle(now, self._bend))
+
+    async def close(self) -> None:
+        """Leave the bus."""
+        if self._pump is not None:
+            self._pump.close()
+            self._pump = None
+
+    def ready(self) -> Mapping[str, object]:
+        """Where it is: the bus and the node id."""
+        return {"interface": self._interface, "channel": self._channel, "node": self.node.id}
+
+    # ---------------------------------------------------------------- the bus
+
+    def _join(self) -> None:
+        self._pump = Pump(open_bus(self._interface, self._channel), self._heard, self._lost)
+
+    def _lost(self, reason: str) -> None:
+        if self._pump is not None:
+            self._pump.close()
+            self._pump = None
+            self._complain(f"the CAN bus {self._channel} is gone ({reason}); joining again as soon as it is back")
+
+    def _rejoined(self, now: float) -> bool:
+        if now < self._next_open:
+            return False
+        self._next_open = now + REOPEN_S
+        try:
+            self._join()
+        except DriverError:
+            return False
+        return True
+
+    def _take_off(self, now: float) -> None:
+        """Bus-off for all: said again and again, as a controller that comes back finds the wire as it was."""
+        off = any(bend.bus_off for bend in self._bends)
+        if off and now >= self._next_off:
+            self._next_off = now + OFF_EVERY_S
+            self._error_frame(BUS_OFF)
+        elif self._off and not off:
+            self._error_frame(RESTARTED)
+        self._off = off
+
+    def _error_frame(self, kind: int) -> None:
+        self._put(can.Message(is_error_frame=True, arbitration_id=kind, dlc=8, data=bytes(8)))
+
+    def _babble(self, now: float) -> None:
+        """What a strange node sends: random payloads of random lengths, with random identifiers or with ours."""
+        rate = sum(bend.babble for bend in self._bends)
+        begun = self._babbled or now
+        self._babbled = now if rate else 0.0
+        ours = [pdo.cob_id for pdo in self.node.objects.pdos(TPDO)]
+        known = any(bend.known for bend in self._bends) and ours
+        for _ in range(min(MOST_BABBLE, round(rate * (now - begun)))):
+            identifier = self._rng.choice(ours) if known else self._rng.randrange(0x800)
+            self._put(_message(identifier, self._rng.randbytes(self._rng.randrange(9))))
+
+    def _put_all(self, frames: Sequence[Out]) -> None:
+        for identifier, data in frames:
+            self._say(identifier, data)
+
+    def _say(self, identifier: int, data: bytes) -> None:
+        """Send one frame of the node, as far as the faults of the bus let it through."""
+        wanted = [bend for bend in self._bends if bend.strikes(f"0x{identifier:X}")]
+        left = bent(wanted, data, None, self._rng)
+        self._record(identifier, left, sent=True)
+        if left is not None:
+            self._put(_message(identifier, left))
+
+    def _put(self, message: can.Message) -> None:
+        if self._pump is None:
+            return
+        try:
+            self._pump.bus.send(message, timeout=0.01)
+        except (can.CanError, OSError) as error:
+            self._lost(str(error))
+
+    def _record(self, identifier: int, data: bytes | None, *, sent: bool) -> None:
+        """The recorder's row of a frame; one that a fault has kept from the bus has no data."""
+        row = {"face": self.name, "sent": sent, "id": identifier, "data": None if data is None else data.hex()}
+        self._plc.record("frame", self._plc.clock.monotonic(), {**row, "version": self._plc.image.version})
+
+    # ---------------------------------------------------------------- what arrives
+
+    def _heard(self, message: can.Message) -> None:
+        if message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd:
+            return
+        if self._down or not self._booted:
+            return
+        identifier, data, now = message.arbitration_id, bytes(message.data), self._plc.clock.monotonic()
+        if identifier == SDO_REQUEST + self.node.id:
+            self._record(identifier, data, sent=False)
+            self._answer(data, now)
+        elif self.node.listens_to(identifier):
+            self._record(identifier, data, sent=False)
+            self.node.objects.store = self._struck(0, now)[1].store
+            before = self._plc.intake.accepted
+            self._put_all(self.node.take(identifier, data, now, self._bend))
+            if self._plc.intake.accepted != before:  # the acknowledge does not wait for the program's next cycle
+                self._put_all(self.node.cycle(now, self._bend))
+
+    def _struck(self, function: int, now: float) -> tuple[list[Scheduled], Effect]:
+        """The faults that strike a request of this command specifier (RPDOs: 0), and what they do together."""
+        struck = list(self._plc.schedule.strike(function, now, self.name))
+        return [entry for entry, _ in struck], merged(effect for _, effect in struck)
+
+    def _answer(self, data: bytes, now: float) -> None:
+        function = data[0] >> 5 if data else 0
+        entries, effect = self._struck(function, now)
+        self.node.objects.store = effect.store
+        code = effect.abort if effect.abort is not None else GENERAL if effect.code is not None else None
+        place = int.from_bytes(data[1:3], "little"), data[3] if len(data) > 3 else 0
+        if code is not None and len(data) == 8 and function in FIRST_REQUESTS:
+            answers = [abort_frame(place, code)]
+        else:
+            answers = self.node.answers(data)
+        if function in WRITES and answers and answers[0][0] == ABORTED:
+            self._plc.event("write refused", now, {"face": self.name, "object": f"0x{place[0]:04X}:{place[1]}"})
+        for answer in answers:
+            self._reply(answer, entries, now)
+
+    def _reply(self, answer: bytes, entries: Sequence[Scheduled], now: float) -> None:
+        """Send one answer as the faults have it, and none before those that came earlier: a server is one queue."""
+        request, reply = Request("canopen", 0, self.node.id, answer, self.name), Reply(0, self.node.id, answer)
+        for entry in entries:
+            alter = entry.effect(now).alter
+            if alter is not None and entry.fault.kind in BENDS:
+                reply = alter(request, reply, entry.rng)
+        if not reply.sent:
+            return
+        data = (reply.pdu if reply.raw is None else reply.raw)[:8]
+        self._answered = max(self._answered, now + reply.delay_s)
+
+        def send() -> None:
+            for _ in range(reply.copies):
+                self._say(SDO_ANSWER + self.node.id, data)
+
+        if self._answered > now:
+            asyncio.get_running_loop().call_later(self._answered - now, send)
+        else:
+            send()
+
+
+def make(plc: Plc, options: Mapping[str, Any], complain: Callable[[str], None]) -> CanopenFace:
+    """The face that the command line asks for. Raises InputError."""
+    block = plc.registers.block
+    layout = read_layout(Path(options["canopen"]), plc.registers.tags, block.place.words if block else 0)
+    return CanopenFace(plc, layout, (options["can_interface"], options["can_channel"]), complain)
+
+
+def _message(identifier: int, data: bytes) -> can.Message:
+    return can.Message(arbitration_id=identifier, is_extended_id=False, data=data)

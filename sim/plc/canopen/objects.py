@@ -1,0 +1,256 @@
+"""The node's object dictionary: the EDS's objects, those of them that show tags of the process image, and the block."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field
+
+from drivers.tag import DType, Tag
+from sim.plc.canopen import pdo, sdo
+from sim.plc.canopen.eds import Address, Entry, read_eds
+from sim.plc.canopen.sdo import Abort
+from sim.plc.checks import Entry as Table
+from sim.plc.checks import InputError, read_toml, validated
+from sim.plc.encode import Unrepresentable, encode, encode_absent, is_bool
+from sim.plc.program import Plc
+
+ERROR_REGISTER, ERRORS, STORE_EDS = (0x1001, 0), 0x1003, (0x1021, 0)
+ACCEPTED_SEQUENCE, WHOLE_BLOCK = (0x2101, 1), (0x2102, 0)
+"""Objects of config/decanter.eds that show no tag: the last accepted block's sequence, and the block as one object."""
+
+Text = Annotated[str, Field(strict=True)]
+_OBJECT = r"^0x[0-9A-Fa-f]{1,4}:\d{1,3}$"
+
+
+class _Device(Table):
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+    node: int = Field(1, strict=True, ge=1, le=63, description="a node id in 1..63")
+    eds: Text = Field(min_length=1, description="the path of the EDS, relative to this file")
+
+
+class _TagTable(Table):
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+    name: Text = Field(min_length=1, description="the tag's name in quotes")
+    address: Text = Field(pattern=_OBJECT, description="an object such as '0x2001:1'")
+    dtype: DType = Field(DType.UINT16, description="a data type")
+    scale: float = Field(1.0, description="a number other than 0")
+    offset: float = Field(0.0, description="a number")
+    bit: int | None = Field(None, strict=True, ge=0, le=15, description="a bit's number in 0..15")
+    length: int = Field(0, strict=True, ge=0, le=1024, description="the string's length in bytes")
+    sentinel: int | None = Field(None, strict=True, description="a whole number")
+    unit: Text = Field("", description="the unit")
+
+
+class _Block(Table):
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+    address: Text = Field(pattern=_OBJECT, description="the object of the block's first word, such as '0x2100:1'")
+    fields: list[dict[str, Any]] = Field(min_length=1, description="the block's words in order")
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What a device file says: node id, the EDS's objects and text, the tags at each object, the block's first word."""
+
+    node: int
+    entries: Mapping[Address, Entry]
+    text: str
+    tags: Mapping[Address, Sequence[Tag]]
+    block: Address | None
+
+
+def read_layout(path: Path, known: Mapping[str, Tag], words: int) -> Layout:
+    """The device file in `path` with its EDS; `known` are the image's tags, `words` the length of its block.
+
+    Raises InputError naming file, key, reason and remedy.
+    """
+    data = read_toml(path, "a CANopen device file such as config/devices/decanter_canopen.toml")
+    device = validated(_Device, data.get("device", {}), f"{path}: [device]")
+    entries, text = read_eds(path.parent / device.eds, device.node)
+    tags: dict[Address, list[Tag]] = {}
+    for number, row in enumerate(data.get("tags", []), start=1):
+        where = f"{path}: tag {number}"
+        tag = Tag(**dict(validated(_TagTable, row, where)))
+        if tag.name not in known:
+            raise InputError(f"{where}: key 'name': the register map has no {tag.name!r}; give one of its tags")
+        tags.setdefault(_address(tag.address, entries, where), []).append(tag)
+    block = None
+    if "writeback" in data:
+        where = f"{path}: [writeback]"
+        table = validated(_Block, data["writeback"], where)
+        block = _address(table.address, entries, where)
+        if len(table.fields) != words:
+            raise InputError(f"{where}: key 'fields': {len(table.fields)} words, and the register map's has {words}")
+    return Layout(device.node, entries, text, tags, block)
+
+
+def _address(text: str, entries: Mapping[Address, Entry], where: str) -> Address:
+    index, _, sub = text.partition(":")
+    address = int(index, 16), int(sub)
+    if address not in entries:
+        raise InputError(f"{where}: key 'address': {text} is not in the EDS; give one of its objects")
+    return address
+
+
+class Objects:
+    """The dictionary of one node. `beat` is told of a new heartbeat time in seconds. Reads and writes raise Abort."""
+
+    def __init__(self, layout: Layout, plc: Plc, beat: Callable[[float], None] = lambda _: None) -> None:
+        self._layout, self._plc, self._beat = layout, plc, beat
+        self.error_register, self.errors = 0, [0]
+        self.store = True
+        self._memory: dict[Address, bytes] = {}
+        self._written: dict[int, int] = {}
+        self._pdos: dict[int, list[pdo.Pdo]] = {}
+
+    def reset(self) -> None:
+        """Back to the values of power-on."""
+        self._memory.clear()
+        self._written.clear()
+        self._pdos.clear()
+        self.error_register, self.errors = 0, [0]
+
+    def number(self, address: Address) -> int:
+        """An object of the dictionary proper as an unsigned number; 0 where there is none."""
+        entry = self._layout.entries.get(address)
+        return 0 if entry is None else int.from_bytes(self._memory.get(address, entry.default), "little")
+
+    def pdos(self, first: int) -> list[pdo.Pdo]:
+        """The PDOs from `first` (RPDO or TPDO) on, as they are mapped now."""
+        if first not in self._pdos:
+            self._pdos[first] = list(pdo.pdos(self._layout.entries, first, self.number))
+        return self._pdos[first]
+
+    def announce(self, code: int, register: int) -> None:
+        """Note an error (code 0: none any more) in the error register and the list of errors."""
+        self.error_register = register
+        if code:
+            self.errors = [code, *self.errors[:3]]
+
+    # ---------------------------------------------------------------- clients
+
+    def read(self, address: Address) -> bytes:
+        """An object's bytes at present."""
+        entry = self._entry(address)
+        if not entry.readable:
+            raise Abort(sdo.WRITE_ONLY)
+        if address in self._layout.tags:
+            return self._of_tags(self._layout.tags[address], entry)
+        word = self._word(address)
+        if word is not None:
+            return self._block_words(word, 1)
+        return self._own(address, entry)
+
+    def write(self, address: Address, data: bytes) -> None:
+        """Store what a client writes."""
+        entry = self._entry(address)
+        if not entry.writable:
+            raise Abort(sdo.READ_ONLY)
+        if entry.size is not None and len(data) != entry.size:
+            raise Abort(sdo.TOO_LONG if len(data) > entry.size else sdo.TOO_SHORT)
+        if address in self._layout.tags:
+            raise Abort(sdo.READ_ONLY)
+        word = self._word(address)
+        if word is not None:
+            self.put_words({word: int.from_bytes(data, "little")})
+        elif address == WHOLE_BLOCK:
+            self._put_whole(data)
+        else:
+            self._keep(address, entry, data)
+
+    def put_words(self, words: Mapping[int, int]) -> None:
+        """Words of the block by their number from 0: kept until the last one comes, then taken as a whole."""
+        layout = self._plc.registers.block
+        if layout is None or not self._plc.running:
+            return
+        self._written |= words
+        if layout.place.words - 1 in words:
+            block = [self._written.get(number, 0) for number in range(layout.place.words)]
+            self._written.clear()
+            if self.store:
+                self._plc.write("canopen", layout.place.table, layout.place.address, block, self._plc.clock.monotonic())
+
+    def word(self, address: Address) -> int | None:
+        """Which word of the block an object is, from 0; None for any other object."""
+        return self._word(address)
+
+    # ---------------------------------------------------------------- inside
+
+    def _entry(self, address: Address) -> Entry:
+        entry = self._layout.entries.get(address)
+        if entry is None:
+            there = any(known[0] == address[0] for known in self._layout.entries)
+            raise Abort(sdo.NO_SUBINDEX if there else sdo.NO_OBJECT)
+        return entry
+
+    def _own(self, address: Address, entry: Entry) -> bytes:
+        if address == ERROR_REGISTER:
+            return bytes([self.error_register])
+        if address == STORE_EDS:
+            return self._layout.text.encode("utf-8")
+        if address == WHOLE_BLOCK:
+            layout = self._plc.registers.block
+            return b"" if layout is None else self._block_words(0, layout.place.words)
+        if address == ACCEPTED_SEQUENCE:
+            return int(self._plc.intake.block.get("sequence", 0)).to_bytes(2, "little")
+        if address[0] == ERRORS:
+            known = [error for error in self.errors if error]
+            sub = address[1]
+            return (
+                bytes([len(known)]) if sub == 0 else (known[sub - 1] if sub <= len(known) else 0).to_bytes(4, "little")
+            )
+        return self._memory.get(address, entry.default)
+
+    def _word(self, address: Address) -> int | None:
+        block, layout = self._layout.block, self._plc.registers.block
+        if block is None or layout is None or address[0] != block[0]:
+            return None
+        number = address[1] - block[1]
+        return number if 0 <= number < layout.place.words else None
+
+    def _block_words(self, first: int, count: int) -> bytes:
+        layout = self._plc.registers.block
+        if layout is None:
+            raise Abort(sdo.NO_OBJECT)
+        words = self._plc.image.read(layout.place.table, layout.place.address + first, count)
+        return b"".join(word.to_bytes(2, "little") for word in words)
+
+    def _put_whole(self, data: bytes) -> None:
+        words = [int.from_bytes(data[at : at + 2], "little") for at in range(0, len(data), 2)]
+        layout = self._plc.registers.block
+        if layout is None or len(data) != 2 * layout.place.words:
+            raise Abort(sdo.LENGTH)
+        self.put_words(dict(enumerate(words)))
+
+    def _keep(self, address: Address, entry: Entry, data: bytes) -> None:
+        value = int.from_bytes(data, "little")
+        if address == (ERRORS, 0):
+            if value:
+                raise Abort(sdo.VALUE)
+            self.errors = [0]
+            return
+        pdo.check_write(self._layout.entries, self.number, address, value)
+        if self.store:
+            self._memory[address] = data
+            self._pdos.clear()
+        if address == (0x1017, 0):
+            self._beat(self.number(address) / 1000.0)
+
+    def _of_tags(self, tags: Sequence[Tag], entry: Entry) -> bytes:
+        """The object's bytes from the tags that share it: bits side by side, or one value."""
+        served, size = self._plc.image.served, entry.size or 0
+        if is_bool(tags[0]):
+            bits = sum(1 << (tag.bit or 0) for tag in tags if served.get(tag.name))
+            return bits.to_bytes(size or 2, "little")
+        (tag,) = tags
+        if tag.name not in served:
+            return bytes(size or tag.length)
+        value = served[tag.name]
+        if tag.dtype is DType.STRING:
+            return str(value or "").encode("latin-1", errors="replace")[: tag.length]
+        try:
+            words: Sequence[int] = encode_absent(tag) if value is None else encode(tag, value)
+        except Unrepresentable as error:
+            words = error.nearest
+        return b"".join(word.to_bytes(2, "big") for word in words)[::-1][:size]

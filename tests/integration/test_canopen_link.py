@@ -1,0 +1,93 @@
+"""CANopen between three processes: no fault of the node, nor garbage on its bus, makes a wrong value good."""
+
+from pathlib import Path
+
+import can
+import pytest
+
+from benchmarks.canopen import BenchmarkError, garbage, latency
+from benchmarks.canopen_rig import FAULTS, PERIOD, TOLERATED, canopen_rig, measure, outside, repeated
+from benchmarks.rig import restless_trace
+from drivers.can.hub_bus import HubBus
+from sim.plc.faults import FAULTS as KINDS
+from sim.plc.faults import ONLY_AT
+from sim.plc.recording import read_recording
+
+GROUPS = {
+    "node": ("missing heartbeat", "EMCY", "node reset", "restart", "node off the bus", "frozen image"),
+    "frames": ("short PDO", "long PDO", "bus-off", "frame loss", "babbling node", "babbling node, our identifiers"),
+    # A block that was built just before the next fault is counted here, so the one that costs blocks comes first.
+    "SDO": ("write ignored", "SDO abort", "SDO late", "SDO silent"),
+}
+SEEN = (*GROUPS["node"], "short PDO", "bus-off")
+BACK_S = 1.5
+"""Seconds within which good readings return, with what a busy test machine may add."""
+
+
+def test_every_fault_of_a_canopen_node_is_in_the_matrix_and_every_row_is_tested() -> None:
+    own = {kind for kind, faces in ONLY_AT.items() if "canopen" in faces}
+    assert own <= {str(fault["kind"]) for fault in FAULTS.values()} <= set(KINDS)
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(FAULTS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("group", GROUPS)
+def test_no_wrong_value_is_good_and_all_comes_back(group: str, tmp_path: Path) -> None:
+    matrix = measure(tmp_path, {name: FAULTS[name] for name in GROUPS[group]})
+    assert matrix.examples == ()
+    assert (matrix.missing, matrix.failures) == (0, 0)
+    assert matrix.blocks > 20
+    for row in matrix.rows:
+        assert row.judged > 0 and row.wrong_good == 0
+        assert row.recovered_s is None or row.recovered_s < BACK_S, row
+        if row.fault in SEEN:
+            assert row.detected_s is not None and row.not_good, row
+        if row.fault in TOLERATED:
+            assert not row.not_good and not row.unconfirmed, row
+    recording = read_recording(tmp_path / "plc.jsonl")
+    assert outside(recording) == []
+    assert repeated(recording) == 0
+
+
+def test_a_gateway_that_may_not_configure_writes_nothing_but_the_block(tmp_path: Path) -> None:
+    """Somebody else starts the node; the gateway neither remaps nor commands it, and works all the same."""
+    rigged = canopen_rig(tmp_path, restless_trace(30.0), period=PERIOD, configure=False)
+    with rigged as (rig, options), rig.plc(*options) as plc, rig.gateway(plc) as gateway:
+        gateway.wait_for(lambda status: "pre-operational" in " ".join(status["complaints"]))
+        gateway.wait_for(lambda status: status["alarms"]["device"] == "unacknowledged")
+        _start_node(Path(plc.ready["faces"]["canopen"]["channel"]))
+        gateway.wait_for(lambda status: status["writeback"].get("last_verdict") == "written")
+        gateway.wait_for(lambda status: status["scan"]["early"] > 0 and status["complaints"] == [])
+        assert gateway.stop()[0] == 0
+    recording = read_recording(rig.recording)
+    assert outside(recording) == []
+    heard = [row for row in recording.frames if not row.sent and row.data]
+    assert [row for row in heard if row.id == 0x000] == [row for row in heard if row.data == b"\x01\x01"][:1]
+    assert not [row for row in heard if row.id == 0x601 and row.data and row.data[0] >> 5 in (1, 6)], "no SDO writes"
+    assert any(row.accepted for row in recording.blocks)
+
+
+def _start_node(hub: Path) -> None:
+    bus = HubBus(str(hub))
+    bus.send(can.Message(arbitration_id=0x000, data=b"\x01\x01", is_extended_id=False))
+    bus.shutdown()
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["any frames", "the node's own identifiers and lengths"])
+async def test_garbage_on_the_bus_makes_no_wrong_value_good(own: bool, tmp_path: Path) -> None:
+    heap = await garbage(tmp_path, 2000, own=own)
+    assert heap.good > 200
+    # With the node's own identifiers and lengths, only who guesses the next counts of 65,535 is believed.
+    believed = heap.frames - heap.refused if own else 0
+    assert believed <= 3
+    assert heap.wrong == 0 or believed > 0, heap.examples
+
+
+def test_a_change_reaches_the_plc_as_a_prediction_long_before_the_next_scan(tmp_path: Path) -> None:
+    """The scan period is a second: each of the changes is followed to the block that it made, or this fails."""
+    try:
+        followed = latency(tmp_path, 8, seed=2)
+    except BenchmarkError as error:
+        pytest.fail(str(error))
+    assert len(followed.total) == 8
+    assert sorted(followed.total)[4] < 500.0

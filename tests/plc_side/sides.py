@@ -1,0 +1,84 @@
+"""The PLCs that the conformance suite is put to: the emulator's program, and the generated Structured Text."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from gateway.commission.conformance import Account
+from gateway.commission.structured_text import Program, generate
+from gateway.devices import load_device
+from sim.plc.clock import PlantClock
+from sim.plc.program import Plc
+from sim.plc.registers import read_map
+from tests.plc_side.structured_text import Instance, Text
+
+CYCLE_MS = 20
+
+
+class Emulated:
+    """The emulator's program, moved on by hand."""
+
+    def __init__(self, path: Path) -> None:
+        self.plc = Plc(read_map(path), PlantClock(0.0, 0.0, 1.0))
+        self.now = 0.0
+        self.plc.begin(self.now)
+
+    async def permit(self, on: bool) -> None:
+        self.plc.permit = on
+
+    async def write(self, offset: int, words: Sequence[int]) -> None:
+        layout = self.plc.registers.block
+        assert layout is not None
+        self.plc.write("suite", layout.place.table, layout.place.address + offset, words, self.now)
+
+    async def wait(self, seconds: float) -> None:
+        self.now += seconds
+
+    async def account(self) -> Account:
+        self.now += CYCLE_MS / 1000
+        self.plc.cycle(self.now)
+        truth = self.plc.image.truth
+        counts = [truth[name] for name in ("BlocksAccepted", "BlocksRefused", "LastRefusal")]
+        return Account(*(int(count or 0) for count in counts), bool(truth["PredictionUsable"]))
+
+
+class Compiled:
+    """The generated example program in its interpreter: registers in, registers out, as a soft PLC has them."""
+
+    def __init__(self, path: Path) -> None:
+        self.device = load_device(path)
+        text = Text(generate(self.device, "GATEWAY_BLOCK", Program()))
+        self.program: Instance = text.new("GATEWAY_BLOCK_MAIN")
+        self.by_place = {place: name for name, place in self.program.places.items()}
+        self.ms = 0
+        self.program.call(self.ms)
+
+    @property
+    def block(self) -> Instance:
+        """The function block's instance."""
+        found: Instance = self.program["Gateway"]
+        return found
+
+    def word(self, tag: str) -> int:
+        address = self.device.by_name[tag].address.partition(":")[2]
+        return int(self.program[self.by_place[f"%MW{address}"]])
+
+    async def permit(self, on: bool) -> None:
+        self.program.values["permitswitch"] = on
+
+    async def write(self, offset: int, words: Sequence[int]) -> None:
+        assert self.device.writeback is not None
+        for tag, word in zip(self.device.writeback.words[offset:], words, strict=False):
+            self.program.values[self.by_place[f"%MW{tag.address.partition(':')[2]}"]] = word
+
+    async def wait(self, seconds: float) -> None:
+        self.run(round(1000 * seconds / CYCLE_MS))
+
+    def run(self, cycles: int) -> None:
+        for _ in range(cycles):
+            self.ms += CYCLE_MS
+            self.program.call(self.ms)
+
+    async def account(self) -> Account:
+        self.run(1)
+        counts = [self.word(name) for name in ("BlocksAccepted", "BlocksRefused", "LastRefusal")]
+        return Account(*counts, bool(self.word("PredictionUsable") & 1))
