@@ -12,7 +12,7 @@ from sim.sha.model import Model
 from sim.sha.open_loop import open_loop
 from sim.sha.trace import Trace
 
-WIDE, MOSTLY, SHARE = 1.7, 1.2, 0.2
+WIDE, MOSTLY, SHARE = 1.5, 1.2, 0.2
 """A gap: the median cycle is so many times as far off as the model's own noise allows, and all but this share of the
 cycles at least so many times."""
 

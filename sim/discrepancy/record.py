@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.noise import Grid, grid_of
+from sim.learning.preparation import encoded
 from sim.learning.runs import Indices, Runs, first_switch, free_runs, thinned
 from sim.learning.structure import LearningError
-from sim.sha.events import Switch
+from sim.sha.events import Alphabet, Switch, encode
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Array, Mask, Trace
 
@@ -22,6 +23,10 @@ LEAST_WINDOW = 20.0
 """Seconds of a window at least (or one row, where rows lie further apart)."""
 LIVELY, FINER = 900.0, 4.0
 """Seconds after a start or a stop in which windows are so many times shorter."""
+SLOW = 2.0
+"""Times the usual interval between rows (all but one in a hundred) beyond which a recorder has a gap."""
+LATE = 1.5
+"""Times the usual interval between rows from which a start or a stop in it was noticed late."""
 NEVER = 1e9
 """Seconds since a start-up that was not seen."""
 
@@ -99,6 +104,17 @@ class Record:
         return replace(self, runs=runs, running=running, since=since, cycle=cycle, rows=rows, begins=begins)
 
 
+def patiently(trace: Trace, alphabet: Alphabet) -> Trace:
+    """The trace encoded with a gap that suits its recorder: rows that usually come late leave no gap between them.
+
+    Events that a trace has already are kept where its rows come in time, and where it lacks a channel's signal.
+    """
+    usual = SLOW * float(np.quantile(np.diff(trace.times), 0.99)) if trace.times.size > 2 else 0.0
+    if usual <= alphabet.gap or any(channel.signal not in trace.signals for channel in alphabet.channels):
+        return encoded(trace, alphabet)
+    return replace(trace, events=encode(trace, replace(alphabet, gap=usual)))
+
+
 def record_of(
     model: Model, traces: Sequence[Trace], signals: Sequence[str], *, knots: int = KNOTS, windows: int = WINDOWS
 ) -> Record:
@@ -117,9 +133,23 @@ def record_of(
         free_runs(having, model.sha, model.temperature, signals=tuple(signals), modelled=known(model)), knots
     )
     running, since, cycle = _machine(runs, having, first_switch(model.alphabet))
+    runs = _cut_late(runs, running)
     window = max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER)
     rows, begins = _windows(runs, cycle, running, window)
     return Record(model, tuple(signals), runs, running, since, cycle, window, rows, begins)
+
+
+def _cut_late(runs: Runs, running: Array) -> Runs:
+    """The runs begun anew where a start or a stop was noticed late: it lies somewhere in a step that took long.
+
+    Heat that the model would then be given late is no heat that it lacks.
+    """
+    seen = runs.dt[runs.dt > 0]
+    late = runs.dt > LATE * (float(np.median(seen)) if seen.size else 0.0)
+    turns = np.append(np.diff(running) != 0, False) & (np.diff(runs.run, append=-1) == 0)
+    cut = late & turns & np.isfinite(runs.reading)
+    run = np.cumsum(runs.first | cut) - 1
+    return replace(runs, run=run, dt=np.where(runs.first | cut, 0.0, runs.dt))
 
 
 def known(model: Model) -> Mask:

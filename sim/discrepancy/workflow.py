@@ -19,13 +19,12 @@ from sim.discrepancy.evidence import candidates_of, effect_of
 from sim.discrepancy.fit import Fitted, fit
 from sim.discrepancy.gap import Excess, excess, spread_of
 from sim.discrepancy.held_out import by_cycles, compared
-from sim.discrepancy.judging import Found, doubts, systematic, untested, verdict_of
+from sim.discrepancy.judging import Found, doubts, left_over, systematic, untested, verdict_of
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
-from sim.discrepancy.record import Record, record_of
+from sim.discrepancy.record import Record, patiently, record_of
 from sim.discrepancy.story import course_of, sentence_of
-from sim.learning.preparation import encoded
 from sim.sha.correction import in_sensor_scale
 from sim.sha.model import Model
 from sim.sha.trace import Trace
@@ -74,7 +73,7 @@ def diagnose(
     told = progress or (lambda _stage, _share: None)
     model = in_sensor_scale(model)
     told("laying out the traces", 0.0)
-    given = sorted((encoded(trace, model.alphabet) for trace in traces if trace.times.size), key=lambda t: t.times[0])
+    given = sorted((patiently(trace, model.alphabet) for trace in traces if trace.times.size), key=lambda t: t.times[0])
     present = present_roles(given, roles)
     record = record_of(model, given, signals_needed(model, present))
     cycles = np.unique(record.cycle)
@@ -123,7 +122,7 @@ def _concluded(
     after = found.fitted
     left = ceiling(after, hand.seed) if found.taken else before
     held, first, second = compared(found.base, after, held_out, hand.seed)
-    reservations = doubts(found, first, second, held, before, left)
+    reservations = (*doubts(found, first, second, held, before, left), *left_over(found, *beyond))
     verdict, reasons = verdict_of(found, reservations, before, beyond[0])
     kept = verdict in ("named", "class")
     if not kept:
