@@ -21,9 +21,9 @@ something behind, of the order of these shares of its gain, the greater one wher
 MATERIAL, MATERIAL_FURTHER, BESIDE, CLEARLY = 0.12, 0.4, 0.2, 40.0
 """Sensor sigmas that an effect must move the temperature by (rms beyond what the model's parameters imitate): any name,
 and a further one, which must also be so large beside the greatest before it, unless its gain is clear (nats)."""
-CLEAR, MOSTLY = 2.0, 0.5
-"""A held-out gap is clear from so many times the floor's mean square on; names without a clear gain must remove that
-share of it. On a rough plant five cycles differ by more than an effect of one sensor sigma does."""
+CLEAR, MOSTLY, BEYOND_DOUBT = 2.0, 0.5, 60.0
+"""A held-out gap is clear from so many times the floor's mean square on; names that gain less than so many nats must
+remove that share of it. On a rough plant five cycles differ by more than an effect of one sensor sigma does."""
 CEILING_P, CEILING_SHARE, CEILING_LEFT = 0.01, 0.08, 0.35
 """Heat that trees predict with such a p and to such a share is systematic; names that leave more than that part of the
 systematic heat they found are withheld."""
@@ -121,7 +121,7 @@ def doubts(
     if foreseen_better(first, second) <= 0:
         reasons.append("the held-out cycles are not better foreseen with it")
     clear = held.rmse_before**2 > CLEAR * held.noise_floor**2
-    if clear and _greatest_gain(found) < CLEARLY and held.excess_removed < MOSTLY:
+    if clear and _greatest_gain(found) < BEYOND_DOUBT and held.excess_removed < MOSTLY:
         reasons.append(f"of the gap on the held-out cycles it removes {max(held.excess_removed, 0.0):.0%} only")
     explained = before is not None and left is not None and before.heat > left.heat
     whole = max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
@@ -134,7 +134,7 @@ def left_over(found: Found, before: Excess | None, after: Excess | None) -> tupl
     """Why names without a clear gain are withheld: the model's own noise did not cover its errors, nor does it now."""
     if not found.taken or before is None or after is None or not before.there:
         return ()
-    if _greatest_gain(found) >= CLEARLY or after.median < MOSTLY_COVERED:
+    if _greatest_gain(found) >= BEYOND_DOUBT or after.median < MOSTLY_COVERED:
         return ()
     return (f"with it the free run is still {after.median:.1f} times as far off as the model's own noise allows",)
 
