@@ -94,7 +94,7 @@ def by_process(command: str) -> Diagnose:
 
 
 def by_call(one: Case, limit: float) -> Outcome:
-    """The same command line inside this process, for speed; needs the main thread (for the limit)."""
+    """The same command line inside this process and without a report, for speed; needs the main thread (its limit)."""
     from gateway.cli.main import main
 
     words = StringIO()
@@ -103,7 +103,7 @@ def by_call(one: Case, limit: float) -> Outcome:
         began = perf_counter()
         try:
             with _limited(limit), redirect_stdout(StringIO()), redirect_stderr(words):
-                main(one.arguments(out), standalone_mode=False)
+                main([*one.arguments(out), "--no-report"], standalone_mode=False)
         except TimeoutError:
             return Outcome(one.name, "timeout", perf_counter() - began, message=f"over {limit:g} s")
         except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a tool under test raises is its score

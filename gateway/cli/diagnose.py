@@ -34,6 +34,7 @@ RECENT = "14d"
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder for the diagnosis.")
 @click.option("--max-names", "most", type=click.IntRange(1, 3), default=3, show_default=True, help="Effects at most.")
 @click.option("--temperature", help="The signal that a set of artefacts predicts, which does not say it itself.")
+@click.option("--no-report", is_flag=True, help="No page and no pictures: half of the time, for programs.")
 @seed_option
 @json_option
 def diagnose(
@@ -46,6 +47,7 @@ def diagnose(
     out: Path,
     most: int,
     temperature: str | None,
+    no_report: bool,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -63,7 +65,7 @@ def diagnose(
     if since is not None and historian is None:
         raise click.UsageError("--since belongs to --historian")
     with sentences(), progress("diagnosing") as report:
-        request = Request(where, out, _source(sources, historian), seed, most, time.time(), temperature)
+        request = Request(where, out, _source(sources, historian), seed, most, time.time(), temperature, not no_report)
         report("reading", 0.0)
         model, traces, column_map = _read(request, sources, historian, since, map_name)
         told = run(request, model, traces, roles_of(column_map), report)
@@ -94,7 +96,8 @@ def _data(told: "Told", out: Path) -> dict[str, Any]:
     from sim.discrepancy.document import document
 
     verification = told.verification
-    more: dict[str, Any] = {"out": str(out), "report": str(out / "report.html")}
+    page = out / "report.html"
+    more: dict[str, Any] = {"out": str(out), "report": str(page) if page.exists() else None}
     if verification is not None:
         more |= {"verified": not verification, "refused": list(verification)}
     return document(told.diagnosis) | more
@@ -124,7 +127,8 @@ def show(told: "Told", out: Path) -> None:
     _show_held_out(told)
     if one.untested:
         click.echo(f"not tested: {', '.join(one.untested)} (the report says why)")
-    click.echo(f"report: {out / 'report.html'}")
+    if (out / "report.html").exists():
+        click.echo(f"report: {out / 'report.html'}")
     if one.model_after is not None:
         click.echo(f"new model: {one.model_after}{_verified(told.verification)}")
 

@@ -27,6 +27,7 @@ class Request:
     """What is to be diagnosed, and where the result goes. `created` is the time for the report, in seconds UTC.
 
     `source` says where the traces are from, as it stands in the report; `most` is how many effects may be named.
+    Without `report` there are no page and no pictures.
     """
 
     where: str
@@ -36,6 +37,7 @@ class Request:
     most: int
     created: float
     temperature: str | None = None
+    report: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +87,8 @@ def run(request: Request, model: Model, traces: Sequence[Trace], roles: Mapping[
     reasons = None if new is None else verify(new).reasons
     after = None if new is None else str(request.out / MODEL)
     diagnosis = replace(outcome.diagnosis, model_before=request.where, model_after=after)
-    write_diagnosis(diagnosis, _occasion(request, model, traces, roles, reasons), new)
+    occasion = _occasion(request, model, traces, roles, reasons)
+    write_diagnosis(diagnosis, occasion, new, report=request.report)
     return Told(diagnosis, reasons)
 
 

@@ -43,10 +43,11 @@ def _is_ours(file: Path) -> bool:
     return isinstance(said, dict) and said.get("format") == FORMAT
 
 
-def write_diagnosis(diagnosis: Diagnosis, occasion: Occasion, model: Model | None) -> Path:
+def write_diagnosis(diagnosis: Diagnosis, occasion: Occasion, model: Model | None, *, report: bool = True) -> Path:
     """Write all of a diagnosis to `occasion.folder`; returns the path of its document.
 
-    `model` is the augmented one, which gets a directory of its own. Everything is made in a hidden folder first and
+    `model` is the augmented one, which gets a directory of its own. Without `report` there are no page and no pictures.
+    Everything is made in a hidden folder first and
     then moved in; the document is removed first and comes last, so that a folder that has it is whole. Raises
     ArtefactError or OSError.
     """
@@ -54,8 +55,9 @@ def write_diagnosis(diagnosis: Diagnosis, occasion: Occasion, model: Model | Non
     out.mkdir(parents=True, exist_ok=True)
     beside = Path(tempfile.mkdtemp(prefix=".diagnosis-", dir=out))
     try:
-        pictures = draw(diagnosis, f"Diagnosis of {occasion.name}: {diagnosis.verdict}", beside)
-        replace_durably(beside / REPORT, report_html(diagnosis, occasion, pictures))
+        if report:
+            pictures = draw(diagnosis, f"Diagnosis of {occasion.name}: {diagnosis.verdict}", beside)
+            replace_durably(beside / REPORT, report_html(diagnosis, occasion, pictures))
         replace_durably(beside / DOCUMENT, document_text(diagnosis))
         if model is not None:
             write_model_directory(beside / MODEL, model)
