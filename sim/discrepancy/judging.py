@@ -21,9 +21,11 @@ something behind, of the order of these shares of its gain, the greater one wher
 MATERIAL, MATERIAL_FURTHER, BESIDE, CLEARLY = 0.12, 0.4, 0.2, 40.0
 """Sensor sigmas that an effect must move the temperature by (rms beyond what the model's parameters imitate): any name,
 and a further one, which must also be so large beside the greatest before it, unless its gain is clear (nats)."""
-CLEAR, MOSTLY, BEYOND_DOUBT = 2.0, 0.5, 60.0
-"""A held-out gap is clear from so many times the floor's mean square on; names that gain less than so many nats must
-remove that share of it. On a rough plant five cycles differ by more than an effect of one sensor sigma does."""
+BEYOND_DOUBT = 60.0
+"""nats from which a name need not be material, nor bring the error within the model's own noise."""
+CLEAR, MOSTLY = 2.0, 0.5
+"""A held-out gap is clear from so many times the floor's mean square on; names without a clear gain must remove that
+share of it. On a rough plant five cycles differ by more than an effect of one sensor sigma does."""
 CEILING_P, CEILING_SHARE, CEILING_LEFT = 0.01, 0.08, 0.35
 """Heat that trees predict with such a p and to such a share is systematic; names that leave more than that part of the
 systematic heat they found are withheld."""
@@ -60,7 +62,7 @@ def insignificant(one: Step, earlier: Sequence[Step] = ()) -> str:
     small = bool(others) and best.gain < CLEARLY
     least = (MATERIAL_FURTHER if small else MATERIAL) * one.before.sensor_sigma
     least = max(least, BESIDE * max(others)) if small else least
-    if best.amplitude < least:
+    if best.amplitude < least and (small or best.gain < BEYOND_DOUBT):
         return f"is there but moves the temperature by {best.amplitude:.3f} degC only, less than {least:.3f}"
     needed = max((_leftover(step, best.entry.name) for step in earlier), default=0.0)
     if earlier and best.gain < max(one.threshold + FURTHER, needed):
@@ -121,7 +123,7 @@ def doubts(
     if foreseen_better(first, second) <= 0:
         reasons.append("the held-out cycles are not better foreseen with it")
     clear = held.rmse_before**2 > CLEAR * held.noise_floor**2
-    if clear and _greatest_gain(found) < BEYOND_DOUBT and held.excess_removed < MOSTLY:
+    if clear and _greatest_gain(found) < CLEARLY and held.excess_removed < MOSTLY:
         reasons.append(f"of the gap on the held-out cycles it removes {max(held.excess_removed, 0.0):.0%} only")
     explained = before is not None and left is not None and before.heat > left.heat
     whole = max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
