@@ -236,6 +236,11 @@ def make_rig(
     return rig
 
 
+def plc_process(*options: object) -> Plc:
+    """A software PLC as a process, with these options; the caller ends it."""
+    return _ready(_started("sim.plc", *map(str, options)))
+
+
 def brief(status: dict[str, Any]) -> dict[str, Any]:
     """What of a status tells why it is not well."""
     bad = {name: value for name, value in status.get("values", {}).items() if value["quality"] != "GOOD"}

@@ -36,6 +36,7 @@ BENCHMARKS = (
     "verification",
     "lsha",
     "can_logs",
+    "guess",
 )
 LONGEST = 600.0
 """Seconds after which a benchmark is given up: many times what it takes on a quiet machine."""

@@ -69,7 +69,7 @@ def reply_length(request: Asked, data: bytes) -> int | None:
         return _CONFIRMATION
     if data[1] in (1, 2, 3, 4):
         return data[2] + 5 if len(data) > 2 else None
-    if data[1] == IDENTIFY:
+    if data[1] == request.function == IDENTIFY:
         return _identity_length(data)
     raise ReplyMismatch(f"{request}: the reply is of function {data[1]} and {request.function} was asked")
 

@@ -37,6 +37,37 @@ class Words:
     seconds: float
 
 
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One request that would be sent: `kind` "read", "write" or "read back", `count` addresses from `place` on.
+
+    `vain` of them belong to no tag; `seconds` is the longest that it can take.
+    """
+
+    kind: str
+    place: str
+    count: int
+    vain: int
+    tags: tuple[str, ...]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class ReadPlan:
+    """The requests of one scan and of one write of the block, and the longest that either can take (s).
+
+    `problems` are sentences: a tag without a place, a block that is no one write; `overlaps` are tags that share
+    registers.
+    """
+
+    requests: tuple[Request, ...]
+    writes: tuple[Request, ...]
+    problems: tuple[str, ...]
+    seconds: float
+    write_seconds: float
+    overlaps: tuple[str, ...] = ()
+
+
 class AsksRegisters(Protocol):
     """A Modbus device. All verbs raise DriverError by its kinds; `unit` None is the configured one."""
 
@@ -74,6 +105,10 @@ class ListensToBus(Protocol):
         """All data frames of so many seconds; nothing is sent. Raises LinkDown."""
         ...
 
+    async def tags(self, tags: Sequence[Tag], node: int, timeout: float) -> list[Raw]:
+        """Each tag of a CANopen node by SDO, with the bytes of its object; a failure is a sample of bad quality."""
+        ...
+
     async def object(self, node: int, index: int, subindex: int, timeout: float) -> bytes:
         """One object of a CANopen node by SDO. Raises ReplyTimeout, DeviceException, ReplyMismatch or LinkDown."""
         ...
@@ -104,6 +139,20 @@ def open_bus_survey(
         raise DriverError(f"{driver!r} is no CAN bus: give --link can or --link canopen, and --channel")
     opened: Callable[..., AbstractAsyncContextManager[ListensToBus]] = _factory(driver)
     return opened(settings, clock=clock)
+
+
+PLANS: dict[str, str] = {"modbus": "drivers.modbus_plan:planned"}
+
+
+def read_plan(
+    driver: str, settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[Tag] = ()
+) -> ReadPlan | None:
+    """How a device of this driver would be read; None where a driver has no such plan. Raises DriverError."""
+    if driver not in PLANS:
+        return None
+    module, _, function = PLANS[driver].partition(":")
+    planned: Callable[..., ReadPlan] = getattr(import_module(module), function)
+    return planned(settings, tags, written)
 
 
 def _factory(driver: str) -> Callable[..., Any]:

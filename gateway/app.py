@@ -15,6 +15,7 @@ from drivers.driver import Cautions, Driver
 from drivers.errors import DriverError
 from gateway.clock import Clock, PlantClock, plant_clock
 from gateway.config import Config
+from gateway.control import Control
 from gateway.core import Gateway
 from gateway.log import open_log
 from gateway.outlook import block_values
@@ -55,16 +56,28 @@ async def run(
         log = log or opened.enter_context(open_log(config.log.path, config.log.level))
         gateway = Gateway(config, clock, log, driver)
         reporter = asyncio.create_task(_report(gateway, status_path), name="status")
+        control = await _opened_control(gateway)
         try:
             await _supervised(gateway, stop)
         finally:
             gateway.phase = "stopping"
+            await control.close()
             await _stopped(gateway)
             reporter.cancel()
             await asyncio.gather(reporter, return_exceptions=True)
             gateway.phase = "stopped"
             _say(gateway, status_path)
     return snapshot(gateway)
+
+
+async def _opened_control(gateway: Gateway) -> Control:
+    """The local socket; a gateway that cannot have one runs without it, and says so."""
+    control = Control(gateway, gateway.config.control_socket, snapshot)
+    try:
+        await control.open()
+    except OSError as error:
+        gateway.log.warning("other programs cannot ask this gateway", reason=error.strerror or str(error))
+    return control
 
 
 async def _supervised(gateway: Gateway, stop: asyncio.Event) -> None:

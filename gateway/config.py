@@ -141,6 +141,12 @@ class EnsembleSection(Section):
         return weights
 
 
+class ControlSection(Section):
+    """The local socket by which programs of the same user ask the running gateway."""
+
+    path: FilePath | None = Field(None, description="the path of the socket, beside the historian without this key")
+
+
 class ClockSection(Section):
     """Plant seconds per real second: other than 1 only for replays against a software PLC on this machine."""
 
@@ -157,6 +163,7 @@ class _PlantFile(Section):
     log: LogSection = Field(default_factory=LogSection, description="a [log] table")
     forecast: ForecastSection = Field(default_factory=ForecastSection, description="a [forecast] table")
     ensemble: EnsembleSection = Field(default_factory=EnsembleSection, description="an [ensemble] table")
+    control: ControlSection = Field(default_factory=ControlSection, description="a [control] table")
     clock: ClockSection = Field(default_factory=ClockSection, description="a [clock] table")
 
 
@@ -175,6 +182,7 @@ class Config:
     log: LogSection
     forecast: ForecastSection
     ensemble: EnsembleSection
+    control: ControlSection
     clock: ClockSection
     links: tuple[Link, ...]
 
@@ -182,6 +190,11 @@ class Config:
     def map(self) -> DeviceMap:
         """The device file of the primary link: the tags, and the block that is written back."""
         return self.links[0].map
+
+    @property
+    def control_socket(self) -> Path:
+        """Where the running gateway can be asked."""
+        return self.control.path or self.historian.path.with_suffix(".sock")
 
     @property
     def audit(self) -> Path:
@@ -236,6 +249,7 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
         log=log,
         forecast=content.forecast,
         ensemble=content.ensemble.model_copy(update={"members": members}),
+        control=content.control.model_copy(update={"path": content.control.path and home / content.control.path}),
         clock=content.clock,
         links=links,
     )

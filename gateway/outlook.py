@@ -117,6 +117,11 @@ class Outlook:
         context = ensemble.context
         return partial(foresee, job, ensemble.jobs(), ensemble.shares(context), context, self.section, self.limit)
 
+    async def finished(self) -> None:
+        """Wait for the forecast being made, if any; the next `collect` gives it. For a clock that is not the wall's."""
+        if self._task is not None:
+            await asyncio.wait([self._task])
+
     async def close(self) -> None:
         """Wait for the forecast being made; its result is dropped."""
         if self._task is not None:

@@ -9,6 +9,8 @@ from statistics import median
 import pytest
 
 from gateway.cli.model import COMMANDS
+from gateway.cli.plc import COMMANDS as PLC_COMMANDS
+from gateway.cli.plc_scan import COMMANDS as SCAN_COMMANDS
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for room in ("drivers", "sim", "gateway") for path in (ROOT / room).rglob("*.py"))
@@ -58,9 +60,13 @@ def modules_imported_by(code: str) -> set[str]:
     return set(done.stdout.splitlines()[-1].split())
 
 
-@pytest.mark.parametrize(
-    "command", [[], ["diagnose"], ["model"], *(["model", name] for name in COMMANDS)], ids=" ".join
-)
+HELPED = [
+    *([], ["diagnose"], ["model"], *(["model", name] for name in COMMANDS)),
+    *(["plc"], *(["plc", name] for name in PLC_COMMANDS), *(["plc", "scan", name] for name in SCAN_COMMANDS)),
+]
+
+
+@pytest.mark.parametrize("command", HELPED, ids=" ".join)
 def test_help_imports_nothing_heavy(command: list[str]) -> None:
     code = (
         "from click.testing import CliRunner\n"

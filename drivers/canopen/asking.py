@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from drivers.canopen.channel import SdoChannel
 from drivers.canopen.place import Place
 from drivers.driver import Clock
-from drivers.errors import DeviceException, DriverError, LinkDown, ReplyTimeout
+from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, ReplyTimeout
 from drivers.tag import Quality
 
 _QUALITY: dict[int, Quality] = {
@@ -38,11 +38,14 @@ async def ask(sdo: SdoChannel, place: Place, size: int | None, clock: Clock, *, 
     try:
         payload = await sdo.read(place, size, block=block)
     except DriverError as error:
-        return Answer(None, clock(), sent, _quality(error), str(error))
+        return Answer(None, clock(), sent, quality_of(error), str(error))
     return Answer(payload, clock(), sent)
 
 
-def _quality(error: DriverError) -> Quality:
+def quality_of(error: DriverError) -> Quality:
+    """What a request without a value makes of a reading."""
+    if isinstance(error, AddressError):
+        return Quality.CONFIGURATION_ERROR
     if isinstance(error, DeviceException):
         return _QUALITY.get(error.code, Quality.DEVICE_FAILURE)
     if isinstance(error, ReplyTimeout):

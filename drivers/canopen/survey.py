@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -10,11 +10,13 @@ import can
 
 from drivers.can.bus import open_bus
 from drivers.can.pump import Pump
+from drivers.canopen.asking import quality_of
 from drivers.canopen.channel import SdoChannel
-from drivers.canopen.place import Place
+from drivers.canopen.place import Place, from_bytes, parse_place
 from drivers.driver import Clock
-from drivers.errors import DriverError, LinkDown
-from drivers.survey import BusFrame
+from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.survey import BusFrame, Raw
+from drivers.tag import Quality, Sample, Tag
 
 _SDO_ANSWER, _SDO_REQUEST = 0x580, 0x600
 _SEND_TIMEOUT = 0.05
@@ -24,13 +26,12 @@ _DEFAULTS: dict[str, Any] = {"interface": "socketcan", "bitrate": None, "fd": Fa
 @asynccontextmanager
 async def open_survey(settings: Mapping[str, Any], *, clock: Clock) -> AsyncIterator["BusSurvey"]:
     """The bus that the settings of a CAN driver name. Raises DriverError; LinkDown if it cannot be opened now."""
-    del clock  # frames are timed from the beginning of listening
     if not settings.get("channel"):
         raise DriverError("can: channel must be given")
     given = {key: settings.get(key, default) for key, default in _DEFAULTS.items()}
     place = (given.pop("interface"), settings["channel"], given.pop("bitrate"))
     bus = await asyncio.to_thread(open_bus, *place, **given)
-    survey = BusSurvey(bus)
+    survey = BusSurvey(bus, clock)
     try:
         yield survey
     finally:
@@ -40,14 +41,15 @@ async def open_survey(settings: Mapping[str, Any], *, clock: Clock) -> AsyncIter
 class BusSurvey:
     """An open bus. Made by `open_survey`."""
 
-    def __init__(self, bus: can.BusABC) -> None:
+    def __init__(self, bus: can.BusABC, clock: Clock) -> None:
+        self._clock = clock
         self._lost = ""
         self._begun = time.monotonic()
         self._frames: list[BusFrame] | None = None
-        self._nodes: dict[int, SdoChannel] = {}
+        self._asked: dict[int, SdoChannel] = {}
         self._gone = asyncio.Event()
         self._heard = self._errors = 0
-        self._past = dict.fromkeys(("requests", "timeouts", "mismatches", "aborts"), 0)
+        self._counts = dict.fromkeys(("requests", "timeouts", "mismatches", "aborts"), 0)
         self._pump = Pump(bus, self._take, self._on_lost)
 
     def close(self) -> None:
@@ -56,10 +58,8 @@ class BusSurvey:
 
     def statistics(self) -> Mapping[str, float]:
         """Counters by the names of the drivers'."""
-        asked = dict(self._past)
-        for channel in self._nodes.values():
-            asked = {name: count + channel.counts[name] for name, count in asked.items()}
-        return {**asked, "frames": self._heard, "error_frames": self._errors, "dropped": self._pump.dropped}
+        heard = {"frames": self._heard, "error_frames": self._errors, "dropped": self._pump.dropped}
+        return {**self._counts, **heard}
 
     async def listen(self, seconds: float) -> list[BusFrame]:
         """All data frames of so many seconds. Raises LinkDown if the bus goes meanwhile."""
@@ -74,15 +74,44 @@ class BusSurvey:
 
     async def object(self, node: int, index: int, subindex: int, timeout: float) -> bytes:
         """One object of a node. Raises ReplyTimeout, DeviceException, ReplyMismatch or LinkDown."""
-        channel = SdoChannel(lambda data: self._send(_SDO_REQUEST + node, data), timeout)
-        self._forget(node)
-        self._nodes[node] = channel
-        return await channel.read(Place(index, subindex))
+        channel = self._asked[node] = SdoChannel(lambda data: self._send(_SDO_REQUEST + node, data), timeout)
+        self._counts["requests"] += 1
+        try:
+            return await channel.read(Place(index, subindex))
+        except ReplyTimeout:
+            self._counts["timeouts"] += 1
+            raise
+        except ReplyMismatch:
+            self._counts["mismatches"] += 1
+            raise
+        except DeviceException:
+            self._counts["aborts"] += 1
+            raise
 
-    def _forget(self, node: int) -> None:
-        former = self._nodes.pop(node, None)
-        if former is not None:
-            self._past = {name: count + former.counts[name] for name, count in self._past.items()}
+    async def tags(self, tags: Sequence[Tag], node: int, timeout: float) -> list[Raw]:
+        """Each tag of a node by SDO, with the bytes of its object; after one without an answer no more is asked."""
+        found: list[Raw] = []
+        silent = ""
+        for tag in tags:
+            raw = self._failed(tag, Quality.TIMEOUT, silent) if silent else await self._tag(tag, node, timeout)
+            silent = raw.sample.reason if raw.sample.quality is Quality.TIMEOUT else ""
+            found.append(raw)
+        return found
+
+    async def _tag(self, tag: Tag, node: int, timeout: float) -> Raw:
+        sent = self._clock()
+        try:
+            place = parse_place(tag.address, tag.name)
+            data = await self.object(node, place.index, place.subindex, timeout)
+            value, quality, reason = from_bytes(tag, data)
+        except DriverError as error:
+            return self._failed(tag, quality_of(error), str(error))
+        return Raw(
+            tag, Sample(tag.name, value, quality, self._clock(), sent, reason), str(place), len(data), tuple(data)
+        )
+
+    def _failed(self, tag: Tag, quality: Quality, reason: str) -> Raw:
+        return Raw(tag, Sample(tag.name, None, quality, self._clock(), reason=reason), tag.address, 0)
 
     def _send(self, identifier: int, data: bytes) -> None:
         message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
@@ -103,11 +132,11 @@ class BusSurvey:
             since = time.monotonic() - self._begun
             self._frames.append(BusFrame(since, number, message.is_extended_id, data))
         node = number - _SDO_ANSWER
-        if not message.is_extended_id and node in self._nodes:
-            self._nodes[node].heard(data)
+        if not message.is_extended_id and node in self._asked:
+            self._asked[node].heard(data)
 
     def _on_lost(self, reason: str) -> None:
         self._lost = reason
         self._gone.set()
-        for channel in self._nodes.values():
+        for channel in self._asked.values():
             channel.close(reason)

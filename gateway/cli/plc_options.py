@@ -98,7 +98,8 @@ def record_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(command)
     def with_given(**options: Any) -> Any:
-        return command(given=_given({"plant": None, "device": None, "link": None, "others": (), **options}), **options)
+        filled = {"plant": None, "device": None, "link": None, "others": (), **options}
+        return command(given=_given(filled), **filled)
 
     wrapped: Callable[..., Any] = with_given
     for option in reversed(_KEPT):

@@ -123,7 +123,8 @@ def _show(site: "Site", given: Given, outcome: "Outcome", show: Show) -> None:
         click.echo(as_json({"ok": not outcome.code, "exit": int(outcome.code), **outcome.data, **extra}))
         return
     if set(outcome.data) - {"reason"}:
-        click.echo(site.target.place)
+        if site.target.place:
+            click.echo(site.target.place)
         show(outcome.data)
     for note in site.notes:
         click.echo(f"note: {note}")

@@ -101,7 +101,7 @@ def can(given: Given, seconds: float) -> None:
     def show(data: Mapping[str, Any]) -> None:
         load = f", {data['load_percent']:.1f} % of the bus at most" if "load_percent" in data else ""
         rows = [["" if cell is None else cell for cell in row.values()] for row in data["ids"]]
-        title = f"{data['frames']} frames in {data['seconds']:g} s{load}"
+        title = f"{data['heard']} frames in {data['seconds']:g} s{load}"
         table(title, list(data["ids"][0]) if rows else ["id"], rows)
 
     def work(site: "Site") -> Awaitable["Outcome"]:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from statistics import mean, pstdev
 from typing import Any
@@ -40,7 +41,7 @@ async def scan_can(site: Site, seconds: float) -> Outcome:
         finally:
             site.count(survey.statistics())
     rows = rows_of(frames, seconds, names)
-    data: dict[str, Any] = {"seconds": seconds, "frames": len(frames), "ids": rows}
+    data: dict[str, Any] = {"seconds": seconds, "heard": len(frames), "ids": rows}
     if bitrate := settings.get("bitrate"):
         bits = sum(frame_bits(len(frame.data), extended=frame.extended) for frame in frames)
         data["load_percent"] = 100.0 * bits / (bitrate * seconds)
@@ -71,7 +72,7 @@ def rows_of(frames: Sequence[BusFrame], seconds: float, names: Mapping[int, str]
 def _row(
     key: int, heard: Sequence[BusFrame], seconds: float, names: Mapping[int, str], heartbeats: set[int]
 ) -> dict[str, Any]:
-    gaps = [1e3 * (later.time - former.time) for former, later in zip(heard, heard[1:], strict=False)]
+    gaps = [1e3 * (later.time - former.time) for former, later in pairwise(heard)]
     return {
         "id": frame_name(key),
         "what": names.get(key) or likely(heard[0], heartbeats),

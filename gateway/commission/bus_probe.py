@@ -30,14 +30,14 @@ async def probe_bus(site: Site, steps: list[Step], facts: dict[str, Any]) -> Non
             finally:
                 site.count(survey.statistics())
     except LinkDown as error:
-        hint = "is the interface up (ip link set can0 up type can bitrate ...), and does this user may use it?"
+        hint = "is the interface there and up (ip link set can0 up type can bitrate ...)?"
         hint = hint if settings.get("interface", "socketcan") == "socketcan" else "is the hub or adapter there?"
         steps.append(failed("bus", f"{error}: {hint}", error))
 
 
 def _traffic(site: Site, frames: list[BusFrame], facts: dict[str, Any]) -> Step:
     ids = {(frame.id, frame.extended) for frame in frames}
-    facts["frames"], facts["ids"] = len(frames), len(ids)
+    facts["heard"], facts["ids"] = len(frames), len(ids)
     if frames:
         return ok("traffic", f"{len(frames)} frames of {len(ids)} ids in {LISTEN_S:g} s")
     said = f"no frame in {LISTEN_S:g} s: another bit rate, no device on the bus, or one that speaks only when asked"

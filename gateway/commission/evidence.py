@@ -11,7 +11,6 @@ from typing import Any
 from drivers.tap import Frame, Medium
 from gateway.commission.pcap import PcapWriter
 
-
 _GREETING = 64
 
 

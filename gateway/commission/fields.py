@@ -2,6 +2,9 @@
 
 from collections.abc import Mapping
 
+from gateway.block import NO_NUMBER, NO_TEMPERATURE
+from gateway.devices import BlockField, WritebackLayout
+
 MEANINGS: Mapping[str, tuple[str, str]] = {
     "layout_version": ("", "the layout of this block"),
     "sequence": ("", "counts blocks, 0 to 65535"),
@@ -30,6 +33,12 @@ MEANINGS: Mapping[str, tuple[str, str]] = {
 }
 """Unit and meaning by the field's name."""
 
+FRAME = frozenset({"layout_version", "sequence", "heartbeat", "validity", "crc", "sequence_copy"})
+"""The fields by which a block is checked."""
+
+ALWAYS_KNOWN = FRAME | {"alarms", "model_hash"}
+"""Fields without a word for "not known"."""
+
 ALARM_BITS = ("OverLimit", "PredictedOverLimit", "AnomalyFound", "Drift", "InputsBad", "Review", "DeviceFault")
 """The alarm word's bits from bit 0, by the names of the function block's outputs."""
 
@@ -48,3 +57,10 @@ def described(name: str) -> str:
     """Meaning and unit of a field in one phrase."""
     unit, meaning = MEANINGS[name]
     return f"{meaning} ({unit})" if unit else meaning
+
+
+def unknown_word(field: BlockField, layout: WritebackLayout) -> int:
+    """The word by which a field says "not known", for one that can."""
+    if field.name.startswith("minutes_"):
+        return layout.unknown
+    return NO_TEMPERATURE if field.signed else NO_NUMBER

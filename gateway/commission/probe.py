@@ -21,6 +21,7 @@ from gateway.commission.network import (
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.steps import Step, failed, ok, verdict, warning
 from gateway.commission.target import Target
+from gateway.commission.through import mention_gateway
 
 CONNECT_S = 3.0
 ROUND_TRIPS = 10
@@ -35,6 +36,7 @@ async def probe(site: Site) -> Outcome:
     """Every step to the device, who it is, and which tables it offers. Sends reads only."""
     steps: list[Step] = []
     facts: dict[str, Any] = {}
+    mention_gateway(site)
     if site.target.driver == "modbus":
         await _probe_modbus(site, steps, facts)
     else:
@@ -113,7 +115,8 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[Step]) -> Regis
             return None
         steps.append(ok("modbus", f"unit {unit} answers in {_ms(begun)}, with a refusal: {error}"))
     except ReplyTimeout as error:
-        steps.append(failed("modbus", await _silent(site, survey, unit), error))
+        sentence, kind = await _silent(site, survey, unit, error)
+        steps.append(failed("modbus", sentence, kind))
         return None
     except ReplyMismatch as error:
         steps.append(failed("modbus", f"{error}: what answers does not keep to the protocol", LinkDown(str(error))))
@@ -134,20 +137,24 @@ def _strange(site: Site, error: LinkDown) -> str:
     return str(error)
 
 
-async def _silent(site: Site, survey: AsksRegisters, unit: int) -> str:
-    """Connected and no reply: another unit, another protocol, or nothing at all."""
+async def _silent(
+    site: Site, survey: AsksRegisters, unit: int, error: ReplyTimeout
+) -> tuple[str, ReplyTimeout | LinkDown]:
+    """Connected and no reply: another unit, another protocol, or nothing at all. The sentence, and its kind."""
     settings = site.target.settings
     said = await _with_others(survey, unit, f"unit {unit} does not answer")
     if "give --unit" in said or site.target.kind not in ("modbus", "modbus-rtu-tcp"):
-        return said
+        return said, error
     received = site.evidence.greeting or await greeting_of(str(settings["host"]), port_of(settings))
     if looks_like(received):
-        return not_modbus(port_of(settings), received)
+        sentence = not_modbus(port_of(settings), received)
+        return sentence, LinkDown(sentence)
     other = "modbus-rtu-tcp" if site.target.kind == "modbus" else "modbus"
-    return (
+    sentence = (
         f"{said}: the port takes connections and answers no request; is it a Modbus port, is the device busy with "
         f"another client, or does it want other frames (--link {other})? `decanter plc scan units` tries all units"
     )
+    return sentence, error
 
 
 async def _with_others(survey: AsksRegisters, unit: int, said: str) -> str:

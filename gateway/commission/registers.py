@@ -13,6 +13,7 @@ from gateway.cli.output import Exit
 from gateway.commission.addresses import Register
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.register_map import RegisterMap, Stretch, search
+from gateway.commission.through import mention_gateway
 
 Progress = Callable[[str, float], None]
 MOST_REGISTERS, MOST_BITS = 125, 2000
@@ -85,6 +86,7 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
 
     Blocks asked again after silence, and canaries that tell silence from absence, come on top of the budget.
     """
+    mention_gateway(site)
     most = min(MOST_BITS if first.is_bit else MOST_REGISTERS, int(site.target.settings.get("max_registers", 2000)))
     async with open_registers(site.target.settings, clock=time.time) as survey:
         asking = _Asking(survey, first.table)

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from drivers.tag import DType, Order, Tag
-from gateway.block import NO_NUMBER, NO_TEMPERATURE
-from gateway.commission.fields import ALARM_BITS, ALARM_MEANINGS, described
+from gateway.commission.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, FRAME, described, unknown_word
 from gateway.devices import BlockField, DeviceMap, WritebackLayout
 
 if TYPE_CHECKING:
@@ -28,8 +27,6 @@ REFUSALS: Mapping[str, int] = {
 }
 """The contract's reasons and their numbers; a map's labels of LastRefusal may number them differently."""
 
-_FRAME = frozenset({"layout_version", "sequence", "heartbeat", "validity", "crc", "sequence_copy"})
-_ALWAYS_KNOWN = frozenset({"alarms", "model_hash"})
 _KEYS = {"accepted": "none", "layout": "layout version", "torn": "sequence and its copy differ", "checksum": "CRC"}
 _STILL = "heartbeat did not change"
 _SWAPPED = (Order.BADC, Order.DCBA)
@@ -101,7 +98,7 @@ def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, A
     """All that the function block's template asks for."""
     codes = refusal_codes(device)
     index = {field.name: place for place, field in enumerate(layout.fields)}
-    outputs = [_output(field, place, layout) for place, field in enumerate(layout.fields) if field.name not in _FRAME]
+    outputs = [_output(field, place, layout) for place, field in enumerate(layout.fields) if field.name not in FRAME]
     advice = next((one for one in outputs if one["name"] == "p_limit"), None)
     return {
         "name": name,
@@ -113,7 +110,7 @@ def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, A
         "timer": round(layout.timeout * 1000),
         "reasons": ", ".join(f"{codes[reason]} {reason}" for reason in REFUSALS if reason != "length or start"),
         "codes": {key: codes[reason] for key, reason in (*_KEYS.items(), ("still", _STILL))},
-        **{field: {"index": index[field], "output": _camel(field)} for field in _FRAME},
+        **{field: {"index": index[field], "output": _camel(field)} for field in FRAME},
         "outputs": outputs,
         "alarm_bits": _alarm_bits(index),
         "advises": advice is not None,
@@ -125,14 +122,13 @@ def _output(field: BlockField, place: int, layout: WritebackLayout) -> dict[str,
     kind = "INT" if field.signed else "UINT"
     plain = f"WORD_TO_{kind}(Words[{place}])"
     whole = field.scale == 1.0
-    unknown = layout.unknown if field.name.startswith("minutes_") else NO_TEMPERATURE if field.signed else NO_NUMBER
     return {
         "name": field.name,
         "index": place,
         "output": _camel(field.name),
         "type": kind if whole else "REAL",
         "expression": plain if whole else f"{kind}_TO_REAL({plain}) * {_real(field.scale)}",
-        "unknown": "" if field.name in _ALWAYS_KNOWN else f"{unknown:04X}",
+        "unknown": "" if field.name in ALWAYS_KNOWN else f"{unknown_word(field, layout):04X}",
         "note": described(field.name),
     }
 

@@ -10,6 +10,7 @@ from gateway.cli.output import Exit
 from gateway.commission.bus_probe import HEARTBEAT, STATES, identity_of
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.probe import first_register
+from gateway.commission.through import mention_gateway
 
 Progress = Callable[[str, float], None]
 UNIT_S = 0.25
@@ -20,6 +21,7 @@ _BEHIND_GATEWAY = frozenset({10, 11})
 
 async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> Outcome:
     """Every unit asked once, and once more if silent; a refusal is an answer too, except a gateway's own."""
+    mention_gateway(site)
     given = site.target.settings
     hurried = {"timeout": given.get("timeout", UNIT_S)}
     if site.target.kind.startswith("modbus-rtu"):

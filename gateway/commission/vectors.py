@@ -17,6 +17,7 @@ from gateway.devices import WritebackLayout
 FORMAT = 1
 FLIPS = 24
 _USABLE = Validity(31)
+_VERSION, _CHECKSUM, _STILL = ("layout version",), ("CRC",), ("heartbeat did not change",)
 _CALM: Mapping[str, float | None] = {
     "input_quality": 0.0,
     "age": 0.3,
@@ -93,8 +94,12 @@ class _Story:
         }.get(name, "CRC")
 
 
-def vectors(layout: WritebackLayout, seed: int = 0) -> tuple[Step, ...]:
-    """The steps for a layout; the turned bits are drawn from `seed`."""
+def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple[Step, ...]:
+    """The steps for a layout; `flips` turned bits are drawn from `seed`.
+
+    Before each block that is to be refused a whole one is accepted, so that the timer has not run out meanwhile,
+    however slowly the PLC is asked.
+    """
     story = _Story(layout, seed)
     return (
         Step("once the timer has run out nothing is usable", wait_s=1.3 * layout.timeout, permit=True),
@@ -104,25 +109,31 @@ def vectors(layout: WritebackLayout, seed: int = 0) -> tuple[Step, ...]:
         *_permit(story),
         *_timer(story, layout.timeout),
         *_ends(story),
-        *_turned(story),
+        *_turned(story, flips),
     )
+
+
+def _whole(story: _Story) -> Step:
+    return Step("a whole block is accepted", story.block(), accepted=1, usable=True)
 
 
 def _refusals(story: _Story) -> Iterator[Step]:
     version = (story.layout.version + 1) & 0xFFFF
-    still = story.block(beat=False)
     part = story.index["crc"] // 2
-    refused = (
-        ("another layout version", story.bent("layout_version", version, sealed=True), 0, ("layout version",)),
-        ("a torn block", story.bent("sequence_copy", 7), 0, ("sequence and its copy differ",)),
-        ("a changed number", story.bent("validity", 29), 0, ("CRC",)),
-        ("a wrong checksum", story.bent("crc", 4711), 0, ("CRC",)),
-        ("the heartbeat of the last block", still, 0, ("heartbeat did not change",)),
-        ("a part of a block", (0x5AA5,), part, ("length or start", "CRC", "sequence and its copy differ")),
-    )
-    for name, words, offset, reasons in refused:
-        yield Step(f"{name} is refused", words, offset, refused=1, reasons=reasons, usable=True)
-    yield Step("a whole block is accepted after refused ones", story.block(), accepted=1, usable=True)
+    torn = ("sequence and its copy differ",)
+    yield from _refused(story, "another layout version", story.bent("layout_version", version, sealed=True), _VERSION)
+    yield from _refused(story, "a torn block", story.bent("sequence_copy", 7), torn)
+    yield from _refused(story, "a changed number", story.bent("validity", 29), _CHECKSUM)
+    yield from _refused(story, "a wrong checksum", story.bent("crc", 4711), _CHECKSUM)
+    yield from _refused(story, "the heartbeat of the last block", story.block(beat=False), _STILL)
+    reasons = ("length or start", *_CHECKSUM, *torn)
+    yield Step("a part of a block is refused", (0x5AA5,), part, refused=1, reasons=reasons, usable=True)
+    yield _whole(story)
+
+
+def _refused(story: _Story, name: str, words: tuple[int, ...], reasons: tuple[str, ...]) -> Iterator[Step]:
+    yield Step(f"{name} is refused", words, refused=1, reasons=reasons, usable=True)
+    yield _whole(story)
 
 
 def _validity(story: _Story) -> Iterator[Step]:
@@ -134,21 +145,24 @@ def _validity(story: _Story) -> Iterator[Step]:
 
 def _permit(story: _Story) -> Iterator[Step]:
     yield Step("without the permit nothing is usable", permit=False)
-    yield Step("a block without the permit is not usable", story.block(), accepted=1)
+    yield Step("a block without the permit is not usable", story.block(), permit=False, accepted=1)
     yield Step("with the permit it is", permit=True, usable=True)
 
 
 def _timer(story: _Story, timeout: float) -> Iterator[Step]:
     yield Step("the timer is restarted by a block", story.block(), accepted=1, usable=True)
-    yield Step("the timer still runs after 70 % of its time", wait_s=0.7 * timeout, usable=True)
-    yield Step("the timer has run out after 130 % of its time", wait_s=0.6 * timeout)
+    yield Step("the timer still runs after half its time", wait_s=0.5 * timeout, usable=True)
+    yield Step("the timer has run out after 130 % of its time", wait_s=0.8 * timeout)
     yield Step("a block brings it back", story.block(), accepted=1, usable=True)
-    still = story.block(beat=False)
-    reasons = ("heartbeat did not change",)
     yield Step(
-        "a heartbeat that stands still is refused", still, wait_s=0.7 * timeout, refused=1, reasons=reasons, usable=True
+        "a heartbeat that stands still is refused",
+        story.block(beat=False),
+        wait_s=0.5 * timeout,
+        refused=1,
+        reasons=_STILL,
+        usable=True,
     )
-    yield Step("a refused block does not restart the timer", wait_s=0.6 * timeout)
+    yield Step("a refused block does not restart the timer", wait_s=0.8 * timeout)
     yield Step("the next whole block does", story.block(), accepted=1, usable=True)
 
 
@@ -167,8 +181,9 @@ def _ends(story: _Story) -> Iterator[Step]:
     yield Step("a gateway that begins anew is accepted", story.block(), accepted=1, usable=True)
 
 
-def _turned(story: _Story) -> Iterator[Step]:
-    for number in range(1, FLIPS + 1):
+def _turned(story: _Story, flips: int) -> Iterator[Step]:
+    for number in range(1, flips + 1):
+        yield _whole(story)
         words, reason = story.flipped()
         yield Step(f"one turned bit is refused ({number})", words, refused=1, reasons=(reason,), usable=True)
     yield Step("the last whole block is accepted", story.block(), accepted=1, usable=True)

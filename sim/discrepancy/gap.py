@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim.discrepancy.augment import process_noise
 from sim.discrepancy.fit import Fitted
 from sim.discrepancy.held_out import by_cycles, let_run
 from sim.discrepancy.record import Record
@@ -15,6 +16,8 @@ from sim.sha.trace import Trace
 WIDE, MOSTLY, SHARE = 1.5, 1.2, 0.2
 """A gap: the median cycle is so many times as far off as the model's own noise allows, and all but this share of the
 cycles at least so many times."""
+ROUGHER, FELT = 3.3, 0.75
+"""A gap as well: heat so many times as rough, that moves the temperature by so many sensor sigmas (stationary rms)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,16 +25,30 @@ class Excess:
     """Of the fitted cycles: the free run's error over the given model's own spread, the median and the lower fifth.
 
     Roughness that the model has learned counts as its spread, so a rough plant has no excess; a heat that came after it
-    was learned has, even where nothing measured says what it is.
+    was learned has, even where nothing measured says what it is. `rougher` is the fit's process noise over the given
+    model's (0 where it is too little to matter).
     """
 
     median: float
     low: float
+    rougher: float
+
+    @property
+    def wide(self) -> bool:
+        """True where the model's noise does not cover its errors."""
+        return self.median >= WIDE and self.low >= MOSTLY
 
     @property
     def there(self) -> bool:
-        """True where the model's noise does not cover its errors."""
-        return self.median >= WIDE and self.low >= MOSTLY
+        """True where there is a gap: the errors are too great, or the heat is rougher than the model has learned."""
+        return self.wide or self.rougher >= ROUGHER
+
+    @property
+    def words(self) -> str:
+        """What is too much, in a sentence."""
+        if self.wide:
+            return f"the free run is {self.median:.1f} times as far off as the model's own noise allows"
+        return f"the heat is {self.rougher:.1f} times as rough as the model has learned"
 
 
 def excess(fitted: Fitted, spread: float) -> Excess | None:
@@ -41,7 +58,20 @@ def excess(fitted: Fitted, spread: float) -> Excess | None:
     trial = let_run(fitted, by_cycles(fitted.frame.record))
     count = np.bincount(trial.order)
     ratio = np.sqrt(np.bincount(trial.order, trial.residual**2) / np.maximum(count, 1)) / spread
-    return Excess(float(np.median(ratio)), float(np.quantile(ratio, SHARE)))
+    return Excess(float(np.median(ratio)), float(np.quantile(ratio, SHARE)), rougher(fitted))
+
+
+def rougher(fitted: Fitted) -> float:
+    """The fit's process noise, rough heat included, over the given model's own; 0 where it hardly moves the sensor."""
+    flows = [location.flow for location in fitted.frame.record.model.sha.locations if location.flow.kind != "constant"]
+    own = [flow.params["noise"] for flow in flows if flow.params.get("noise", 0.0) > 0]
+    rates = [flow.params["k"] for flow in flows if flow.params.get("k", 0.0) > 0]
+    if not own or not rates:
+        return 0.0
+    rate = float(np.median(rates))
+    noise = process_noise(fitted, rate)
+    moves = noise / np.sqrt(2.0 * rate)
+    return noise / float(np.median(own)) if moves >= FELT * fitted.sensor_sigma else 0.0
 
 
 def spread_of(model: Model, traces: Sequence[Trace], fitted: Fitted) -> float:

@@ -134,7 +134,7 @@ def doubts(
 
 def left_over(found: Found, before: Excess | None, after: Excess | None) -> tuple[str, ...]:
     """Why names without a clear gain are withheld: the model's own noise did not cover its errors, nor does it now."""
-    if not found.taken or before is None or after is None or not before.there:
+    if not found.taken or before is None or after is None or not before.wide:
         return ()
     if _greatest_gain(found) >= BEYOND_DOUBT or after.median < MOSTLY_COVERED:
         return ()
@@ -159,7 +159,7 @@ def verdict_of(
     if systematic(before) and before is not None and before.p <= SURELY:
         return "unexplained", ("a free learner predicts heat on cycles that it has not seen",)
     if beyond is not None and beyond.there:
-        return "unexplained", (f"the free run is {beyond.median:.1f} times as far off as the model's own noise allows",)
+        return "unexplained", (beyond.words,)
     return "agree", ()
 
 

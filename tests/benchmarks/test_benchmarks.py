@@ -64,6 +64,7 @@ def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> N
         ("simulation", ("--quick",)),
         ("can", ("--quick",)),
         ("can_logs", ("--quick", "--repeats", "1")),
+        ("guess", ("--cases", "10")),
     ],
 )
 def test_a_benchmark_prints_its_figures_as_json(name: str, options: Sequence[str]) -> None:

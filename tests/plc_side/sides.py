@@ -1,6 +1,6 @@
 """The PLCs that the conformance suite is put to: the emulator's program, and the generated Structured Text."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from gateway.commission.conformance import Account
@@ -44,9 +44,9 @@ class Emulated:
 class Compiled:
     """The generated example program in its interpreter: registers in, registers out, as a soft PLC has them."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, change: Callable[[str], str] = lambda text: text) -> None:
         self.device = load_device(path)
-        text = Text(generate(self.device, "GATEWAY_BLOCK", Program()))
+        text = Text(change(generate(self.device, "GATEWAY_BLOCK", Program())))
         self.program: Instance = text.new("GATEWAY_BLOCK_MAIN")
         self.by_place = {place: name for name, place in self.program.places.items()}
         self.ms = 0

@@ -1,0 +1,226 @@
+"""Tables that people make, CSV or XLSX, as rows of text with the line they come from."""
+
+import csv
+import io
+import re
+import unicodedata
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+HEADER_WITHIN = 40
+"""So many lines of titles may stand above the header."""
+_DELIMITERS = ";,\t|"
+_PLAIN = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d{1,2})?", re.IGNORECASE)
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:(?P<group>[.,'])\d{3})(?:(?P=group)\d{3})*(?P<rest>[.,]\d*)?")
+_ENCODINGS = ("utf-8-sig", "cp1252", "latin-1")
+
+
+class ListError(ValueError):
+    """The list cannot be used; the message says why and what would be right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One row: its line in the file (1..) and its cells by the names of the columns that were recognised."""
+
+    number: int
+    cells: Mapping[str, str]
+
+    def get(self, column: str) -> str:
+        """The cell without the spaces around it; "" where the column or the cell is not there."""
+        return self.cells.get(column, "").strip()
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """A list as it was read: which header each column was recognised by, those that were not, and the rows."""
+
+    path: Path
+    header_line: int
+    columns: Mapping[str, str]
+    ignored: tuple[str, ...]
+    lines: tuple[Line, ...]
+
+    def where(self, line: Line, column: str = "") -> str:
+        """File, line and the column's own header, to begin a sentence with."""
+        header = self.columns.get(column, "")
+        return f"{self.path}: line {line.number}" + (f", {header!r}" if header else "")
+
+
+def read_sheet(
+    path: Path,
+    synonyms: Mapping[str, Sequence[str]],
+    needed: Sequence[str],
+    *,
+    given: Mapping[str, str] | None = None,
+    sheet: str | None = None,
+) -> Sheet:
+    """The list in `path`. The header is the first line that has every `needed` column.
+
+    `synonyms` has the words by which each column is recognised; `given` (column -> header) wins over them. Raises
+    ListError, in one sentence, for a file that cannot be read and for a header that is not found.
+    """
+    rows = list(_rows(path, sheet))
+    given = dict(given or {})
+    for place, (number, cells) in enumerate(rows[:HEADER_WITHIN]):
+        columns = _recognised(cells, synonyms, given)
+        if all(name in columns for name in (*needed, *given)):
+            used = set(columns.values())
+            ignored = tuple(cell.strip() for at, cell in enumerate(cells) if at not in used and cell.strip())
+            lines = tuple(
+                Line(line, {name: row[at] for name, at in columns.items() if at < len(row)})
+                for line, row in rows[place + 1 :]
+                if any(cell.strip() for cell in row)
+            )
+            return Sheet(path, number, {name: cells[at].strip() for name, at in columns.items()}, ignored, lines)
+    _check_given(path, rows[:HEADER_WITHIN], given)
+    raise ListError(_no_header(path, rows, synonyms, needed))
+
+
+def _no_header(
+    path: Path, rows: list[tuple[int, list[str]]], synonyms: Mapping[str, Sequence[str]], needed: Sequence[str]
+) -> str:
+    if not rows:
+        return f"{path}: is empty; give a list with a header and one row a tag"
+    found = ", ".join(repr(cell.strip()) for cell in rows[0][1] if cell.strip())
+    wanted = " and ".join(f"{name} ({', '.join(synonyms[name][:4])}, ...)" for name in needed)
+    return (
+        f"{path}: no header was recognised in the first {HEADER_WITHIN} lines: the list needs a column for {wanted}; "
+        f"its line {rows[0][0]} has {found}; say which is which, as --column {needed[0]}=HEADER"
+    )
+
+
+def _check_given(path: Path, rows: Sequence[tuple[int, list[str]]], given: Mapping[str, str]) -> None:
+    known = {key_of(cell) for _, cells in rows for cell in cells}
+    for name, header in given.items():
+        if rows and key_of(header) not in known:
+            listed = ", ".join(repr(cell.strip()) for cell in rows[0][1] if cell.strip())
+            raise ListError(f"{path}: no column is called {header!r} (--column {name}); line {rows[0][0]} has {listed}")
+
+
+def _recognised(
+    cells: Sequence[str], synonyms: Mapping[str, Sequence[str]], given: Mapping[str, str]
+) -> dict[str, int]:
+    """Column -> its place: the given header, else the exact synonym that comes first in the table, else one within.
+
+    A header is used once; a synonym is found within a header as whole words only.
+    """
+    keys = [key_of(cell) for cell in cells]
+    taken: dict[str, int] = {}
+    for name, header in given.items():
+        if (wanted := key_of(header)) in keys:
+            taken[name] = keys.index(wanted)
+    for exactly in (True, False):
+        for name, words in synonyms.items():
+            place = _place(keys, words, set(taken.values()), exactly=exactly)
+            if name not in taken and place is not None:
+                taken[name] = place
+    return dict(sorted(taken.items(), key=lambda item: item[1]))
+
+
+def _place(keys: Sequence[str], words: Sequence[str], used: set[int], *, exactly: bool) -> int | None:
+    for word in words:
+        for at, key in enumerate(keys):
+            if at not in used and key and (key == word if exactly else f" {word} " in f" {key} "):
+                return at
+    return None
+
+
+def key_of(text: str) -> str:
+    """A header without case, accents and signs: `Unità di misura [°C]` is `unita di misura c`."""
+    plain = unicodedata.normalize("NFKD", text.casefold())
+    letters = (char if char.isalnum() else " " for char in plain if not unicodedata.combining(char))
+    return " ".join("".join(letters).split())
+
+
+# ---------------------------------------------------------------- files
+
+
+def _rows(path: Path, sheet: str | None) -> Iterator[tuple[int, list[str]]]:
+    """Every row with its line. Raises ListError."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ListError(
+            f"{path}: cannot be read ({(error.strerror or str(error)).lower()}); give a CSV or XLSX file"
+        ) from None
+    if data[:2] == b"PK":
+        yield from _xlsx_rows(path, data, sheet)
+        return
+    if data[:4] == b"\xd0\xcf\x11\xe0":
+        raise ListError(f"{path}: is an old Excel file (.xls); save it as .xlsx or .csv")
+    yield from _csv_rows(path, _text(data))
+
+
+def _text(data: bytes) -> str:
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", errors="replace")
+    for encoding in _ENCODINGS:
+        try:
+            return data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    return data.decode("latin-1")
+
+
+def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter_of(text))
+    try:
+        before = 0
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                yield before + 1, row
+            before = reader.line_num
+    except csv.Error as error:
+        raise ListError(f"{path}: line {reader.line_num}: is not CSV ({error}); correct that line") from None
+
+
+def delimiter_of(text: str) -> str:
+    """What separates the cells: the sign that divides the most lines into the same number of two cells or more."""
+    lines = [line for line in text.splitlines() if line.strip()][:HEADER_WITHIN]
+
+    def evidence(delimiter: str) -> tuple[int, int]:
+        counts = [len(row) for row in csv.reader(lines, delimiter=delimiter)]
+        most = max(counts, default=1)
+        return (counts.count(most), most) if most > 1 else (0, 0)
+
+    return max(_DELIMITERS, key=evidence)
+
+
+def _xlsx_rows(path: Path, data: bytes, sheet: str | None) -> Iterator[tuple[int, list[str]]]:
+    from openpyxl import load_workbook
+    from openpyxl.utils.exceptions import InvalidFileException
+
+    try:
+        book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
+    except (InvalidFileException, zipfile.BadZipFile, KeyError, ValueError) as error:
+        raise ListError(f"{path}: is no XLSX workbook ({error}); save it as .xlsx or .csv") from None
+    if sheet is not None and sheet not in book.sheetnames:
+        raise ListError(f"{path}: has no sheet {sheet!r}; it has {', '.join(map(repr, book.sheetnames))}")
+    page = book[sheet] if sheet is not None else book.worksheets[0]
+    for number, row in enumerate(page.iter_rows(values_only=True), start=1):
+        cells = [_cell(value) for value in row]
+        if any(cells):
+            yield number, cells
+
+
+def _cell(value: object) -> str:
+    """A cell as it would be typed: a whole number without a fraction, nothing as ""."""
+    if value is None:
+        return ""
+    if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
+        return str(int(value))
+    return str(value)
+
+
+def number_of(text: str) -> float:
+    """`0,1`, `0.1`, `1.234,5` and `1,234.5` as numbers; a single comma is a decimal one. Raises ValueError."""
+    plain = "".join(text.split()).replace("\u2212", "-")
+    match = _GROUPED.fullmatch(plain)
+    if match and (match["rest"] or match["group"] == "'" or plain.count(match["group"]) > 1):
+        plain = plain.removesuffix(match["rest"] or "").replace(match["group"], "") + (match["rest"] or "")
+    elif not _PLAIN.fullmatch(plain):
+        raise ValueError(f"{text!r} is no number")
+    return float(plain.replace(",", "."))

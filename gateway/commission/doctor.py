@@ -1,0 +1,165 @@
+"""Is this machine fit for the plant: clock, network, serial ports, CAN, disk, files. Nothing is sent to any device."""
+
+import asyncio
+import ctypes
+import os
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+from drivers.driver import Cautions
+from drivers.errors import LinkDown
+from gateway.commission.network import addresses_of, local_end
+from gateway.commission.outcome import Outcome, Site
+from gateway.commission.records import RecordsError, broken_at, versions
+from gateway.commission.steps import Step, failed, ok, verdict, warning
+from gateway.commission.target import Target
+from gateway.commission.through import running_gateway
+
+LEAST_FREE_MB = 500
+OLDEST = 1_735_689_600.0
+"""2025-01-01: a clock before it was never set."""
+_ARPHRD_CAN = "280"
+_STA_UNSYNC = 0x40
+_NET = Path("/sys/class/net")
+
+
+async def doctor(site: Site, records: Path) -> Outcome:
+    """All checks of this machine, and of what the command's options name."""
+    target, found = site.target, versions()
+    steps = [ok("software", ", ".join(f"{name} {number}" for name, number in found.items()))]
+    steps += [_clock(), _network(), _disk(records.parent), _records(records), _can(target)]
+    steps += await asyncio.to_thread(_serial_ports, target)
+    if "host" in target.settings:
+        steps.append(await _host(str(target.settings["host"])))
+    steps += _files(target)
+    code, complaint = verdict(steps)
+    return Outcome({"steps": [step.plain() for step in steps], "versions": found}, code, complaint)
+
+
+class _Timex(ctypes.Structure):
+    """struct timex of Linux (sys/timex.h) up to its status, and room for the rest."""
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("freq", ctypes.c_long),
+        ("maxerror", ctypes.c_long),
+        ("esterror", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_byte * 256),
+    )
+
+
+def clock_error() -> float | None:
+    """How far the clock may be from UTC in seconds, as the kernel estimates it; None if nothing steers it."""
+    try:
+        adjtimex = ctypes.CDLL(None).adjtimex
+    except (OSError, AttributeError):
+        return None
+    state = _Timex()
+    if adjtimex(ctypes.byref(state)) < 0 or state.status & _STA_UNSYNC:
+        return None
+    return float(state.maxerror) * 1e-6
+
+
+def _clock() -> Step:
+    now = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime())
+    if time.time() < OLDEST:
+        return failed("clock", f"it is {now} by this machine's clock, which was never set: set it before anything else")
+    error = clock_error()
+    if error is None:
+        said = f"{now}, and no time server steers this clock: compare it with the HMI's, and set up NTP"
+        return warning("clock", said)
+    return ok("clock", f"{now}, steered by a time server, wrong by {1e3 * error:.0f} ms at most")
+
+
+def _network() -> Step:
+    links = [path for path in sorted(_NET.glob("*")) if path.name != "lo" and _word(path / "type") != _ARPHRD_CAN]
+    up = [path.name for path in links if _word(path / "operstate") == "up"]
+    down = [path.name for path in links if path.name not in up]
+    said = f"up: {', '.join(up) or 'none'}" + (f"; not up: {', '.join(down)}" if down else "")
+    return ok("network", said) if up else warning("network", f"no network interface is up ({said})")
+
+
+async def _host(host: str) -> Step:
+    """The way to the device, without asking it anything."""
+    try:
+        address = (await addresses_of(host))[0]
+        return ok("way", f"{host} is {address}, reached from {local_end(address)}")
+    except (OSError, UnicodeError) as error:
+        sentence = f"there is no way from here to {host!r} ({error}): check the name, the address and the network"
+        return failed("way", sentence, LinkDown(sentence))
+
+
+def _disk(folder: Path) -> Step:
+    place = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    free = shutil.disk_usage(place).free / 1e6
+    said = f"{free:,.0f} MB free at {place}"
+    return ok("disk", said) if free >= LEAST_FREE_MB else failed("disk", f"only {said}: records and history need room")
+
+
+def _records(path: Path) -> Step:
+    if not path.is_file() or not path.stat().st_size:
+        return ok("records", f"{path}: begins with this command")
+    try:
+        line = broken_at(path)
+    except RecordsError as error:
+        return failed("records", str(error))
+    if line is not None:
+        return failed("records", f"{path}: line {line} does not follow the one before it: the file was changed")
+    return ok("records", f"{path}: unbroken")
+
+
+def _can(target: Target) -> Step:
+    found = [path.name for path in sorted(_NET.glob("*")) if _word(path / "type") == _ARPHRD_CAN]
+    up = [name for name in found if _word(_NET / name / "operstate") in ("up", "unknown")]
+    wanted = str(target.settings.get("channel", ""))
+    if target.medium != "can" or target.settings.get("interface", "socketcan") != "socketcan":
+        return ok("can", f"interfaces of the kernel: {', '.join(found) or 'none'}")
+    if wanted not in found:
+        return failed("can", f"there is no CAN interface {wanted!r} here (there are: {', '.join(found) or 'none'})")
+    if wanted not in up:
+        return failed("can", f"{wanted} is down: ip link set {wanted} up type can bitrate ...")
+    return ok("can", f"{wanted} is up")
+
+
+def _serial_ports(target: Target) -> list[Step]:
+    from serial.tools.list_ports import comports
+
+    found = sorted(port.device for port in comports())
+    wanted = str(target.settings.get("serial", ""))
+    if not wanted:
+        return [ok("serial", f"ports: {', '.join(found) or 'none'}")]
+    if not Path(wanted).exists():
+        return [failed("serial", f"there is no {wanted} here (there are: {', '.join(found) or 'none'}): plugged in?")]
+    if not os.access(wanted, os.R_OK | os.W_OK):
+        return [failed("serial", f"this user may not open {wanted}: add it to the port's group (dialout), log in anew")]
+    return [ok("serial", f"{wanted} is there and may be opened")]
+
+
+def _files(target: Target) -> list[Step]:
+    """The plant file or device file (which could be read, or this would not run), certificates, a running gateway."""
+    steps: list[Step] = []
+    if target.map is not None:
+        names = ", ".join(map(str, target.files))
+        steps.append(ok("files", f"{names}: {len(target.tags)} tags of driver {target.driver}"))
+    if target.driver == "modbus":
+        driver: Any = target.make_driver()
+        steps += [warning("certificates", said) for said in driver.cautions()] if isinstance(driver, Cautions) else []
+    line = running_gateway(target)
+    if line is not None:
+        try:
+            said = f"one runs with this plant file (pid {line.ask('status')['pid']}): read and watch go through it"
+            steps.append(ok("gateway", said))
+        finally:
+            line.close()
+    return steps
+
+
+def _word(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii", errors="replace").strip()
+    except OSError:
+        return ""

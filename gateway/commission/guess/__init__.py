@@ -1,0 +1,1 @@
+"""Guessing how a value lies in registers from what the HMI shows."""

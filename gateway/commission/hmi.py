@@ -1,0 +1,229 @@
+"""Readings of the HMI beside those of the PLC: lists of them, whether two agree, and when a tag is proved (pure)."""
+
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from drivers.tag import DType, Tag, Value
+from gateway.commission.cells import ListError, Sheet, key_of, read_sheet
+from gateway.commission.guess.reading import ReadingError, parse_shown
+from gateway.commission.io_words import COLUMNS, flag_of
+
+_COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "name": COLUMNS["name"],
+    "value": (
+        *("valore", "value", "valore hmi", "hmi", "hmi value", "lettura", "reading", "letto", "mostrato", "shown"),
+        *("display", "valore letto", "indicazione"),
+    ),
+    "time": (
+        "time",
+        "ora",
+        "data e ora",
+        "date time",
+        "timestamp",
+        "data ora",
+        "orario",
+        "datetime",
+        "when",
+        "istante",
+    ),
+}
+_DATES = ("%d/%m/%Y %H:%M:%S", "%d/%m/%Y %H:%M", "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M")
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?")
+_FLOAT_STEP = {DType.FLOAT32: 2.0**-23, DType.FLOAT64: 2.0**-52}
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What the HMI showed for a tag: as text, at a time (s UTC) or now; `where` is its place in the list."""
+
+    tag: str
+    text: str
+    time: float | None = None
+    where: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One comparison. `tolerance` is by how much the two may differ; `definition` says which place the tag had."""
+
+    tag: str
+    shown: str
+    read: Value | None
+    ok: bool
+    reason: str
+    tolerance: float
+    definition: str
+    time: float
+
+    @property
+    def number(self) -> float | None:
+        """The reading as a number; None for text."""
+        return None if self.read is None or isinstance(self.read, str) else float(self.read)
+
+
+def definition_of(tag: Tag) -> str:
+    """A short hash of where and how the tag lies: what was proved for another place is not proved for this one."""
+    text = repr((tag.address, tag.dtype.value, tag.order.value, tag.scale, tag.offset, tag.bit, tag.length))
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+# ---------------------------------------------------------------- lists
+
+
+def read_hmi_list(path: Path, tags: Sequence[Tag], now: float) -> list[Shown]:
+    """The readings in a list: one row a reading (tag, value, time if any), or one column a tag.
+
+    Times without a date are of the day of `now`, in this machine's time zone. Raises ListError.
+    """
+    known = {key_of(tag.name): tag.name for tag in tags}
+    columns = {tag.name: (key_of(tag.name),) for tag in tags}
+    try:
+        sheet = read_sheet(path, _COLUMNS, ("name", "value"))
+    except ListError as error:
+        wide = _wide(path, columns)
+        if wide is None:
+            raise error from None
+        return _shown_wide(wide, now)
+    found = []
+    for line in sheet.lines:
+        name, text = line.get("name"), line.get("value")
+        if key_of(name) not in known:
+            raise ListError(
+                f"{sheet.where(line, 'name')}: {name!r} is no tag of the device file; give one of its names"
+            )
+        if text:
+            when = _time(sheet.where(line, "time"), line.get("time"), now)
+            found.append(Shown(known[key_of(name)], text, when, sheet.where(line, "value")))
+    return found
+
+
+def _wide(path: Path, columns: Mapping[str, tuple[str, ...]]) -> Sheet | None:
+    """The list with a column a tag: the tags that it has columns of; None where it has none."""
+    for name in columns:
+        try:
+            return read_sheet(path, {"time": _COLUMNS["time"], **columns}, (name,))
+        except ListError:
+            continue
+    return None
+
+
+def _shown_wide(sheet: Sheet, now: float) -> list[Shown]:
+    found = []
+    for line in sheet.lines:
+        when = _time(sheet.where(line, "time"), line.get("time"), now)
+        names = [name for name in sheet.columns if name != "time" and line.get(name)]
+        found += [Shown(name, line.get(name), when, sheet.where(line, name)) for name in names]
+    return found
+
+
+def _time(where: str, text: str, now: float) -> float | None:
+    """Seconds UTC; None for an empty cell. Raises ListError."""
+    if not text:
+        return None
+    if match := _CLOCK.fullmatch(text):
+        today = datetime.fromtimestamp(now).astimezone()
+        seconds = float((match[3] or "0").replace(",", "."))
+        hour, minute = int(match[1]), int(match[2])
+        if hour < 24 and minute < 60 and seconds < 60:
+            return today.replace(hour=hour, minute=minute, second=0, microsecond=0).timestamp() + seconds
+    for form in _DATES:
+        try:
+            return datetime.strptime(text, form).astimezone().timestamp()
+        except ValueError:
+            continue
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    try:
+        return datetime.fromisoformat(text).astimezone().timestamp()
+    except ValueError:
+        raise ListError(
+            f"{where}: {text!r} is no time; give 14:30:05, 2026-03-01 14:30:05 or 01/03/2026 14:30"
+        ) from None
+
+
+# ---------------------------------------------------------------- comparing
+
+
+def compare(tag: Tag, shown: Shown, values: Sequence[Value], now: float, slack: float = 0.0) -> Point:
+    """Whether the HMI's reading agrees with one of the PLC's, or lies between them while the value moves.
+
+    A number may be off by one step of its last digit (an HMI rounds, or cuts), half a step of the raw value, and
+    `slack` in engineering units. Raises ListError for a text that is nothing such a tag shows.
+    """
+    wanted, tolerance = _meaning(tag, shown, slack)
+    ok, read, reason = _agreement(wanted, values, tolerance, tag)
+    return Point(tag.name, shown.text, read, ok, reason, tolerance, definition_of(tag), now)
+
+
+def _meaning(tag: Tag, shown: Shown, slack: float) -> tuple[Value, float]:
+    """What the text says, and the tolerance."""
+    key = key_of(shown.text)
+    if tag.dtype is DType.STRING:
+        return shown.text, 0.0
+    for number, label in tag.labels.items():
+        if key_of(label) == key:
+            return number, 0.0
+    if tag.dtype is DType.BOOL or tag.bit is not None:
+        flag = flag_of(key)
+        if flag is None:
+            raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no state; give 1 or 0, on or off")
+        return flag, 0.0
+    try:
+        said = parse_shown(shown.text)
+    except ReadingError as error:
+        raise ListError(f"{shown.where or tag.name}: {error}") from None
+    if isinstance(said, bool):
+        raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no number; give it as the HMI shows it")
+    raw = abs(said.value) * _FLOAT_STEP[tag.dtype] if tag.dtype in _FLOAT_STEP else abs(tag.scale) / 2
+    return said.value, said.step * 1.000001 + raw + slack
+
+
+def _agreement(wanted: Value, values: Sequence[Value], tolerance: float, tag: Tag) -> tuple[bool, Value | None, str]:
+    if not values:
+        return False, None, "there is no good reading of the PLC at that time"
+    if isinstance(wanted, str | bool) or any(isinstance(value, str | bool) for value in values):
+        ok = wanted in values
+        return ok, wanted if ok else values[-1], "" if ok else f"the PLC has {values[-1]!r}"
+    numbers = [float(value) for value in values if not isinstance(value, str)]
+    nearest = min(numbers, key=lambda value: abs(value - wanted))
+    ok = min(numbers) - tolerance <= wanted <= max(numbers) + tolerance
+    off = f"the PLC has {nearest:.6g} {tag.unit}".rstrip()
+    return ok, nearest, "" if ok else f"{off}, {nearest - wanted:+.4g} off; may be {tolerance:.2g}"
+
+
+# ---------------------------------------------------------------- proof
+
+
+def left_to_do(tag: Tag, points: Sequence[Point]) -> str:
+    """What is missing until the tag is proved ("": nothing): two distinct values of a number, both states of a flag."""
+    own = [one for one in points if one.tag == tag.name and one.ok and one.definition == definition_of(tag)]
+    if tag.dtype is DType.STRING:
+        return "" if own else "not compared yet"
+    if not own:
+        return "not compared yet"
+    if tag.dtype is DType.BOOL or tag.bit is not None:
+        states = {bool(one.read) for one in own}
+        return "" if len(states) == 2 else f"seen {'on' if True in states else 'off'} only"
+    numbers = sorted((one.number or 0.0, one.tolerance) for one in own)
+    low, high = numbers[0], numbers[-1]
+    if high[0] - low[0] > low[1] + high[1]:
+        return ""
+    return f"compared at {low[0]:.6g} only"
+
+
+def points_of(result: Mapping[str, Any]) -> list[Point]:
+    """The comparisons in the record of an earlier `verify`; what is none is left out."""
+    found = []
+    for plain in result.get("points", ()):
+        try:
+            found.append(Point(**{key: plain[key] for key in Point.__dataclass_fields__}))
+        except (KeyError, TypeError):
+            continue
+    return found

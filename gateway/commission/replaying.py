@@ -1,0 +1,174 @@
+"""`replay` at work: a recording through the whole gateway in shadow, on a clock that runs as fast as it can."""
+
+import asyncio
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from contextlib import aclosing
+from dataclasses import asdict, dataclass, field, replace
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from drivers.driver import Driver, open_driver
+from gateway.commission.outcome import Outcome, Site
+from gateway.commission.recording import Recording
+from gateway.config import Config, HistorianSection, WritebackSection
+from gateway.core import Gateway
+from gateway.log import open_log
+from gateway.quality import Rules
+from gateway.scan import scans
+
+Progress = Callable[[str, float], None]
+GAP_S = 60.0
+"""Of a recording with a longer pause, nothing is known meanwhile."""
+
+
+@dataclass(slots=True)
+class SteppedClock:
+    """A clock that stands still until somebody sleeps, and then is where that one wanted to be."""
+
+    time: float
+    speed: float = 1.0
+
+    def now(self) -> float:
+        """Plant time (s)."""
+        return self.time
+
+    async def sleep_until(self, moment: float) -> None:
+        """Be at that moment, after other tasks had their turn."""
+        await asyncio.sleep(0)
+        self.time = max(self.time, moment)
+
+
+@dataclass(slots=True)
+class Seen:
+    """What the gateway did on the way."""
+
+    scans: int = 0
+    not_good: Counter[str] = field(default_factory=Counter)
+    alarms: list[dict[str, Any]] = field(default_factory=list)
+    locations: Counter[str] = field(default_factory=Counter)
+    zones: Counter[str] = field(default_factory=Counter)
+    valid: int = 0
+    blocks: int = 0
+    states: dict[str, str] = field(default_factory=dict)
+
+    def take(self, gateway: Gateway, time: float) -> None:
+        """One scan, after the gateway has taken it."""
+        self.scans += 1
+        if gateway.last is not None:
+            self.not_good.update(name for name, one in gateway.last.samples.items() if not one.quality.is_good)
+        if gateway.prediction is not None and gateway.predictor is not None:
+            self.locations[gateway.prediction.location if gateway.prediction.known else "not known"] += 1
+            self.zones[gateway.prediction.zone] += 1
+        if gateway.attempt is not None:
+            self.blocks += 1
+            self.valid += bool(int(gateway.attempt.block.validity) & 1)
+        for name, alarm in gateway.alarms.items():
+            if self.states.get(name, "normal") != alarm.state.value:
+                self.alarms.append({"time": time, "alarm": name, "state": alarm.state.value})
+            self.states[name] = alarm.state.value
+
+
+async def replay(site: Site, config: Config, recording: Recording, progress: Progress) -> Outcome:
+    """Let the gateway take the recording as if it came from the PLC; nothing is read, written or kept.
+
+    Raises ConfigError for a model that cannot be used, ValueError for a recording without any tag of the plant.
+    """
+    names = [tag.name for tag in config.map.tags]
+    missing = [name for name in names if name not in recording.columns]
+    if len(missing) == len(names):
+        wanted = ", ".join(names[:5])
+        raise ValueError(f"{recording.path}: has no column of a tag of {config.map.path}; it needs {wanted}, ...")
+    with tempfile.TemporaryDirectory(prefix="decanter-replay-") as folder:
+        kept = Path(folder) / "historian.sqlite"
+        seen = await _through(_shadow(config, kept, missing), recording, progress)
+        data = _data(config, recording, missing, seen, kept)
+    inputs = _needed(config, missing)
+    if inputs:
+        said = f"the recording lacks {', '.join(inputs)}, which the gateway needs: nothing could be predicted"
+        return Outcome(data, 1, said)
+    return Outcome(data)
+
+
+def _shadow(config: Config, kept: Path, missing: list[str]) -> Config:
+    """The configuration with its records elsewhere and nothing to write to; no heartbeat where none was recorded."""
+    first = config.links[0]
+    heartbeat = None if first.map.heartbeat in missing else first.map.heartbeat
+    return replace(
+        config,
+        historian=HistorianSection(path=kept, max_mb=config.historian.max_mb),
+        writeback=WritebackSection(
+            mode="off" if config.map.writeback is None else "shadow",
+            horizon=config.writeback.horizon,
+            audit=kept.with_name("audit.sqlite"),
+        ),
+        log=config.log.model_copy(update={"path": kept.with_name("log.jsonl")}),
+        links=(replace(first, map=replace(first.map, heartbeat=heartbeat)),),
+    )
+
+
+def _driver(recording: Recording, clock: SteppedClock) -> Driver:
+    columns = {
+        name: [value if isfinite(value) else None for value in column] for name, column in recording.columns.items()
+    }
+    settings = {"times": list(recording.times), "columns": columns, "max_gap": GAP_S}
+    return open_driver("soft", settings, clock=clock.now)
+
+
+async def _through(config: Config, recording: Recording, progress: Progress) -> Seen:
+    clock = SteppedClock(recording.times[0])
+    seen, stop = Seen(), asyncio.Event()
+    with open_log(config.log.path, config.log.level) as log:
+        gateway = Gateway(config, clock, log, _driver(recording, clock))
+        try:
+            await gateway.driver.open()
+            rules = Rules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period)
+            async with aclosing(scans(gateway.driver, config.map.tags, clock, rules, stop)) as stream:
+                async for scan in stream:
+                    await gateway.take(scan)
+                    if gateway.outlook is not None:
+                        await gateway.outlook.finished()
+                    seen.take(gateway, scan.time)
+                    share = (scan.time - recording.times[0]) / max(recording.duration, 1e-9)
+                    progress(f"{seen.scans} scans", min(1.0, share))
+                    if scan.time >= recording.times[-1]:
+                        stop.set()
+        finally:
+            if gateway.outlook is not None:
+                await gateway.outlook.close()
+            await gateway.pickup.close()
+            await gateway.driver.close()
+            await asyncio.to_thread(gateway.close)
+    return seen
+
+
+def _data(config: Config, recording: Recording, missing: list[str], seen: Seen, kept: Path) -> dict[str, Any]:
+    from gateway.score import scorecard
+
+    scores = scorecard(kept)
+    return {
+        "recording": str(recording.path),
+        "rows": len(recording.times),
+        "seconds": recording.duration,
+        "scans": seen.scans,
+        "missing_tags": missing,
+        "not_good": {name: count for name, count in seen.not_good.most_common() if name not in missing},
+        "events": scores.events,
+        "locations": dict(seen.locations.most_common()),
+        "zones": dict(seen.zones.most_common()),
+        "one_step": asdict(scores.one_step),
+        "free_run": asdict(scores.free_run),
+        "band90": scores.band90,
+        "forecasts": [asdict(one) for one in scores.forecasts],
+        "alarms": seen.alarms,
+        "blocks": seen.blocks,
+        "blocks_valid": seen.valid,
+        "model": str(config.model.path) if config.model.path is not None else None,
+    }
+
+
+def _needed(config: Config, missing: list[str]) -> list[str]:
+    """The tags that the gateway cannot do without and the recording lacks."""
+    return [name for name in missing if name in {*config.watched, config.model.temperature}]

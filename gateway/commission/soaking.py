@@ -1,0 +1,192 @@
+"""`soak` at work: scans at their period for a longer time; how long they take, what is lost, which period holds."""
+
+import asyncio
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from math import ceil, floor
+from pathlib import Path
+from typing import Any
+
+from drivers.driver import Driver
+from drivers.errors import DriverError
+from drivers.tag import Quality, Sample
+from gateway.commission.outcome import Outcome, Site
+from gateway.commission.planning import device_of, period_of, words_of
+from gateway.commission.recording import Recorder
+from gateway.commission.through import running_for
+from gateway.records import percentile
+
+Progress = Callable[[str, float], None]
+PERIODS_S = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
+"""Periods that are recommended."""
+SPARE = 2.0
+"""A recommended period is so many times what 95 % of the scans take, and longer than every single one."""
+FIRST_S = 3.0
+_STREAMS = frozenset({"can", "canopen"})
+_WAITING = Quality.WAITING_FOR_INITIAL_DATA
+
+
+@dataclass(slots=True)
+class Tally:
+    """What was counted: the seconds of each scan, the ages (s) of readings, scans with a bad tag, missed ticks."""
+
+    seconds: list[float] = field(default_factory=list)
+    ages: list[float] = field(default_factory=list)
+    with_bad: int = 0
+    all_bad: int = 0
+    missed: int = 0
+    bad: Counter[str] = field(default_factory=Counter)
+    reasons: Counter[str] = field(default_factory=Counter)
+
+    def take(self, samples: Sequence[Sample], begun: float, seconds: float) -> None:
+        """One scan, begun at `begun` (s UTC)."""
+        bad = [sample for sample in samples if not sample.quality.is_good]
+        self.seconds.append(seconds)
+        self.with_bad += bool(bad)
+        self.all_bad += len(bad) == len(samples)
+        self.bad.update(sample.tag for sample in bad)
+        self.reasons.update({sample.reason for sample in bad})
+        self.ages += [max(0.0, begun + seconds - sample.time) for sample in samples if sample.quality.is_good]
+
+
+async def soak(
+    site: Site, duration: float, given_period: float | None, record: Path | None, progress: Progress
+) -> Outcome:
+    """Scan for `duration` seconds. A failed check where scans were lost or do not fit. Ctrl-C gives what there is."""
+    device, period = device_of(site), period_of(site, given_period)
+    if said := running_for(site.target):
+        site.notes.append(said)
+    recorder = Recorder(record, device.tags) if record is not None else None
+    tally, before = Tally(), {}
+    try:
+        async with _opened(site) as driver:
+            try:
+                await _first(driver, site)
+                before = dict(driver.statistics())
+                await _scans(driver, site, tally, (duration, period), recorder, progress)
+            except asyncio.CancelledError:  # Ctrl-C: asyncio.run cancels the task, and what was counted is shown
+                site.notes.append("stopped before its time")
+            finally:
+                counted = dict(driver.statistics())
+                site.count(counted)
+    finally:
+        if recorder is not None:
+            recorder.close()
+    return _outcome(site, tally, period, _since(before, counted), record)
+
+
+@asynccontextmanager
+async def _opened(site: Site) -> AsyncIterator[Driver]:
+    """The driver with a connection; one on a bus has FIRST_S to hear its device. Raises DriverError."""
+    driver = site.target.make_driver()
+    try:
+        try:
+            await driver.open()
+        except DriverError:
+            until = time.monotonic() + FIRST_S
+            while site.target.driver in _STREAMS and not driver.connected and time.monotonic() < until:
+                await asyncio.sleep(0.02)
+            if not driver.connected:
+                raise
+        yield driver
+    finally:
+        await driver.close()
+
+
+async def _first(driver: Driver, site: Site) -> None:
+    """A device that speaks by itself is heard out once before anything is counted."""
+    until = time.monotonic() + FIRST_S
+    while site.target.driver in _STREAMS and time.monotonic() < until:
+        if all(sample.quality is not _WAITING for sample in await driver.read(site.target.tags)):
+            return
+        await asyncio.sleep(0.02)
+
+
+async def _scans(
+    driver: Driver,
+    site: Site,
+    tally: Tally,
+    times: tuple[float, float],
+    recorder: Recorder | None,
+    progress: Progress,
+) -> None:
+    """Scans on absolute deadlines; ticks that passed meanwhile are missed, and counted."""
+    duration, period = times
+    begin, tick = time.monotonic(), 0
+    while (now := time.monotonic()) - begin < duration:
+        wall = time.time()
+        samples = await driver.read(site.target.tags)
+        took = time.monotonic() - now
+        tally.take(samples, wall, took)
+        if recorder is not None:
+            recorder.take(wall + took, samples)
+        progress(f"{len(tally.seconds)} scans, {tally.with_bad} with bad tags", min(1.0, (now - begin) / duration))
+        following = max(tick + 1, floor((time.monotonic() - begin) / period) + 1)
+        tally.missed += following - tick - 1
+        tick = following
+        await asyncio.sleep(max(0.0, min(begin + tick * period, begin + duration) - time.monotonic()))
+
+
+def _since(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
+    return {name: after[name] - before.get(name, 0) for name in after}
+
+
+def _outcome(site: Site, tally: Tally, period: float, counted: Mapping[str, float], record: Path | None) -> Outcome:
+    seconds, scans = tally.seconds, len(tally.seconds)
+    if not seconds:
+        return Outcome({"scans": 0}, 1, "no scan was finished; give a longer --seconds")
+    found: dict[str, Any] = {
+        "scans": scans,
+        "period_s": period,
+        "missed": tally.missed,
+        "scan_ms": {name: 1e3 * percentile(seconds, share) for name, share in _SHARES.items()},
+        "scans_with_bad": tally.with_bad,
+        "bad_tags": dict(tally.bad.most_common()),
+        "reasons": dict(tally.reasons.most_common(10)),
+        "timeouts": int(counted.get("timeouts", 0)),
+        "mismatches": int(counted.get("mismatches", 0)),
+        "reconnects": int(counted.get("reconnects", 0)),
+        "recommended_period_s": recommended(seconds, _with_writes(site)),
+        "recording": str(record) if record is not None else None,
+    }
+    if site.target.driver in _STREAMS:
+        ages = {name: 1e3 * percentile(tally.ages, share) for name, share in _SHARES.items()} if tally.ages else None
+        found["age_ms"], found["recommended_period_s"] = ages, None
+        site.notes.append("this device speaks by itself: a scan takes what it has said, so that what counts is its age")
+    complaint = _complaint(tally, scans)
+    return Outcome(found, int(bool(complaint)), complaint)
+
+
+_SHARES = {"p50": 0.5, "p95": 0.95, "max": 1.0}
+
+
+def _with_writes(site: Site) -> float:
+    """By how much a cycle with the write-back is longer than a scan, by the number of its requests."""
+    from drivers.survey import read_plan
+
+    target = site.target
+    plan = read_plan(target.driver, target.settings, target.tags, words_of(site))
+    return 1.0 if plan is None or not plan.requests else 1.0 + len(plan.writes) / len(plan.requests)
+
+
+def recommended(seconds: Sequence[float], factor: float = 1.0) -> float:
+    """The least usual period that leaves as much time again as 95 % of the scans take, and holds the longest one.
+
+    `factor` is what a cycle takes beside the scan. Beyond the table it is whole minutes.
+    """
+    needed = factor * max(SPARE * percentile(list(seconds), 0.95), max(seconds))
+    return next((period for period in PERIODS_S if period >= needed), 60.0 * ceil(needed / 60.0))
+
+
+def _complaint(tally: Tally, scans: int) -> str:
+    if tally.all_bad == scans:
+        return f"no scan had a good reading: {tally.reasons.most_common(1)[0][0]}"
+    if tally.with_bad:
+        tag, times = tally.bad.most_common(1)[0]
+        return f"{tally.with_bad} of {scans} scans had a tag that was not good, mostly {tag} ({times} times)"
+    if tally.missed:
+        return f"{tally.missed} ticks were missed in {scans} scans: the period is too short for this device"
+    return ""

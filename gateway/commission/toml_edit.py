@@ -1,0 +1,136 @@
+"""TOML files changed in place: comments and order stay; a change is shown, checked, and written whole or not at all."""
+
+import difflib
+import os
+import re
+import time
+import tomllib
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from gateway.checked import ConfigError, read_toml
+
+_CROWDED = re.compile(r"^([^\n#\[ \t][^\n]*|[\])}][^\n]*)\n(?=\[)", re.MULTILINE)
+_WIDE = re.compile(r"\n{3,}(?=\[)")
+Change = Callable[[tomlkit.TOMLDocument], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """A change of one file that is not written yet; `before` is None for a new file."""
+
+    path: Path
+    before: str | None
+    after: str
+
+    @property
+    def changed(self) -> bool:
+        """False where the file says it all already."""
+        return self.before != self.after
+
+    def diff(self) -> str:
+        """The change as a unified diff; "" without one."""
+        old, new = (self.before or "").splitlines(), self.after.splitlines()
+        before = "(new)" if self.before is None else str(self.path)
+        return "\n".join(difflib.unified_diff(old, new, before, str(self.path), n=2, lineterm=""))
+
+
+def edited(path: Path, change: Change, starter: str = "") -> Edit:
+    """The file with the change, or where there is none `starter` with it. Raises ConfigError for what is not TOML."""
+    before = None
+    if path.exists():
+        read_toml(path)  # its errors are sentences with the line
+        before = path.read_bytes().decode("utf-8")
+    try:
+        document = tomlkit.parse(starter if before is None else before)
+        change(document)
+        after = _spaced(tomlkit.dumps(document).rstrip("\n") + "\n", before)
+    except TOMLKitError as error:
+        raise ConfigError([f"{path}: cannot be changed ({error}); correct that place by hand"]) from None
+    if before is not None and "\r\n" in before:
+        after = after.replace("\r\n", "\n").replace("\n", "\r\n")
+    return Edit(path, before, after)
+
+
+def _spaced(text: str, before: str | None) -> str:
+    """One blank line before each table; more of them only where the file has such already."""
+    spaced = _CROWDED.sub(r"\1\n\n", text)
+    spaced = spaced if before is not None and _WIDE.search(before) else _WIDE.sub("\n\n", spaced)
+    return spaced if tomllib.loads(spaced) == tomllib.loads(text) else text
+
+
+def commit(edit: Edit, check: Callable[[Path], object], now: Callable[[], float] = time.time) -> Path | None:
+    """Check the new content, keep the old one beside it, and put the new one in its place in one step.
+
+    `check` reads the new content under another name in the same folder, and raises ConfigError for what cannot be
+    used; then nothing is changed. Gives the backup's path, None for a new file. Raises ConfigError or OSError.
+    """
+    path = edit.path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fresh = path.with_name(f".{path.name}.{os.getpid()}.new")
+    try:
+        _write(fresh, edit.after)
+        _checked(fresh, path, check)
+        if _content(path) != edit.before:
+            raise ConfigError([f"{path}: was changed by somebody else meanwhile; nothing was written, try again"])
+        backup = _backup(edit, now()) if edit.before is not None else None
+        if backup is not None:
+            fresh.chmod(path.stat().st_mode & 0o7777)
+        fresh.replace(path)
+    finally:
+        with suppress(FileNotFoundError):
+            fresh.unlink()
+    _settle(path.parent)
+    return backup
+
+
+def _checked(fresh: Path, path: Path, check: Callable[[Path], object]) -> None:
+    try:
+        check(fresh)
+    except ConfigError as error:
+        said = [problem.replace(str(fresh), str(path)) for problem in error.problems]
+        raise ConfigError([f"{problem} (nothing was written)" for problem in said]) from None
+
+
+def _content(path: Path) -> str | None:
+    return path.read_bytes().decode("utf-8") if path.exists() else None
+
+
+def _backup(edit: Edit, now: float) -> Path:
+    """The old content under the time of the change, beside the file."""
+    stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime(now))
+    names = [f"{edit.path.name}.{stamp}{f'-{count}' if count else ''}.bak" for count in range(1000)]
+    free = next(place for name in names if not (place := edit.path.with_name(name)).exists())
+    _write(free, edit.before or "")
+    return free
+
+
+def _write(path: Path, text: str) -> None:
+    with path.open("wb") as stream:
+        stream.write(text.encode("utf-8"))
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def _settle(folder: Path) -> None:
+    """The new name on the disk too."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def put(table: Any, key: str, value: object) -> None:
+    """Set one key, in its place where it is there already; None takes it out. An equal value stays as it is written."""
+    if value is None:
+        if key in table:
+            del table[key]
+    elif key not in table or table[key] != value or type(table.get(key)) is bool or isinstance(value, bool):
+        table[key] = value

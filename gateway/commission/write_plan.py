@@ -1,0 +1,94 @@
+"""What the gateway would write, and whether the contract is complete; nothing is sent."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from drivers.driver import Writes
+from drivers.errors import DriverError
+from gateway.audit import standing
+from gateway.commission.addresses import reference_of
+from gateway.commission.by_hand import ACCOUNT_TAGS, layout_of
+from gateway.commission.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
+from gateway.commission.outcome import Outcome, Site
+from gateway.config import LEAST_BLOCKS
+from gateway.devices import DeviceMap, WritebackLayout
+
+LEAST_BLOCKS_IN_TIMER = 3.0
+"""So many blocks have to fit in the PLC's timer, so that one that is lost does not make it run out."""
+
+
+async def plan(site: Site, audit_path: Path) -> Outcome:
+    """The closed write map word by word, the rules that writing follows here, and what is missing.
+
+    Raises ValueError for a device file without a block, AuditError.
+    """
+    device, layout = layout_of(site)
+    problems = list(problems_of(site, device, layout))
+    row = standing(audit_path, time.time())
+    config = site.target.config
+    data: dict[str, Any] = {
+        "words": _words(layout),
+        "alarm_bits": [
+            {"bit": bit, "name": name, "meaning": ALARM_MEANINGS[name]} for bit, name in enumerate(ALARM_BITS)
+        ],
+        "mode": config.writeback.mode if config else None,
+        "armed": {"by": row.entry.who, "reason": row.entry.reason, "until": row.entry.detail["until"]} if row else None,
+        "layout_version": layout.version,
+        "plc_timer_s": layout.timeout,
+        "period_s": config.scan.period if config else None,
+        "most_per_second": config.blocks_per_second if config else LEAST_BLOCKS,
+        "audit": str(audit_path),
+        "problems": problems,
+    }
+    complaint = f"{len(problems)} things stand in the way of writing: {problems[0]}" if problems else ""
+    return Outcome(data, int(bool(problems)), complaint)
+
+
+def _words(layout: WritebackLayout) -> list[dict[str, Any]]:
+    rows = []
+    for field, tag in zip(layout.fields, layout.words, strict=True):
+        unit, meaning = MEANINGS[field.name]
+        unknown = None if field.name in ALWAYS_KNOWN else unknown_word(field, layout)
+        rows.append(
+            {
+                "field": field.name,
+                "address": tag.address,
+                "reference": reference_of(tag.address),
+                "type": "int16" if field.signed else "uint16",
+                "scale": field.scale,
+                "unit": unit,
+                "unknown": "" if unknown is None else f"0x{unknown:04X}",
+                "meaning": meaning,
+            }
+        )
+    return rows
+
+
+def problems_of(site: Site, device: DeviceMap, layout: WritebackLayout) -> Iterator[str]:
+    """What stands in the way of writing, one sentence each."""
+    known, config = device.by_name, site.target.config
+    if "WritePermit" not in known:
+        yield f"{device.path} has no tag WritePermit: without the PLC's permit nothing is ever written"
+    if device.heartbeat is None:
+        yield f"{device.path} names no heartbeat: a PLC that stands still could not be told from one that runs"
+    for name in ACCOUNT_TAGS:
+        if name not in known:
+            yield f"{device.path} has no tag {name}: what the PLC makes of the blocks could not be seen"
+    words = {tag.address for tag in layout.words}
+    for tag in device.tags:
+        if tag.address in words:
+            yield f"{tag.name} lies at {tag.address}, within the block; move one of them"
+        if tag.writable:
+            yield f"{tag.name} is marked writable; the gateway writes the block and nothing else"
+    if config is not None and layout.timeout < LEAST_BLOCKS_IN_TIMER * config.scan.period:
+        yield (
+            f"the PLC's timer of {layout.timeout:g} s is shorter than {LEAST_BLOCKS_IN_TIMER:g} scans of "
+            f"{config.scan.period:g} s: one lost block would make it run out"
+        )
+    try:
+        if not isinstance(site.target.make_driver(layout.words), Writes):
+            yield f"driver {device.driver!r} cannot write"
+    except DriverError as error:
+        yield f"the driver refuses the write map: {error}"

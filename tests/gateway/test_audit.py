@@ -1,0 +1,171 @@
+"""The audit log: on the disk before it counts, only ever appended, and a row that was touched shows."""
+
+import json
+import sqlite3
+import threading
+from pathlib import Path
+
+import pytest
+
+from gateway.audit import (
+    ARMED,
+    DISARMED,
+    EXPIRED,
+    Audit,
+    AuditError,
+    Entry,
+    append,
+    head,
+    last_arming,
+    open_audit,
+    read,
+    standing,
+    verify,
+)
+
+
+def filled(path: Path, count: int = 20) -> Audit:
+    audit = open_audit(path)
+    for number in range(count):
+        audit.put(Entry(float(number), "write", "Ada", "", {"sequence": number, "words": "ab" * 48}))
+    return audit
+
+
+def test_entries_come_back_as_they_were_and_the_chain_is_whole(tmp_path: Path) -> None:
+    audit = filled(tmp_path / "a.sqlite")
+    assert audit.record(Entry(20.5, "write failed", "Ada", "no reply – è", {"latency": float("nan")}))
+    assert audit.close() and audit.close()
+    rows = read(tmp_path / "a.sqlite")
+    assert [row.entry.detail.get("sequence") for row in rows[:-1]] == list(range(20))
+    assert rows[-1].entry == Entry(20.5, "write failed", "Ada", "no reply – è", {"latency": None})
+    verdict = verify(tmp_path / "a.sqlite")
+    assert (verdict.rows, verdict.problem) == (21, "") and verdict.head == rows[-1].hash == head(tmp_path / "a.sqlite")
+    assert [row.id for row in read(tmp_path / "a.sqlite", ["write failed"])] == [21]
+
+
+def test_it_goes_on_in_the_same_file_and_several_writers_take_turns(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    assert filled(path, 3).close()
+    before = head(path)
+
+    def one() -> None:
+        assert filled(path, 50).close()
+
+    threads = [threading.Thread(target=one) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert verify(path, before).rows == 153 and verify(path, before).problem == ""
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE audit SET who = 'Bea' WHERE id = 2",
+        "DELETE FROM audit WHERE id = 20",
+        "DELETE FROM audit",
+        "INSERT OR REPLACE INTO audit VALUES (5, 1, 'write', '', '', '{}', x'00')",
+        "INSERT INTO audit VALUES (900, 1, 'write', '', '', '{}', x'00')",
+        "INSERT INTO audit VALUES (0, 1, 'write', '', '', '{}', x'00')",
+    ],
+)
+def test_the_file_itself_refuses_to_be_changed(tmp_path: Path, statement: str) -> None:
+    assert filled(tmp_path / "a.sqlite").close()
+    with sqlite3.connect(tmp_path / "a.sqlite") as raw, pytest.raises(sqlite3.Error, match="only ever appended"):
+        raw.execute(statement)
+    raw.close()
+    assert verify(tmp_path / "a.sqlite").problem == ""
+
+
+@pytest.mark.parametrize(
+    ("statement", "words"),
+    [
+        ("UPDATE audit SET who = 'Bea' WHERE id = 7", "row 7 was changed"),
+        ("UPDATE audit SET time = time + 1e-6 WHERE id = 1", "row 1 was changed"),
+        ("UPDATE audit SET detail = replace(detail, '3', '4') WHERE id = 4", "row 4 was changed"),
+        ("UPDATE audit SET hash = zeroblob(32) WHERE id = 9", "row 9 was changed"),
+        ("DELETE FROM audit WHERE id = 11", "row 11 is missing"),
+        ("DELETE FROM audit WHERE id = 1", "row 1 is missing"),
+    ],
+)
+def test_whoever_takes_the_triggers_away_first_leaves_a_trace(tmp_path: Path, statement: str, words: str) -> None:
+    path = tmp_path / "a.sqlite"
+    assert filled(path).close()
+    raw = sqlite3.connect(path)
+    for name in ("audit_no_change", "audit_no_loss", "audit_in_order"):
+        raw.execute(f"DROP TRIGGER {name}")
+    raw.execute(statement)
+    raw.commit()
+    raw.close()
+    assert words in verify(path).problem
+
+
+def test_an_end_that_was_cut_off_shows_by_the_hash_that_was_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    assert filled(path).close()
+    kept = head(path)
+    raw = sqlite3.connect(path)
+    raw.execute("DROP TRIGGER audit_no_loss")
+    raw.execute("DELETE FROM audit WHERE id > 15")
+    raw.commit()
+    raw.close()
+    assert verify(path).problem == "" and "the end is missing" in verify(path, kept).problem
+
+
+def test_only_the_newest_arming_counts_and_only_for_its_time(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    assert standing(path, 0.0) is None and last_arming(path) is None
+    audit = open_audit(path)
+    audit.record(Entry(100.0, ARMED, "Ada", "first", {"until": 200.0}))
+    assert standing(path, 150.0) is not None
+    assert standing(path, 200.0) is None and standing(path, 99.0) is None
+    audit.record(Entry(160.0, "write refused", "Ada", "the PLC does not permit it"))
+    assert standing(path, 170.0) is not None
+    audit.record(Entry(175.0, DISARMED, "Bea", "enough"))
+    assert standing(path, 176.0) is None
+    audit.record(Entry(180.0, ARMED, "Bea", "second", {"until": 300.0}))
+    found = standing(path, 181.0)
+    assert found is not None and found.entry.who == "Bea"
+    audit.record(Entry(181.0, EXPIRED, "Bea", "over"))
+    assert standing(path, 182.0) is None
+    assert audit.close()
+
+
+def test_a_disk_that_does_not_take_it_is_complained_of_and_tried_again(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    audit = open_audit(path)
+    other = sqlite3.connect(path, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    audit._connection.execute("PRAGMA busy_timeout = 50")
+    assert not audit.record(Entry(1.0, "write"), timeout=0.5)
+    assert "cannot be written" in audit.complaint
+    other.execute("ROLLBACK")
+    other.close()
+    assert audit.record(Entry(2.0, "write"), timeout=5.0) and audit.complaint == ""
+    assert audit.close()
+    assert [row.entry.time for row in read(path)] == [1.0, 2.0]
+
+
+def test_a_file_that_is_no_audit_log_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(AuditError, match="there is no audit log"):
+        read(tmp_path / "none.sqlite")
+    text = tmp_path / "text.sqlite"
+    text.write_text("no database, but long enough to be looked at by anybody who reads it")
+    with pytest.raises(AuditError, match=r"text\.sqlite: cannot be used"):
+        open_audit(text)
+    raw = sqlite3.connect(tmp_path / "other.sqlite")
+    raw.execute("CREATE TABLE audit (id INTEGER)")
+    raw.close()
+    with pytest.raises(AuditError, match="database of something else"):
+        open_audit(tmp_path / "other.sqlite")
+    with pytest.raises(AuditError, match="database of something else"):
+        verify(tmp_path / "other.sqlite")
+
+
+def test_a_batch_is_stored_whole_or_not_at_all(tmp_path: Path) -> None:
+    audit = open_audit(tmp_path / "a.sqlite")
+    with pytest.raises(sqlite3.Error):
+        append(audit._connection, [Entry(1.0, "write"), Entry(2.0, None)])  # type: ignore[arg-type]
+    assert audit.close() and verify(tmp_path / "a.sqlite").rows == 0
+    assert json.dumps(head(tmp_path / "a.sqlite")) == f'"{"00" * 32}"'

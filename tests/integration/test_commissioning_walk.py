@@ -1,0 +1,33 @@
+"""The engineer's hour in short: an unknown PLC from `probe` to a sealed report and blocks that the PLC uses."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.commissioning import ANALOGUE, FLAGS, made
+from gateway.audit import read, verify
+from gateway.commission.records import broken_at, read_records
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_an_unknown_plc_is_commissioned_by_commands_alone(tmp_path: Path) -> None:
+    walked, _ = made(tmp_path, soak_s=2.0, conformance=False)
+    records = read_records(tmp_path / "out/commissioning.jsonl")
+    assert broken_at(tmp_path / "out/commissioning.jsonl") is None
+    failed = [(record.command, record.reason) for record in records if record.code not in (0, 6)]
+    assert failed == []
+    proved = next(record for record in reversed(records) if record.command == "verify").result
+    assert proved["proved"] == len(FLAGS) + len(ANALOGUE)
+    report = json.loads((tmp_path / "out/acceptance/report.json").read_text(encoding="utf-8"))
+    assert report["verdict"] in ("passed", "passed with open points")
+    assert verify(tmp_path / "out/audit.sqlite").problem == ""
+    kinds = [row.entry.kind for row in read(tmp_path / "out/audit.sqlite", ())]
+    assert {"armed", "disarmed", "write", "acceptance report"} <= set(kinds)
+    writes = [json.loads(line) for line in walked.unknown.recording.read_text(encoding="utf-8").splitlines()]
+    block = range(401, 401 + 16)
+    functions = {one["function"] for one in writes if one["k"] == "request" and one["function"] > 4}
+    assert functions <= {16, 43}
+    touched = [one for one in writes if one["k"] == "request" and one["function"] == 16]
+    assert touched and all(one["address"] in block and one["address"] + one["count"] <= block.stop for one in touched)

@@ -1,0 +1,203 @@
+"""The conformance suite: what ships is what is made, emulator and Structured Text pass it, a wrong PLC fails."""
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from drivers.errors import WriteForbidden
+from gateway.arming import arm_in_log, signed
+from gateway.audit import DISARMED, Entry, open_audit, read
+from gateway.cli.plc_codegen import write_suite
+from gateway.commission.by_hand import Hand, hand
+from gateway.commission.conformance import Result, put_through
+from gateway.commission.evidence import Evidence
+from gateway.commission.loop_tests import alarms, heartbeat
+from gateway.commission.outcome import Site
+from gateway.commission.structured_text import refusal_codes
+from gateway.commission.suite import conform
+from gateway.commission.target import make_target
+from gateway.commission.vectors import parse, vectors
+from gateway.demo.can_bus import can_hub
+from gateway.demo.links import LINKS
+from gateway.devices import load_device
+from sim.plc.recording import read_recording
+from tests.plc.bench import Process, running
+from tests.plc_side.sides import Compiled, Emulated
+from tests.plc_side.test_structured_text import DOCS, PLC, fewer_fields, map_with
+
+SHIPPED = DOCS / "decanter_plc.json"
+
+
+def quiet(_name: str, _share: float) -> None:
+    """Nobody watches."""
+
+
+async def results(side: Emulated | Compiled, path: Path = PLC) -> list[Result]:
+    device = load_device(path)
+    assert device.writeback is not None
+    return await put_through(vectors(device.writeback), side, refusal_codes(device))
+
+
+def test_the_shipped_suite_is_the_one_that_is_made_today(tmp_path: Path) -> None:
+    write_suite(PLC, tmp_path / "suite.json")
+    assert (tmp_path / "suite.json").read_text() == SHIPPED.read_text(), (
+        "make it anew: decanter plc codegen --out out/block.st --suite docs/conformance/decanter_plc.json"
+    )
+    layout = load_device(PLC).writeback
+    assert layout is not None
+    assert parse(json.loads(SHIPPED.read_text())) == vectors(layout)
+    with pytest.raises(ValueError, match="has format 2"):
+        parse({"format": 2})
+
+
+@pytest.mark.parametrize("side", [Emulated, Compiled])
+async def test_the_shipped_vectors_pass(side: Callable[[Path], Emulated | Compiled]) -> None:
+    steps = parse(json.loads(SHIPPED.read_text()))
+    done = await put_through(steps, side(PLC), refusal_codes(load_device(PLC)))
+    assert len(done) == len(steps) > 80
+    assert [one for one in done if not one.passed] == []
+
+
+@pytest.mark.parametrize("side", [Emulated, Compiled])
+async def test_another_layout_and_other_numbers_of_the_reasons_pass_too(
+    tmp_path: Path, side: Callable[[Path], Emulated | Compiled]
+) -> None:
+    fewer = fewer_fields(tmp_path)
+    assert len(load_device(fewer).writeback.fields) == 16  # type: ignore[union-attr]
+    assert [one for one in await results(side(fewer), fewer) if not one.passed] == []
+    renumbered = map_with(
+        tmp_path, ('3 = "CRC", 4 = "heartbeat did not change"', '13 = "CRC", 14 = "heartbeat did not change"')
+    )
+    assert [one for one in await results(side(renumbered), renumbered) if not one.passed] == []
+
+
+MUTANTS = {
+    "no version": ("Words[0] <> WORD#16#0001", "FALSE"),
+    "no torn check": ("Words[1] <> Words[23]", "FALSE"),
+    "no checksum": ("Words[22] <> Checksum", "FALSE"),
+    "another polynomial": ("WORD#16#1021", "WORD#16#8005"),
+    "no heartbeat": ("Ever AND (Words[2] = HeldHeartbeat)", "FALSE"),
+    "no timer": ("Fresh := Ever AND NOT Watch.Q", "Fresh := Ever"),
+    "a refused block restarts the timer": ("Watch(IN := NOT Taken", "Watch(IN := NOT Changed"),
+    "validity is not looked at": ("(Validity AND WORD#16#0001) <> WORD#16#0000", "TRUE"),
+    "any validity will do": ("(Validity AND WORD#16#0001)", "(Validity AND WORD#16#001F)"),
+    "no permit": ("Usable := Permit AND Fresh", "Usable := Fresh"),
+    "the sequence has to grow": (
+        "Words[1] <> Words[23]",
+        "(Words[1] <> Words[23]) OR (WORD_TO_UINT(Words[1]) < UINT#41)",
+    ),
+    "refusals are not counted": ("BlocksRefused := BlocksRefused + UINT#1", "BlocksRefused := BlocksRefused"),
+    "the wrong reason": ("Reason := UINT#3", "Reason := UINT#2"),
+    "twice the time": ("T#5000ms", "T#10000ms"),
+}
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+async def test_a_plc_that_leaves_a_check_out_fails_the_suite(name: str) -> None:
+    old, new = MUTANTS[name]
+    side = Compiled(PLC, lambda content: content.replace(old, new))
+    assert [one for one in await results(side) if one.wrong], "the suite has to notice"
+
+
+# ---------------------------------------------------------------- over the wire
+
+
+@asynccontextmanager
+async def at_the_wire(folder: Path, link: str, plc: Process, path: Path, *, armed: bool = True) -> AsyncIterator[Hand]:
+    """A hand at the software PLC over a link, armed, with somebody who turns the permit's switch."""
+
+    def ask(question: str) -> bool:
+        if "write permit" in question:
+            assert plc.order("permit", on="give" in question)["ok"]
+        return True
+
+    audit = folder / "audit.sqlite"
+    if armed:
+        now = time.time()
+        arm_in_log(audit, signed("Ada", "suite", 5, now), now)
+    settings = {**LINKS[link].settings(folder, plc.ready)}
+    target = make_target(None, path, None if link.startswith("modbus") else link, settings)
+    async with hand(Site(target, Evidence()), audit, ask) as one:
+        yield one
+
+
+def quick(folder: Path, name: str, seconds: float = 1.0) -> Path:
+    """The device file with a short timer, so that the suite waits little."""
+    from gateway.cli.places import config_dir
+
+    content = (config_dir() / "devices" / name).read_text().replace("timeout_s = 5.0", f"timeout_s = {seconds}")
+    path = folder / name
+    path.write_text(content.replace("../decanter.", f"{config_dir()}/decanter."))
+    return path
+
+
+async def test_the_emulator_passes_over_modbus_and_its_recorder_has_every_block(tmp_path: Path) -> None:
+    path = quick(tmp_path, "decanter_plc.toml")
+    with running("--record", tmp_path / "rec.jsonl", map_path=path) as plc:
+        async with at_the_wire(tmp_path, "modbus", plc, path) as one:
+            outcome = await conform(one, quiet, vectors(one.layout, flips=5))
+    assert outcome.code == 0, outcome.complaint
+    assert outcome.data["passed"] == outcome.data["steps"] - 1, "but the block that is written without a permit"
+    written = read_recording(tmp_path / "rec.jsonl").blocks
+    logged = read(tmp_path / "audit.sqlite", ["write"])
+    assert [row.entry.detail["words"] for row in logged] == ["".join(f"{w:04x}" for w in row.words) for row in written]
+    assert len(read(tmp_path / "audit.sqlite", ["write refused"])) == 1
+    assert written[-1].fields is not None and written[-1].fields["validity"] == 0, "the last word takes all back"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("link", ["can", "canopen"])
+async def test_the_emulator_passes_over_the_can_bus(tmp_path: Path, link: str) -> None:
+    seconds = 1.4 if link == "canopen" else 1.0  # a refused block waits for an acknowledge that does not come
+    path = quick(tmp_path, f"decanter_{link}.toml", seconds)
+    plain = quick(tmp_path, "decanter_plc.toml", seconds)
+    with can_hub(tmp_path) as hub:
+        options = [f"--{link}", path, "--can-interface", "hub", "--can-channel", hub]
+        with running(*options, map_path=plain) as plc:
+            async with at_the_wire(tmp_path, link, plc, path) as one:
+                outcome = await conform(one, quiet, vectors(one.layout, flips=2))
+    assert outcome.code == 0, outcome.complaint
+    assert outcome.data["passed"] >= outcome.data["steps"] - 3
+    assert outcome.data["passed"] + outcome.data["skipped"] == outcome.data["steps"]
+
+
+async def test_the_loop_tests_pass_at_the_emulator_and_a_plc_without_a_timer_fails(tmp_path: Path) -> None:
+    path = quick(tmp_path, "decanter_plc.toml")
+    with running(map_path=path) as plc:
+        async with at_the_wire(tmp_path, "modbus", plc, path) as one:
+            seen = await alarms(one, quiet)
+            beats = await heartbeat(one, quiet, seconds=0.3)
+            assert plc.order("force", tag="PredictionUsable", value=True)["ok"]
+            await one.looked()
+            stuck = await heartbeat(one, quiet, seconds=0.3)
+    assert seen.code == 0 and [row["name"] for row in seen.data["rows"]][-1] == "none"
+    assert len(seen.data["rows"]) == 8 and all(row["seen"] for row in seen.data["rows"])
+    assert beats.code == 0 and len(beats.data["rows"]) == 4
+    assert stuck.code == 1 and "timer" in stuck.complaint
+
+
+async def test_nothing_is_sent_unarmed_unpermitted_or_when_the_arming_was_taken_back(tmp_path: Path) -> None:
+    path = quick(tmp_path, "decanter_plc.toml")
+    with running("--record", tmp_path / "rec.jsonl", "--no-permit", map_path=path) as plc:
+        with pytest.raises(WriteForbidden, match="not armed"):
+            async with at_the_wire(tmp_path, "modbus", plc, path, armed=False):
+                pass
+        async with at_the_wire(tmp_path, "modbus", plc, path) as one:
+            with pytest.raises(WriteForbidden, match="does not permit"):
+                await one.block()
+            plc.order("permit", on=True)
+            await one.looked()
+            log = open_audit(tmp_path / "audit.sqlite")
+            assert log.record(Entry(time.time(), DISARMED, "Bea", "enough"))
+            log.close()
+            with pytest.raises(WriteForbidden, match="arming is over"):
+                await one.block()
+        assert read_recording(tmp_path / "rec.jsonl").blocks == ()
+    await asyncio.sleep(0)
+    kinds = [row.entry.kind for row in read(tmp_path / "audit.sqlite")]
+    assert kinds == ["armed", "write refused", "disarmed", "write refused"]
