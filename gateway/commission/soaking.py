@@ -10,8 +10,8 @@ from math import ceil, floor
 from pathlib import Path
 from typing import Any
 
-from drivers.driver import Driver
-from drivers.errors import DriverError
+from drivers.driver import Complains, Driver
+from drivers.errors import DriverError, LinkDown
 from drivers.tag import Quality, Sample
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.planning import device_of, period_of, words_of
@@ -85,15 +85,23 @@ async def _opened(site: Site) -> AsyncIterator[Driver]:
     try:
         try:
             await driver.open()
-        except DriverError:
+        except DriverError as error:
             until = time.monotonic() + FIRST_S
             while site.target.driver in _STREAMS and not driver.connected and time.monotonic() < until:
                 await asyncio.sleep(0.02)
             if not driver.connected:
-                raise
+                raise _with_complaints(error, driver) from None
         yield driver
     finally:
         await driver.close()
+
+
+def _with_complaints(error: DriverError, driver: Driver) -> DriverError:
+    """What the device says of itself, where it is heard and cannot be used (a node that no master has started)."""
+    said = driver.complaints() if isinstance(driver, Complains) else ()
+    if not said or str(error) in said:
+        return error
+    return LinkDown(f"{said[0]}: start it at its master, or let this program do it (--set configure=true)")
 
 
 async def _first(driver: Driver, site: Site) -> None:

@@ -16,7 +16,7 @@ from sim.sha.trace import Trace
 WIDE, MOSTLY, SHARE = 1.5, 1.2, 0.2
 """A gap: the median cycle is so many times as far off as the model's own noise allows, and all but this share of the
 cycles at least so many times."""
-ROUGHER, FELT = 3.3, 0.75
+ROUGHER, FELT = 4.5, 0.75
 """A gap as well: heat so many times as rough, that moves the temperature by so many sensor sigmas (stationary rms)."""
 
 
