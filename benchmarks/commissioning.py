@@ -35,7 +35,9 @@ ANALOGUE = (
     *("Assorbimento", "Coppia", "Differenziale", "LivelloVibrazioni", TEMPERATURE, "TCuscinettiAlimentazione"),
     *("TFango", "VelocitaPompa", LATER),
 )
-REFUSALS = ("none", "layout version", "sequence and its copy differ", "CRC", "heartbeat did not change")
+REFUSALS = (
+    *("none", "layout version", "sequence and its copy differ", "CRC", "heartbeat did not change", "length or start"),
+)
 HERE, THERE = 12.0, 41.0
 """Two places of the plant's trace at which every signal is another."""
 USABLE_S = 45.0

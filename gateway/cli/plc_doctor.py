@@ -1,4 +1,4 @@
-"""`decanter plc doctor`: is this machine fit for the plant?"""
+"""`decanter plc doctor`: whether this machine is fit for the plant."""
 
 import click
 

@@ -11,7 +11,7 @@ from typing import Any
 from click.testing import Result
 
 from tests.cli.support import decanter
-from tests.plc.bench import Process
+from tests.plc.bench import Process, wait_until
 
 Handler = Callable[[socket.socket], None]
 
@@ -33,6 +33,13 @@ def answer(folder: Path, *arguments: object) -> dict[str, Any]:
 def at(process: Process) -> tuple[str, ...]:
     """The options that name a running PLC."""
     return "--host", "127.0.0.1", "--port", str(process.port)
+
+
+def force(process: Process, tag: str, value: object) -> None:
+    """Hold a tag at a value, and wait until the PLC's program has put it into its memory."""
+    before = process.order("status")["version"]
+    assert process.order("force", tag=tag, value=value)["ok"]
+    wait_until(lambda: process.order("status")["version"] > before + 2)
 
 
 def free_port() -> int:

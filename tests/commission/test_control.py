@@ -16,7 +16,7 @@ from gateway.commission.target import make_target
 from gateway.commission.through import running_gateway
 from gateway.config import load_config
 from gateway.control import ControlError, connect, listening_socket
-from tests.commission.bench import plc
+from tests.commission.bench import force, plc
 from tests.gateway.support import MAP
 from tests.plc.bench import running
 
@@ -37,7 +37,7 @@ async def gateway(tmp_path: Path) -> AsyncIterator[Path]:
     folder = tmp_path / ("a" * 60) / ("b" * 60)  # longer than a Unix socket's path may be
     folder.mkdir(parents=True)
     with running("--max-clients", "1") as process:
-        process.order("force", tag="Assorbimento", value=80.5)
+        force(process, "Assorbimento", 80.5)
         config = load_config(plant(folder, process.port))
         stop = asyncio.Event()
         task = asyncio.create_task(run(config, stop=stop))

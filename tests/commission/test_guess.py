@@ -12,7 +12,7 @@ from drivers.tag import DType, Order, Tag
 from gateway.commission.guess.advice import advise
 from gateway.commission.guess.reading import ReadingError, Shown, parse_shown
 from gateway.commission.guess.scoring import Candidate, Observation, rank
-from tests.commission.bench import answer, at, plc
+from tests.commission.bench import answer, at, force, plc
 from tests.plc.bench import Process, running
 
 STRANGERS = {
@@ -148,9 +148,9 @@ def test_of_random_encodings_nine_in_ten_are_first_after_one_reading_and_nearly_
 @pytest.fixture(scope="module")
 def device() -> Iterator[Process]:
     with running() as process:
-        process.order("force", tag="TCuscinettiRiduttore", value=72.4375)
-        process.order("force", tag="Assorbimento", value=80.5)
-        process.order("force", tag="TFango", value=21.7)
+        force(process, "TCuscinettiRiduttore", 72.4375)
+        force(process, "Assorbimento", 80.5)
+        force(process, "TFango", 21.7)
         yield process
 
 
@@ -163,7 +163,7 @@ def test_the_bearing_temperature_is_found_although_the_manual_counts_from_1(devi
 
 def test_a_second_call_adds_its_reading_to_the_first_ones(device: Process, tmp_path: Path) -> None:
     answer(tmp_path, "guess", "holding:101", "80.5", *at(device))
-    device.order("force", tag="Assorbimento", value=120.0)
+    force(device, "Assorbimento", 120.0)
     data = answer(tmp_path, "guess", "holding:101", "120.0", *at(device))
     assert data["readings"] == 2
     best = data["candidates"][0]
@@ -181,10 +181,10 @@ def test_neighbours_that_are_refused_do_not_hide_the_value(device: Process, tmp_
 
 
 def test_a_flag_is_found_by_both_of_its_states(device: Process, tmp_path: Path) -> None:
-    device.order("force", tag="CicloAttivo", value=True)
+    force(device, "CicloAttivo", True)
     one = answer(tmp_path, "guess", "holding:100", "on", *at(device))
     assert not one["settled"] and "the other state" in one["advice"][0]
-    device.order("force", tag="CicloAttivo", value=False)
+    force(device, "CicloAttivo", False)
     two = answer(tmp_path, "guess", "holding:100", "off", *at(device))
     assert {"address": "holding:100", "bit": 2, "shift": 0} in two["bits"]
     assert two["settled"]

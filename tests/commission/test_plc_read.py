@@ -15,7 +15,7 @@ from drivers.survey import Raw
 from drivers.tag import Quality, Sample, Tag
 from gateway.commission.addresses import AddressTextError, parse_register, parse_stretch
 from gateway.commission.watching import Seen, sparkline
-from tests.commission.bench import answer, at, plc
+from tests.commission.bench import answer, at, force, plc
 from tests.plc.bench import DECANTER, ROOT, Process, running
 
 CANOPEN, CAN = ROOT / "config/devices/decanter_canopen.toml", ROOT / "config/devices/decanter_can.toml"
@@ -26,8 +26,8 @@ def device(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Process, 
     hub = tmp_path_factory.mktemp("bus") / "can.hub"
     options = ["--canopen", CANOPEN, "--can", CAN, "--can-interface", "hub", "--can-channel", hub, "--rtu-tcp", "0"]
     with Hub(hub), running(*options, "--serial", "pty") as process:
-        process.order("force", tag="Assorbimento", value=80.5)
-        process.order("force", tag="TCuscinettiRiduttore", value=72.4375)
+        force(process, "Assorbimento", 80.5)
+        force(process, "TCuscinettiRiduttore", 72.4375)
         yield process, hub
 
 

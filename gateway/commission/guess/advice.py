@@ -1,4 +1,4 @@
-"""Which second reading removes the ties: what would the rivals show if the best encoding were right (pure)?"""
+"""Which second reading removes the ties: what the rivals would show if the best encoding were right (pure)."""
 
 import math
 from collections.abc import Mapping, Sequence
