@@ -222,7 +222,7 @@ def test_a_setting_that_cannot_be_is_refused_in_one_sentence(settings: dict[str,
 
 
 def test_an_unknown_driver_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(DriverError, match="unknown driver 'profinet': known are modbus, soft"):
+    with pytest.raises(DriverError, match="unknown driver 'profinet': known are can, can-log, canopen, modbus, soft"):
         open_driver("profinet", {}, clock=float)
 
 

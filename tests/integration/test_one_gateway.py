@@ -12,13 +12,17 @@ from gateway.history import reading
 from sim.plc.recording import read_recording
 
 PERIOD = 0.1
+FULL = 2 | 4 | 8 | 16
+"""Inputs, location, forecast, model. The restless trace follows no model: its zone is red, and bit 0 stays clear."""
 STOP_S = 5.0
 
 
 def good(rig: Rig, gateway: Gateway, blocks: int) -> None:
     """Wait until the PLC has accepted more than so many blocks, with a prediction that it may use."""
     gateway.wait_for(
-        lambda status: status["writeback"].get("accepted", 0) > blocks and status["writeback"]["last_validity"] & 1
+        lambda status: (
+            status["writeback"].get("accepted", 0) > blocks and status["writeback"]["last_validity"] & FULL == FULL
+        )
     )
 
 
@@ -49,7 +53,7 @@ def test_a_graceful_stop_leaves_validity_0_in_the_plc_and_exits_0(tmp_path: Path
         said = plc.order("status")
     blocks = read_recording(rig.recording).blocks
     assert blocks[-1].fields is not None and blocks[-2].fields is not None
-    assert (blocks[-1].fields["validity"], int(blocks[-2].fields["validity"]) & 1) == (0.0, 1)
+    assert (blocks[-1].fields["validity"], int(blocks[-2].fields["validity"]) & FULL) == (0.0, FULL)
     assert blocks[-1].accepted and said["usable"] is False
     with reading(rig.historian) as connection:
         rows = connection.execute("SELECT what FROM audit ORDER BY id DESC LIMIT 1").fetchall()

@@ -16,6 +16,8 @@ from sim.sha.automaton import Distribution, Effect, Flow
 from sim.sha.model import Model, Stay
 
 PERIOD = 0.1
+FULL = 2 | 4 | 8 | 16
+"""Inputs, location, forecast, model. The restless trace follows no model: its zone is red, and bit 0 stays clear."""
 
 
 def named(name: str) -> Model:
@@ -78,7 +80,8 @@ def go_on(gateway: Gateway, blocks: int) -> None:
     before = gateway.status["writeback"]["accepted"]
     gateway.wait_for(
         lambda status: (
-            status["writeback"].get("accepted", 0) > before + blocks and status["writeback"]["last_validity"] & 1
+            status["writeback"].get("accepted", 0) > before + blocks
+            and status["writeback"]["last_validity"] & FULL == FULL
         )
     )
 
