@@ -220,9 +220,11 @@ def _all_good_after(mine: Iterable[Sample], moment: float) -> float:
 
 
 def _unconfirmed(historian: Path) -> list[float]:
-    """When blocks were built that the PLC was not seen to take."""
+    """When blocks were sent that the PLC was not seen to take, or could not be sent; those held back for rate aside."""
     with reading(historian) as connection:
-        rows = connection.execute("SELECT time FROM writes WHERE verdict != 'written' ORDER BY id").fetchall()
+        rows = connection.execute(
+            "SELECT time FROM writes WHERE verdict NOT IN ('written', 'held back') ORDER BY id"
+        ).fetchall()
     return [float(row[0]) for row in rows]
 
 

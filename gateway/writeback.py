@@ -182,7 +182,7 @@ class Writer:
         return attempt
 
     async def _sent(self, block: Block, scan: Scan, *, last: bool) -> Attempt:
-        """`last`: the block that takes everything back is neither too late nor too fast."""
+        """`last`: the block that takes everything back is neither too late nor too fast, nor waits for a full disk."""
         if not self.armed or self.driver is None:
             return Attempt(scan.time, block, self.mode, "shadow")
         refused = self._refusal(scan, last=last)
@@ -201,7 +201,7 @@ class Writer:
         now = self.clock.now()
         if not last and self.expired(now):
             return "not permitted", "the arming is over"
-        if self.audit is not None and self.audit.complaint:
+        if not last and self.audit is not None and self.audit.complaint:
             return "not permitted", f"no audit record could be kept: {self.audit.complaint}"
         if not scan.good("WritePermit"):
             return "not permitted", _why_not(scan)
