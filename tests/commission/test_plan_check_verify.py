@@ -151,6 +151,7 @@ def test_a_reading_that_does_not_agree_fails_the_check_and_proves_nothing(
     device: tuple[Process, Path], tmp_path: Path
 ) -> None:
     device[0].order("force", tag="TCuscinettiRiduttore", value=40.0)
+    wait_until(lambda: device[0].order("values")["values"]["TCuscinettiRiduttore"] == 40.0)
     shown = hmi(tmp_path, ("TCuscinettiRiduttore", "44,0"))
     result = plc(tmp_path, "verify", "--against", shown, *links(device)["modbus"])
     assert result.exit_code == 1 and "TCuscinettiRiduttore: the HMI shows 44,0, the PLC has 40" in result.stderr
