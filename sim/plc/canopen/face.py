@@ -8,10 +8,8 @@ from typing import Any
 
 import can
 
-from drivers.can.bus import open_bus
-from drivers.can.pump import Pump
-from drivers.errors import DriverError
 from sim.plc.can_bend import CanBend, bent
+from sim.plc.can_station import Station, record
 from sim.plc.canopen.bend import NodeBend, together
 from sim.plc.canopen.node import SDO_ANSWER, SDO_REQUEST, CanopenNode, Out
 from sim.plc.canopen.objects import Layout, read_layout
@@ -27,11 +25,6 @@ ABORTED = 0x80
 """Command specifiers of a client's first frames, those of them that write, and the first byte of an abort."""
 BENDS = frozenset({"silent", "late", "duplicate", "garbage", "sdo_late"})
 """Of the faults that strike requests, those that an SDO answer can show."""
-REOPEN_S = 0.1
-OFF_EVERY_S = 0.05
-MOST_BABBLE = 400
-# linux/can/error.h: classes of error frames.
-BUS_OFF, RESTARTED = 0x40, 0x100
 
 
 class CanopenFace:
@@ -40,35 +33,30 @@ class CanopenFace:
     name = "canopen"
 
     def __init__(self, plc: Plc, layout: Layout, where: tuple[str, str], complain: Callable[[str], None]) -> None:
-        self._plc, self._complain = plc, complain
-        self._interface, self._channel = where
+        self._plc = plc
         self.node = CanopenNode(layout, plc)
         self._rng = Random(f"{plc.settings.seed}:canopen")  # noqa: S311 - a repeatable bench, not a secret
-        self._pump: Pump | None = None
+        self._station = Station(where, self._heard, complain, self._rng)
         self._bend = NodeBend()
         self._bends: Sequence[CanBend] = ()
-        self._booted, self._down, self._off = False, True, False
-        self._next_open = self._next_off = self._answered = self._babbled = 0.0
+        self._booted, self._down = False, True
+        self._answered = 0.0
 
     # ---------------------------------------------------------------- Face
 
     async def open(self) -> None:
         """Join the bus and boot. Raises OSError with a reason."""
-        try:
-            self._join()
-        except DriverError as error:
-            raise OSError(0, str(error)) from None
+        self._station.open()
 
     async def apply(self, line: Line) -> None:
         """Once a cycle: the node boots, falls silent or says what is due, as the faults in force have it."""
         now = self._plc.clock.monotonic()
         self._bends = [effect.can for _, effect in line.standing if effect.can is not None]
         self._bend = together(effect.node for _, effect in line.standing if effect.node is not None)
-        if self._pump is None and not self._rejoined(now):
+        if not self._station.there(now):
             return
-        self._take_off(now)
-        self._babble(now)
-        self._down = not line.listen or self._off
+        self._station.disturb(self._bends, [pdo.cob_id for pdo in self.node.objects.pdos(TPDO)], now)
+        self._down = not line.listen or self._station.off
         reset = any(effect.node is not None and effect.node.reset for _, effect in line.begun)
         # A node that is only cut off goes on where it was; one whose program has stopped boots again.
         self._booted = self._booted and not reset and (line.listen or self._plc.running)
@@ -81,58 +69,13 @@ class CanopenFace:
 
     async def close(self) -> None:
         """Leave the bus."""
-        if self._pump is not None:
-            self._pump.close()
-            self._pump = None
+        self._station.close()
 
     def ready(self) -> Mapping[str, object]:
         """Where it is: the bus and the node id."""
-        return {"interface": self._interface, "channel": self._channel, "node": self.node.id}
+        return {"interface": self._station.interface, "channel": self._station.channel, "node": self.node.id}
 
-    # ---------------------------------------------------------------- the bus
-
-    def _join(self) -> None:
-        self._pump = Pump(open_bus(self._interface, self._channel), self._heard, self._lost)
-
-    def _lost(self, reason: str) -> None:
-        if self._pump is not None:
-            self._pump.close()
-            self._pump = None
-            self._complain(f"the CAN bus {self._channel} is gone ({reason}); joining again as soon as it is back")
-
-    def _rejoined(self, now: float) -> bool:
-        if now < self._next_open:
-            return False
-        self._next_open = now + REOPEN_S
-        try:
-            self._join()
-        except DriverError:
-            return False
-        return True
-
-    def _take_off(self, now: float) -> None:
-        """Bus-off for all: said again and again, as a controller that comes back finds the wire as it was."""
-        off = any(bend.bus_off for bend in self._bends)
-        if off and now >= self._next_off:
-            self._next_off = now + OFF_EVERY_S
-            self._error_frame(BUS_OFF)
-        elif self._off and not off:
-            self._error_frame(RESTARTED)
-        self._off = off
-
-    def _error_frame(self, kind: int) -> None:
-        self._put(can.Message(is_error_frame=True, arbitration_id=kind, dlc=8, data=bytes(8)))
-
-    def _babble(self, now: float) -> None:
-        """What a strange node sends: random payloads of random lengths, with random identifiers or with ours."""
-        rate = sum(bend.babble for bend in self._bends)
-        begun = self._babbled or now
-        self._babbled = now if rate else 0.0
-        ours = [pdo.cob_id for pdo in self.node.objects.pdos(TPDO)]
-        known = any(bend.known for bend in self._bends) and ours
-        for _ in range(min(MOST_BABBLE, round(rate * (now - begun)))):
-            identifier = self._rng.choice(ours) if known else self._rng.randrange(0x800)
-            self._put(_message(identifier, self._rng.randbytes(self._rng.randrange(9))))
+    # ---------------------------------------------------------------- what the node says
 
     def _put_all(self, frames: Sequence[Out]) -> None:
         for identifier, data in frames:
@@ -142,22 +85,9 @@ class CanopenFace:
         """Send one frame of the node, as far as the faults of the bus let it through."""
         wanted = [bend for bend in self._bends if bend.strikes(f"0x{identifier:X}")]
         left = bent(wanted, data, None, self._rng)
-        self._record(identifier, left, sent=True)
+        record(self._plc, self.name, identifier, left, sent=True)
         if left is not None:
-            self._put(_message(identifier, left))
-
-    def _put(self, message: can.Message) -> None:
-        if self._pump is None:
-            return
-        try:
-            self._pump.bus.send(message, timeout=0.01)
-        except (can.CanError, OSError) as error:
-            self._lost(str(error))
-
-    def _record(self, identifier: int, data: bytes | None, *, sent: bool) -> None:
-        """The recorder's row of a frame; one that a fault has kept from the bus has no data."""
-        row = {"face": self.name, "sent": sent, "id": identifier, "data": None if data is None else data.hex()}
-        self._plc.record("frame", self._plc.clock.monotonic(), {**row, "version": self._plc.image.version})
+            self._station.put(_message(identifier, left))
 
     # ---------------------------------------------------------------- what arrives
 
@@ -168,10 +98,10 @@ class CanopenFace:
             return
         identifier, data, now = message.arbitration_id, bytes(message.data), self._plc.clock.monotonic()
         if identifier == SDO_REQUEST + self.node.id:
-            self._record(identifier, data, sent=False)
+            record(self._plc, self.name, identifier, data, sent=False)
             self._answer(data, now)
         elif self.node.listens_to(identifier):
-            self._record(identifier, data, sent=False)
+            record(self._plc, self.name, identifier, data, sent=False)
             self.node.objects.store = self._struck(0, now)[1].store
             before = self._plc.intake.accepted
             self._put_all(self.node.take(identifier, data, now, self._bend))
