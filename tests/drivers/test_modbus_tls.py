@@ -71,8 +71,17 @@ class AlertingServer:
                 connection, _ = self.listener.accept()
             except OSError:
                 return
-            with connection, contextlib.suppress(OSError):
-                self.context.wrap_socket(connection, server_side=True).close()
+            secure = self.context.wrap_socket(connection, server_side=True, do_handshake_on_connect=False)
+            with secure:
+                with contextlib.suppress(OSError):
+                    secure.do_handshake()
+                # What is unread when a socket is closed makes the kernel reset the connection, and a
+                # reset can overtake the alert that this server is here to send.
+                with contextlib.suppress(OSError):
+                    secure.settimeout(5)
+                    secure.shutdown(socket.SHUT_WR)
+                    while secure.recv(4096):
+                        pass
 
     def close(self) -> None:
         self.listener.shutdown(socket.SHUT_RDWR)
