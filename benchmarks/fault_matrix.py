@@ -199,7 +199,8 @@ def _row(
     bad = [sample for sample in mine if not sample.quality.is_good]
     lost = [moment for moment in unconfirmed if began <= moment < until]
     noticed = min([sample.time for sample in bad] + lost, default=None)
-    last = max([sample.time for sample in bad], default=None)
+    # A scan that is under way when the next fault strikes shows that one, though it has the time at which it began.
+    last = max([sample.time for sample in bad if sample.time < until - PERIOD], default=None)
     back = None if last is None else max(0.0, _all_good_after(mine, last) - ended)
     return Row(
         name,

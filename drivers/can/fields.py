@@ -95,10 +95,6 @@ class Field:
         """The bytes that a frame must have to hold the value."""
         return max(self.bits.size, *(condition.bits.size for condition in self.conditions), 0)
 
-    def lies_in(self, data: bytes) -> bool:
-        """True for a payload of the layout that holds the value."""
-        return all(condition.met(data) for condition in self.conditions)
-
 
 def frame_key(number: int, *, extended: bool) -> int:
     """The key of a frame's id."""

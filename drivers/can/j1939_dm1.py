@@ -6,8 +6,6 @@ from typing import NamedTuple
 PGN = 0xFECA
 LAMPS: Mapping[str, int] = {"protect": 0, "warning": 2, "stop": 4, "mil": 6}
 """Lamp by name, and its first bit in the first byte: two bits, 0 off, 1 on, 2 and 3 neither."""
-CONVERSIONS = (1, 2, 3)
-"""The older ways to write an SPN (conversion method bit 1), which a message does not tell apart."""
 
 
 class TroubleCode(NamedTuple):

@@ -63,11 +63,6 @@ class Transport:
     sessions: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("complete", *_DROPS), 0))
     _open: dict[Key, _Session] = field(default_factory=dict)
 
-    @property
-    def open_sessions(self) -> int:
-        """Sessions that have not ended."""
-        return len(self._open)
-
     def counts(self) -> dict[str, int]:
         """Frames (`tp_`) and sessions (`sessions_`) by what became of them; a message that was given is complete."""
         frames, sessions = self.frames | {"open": 0}, self.sessions | {"open": 0}

@@ -57,7 +57,7 @@ class SdoChannel:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Requests, and how they failed."""
+        """Transfers that were begun, those that find the step again among them, and how they failed."""
         return dict(self._counts)
 
     async def read(self, place: Place, size: int | None = None, *, block: bool = False) -> bytes:
@@ -94,7 +94,6 @@ class SdoChannel:
             if not self._in_step:
                 await self._carried(DEVICE_TYPE, upload(DEVICE_TYPE))
                 self._in_step = True
-            self._counts["requests"] += 1
             data = await self._carried(place, transfer)
             if end:
                 self._send(end)
@@ -103,6 +102,7 @@ class SdoChannel:
     async def _carried(self, place: Place, transfer: Transfer) -> bytes:
         """Carry one transfer to its end; one that does not end well leaves the server told so."""
         self._answers.clear()
+        self._counts["requests"] += 1
         self._busy, finished = True, False
         try:
             frames, deadline = next(transfer), 0.0

@@ -198,6 +198,9 @@ class Node:
             if self.running.is_set():
                 self.reason = f"node {self.options.node} has restarted or is not operational, and is brought up"
                 self.running.clear()
+            else:
+                what = "answers" if self.state is None else f"is {STATES[self.state]}"
+                self.reason = f"node {self.options.node} {what}, and is not up yet"
             self._rebooted = False
             try:
                 await self._bring_up()

@@ -19,7 +19,7 @@ Transfer = Generator[list[bytes] | None, bytes, bytes]
 LARGEST = 1 << 20
 """Bytes of one object: a server that announces or sends more is not believed."""
 BLOCK = 127
-TIMED_OUT, UNKNOWN_COMMAND, BAD_TOGGLE, BAD_CRC = 0x05040000, 0x05040001, 0x05030000, 0x05040004
+TIMED_OUT, UNKNOWN_COMMAND = 0x05040000, 0x05040001
 ABORTS = {
     0x05030000: "toggle bit not alternated",
     0x05040000: "SDO protocol timed out",

@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections import Counter
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
@@ -14,7 +15,7 @@ from drivers.canopen.asking import quality_of
 from drivers.canopen.channel import SdoChannel
 from drivers.canopen.place import Place, from_bytes, parse_place
 from drivers.driver import Clock
-from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.errors import DriverError, LinkDown
 from drivers.survey import BusFrame, Raw
 from drivers.tag import Quality, Sample, Tag
 
@@ -46,10 +47,9 @@ class BusSurvey:
         self._lost = ""
         self._begun = time.monotonic()
         self._frames: list[BusFrame] | None = None
-        self._asked: dict[int, SdoChannel] = {}
+        self._asked: dict[tuple[int, float], SdoChannel] = {}
         self._gone = asyncio.Event()
         self._heard = self._errors = 0
-        self._counts = dict.fromkeys(("requests", "timeouts", "mismatches", "aborts"), 0)
         self._pump = Pump(bus, self._take, self._on_lost)
 
     def close(self) -> None:
@@ -59,7 +59,10 @@ class BusSurvey:
     def statistics(self) -> Mapping[str, float]:
         """Counters by the names of the drivers'."""
         heard = {"frames": self._heard, "error_frames": self._errors, "dropped": self._pump.dropped}
-        return {**self._counts, **heard}
+        asked = Counter[str]()
+        for channel in self._asked.values():
+            asked.update(channel.counts)
+        return {**dict.fromkeys(("requests", "timeouts", "mismatches", "aborts"), 0), **asked, **heard}
 
     async def listen(self, seconds: float) -> list[BusFrame]:
         """All data frames of so many seconds. Raises LinkDown if the bus goes meanwhile."""
@@ -74,19 +77,11 @@ class BusSurvey:
 
     async def object(self, node: int, index: int, subindex: int, timeout: float) -> bytes:
         """One object of a node. Raises ReplyTimeout, DeviceException, ReplyMismatch or LinkDown."""
-        channel = self._asked[node] = SdoChannel(lambda data: self._send(_SDO_REQUEST + node, data), timeout)
-        self._counts["requests"] += 1
-        try:
-            return await channel.read(Place(index, subindex))
-        except ReplyTimeout:
-            self._counts["timeouts"] += 1
-            raise
-        except ReplyMismatch:
-            self._counts["mismatches"] += 1
-            raise
-        except DeviceException:
-            self._counts["aborts"] += 1
-            raise
+        channel = self._asked.get((node, timeout))
+        if channel is None:
+            channel = SdoChannel(lambda data: self._send(_SDO_REQUEST + node, data), timeout)
+            self._asked[node, timeout] = channel
+        return await channel.read(Place(index, subindex))
 
     async def tags(self, tags: Sequence[Tag], node: int, timeout: float) -> list[Raw]:
         """Each tag of a node by SDO, with the bytes of its object; after one without an answer no more is asked."""
@@ -132,8 +127,10 @@ class BusSurvey:
             since = time.monotonic() - self._begun
             self._frames.append(BusFrame(since, number, message.is_extended_id, data))
         node = number - _SDO_ANSWER
-        if not message.is_extended_id and node in self._asked:
-            self._asked[node].heard(data)
+        if not message.is_extended_id:
+            for (asked, _), channel in self._asked.items():
+                if asked == node:
+                    channel.heard(data)
 
     def _on_lost(self, reason: str) -> None:
         self._lost = reason

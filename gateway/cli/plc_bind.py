@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from gateway.commission.io_list import IoList
     from gateway.commission.outcome import Outcome, Site
 
-_OPTIONS_OF = {"dtype": "type"}
-
 
 def _pair(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
     """A callback for LEFT=RIGHT, as often as it is given."""

@@ -11,7 +11,7 @@ from drivers.driver import Explains
 from drivers.survey import Raw, open_bus_survey, open_registers
 from drivers.tag import DType, Order, Quality, Sample, Tag
 from gateway.cli.output import Exit
-from gateway.commission.addresses import AddressTextError, Register, parse_stretch, reference_of
+from gateway.commission.addresses import AddressTextError, parse_stretch, reference_of
 from gateway.commission.bus_probe import SDO_S
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.through import read_through, running_gateway
@@ -181,12 +181,3 @@ def _code(raws: Sequence[Raw]) -> Exit:
         return Exit.TIMEOUT
     refused = {Quality.CONFIGURATION_ERROR, Quality.DEVICE_FAILURE, Quality.NO_DATA}
     return Exit.DEVICE_EXCEPTION if qualities & refused else Exit.CHECK_FAILED
-
-
-async def words_at(site: Site, register: Register, count: int) -> list[int]:
-    """So many registers in one request, so that they are of one moment. Raises DriverError."""
-    async with open_registers(site.target.settings, clock=time.time) as survey:
-        try:
-            return list((await survey.read(register.table, register.number, count)).words)
-        finally:
-            site.count(survey.statistics())

@@ -96,7 +96,7 @@ MOST_PARTS, MOST_CHARACTERS = 300, 50_000
 
 LONGEST_QUOTE = 60
 
-_NUMBERS, _MORE = {"NUMBER", "PLUS", "MINUS"}, {"PLUS", "MINUS", "TIMES", "OVER", "LT", "GT", "EQ", "NE"}
+_NUMBERS = {"NUMBER", "PLUS", "MINUS"}
 _SPELLED = MappingProxyType(
     {
         "LPAR": "'('", "RPAR": "')'", "LSQB": "'['", "RSQB": "']'", "LBRACE": "'{'", "RBRACE": "'}'", "COMMA": "','",

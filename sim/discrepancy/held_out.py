@@ -28,7 +28,7 @@ class Trial:
     """A fit let run over a record cut by cycles.
 
     `state` is the free run, `residual` (m,) degC of its windows, `begun` (m,) what one degree at a run's start is
-    there, `order` (m,) numbers the runs, `likelihood` is that of all residuals under the fit's noise.
+    there, `order` (m,) numbers the runs, `weigher` weighs by the fit's noise.
     """
 
     record: Record
@@ -37,7 +37,6 @@ class Trial:
     begun: Array
     order: Indices
     weigher: Weigher
-    likelihood: float
 
 
 def by_cycles(record: Record) -> Record:
@@ -65,8 +64,7 @@ def let_run(fitted: Fitted, record: Record) -> Trial:
         if np.max(np.abs(moved)) < 1e-3:
             break
     weigher = Weigher(record.grid(state.k + state.loss, friction_heat(frame, state)), fitted.noise)
-    misfit = float(residual @ weigher.weigh(residual[:, None])[:, 0])
-    return Trial(record, state, residual, begun, order, weigher, -0.5 * (misfit + weigher.logdet))
+    return Trial(record, state, residual, begun, order, weigher)
 
 
 def floor_squares(trial: Trial, seed: int) -> Array:

@@ -23,9 +23,9 @@ MATERIAL, MATERIAL_FURTHER, BESIDE, CLEARLY = 0.12, 0.4, 0.2, 40.0
 and a further one, which must also be so large beside the greatest before it, unless its gain is clear (nats)."""
 BEYOND_DOUBT = 60.0
 """nats from which a name need not be material, nor bring the error within the model's own noise."""
-CLEAR, MOSTLY = 2.0, 0.5
-"""A held-out gap is clear from so many times the floor's mean square on; names without a clear gain must remove that
-share of it. On a rough plant five cycles differ by more than an effect of one sensor sigma does."""
+CLEAR = 2.0
+"""A held-out gap is clear from so many times the floor's mean square on; names without a clear gain must remove some of
+it. How much says little: on a rough plant five cycles differ by more than an effect of one sensor sigma does."""
 CEILING_P, CEILING_SHARE, CEILING_LEFT = 0.01, 0.08, 0.35
 """Heat that trees predict with such a p and to such a share is systematic; names that leave more than that part of the
 systematic heat they found are withheld."""
@@ -123,8 +123,8 @@ def doubts(
     if foreseen_better(first, second) <= 0:
         reasons.append("the held-out cycles are not better foreseen with it")
     clear = held.rmse_before**2 > CLEAR * held.noise_floor**2
-    if clear and _greatest_gain(found) < CLEARLY and held.excess_removed < MOSTLY:
-        reasons.append(f"of the gap on the held-out cycles it removes {max(held.excess_removed, 0.0):.0%} only")
+    if clear and _greatest_gain(found) < CLEARLY and held.excess_removed <= 0:
+        reasons.append("the free run over the held-out cycles is no nearer to the measurement with it")
     explained = before is not None and left is not None and before.heat > left.heat
     whole = max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
     if left is not None and systematic(left) and systematic_heat(left) > CEILING_LEFT * whole:

@@ -1,7 +1,8 @@
-"""Frames for the tests of OBD-II and J1939: payloads cut up as ISO 15765-2 and J1939-21 say, and candump lines."""
+"""Frames for the tests of CAN: payloads cut up as ISO 15765-2 and J1939-21 say, candump lines, and layouts."""
 
 from collections.abc import Iterable, Iterator
 
+from drivers.can.fields import Field
 from drivers.can.frame import Frame
 
 
@@ -45,3 +46,8 @@ def candump(frames: Iterable[Frame], channel: str = "can0") -> str:
         identifier = f"{frame.id:0{8 if frame.extended else 3}X}"
         lines.append(f"({frame.time:.6f}) {frame.channel or channel} {identifier}#{frame.data.hex().upper()}\n")
     return "".join(lines)
+
+
+def lies_in(field: Field, data: bytes) -> bool:
+    """Whether a frame's payload is of the layout that holds the field."""
+    return all(condition.met(data) for condition in field.conditions)

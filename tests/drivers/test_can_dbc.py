@@ -12,6 +12,7 @@ from drivers.driver import open_driver
 from drivers.errors import AddressError, DriverError
 from drivers.tag import DType, Quality, Tag
 from gateway.devices import load_device
+from tests.drivers.can_frames import lies_in
 
 CONFIG = Path(__file__).parents[2] / "config"
 OTHERS = """VERSION ""
@@ -99,9 +100,9 @@ def test_named_special_values_do_not_make_the_ordinary_ones_wrong(others: Path) 
 def test_extended_multiplexing_needs_every_selector_and_has_several_numbers(others: Path) -> None:
     dbc = Dbc(others)
     _, inner, facts = dbc.locate(Tag("x", "dbc:Deep.Inner"))
-    assert inner.lies_in(bytes((1, 4, 9, 0, 0, 0, 0, 0)))
-    assert not inner.lies_in(bytes((1, 6, 9, 0, 0, 0, 0, 0)))
-    assert not inner.lies_in(bytes((0, 4, 9, 0, 0, 0, 0, 0)))
+    assert lies_in(inner, bytes((1, 4, 9, 0, 0, 0, 0, 0)))
+    assert not lies_in(inner, bytes((1, 6, 9, 0, 0, 0, 0, 0)))
+    assert not lies_in(inner, bytes((0, 4, 9, 0, 0, 0, 0, 0)))
     assert facts.cycle == pytest.approx(0.04)
     assert facts.layouts > 1
     wide, field, _ = dbc.locate(Tag("w", "dbc:Deep.Wide"))

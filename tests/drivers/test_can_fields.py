@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from drivers.can.fields import EXTENDED, Bits, Field, frame_key, frame_name, parse_field, raw_of, value_of
 from drivers.errors import AddressError, EncodingError
 from drivers.tag import DType, Order, Quality, Tag
+from tests.drivers.can_frames import lies_in
 
 CONTAINERS = {8: (DType.INT8, DType.UINT8), 16: (DType.INT16, DType.UINT16), 32: (DType.INT32, DType.UINT32)}
 
@@ -68,10 +69,10 @@ def test_the_notation_tells_eleven_bits_from_twenty_nine() -> None:
 
 def test_a_multiplexed_field_lies_only_in_frames_of_its_layout() -> None:
     field = parse_field(Tag("x", "0x181[0|8=3,15|4@0=1]:16|16"))
-    assert field.lies_in(bytes((3, 0x10, 0, 0)))
-    assert not field.lies_in(bytes((3, 0x20, 0, 0)))
-    assert not field.lies_in(bytes((4, 0x10, 0, 0)))
-    assert not field.lies_in(b"\x03")
+    assert lies_in(field, bytes((3, 0x10, 0, 0)))
+    assert not lies_in(field, bytes((3, 0x20, 0, 0)))
+    assert not lies_in(field, bytes((4, 0x10, 0, 0)))
+    assert not lies_in(field, b"\x03")
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,16 @@ async def test_without_configure_only_sdo_reads_are_sent(node: ScriptedNode, ope
     assert {message.data[0] >> 5 for message in ours} <= {2, 3}, "upload requests and their segments"
 
 
+async def test_a_node_that_beats_and_answers_nothing_is_not_called_unheard(bus: Path, opened: Open) -> None:
+    driver = await opened(wait=False, connect_timeout=0.3)
+    mute = HubBus(str(bus))
+    beats = mute.send_periodic(can.Message(arbitration_id=BEAT, data=[127], is_extended_id=False), 0.02)
+    with pytest.raises(LinkDown, match=f"node {NODE} (is pre-operational|cannot be brought up)"):
+        await driver.open()
+    beats.stop()
+    mute.shutdown()
+
+
 async def test_configure_starts_the_node_and_sends_sync(node: ScriptedNode, opened: Open, heard: HubBus) -> None:
     changed = [{"number": 1, "event_timer": 0.04, "inhibit": 0.001}]
     driver = await opened(configure=True, sync_period=0.01, heartbeat_time=0.04, tpdo=changed)

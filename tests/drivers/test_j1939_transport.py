@@ -90,7 +90,7 @@ def test_a_session_with_a_receiver_is_given_once_and_its_acknowledgement_counts_
     transport.control(1.5, BACK, control(19, payload, PGN))
     assert transport.sessions["complete"] == 1
     assert transport.frames["complete"] == 1 + 3 + 5 + 1
-    assert transport.open_sessions == 0
+    assert transport.counts()["sessions_open"] == 0
 
 
 def test_packets_that_the_receiver_asks_for_again_do_not_spoil_the_message() -> None:
@@ -158,7 +158,7 @@ def test_a_new_announcement_replaces_an_unfinished_session() -> None:
 def test_an_announcement_that_cannot_be_begins_no_session(data: bytes) -> None:
     transport = Transport()
     transport.control(0.0, BAM_KEY, data)
-    assert transport.open_sessions == 0
+    assert transport.counts()["sessions_open"] == 0
     assert transport.frames["malformed"] == 1
 
 

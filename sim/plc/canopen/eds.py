@@ -14,7 +14,7 @@ Address = tuple[int, int]
 _OBJECT = re.compile(r"([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?")
 _FORMATS = {1: "<B", 2: "<b", 3: "<h", 4: "<i", 5: "<B", 6: "<H", 7: "<I", 8: "<f", 0x11: "<d", 0x15: "<q", 0x1B: "<Q"}
 _FLOATS = (8, 0x11)
-TEXT, DOMAIN = 9, 0xF
+TEXT = 9
 _LEAF = ("0x7", "0x2", "7", "2")
 
 
