@@ -12,13 +12,15 @@ import numpy as np
 
 from sim.discrepancy.baseline import Frame
 from sim.discrepancy.catalogue import Entry
-from sim.discrepancy.noise import decay_and_pull
+from sim.discrepancy.noise import Grid, decay_and_pull
 from sim.learning.free_run import RATES, steps
 from sim.sha.recursion import linear_recursion
 from sim.sha.trace import Array
 
 ITERATIONS, STILL = 60, 1e-6
 """Passes at most, and the change (degC) below which a course stands still."""
+TAIL = 4
+"""Cycles over which the heat of one is followed, itself included: about a day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,17 +176,45 @@ def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: 
     return run_free(frame, point[:p], point[p : p + r], start, moved, guess)
 
 
-def friction_heat(frame: Frame, state: State) -> Array:
-    """(n,) degC/s by how much more the machine heats than at rest: what a cycle's scatter multiplies.
+def grid_at(frame: Frame, state: State) -> Grid:
+    """The windows of the frame's record as the noise sees them around a state."""
+    return frame.record.grid(state.k + state.loss, scattered(frame, state))
 
-    It is delayed and lagged as the reading is; a scatter that the sensor showed at once would take a part of a lag on.
+
+def scattered(frame: Frame, state: State) -> Array:
+    """(m, cycles) degC what a scatter of 1 of each cycle's friction heat does to the windows' readings.
+
+    Formed at the knots and through the sensor, as the sensitivities of the parameters are. What is only nearly alike
+    would be played against them, to make up for what is missing at starts and stops. What a cycle leaves behind is
+    followed through the next ones of TAIL.
     """
+    record, runs = frame.record, frame.record.runs
+    cycles, order = np.unique(record.cycle, return_inverse=True)
+    decay, pull = decay_and_pull(state.k + state.loss, runs.dt)
+    heat = np.where(runs.first, 0.0, pull * friction_heat(frame, state))
+    begins = np.diff(order, prepend=-1) != 0
+    followed = []
+    for group in range(TAIL):  # cycles so far apart share a column: what one of them leaves is dropped at the next
+        own = order % TAIL == group
+        response = linear_recursion(np.where(runs.first | (begins & own), 0.0, decay), np.where(own, heat, 0.0), 0.0)
+        followed.append(record.windowed(as_read(frame, state, response)))
+    age = order[record.rows[record.begins]][:, None] - np.arange(cycles.size)
+    columns = np.column_stack(followed)[:, np.arange(cycles.size) % TAIL]
+    return np.asfortranarray(np.where((age >= 0) & (age < TAIL), columns, 0.0))
+
+
+def as_read(frame: Frame, state: State, column: Array) -> Array:
+    """(n,) degC what the sensor shows of a part (n,) of the bearing's temperature: as late as it shows the whole."""
+    for one in state.named:
+        if one.entry.sense is not None and one.entry.whole:
+            column = one.entry.sense(frame.record, one.params, column)
+    return column
+
+
+def friction_heat(frame: Frame, state: State) -> Array:
+    """(n,) degC/s by how much more the machine heats than at rest: what a cycle's scatter multiplies."""
     record = frame.record
     rest = (record.running < 0.5) & (state.k > 0)
     floor = float(np.median(state.target[rest])) if rest.any() else float(np.quantile(state.mean, 0.02))
     heat = np.where(state.k > 0, state.k * (state.target - floor), np.where(state.decay == 1.0, state.target, 0.0))
-    heat = np.asarray(np.maximum(heat, 0.0) * record.running)
-    for one in state.named:
-        if one.entry.sense is not None and one.entry.whole:
-            heat = one.entry.sense(record, one.params, heat)
-    return heat
+    return np.asarray(np.maximum(heat, 0.0) * record.running)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sim.discrepancy.baseline import TARGET_SPREAD, Frame
-from sim.discrepancy.course import Named, State, at, friction_heat, sensitivity
+from sim.discrepancy.course import Named, State, at, grid_at, sensitivity
 from sim.discrepancy.noise import Belief, Grid, Noise, Weigher, fit_noise
 from sim.discrepancy.record import Record
 from sim.sha.model import Model
@@ -101,7 +101,7 @@ def _around(frame: Frame, state: State, start: Array, reading: Array) -> _Point:
     off = np.concatenate([state.parameters[: sum(frame.count)] - frame.centre, np.zeros(len(state.named))])
     return _Point(
         state,
-        record.grid(state.k + state.loss, friction_heat(frame, state)),
+        grid_at(frame, state),
         reading - record.windowed(state.mean),
         record.windowed(sensitivity(frame, state, start)),
         off,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.baseline import on
-from sim.discrepancy.course import State, at, friction_heat
+from sim.discrepancy.course import State, at, grid_at
 from sim.discrepancy.diagnosis import HeldOut
 from sim.discrepancy.fit import Fitted
 from sim.discrepancy.noise import Weigher
@@ -63,7 +63,7 @@ def let_run(fitted: Fitted, record: Record) -> Trial:
         residual = reading - record.windowed(state.mean)
         if np.max(np.abs(moved)) < 1e-3:
             break
-    weigher = Weigher(record.grid(state.k + state.loss, friction_heat(frame, state)), fitted.noise)
+    weigher = Weigher(grid_at(frame, state), fitted.noise)
     return Trial(record, state, residual, begun, order, weigher)
 
 

@@ -2,10 +2,10 @@
 
 A residual r (measured - free run) of a model with the right flows obeys, between windows of readings,
 
-    dx/dt = -k x + h + c w + s dW,    h an Ornstein-Uhlenbeck heat,    c a scatter of each cycle,    r = x + v
+    dx/dt = -k x + h + s dW,    r = x + c w + v,    h an Ornstein-Uhlenbeck heat,    c a scatter of each cycle
 
-where k is the location's rate (0 where the flow does not relax), w the friction heat that a cycle's scatter
-multiplies, v the sensor's noise; x starts anew with each run. The precision is banded, so that weighing any number of
+where k is the location's rate (0 where the flow does not relax), w what the cycle's friction heat does to the reading,
+v the sensor's noise; x starts anew with each run. The precision is banded, so that weighing any number of
 columns by the inverse covariance costs one banded Cholesky decomposition (Rue & Held 2005, ch. 2), and the scatter of
 the cycles is a random effect on top (Woodbury).
 """
@@ -18,7 +18,6 @@ from scipy.linalg import cho_solve, cho_solve_banded, cholesky, cholesky_banded
 from scipy.optimize import minimize
 
 from sim.learning.runs import Indices
-from sim.sha.recursion import linear_recursion
 from sim.sha.trace import Array, Mask
 
 DIFFUSE = 1e4
@@ -51,26 +50,17 @@ class Noise:
 class Grid:
     """m windows of R runs, one after the other: `dt` (m,) s since the one before (of no meaning at a run's first).
 
-    `k` (m,) 1/s is the mean rate since then, `running` (m,) the share of that time in which the machine ran, `weight`
-    (m,) degC/s the heat that a cycle's scatter multiplies, `first` (m,) begins a run, `cycle` (m,) numbers the cycles.
-    `heats` (m, cycles) degC is what a scatter of 1 in each cycle does to the windows.
+    `k` (m,) 1/s is the mean rate since then, `running` (m,) the share of that time in which the machine ran, `first`
+    (m,) begins a run, `cycle` (m,) numbers the cycles. `heats` (m, cycles) degC is what a scatter of 1 in each cycle
+    does to the windows.
     """
 
     dt: Array
     k: Array
     running: Array
-    weight: Array
     first: Mask
     cycle: Indices
     heats: Array
-
-
-def grid_of(dt: Array, k: Array, running: Array, weight: Array, first: Mask, cycle: Indices) -> Grid:
-    """The grid with its cycles' heats."""
-    decay, pull = decay_and_pull(k, dt)
-    decay, push = np.where(first, 0.0, decay), np.where(first, 0.0, pull * weight)
-    columns = [linear_recursion(decay, np.where(cycle == number, push, 0.0), 0.0) for number in np.unique(cycle)]
-    return Grid(dt, k, running, weight, first, cycle, np.asfortranarray(np.column_stack(columns)))
 
 
 def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:

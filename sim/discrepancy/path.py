@@ -34,7 +34,7 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: P
     fitted = last.fitted if last is not None and last.fitted is not None else base
     if len(taken) > 1:
         told("looking at each name again", 0.25 + 0.6 * most / (most + 1))
-        taken, fitted = _revised(fitted, taken, present, seed + most)
+        taken, fitted = _revised(fitted, taken, present, seed + most, len(taken) - 1)
     if any(refusal for _, refusal in taken):
         return Found(base, base, tuple(taken[-1:]))
     return Found(base, fitted, (*taken, *refused))
@@ -47,20 +47,25 @@ def _open(one: Step, earlier: Sequence[Step]) -> bool:
 
 
 def _revised(
-    fitted: Fitted, taken: Sequence[Judged], present: Mapping[str, str], seed: int
+    fitted: Fitted, taken: Sequence[Judged], present: Mapping[str, str], seed: int, count: int
 ) -> tuple[list[Judged], Fitted]:
-    """Each name but the last left out and looked for again beside the others, and the fit with all that remains.
+    """The first `count` names left out by turns and looked for again, and the fit with all that remains.
 
-    `fitted` has all names of `taken`. What is refused now ends the list.
+    `fitted` has all names of `taken`. A name that adds nothing beside the others is dropped, and the others are looked
+    at without it; what is refused otherwise ends the list.
     """
     judged = list(taken)
-    for number, (before, _) in enumerate(taken[:-1]):
+    for number, (before, _) in enumerate(taken[:count]):
         old = before.best.entry.name if before.best is not None else ""
         others = [one for one in fitted.state.named if one.entry.name != old]
         without = fit(fitted.frame, others, fitted, rounds=2, iterations=8)
         one = step(without, entries_besides(others), present, seed + number)
         rest = [each for place, (each, _) in enumerate(judged) if place != number]
-        refusal = insignificant(one, rest) or dubious(one)
+        chance = insignificant(one, rest)
+        if chance and rest:
+            left = [*judged[:number], *judged[number + 1 :]]
+            return _revised(without, left, present, seed, len(left))
+        refusal = chance or dubious(one)
         judged[number] = one, refusal
         if refusal or one.best is None or one.best.fitted is None:
             return judged[: number + 1], fitted

@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from sim.discrepancy.catalogue import Entry, signals_of
-from sim.discrepancy.course import Named, filtered
+from sim.discrepancy.course import Named, as_read, filtered
 from sim.discrepancy.fit import Fitted
 from sim.discrepancy.forms import Params, Signals
 from sim.discrepancy.noise import Weigher
@@ -140,7 +140,8 @@ def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
     for shape in shapes:
         if shape.entry.drive is not None:
             loss, heat = shape.entry.drive(record, shape.signals, shape.params, smooth)
-            out.append(record.windowed(filtered(fitted.frame, state, heat - loss * smooth)[:, 0]))
+            added = filtered(fitted.frame, state, heat - loss * smooth)[:, 0]
+            out.append(record.windowed(as_read(fitted.frame, state, added)))
         if shape.entry.sense is not None:
             sensed = shape.entry.sense(record, shape.named(1.0).params, state.mean)
             out.append(record.windowed(sensed - state.mean))

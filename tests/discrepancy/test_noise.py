@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
-from sim.discrepancy.noise import DIFFUSE, Belief, Grid, Noise, Weigher, fit_noise, grid_of
-from sim.sha.trace import Array
+from sim.discrepancy.noise import DIFFUSE, Belief, Grid, Noise, Weigher, decay_and_pull, fit_noise
+from sim.learning.runs import Indices
+from sim.sha.recursion import linear_recursion
+from sim.sha.trace import Array, Mask
 
 NOISE = Noise(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)
 
@@ -19,6 +20,14 @@ def small_grid(seed: int = 1, size: int = 40) -> Grid:
         rng.uniform(20.0, 200.0, size), np.where(rng.random(size) < 0.2, 0.0, 1e-3), running, 1e-3 * running, first,
         np.cumsum(rng.random(size) < 0.1),
     )  # fmt: skip
+
+
+def grid_of(dt: Array, k: Array, running: Array, weight: Array, first: Mask, cycle: Indices) -> Grid:
+    """A grid whose cycles' heats `weight` (m,) degC/s are held over each step."""
+    decay, pull = decay_and_pull(k, dt)
+    decay, push = np.where(first, 0.0, decay), np.where(first, 0.0, pull * weight)
+    columns = [linear_recursion(decay, np.where(cycle == number, push, 0.0), 0.0) for number in np.unique(cycle)]
+    return Grid(dt, k, running, first, cycle, np.asfortranarray(np.column_stack(columns)))
 
 
 def dense(grid: Grid, noise: Noise) -> Array:
@@ -55,15 +64,6 @@ def test_weighing_and_determinant_are_those_of_the_dense_covariance() -> None:
     weigher = Weigher(grid, NOISE)
     np.testing.assert_allclose(weigher.weigh(columns), np.linalg.solve(covariance, columns), rtol=1e-6, atol=1e-9)
     assert weigher.logdet == pytest.approx(np.linalg.slogdet(covariance)[1], abs=1e-6)
-
-
-def test_the_scatter_of_a_cycle_is_its_heat_let_run_through_the_rate() -> None:
-    grid = small_grid()
-    row = int(np.flatnonzero(grid.first)[1])
-    column = int(np.searchsorted(np.unique(grid.cycle), grid.cycle[row + 1]))
-    k, dt, heat = grid.k[row + 1], grid.dt[row + 1], grid.weight[row + 1]
-    step = expm(np.array([[-k, heat], [0.0, 0.0]]) * dt) @ np.array([0.0, 1.0])
-    assert grid.heats[row + 1, column] == pytest.approx(step[0], rel=1e-9)
 
 
 def test_draws_have_the_covariance_that_they_are_weighed_by() -> None:
