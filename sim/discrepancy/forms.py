@@ -217,7 +217,11 @@ def thermostat(record: Record, _signals: Signals, smooth: Array) -> Sequence[Par
 def thermostat_drive(
     record: Record, _signals: Signals, params: Mapping[str, float], course: Array
 ) -> tuple[Array, Array]:
-    opened = hysteresis(course, params["opens"], params["closes"], record.runs.first)
+    first = record.runs.first
+    opened = hysteresis(course, params["opens"], params["closes"], first)
+    # A step later, as causes are: a valve that moved within the step could close itself by opening, and no course
+    # would stand still.
+    opened = np.where(first, 0.0, np.concatenate([opened[:1], opened[:-1]]))
     return opened, opened * params["sink"]
 
 
