@@ -34,7 +34,7 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: P
     fitted = last.fitted if last is not None and last.fitted is not None else base
     if len(taken) > 1:
         told("looking at each name again", 0.25 + 0.6 * most / (most + 1))
-        taken, fitted = _revised(fitted, taken, present, seed + most, len(taken) - 1)
+        taken, fitted = revised(fitted, taken, present, seed + most, len(taken) - 1)
     if any(refusal for _, refusal in taken):
         return Found(base, base, tuple(taken[-1:]))
     return Found(base, fitted, (*taken, *refused))
@@ -46,7 +46,7 @@ def _open(one: Step, earlier: Sequence[Step]) -> bool:
     return clear and one.margin < MARGIN
 
 
-def _revised(
+def revised(
     fitted: Fitted, taken: Sequence[Judged], present: Mapping[str, str], seed: int, count: int
 ) -> tuple[list[Judged], Fitted]:
     """The first `count` names left out by turns and looked for again, and the fit with all that remains.
@@ -64,7 +64,7 @@ def _revised(
         chance = insignificant(one, rest)
         if chance and rest:
             left = [*judged[:number], *judged[number + 1 :]]
-            return _revised(without, left, present, seed, len(left))
+            return revised(without, left, present, seed, len(left))
         refusal = chance or dubious(one)
         judged[number] = one, refusal
         if refusal or one.best is None or one.best.fitted is None:
