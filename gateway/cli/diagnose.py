@@ -58,6 +58,7 @@ def diagnose(
     make: the verdict may be "agree", "unexplained" or "too-little-data". The exit code is 0 whatever the verdict.
     """
     from gateway.cli.diagnosing import Request, roles_of, run
+    from sim.discrepancy.record import overlapping
 
     sources = (*paths, *more)
     if bool(sources) == (historian is not None):
@@ -68,6 +69,8 @@ def diagnose(
         request = Request(where, out, _source(sources, historian), seed, most, time.time(), temperature, not no_report)
         report("reading", 0.0)
         model, traces, column_map = _read(request, sources, historian, since, map_name)
+        if found := overlapping(traces):
+            click.echo(f"{found}: the traces are taken one after the other, in the order of their names", err=True)
         told = run(request, model, traces, roles_of(column_map), report)
     emit(_data(told, out), lambda: show(told, out), as_json_line=as_json)
 

@@ -6,6 +6,7 @@ a window count as one, at their mean time, so that a day of 1 s samples costs no
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +28,8 @@ SLOW = 2.0
 """Times the usual interval between rows (all but one in a hundred) beyond which a recorder has a gap."""
 LATE = 1.5
 """Times the usual interval between rows from which a start or a stop in it was noticed late."""
+BETWEEN = 3600.0
+"""Seconds that are put between traces of which nobody knows when they were recorded."""
 NEVER = 1e9
 """Seconds since a start-up that was not seen."""
 
@@ -102,6 +105,29 @@ class Record:
         running, since, cycle = self.running[keep], self.since[keep], self.cycle[keep]
         rows, begins = _windows(runs, cycle, running, self.window)
         return replace(self, runs=runs, running=running, since=since, cycle=cycle, rows=rows, begins=begins)
+
+
+def overlapping(traces: Sequence[Trace]) -> str:
+    """Which trace begins before another one ends, in words; "" where they lie one after the other."""
+    ordered = sorted((trace for trace in traces if trace.times.size), key=lambda trace: float(trace.times[0]))
+    for before, after in pairwise(ordered):
+        if after.times[0] < before.times[-1]:
+            return f"{after.name} begins before {before.name} ends"
+    return ""
+
+
+def in_order(traces: Sequence[Trace]) -> list[Trace]:
+    """The traces by their times; those that overlap (each begins at 0, say) one after the other as they were given."""
+    having = [trace for trace in traces if trace.times.size]
+    if not overlapping(having):
+        return sorted(having, key=lambda trace: float(trace.times[0]))
+    laid, end = list[Trace](), 0.0
+    for trace in having:
+        shift = end - float(trace.times[0])
+        events = tuple(replace(event, time=event.time + shift) for event in trace.events)
+        laid.append(replace(trace, times=trace.times + shift, events=events))
+        end = float(laid[-1].times[-1]) + BETWEEN
+    return laid
 
 
 def patiently(trace: Trace, alphabet: Alphabet) -> Trace:

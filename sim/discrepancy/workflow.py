@@ -23,7 +23,7 @@ from sim.discrepancy.judging import Found, doubts, left_over, systematic, untest
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
-from sim.discrepancy.record import Record, patiently, record_of
+from sim.discrepancy.record import Record, in_order, patiently, record_of
 from sim.discrepancy.story import course_of, sentence_of
 from sim.sha.correction import in_sensor_scale
 from sim.sha.model import Model
@@ -73,7 +73,7 @@ def diagnose(
     told = progress or (lambda _stage, _share: None)
     model = in_sensor_scale(model)
     told("laying out the traces", 0.0)
-    given = sorted((patiently(trace, model.alphabet) for trace in traces if trace.times.size), key=lambda t: t.times[0])
+    given = [patiently(trace, model.alphabet) for trace in in_order(traces)]
     present = present_roles(given, roles)
     record = record_of(model, given, signals_needed(model, present))
     cycles = np.unique(record.cycle)
