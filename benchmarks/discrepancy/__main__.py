@@ -28,15 +28,16 @@ def main() -> None:
 @click.option("--set", "set_", type=click.Choice(list(SETS)), required=True, help="Which seeds.")
 @click.option("--strata", default="all", show_default=True, help=f"Of {', '.join(['all', 'clean', *STRATA])}.")
 @click.option("--count", type=click.IntRange(1), help="Cases of each stratum [as many as the full benchmark has].")
+@click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="The first one's number.")
 @click.option("--out", type=FOLDER, required=True, help="Where the cases go.")
 @click.option("--quick", is_flag=True, help="One case of each stratum: whether it works, not how well.")
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
-def generate(set_: str, strata: str, count: int | None, out: Path, quick: bool, jobs: int) -> None:
+def generate(set_: str, strata: str, count: int | None, first: int, out: Path, quick: bool, jobs: int) -> None:
     """Write cases (traces, models, configurations), and their labels sealed, with the labels' hash."""
     from benchmarks.discrepancy.batches import generate_all
 
     with _sentences():
-        wanted = specs(set_, chosen(strata), 1 if quick else count)
+        wanted = specs(set_, chosen(strata), 1 if quick else count, first)
     digest = generate_all(wanted, out, jobs=jobs, size=BATCH, told=_told)
     click.echo(f"{len(wanted)} cases in {out}; labels sealed under {digest}")
 

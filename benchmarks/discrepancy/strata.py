@@ -172,10 +172,10 @@ def chosen(names: str) -> tuple[str, ...]:
     return tuple(found)
 
 
-def specs(set_: str, strata: Sequence[str], count: int | None = None) -> list[Spec]:
-    """The first `count` cases of each stratum, or as many as the full benchmark has."""
+def specs(set_: str, strata: Sequence[str], count: int | None = None, first: int = 0) -> list[Spec]:
+    """`count` cases of each stratum (as many as the full benchmark has) from number `first` on."""
     return [
         STRATA[stratum].make(set_, stratum, number)
         for stratum in strata
-        for number in range(STRATA[stratum].size if count is None else count)
+        for number in range(first, first + (STRATA[stratum].size if count is None else count))
     ]

@@ -62,6 +62,7 @@ def test_sets_have_cases_and_seeds_of_their_own() -> None:
 
 def test_the_same_number_is_always_the_same_case() -> None:
     assert specs("blind", ("pairs", "outside"), 5) == specs("blind", ("pairs", "outside"), 5)
+    assert specs("blind", ("pairs",), 3, 5) == specs("blind", ("pairs",), 8)[5:]
 
 
 def test_170_singles_hold_every_effect_at_every_ratio_on_both_kinds_of_plant() -> None:
