@@ -1,7 +1,8 @@
 """All benchmarks one after another, each in a process of its own: one table of figures, and the machine they are from.
 
-`python -m benchmarks.run [--json] [--quick]`: a quarter of an hour on two quiet cores, less with `--quick`. The fault
-matrix is no matter of speed and has its own command, `python -m benchmarks.fault_matrix`.
+`python -m benchmarks.run [--json] [--quick]`: a quarter of an hour on two quiet cores, less with `--quick`. What is no
+matter of speed has a command of its own: `python -m benchmarks.fault_matrix`, `benchmarks.canopen_rig` (the same over
+CANopen), `benchmarks.commissioning` (the engineer's hour) and `benchmarks.discrepancy` (hidden effects).
 """
 
 import json

@@ -9,7 +9,7 @@ import tomlkit
 
 from gateway.checked import ConfigError, read_toml
 from gateway.commission.device_file import PLACE_KEYS, set_device, starter
-from gateway.commission.target import Target, TargetError, make_target
+from gateway.commission.target import CONNECT_S, Target, TargetError, make_target
 from gateway.commission.toml_edit import Edit, commit, edited, put
 
 _PLANT = """\
@@ -89,7 +89,8 @@ def _driver_of(
     if plant is None and link is None and not set(given) & {"host", "serial", "channel"}:
         return "modbus", given
     target: Target = make_target(None, None, link, given)
-    plain = {key: value for key, value in target.settings.items() if (key, value) != ("transport", "tcp")}
+    ours = {"transport": "tcp", "connect_timeout": CONNECT_S}  # what the commands fill in is no setting of the plant
+    plain = {key: value for key, value in target.settings.items() if ours.get(key) != value}
     return target.driver, plain
 
 

@@ -20,10 +20,9 @@ from gateway.commission.network import (
 )
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.steps import Step, failed, ok, verdict, warning
-from gateway.commission.target import Target
+from gateway.commission.target import CONNECT_S, Target
 from gateway.commission.through import mention_gateway
 
-CONNECT_S = 3.0
 ROUND_TRIPS = 10
 OTHER_UNITS = (1, 255, 0, 2, 247)
 """Asked when the given unit is silent: what devices and gateways use where nothing was set."""

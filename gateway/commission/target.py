@@ -37,6 +37,8 @@ KINDS: dict[str, LinkKind] = {
 }
 OPTION_OF: dict[str, str] = {"certificates": "--tls"}
 """Where a setting is given by an option of another name."""
+CONNECT_S = 3.0
+"""Seconds for a connection where no plant file says otherwise: a laptop may be far away, over a VPN for one."""
 
 
 class TargetError(ValueError):
@@ -168,6 +170,8 @@ def _complete(target: Target) -> Target:
             return target
         raise TargetError(f"--link: {target.kind!r} is no link; give one of {', '.join(KINDS)}")
     settings = {**kind.settings, **target.settings}
+    if target.config is None and settings.get("host"):
+        settings.setdefault("connect_timeout", CONNECT_S)
     missing = [OPTION_OF.get(key, f"--{key}") for key in kind.needs if settings.get(key) in (None, "")]
     if missing:
         raise TargetError(f"link {target.kind!r} needs {' and '.join(missing)}")
