@@ -76,8 +76,9 @@ def test_what_was_heard_before_a_new_connection_counts_no_more() -> None:
 
 
 def test_the_checksum_is_that_of_the_profiles_published_example() -> None:
-    # AUTOSAR E2E profile 5: data id 0x1234, eight bytes, all zero.
+    # AUTOSAR E2E profile 5: data id 0x1234, eight bytes, all zero, as an independent Python library (e2e) has it.
     assert protected(GUARD, 0, bytes(8)).hex() == "1cca000000000000"
+    assert protected(GUARD, 1, bytes(8)).hex() == "cf8d010000000000"
 
 
 def test_frames_in_sequence_are_used_with_gaps_and_over_the_wrap() -> None:
