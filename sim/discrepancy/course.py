@@ -177,8 +177,13 @@ def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: 
 
 
 def grid_at(frame: Frame, state: State) -> Grid:
-    """The windows of the frame's record as the noise sees them around a state."""
-    return frame.record.grid(state.k + state.loss, scattered(frame, state))
+    """The windows of the frame's record as the noise sees them around a state.
+
+    What is rough reaches the reading as late as the rest: heat that came with the start at once, beside one that comes
+    late, would be played against it.
+    """
+    rate, running = (as_read(frame, state, column) for column in (state.k + state.loss, frame.record.running))
+    return frame.record.grid(rate, running, scattered(frame, state))
 
 
 def scattered(frame: Frame, state: State) -> Array:

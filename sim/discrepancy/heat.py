@@ -9,11 +9,13 @@ from sim.discrepancy.noise import Weigher, decay_and_pull
 from sim.discrepancy.record import Record
 from sim.discrepancy.screen import Projector
 from sim.learning.runs import Indices, first_switch
-from sim.sha.trace import Array
+from sim.sha.trace import Array, Mask
 
 BLOCK = 600.0
 """Seconds over which the heat is averaged: shorter, the sensor's noise hides it."""
 HOUR = 3600.0
+REACH = 3.0
+"""Mean delays after which a change has reached the reading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +42,9 @@ class Blocks:
 def implied_heat(fitted: Fitted) -> Array:
     """(m,) degC/s over the step to each window: (x' - decay x) / pull of the smoothed residual; NaN at a run's first.
 
-    The part that the model's own parameters would take up is taken out before.
+    The part that the model's own parameters would take up is taken out before. NaN too where a change is still on its
+    way to the reading, in a model with a dead time or a sensor's lag: there the residual tells how that smears, and no
+    heat.
     """
     left = Projector(fitted).residual
     smoothed = Weigher(fitted.grid, fitted.noise).smoothed(left)
@@ -48,7 +52,21 @@ def implied_heat(fitted: Fitted) -> Array:
     decay, pull = decay_and_pull(grid.k, grid.dt)
     before = np.concatenate([smoothed[:1], smoothed[:-1]])
     heat = (smoothed - decay * before) / np.maximum(pull, 1e-9)
-    return np.where(grid.first, np.nan, heat)
+    return np.where(grid.first | _on_the_way(fitted), np.nan, heat)
+
+
+def _on_the_way(fitted: Fitted) -> Mask:
+    """(m,) windows whose readings still follow a change of location, by what lies between heat and reading."""
+    late = sum(
+        one.params.get("delay", 0.0) * (1.0 + one.params.get("blur", 0.0)) + one.params.get("tau", 0.0)
+        for one in fitted.state.named
+        if one.entry.sense is not None and one.entry.whole
+    )
+    record = fitted.frame.record
+    runs = record.runs
+    changed = runs.first | (np.diff(runs.place, prepend=-1) != 0)
+    since = runs.time - (runs.time - runs.dt)[changed][np.cumsum(changed) - 1]
+    return record.windowed(since) < REACH * late
 
 
 def since_switch(record: Record) -> Array:

@@ -30,8 +30,9 @@ SAME, NEAR = 0.9, 0.6
 """Cosines from which two effects are of one class, or rivals."""
 ONE_CHAIN = frozenset({"dead-time", "sensor-lag"})
 """What lies between the heat and the reading is named once: a second name would mend the first one's shape."""
-MARGIN = 6.0
-"""Nats by which a name must beat every rival outside its class."""
+MARGIN, ALIKE = 6.0, 0.01
+"""Nats by which a name must beat every rival, and the share of its gain for one of its class: by so little a shape
+that is not quite the plant's may win over its twin."""
 INVISIBLE = 0.05
 
 
@@ -82,12 +83,12 @@ class Step:
 
     @property
     def members(self) -> tuple[str, ...]:
-        """The best entry's name and those of its class that do not lie a whole margin behind it."""
+        """The best entry's name and those of its class that do not lie a whole margin, and ALIKE, behind it."""
         if self.best is None:
             return ()
         top = self.best.gain
         close = [one for one in self.evidence[1:] if abs(self.cosines.get(one.entry.name, 0.0)) >= SAME]
-        return (self.best.entry.name, *(one.entry.name for one in close if top - one.gain < MARGIN))
+        return (self.best.entry.name, *(one.entry.name for one in close if top - one.gain < max(MARGIN, ALIKE * top)))
 
     @property
     def margin(self) -> float:

@@ -86,14 +86,15 @@ class Record:
         """(n,) a signal held over each step; NaN while it was never read."""
         return self.runs.inputs[:, self.signals.index(name)]
 
-    def grid(self, k: Array, heats: Array) -> Grid:
-        """The windows as the noise sees them; `k` (n,) 1/s is each step's rate, `heats` (m, cycles) as in `Grid`."""
-        passed = np.cumsum(np.column_stack([k, self.running]) * self.runs.dt[:, None], axis=0)
+    def grid(self, k: Array, running: Array, heats: Array) -> Grid:
+        """The windows as the noise sees them; `k` (n,) 1/s and `running` (n,) are each step's rate and whether rough
+        heat acts, `heats` (m, cycles) as in `Grid`."""
+        passed = np.cumsum(np.column_stack([k, running]) * self.runs.dt[:, None], axis=0)
         times, mean = self.times, self.windowed(passed)
         first = self.window_first
         dt = np.where(first, 1.0, np.diff(times, prepend=times[0] - 1.0))
-        rate, running = (np.diff(mean, axis=0, prepend=mean[:1]) / dt[:, None]).T
-        return Grid(dt, np.where(first, 0.0, rate), running, first, self.window_cycle, heats)
+        rate, share = (np.diff(mean, axis=0, prepend=mean[:1]) / dt[:, None]).T
+        return Grid(dt, np.where(first, 0.0, rate), share, first, self.window_cycle, heats)
 
     def where(self, keep: Mask) -> "Record":
         """The knots of whole cycles, of which the first of each piece begins a run of its own."""
