@@ -5,7 +5,7 @@ import pytest
 
 from sim.discrepancy.baseline import Frame, frame_of
 from sim.discrepancy.catalogue import CATALOGUE
-from sim.discrepancy.course import Named, State, at, scattered, sensitivity
+from sim.discrepancy.course import Named, State, at, grid_at, scattered, sensitivity
 from sim.discrepancy.record import record_of
 from sim.sha.trace import Array
 from tests.discrepancy.plants import model, plant
@@ -43,6 +43,15 @@ def test_a_cycles_scatter_begins_with_it_and_dies_away_after_it(frame: Frame) ->
     for number in range(columns.shape[1]):
         assert np.max(np.abs(columns[cycle < number, number]), initial=0.0) < 1e-9
         assert np.argmax(np.abs(columns[:, number])) in np.flatnonzero(cycle == number)
+
+
+def test_rough_heat_is_felt_as_late_as_the_rest(frame: Frame) -> None:
+    at_once = grid_at(frame, at(frame, frame.centre, frame.record.reading[frame.record.window_first], []))
+    late = grid_at(frame, state_with(frame, "dead-time", {"delay": 240.0, "blur": 0.0}))
+    times = frame.record.times
+    starts = [times[int(np.argmax(grid.running > 0.5))] for grid in (at_once, late)]
+    assert starts[1] - starts[0] == pytest.approx(240.0, abs=40.0)
+    assert np.sum(late.running * late.dt) == pytest.approx(np.sum(at_once.running * at_once.dt), rel=0.02)
 
 
 def test_a_course_with_a_thermostat_stands_still(frame: Frame) -> None:

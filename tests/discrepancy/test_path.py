@@ -11,6 +11,17 @@ from sim.discrepancy.record import record_of
 from tests.discrepancy.plants import model, plant
 
 
+def test_twins_within_a_hundredth_of_the_gain_are_a_class_and_rivals_are_not() -> None:
+    record = record_of(model(), [plant(3, days=2)], ())
+    base = fit(on(frame_of(record), record))
+    found = step(base, [one for one in CATALOGUE if one.name in ("dead-time", "sensor-lag")], {}, 0)
+    best, second = found.evidence
+    names = (best.entry.name, second.entry.name)
+    for behind, cosine, members in ((9.0, 0.95, names), (11.0, 0.95, names[:1]), (9.0, 0.8, names[:1])):
+        evidence = replace(best, gain=1000.0), replace(second, gain=1000.0 - behind)
+        assert replace(found, evidence=evidence, cosines={names[1]: cosine}).members == members
+
+
 def test_a_name_that_adds_nothing_beside_the_others_is_dropped_and_the_others_stay() -> None:
     present = {"pump": "MarciaPmpFango"}
     record = record_of(model(), [plant(3, pump=2e-4)], tuple(present.values()))
