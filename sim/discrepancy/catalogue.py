@@ -151,7 +151,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "friction heat that follows the speed",
         "change the speed at constant torque",
         drive=level_drive("speed"),
-        refine={"power": (0.5, 3.0)},
+        refine={"power": (1.0, 3.0)},  # friction's heat is force times speed: it never grows more slowly than the speed
     ),
     Entry(
         "vibration-friction",
