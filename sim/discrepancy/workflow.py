@@ -176,7 +176,7 @@ def _too_little(model: Model, cycles: int) -> Diagnosis:
     return Diagnosis(
         verdict="too-little-data",
         sentence=sentence_of("too-little-data", (), (), (), None, cycles),
-        reasons=(f"{cycles} cycles in all; at least {LEAST_CYCLES} are needed, better ten",),
+        reasons=(f"{cycles} cycle{'' if cycles == 1 else 's'} in all; at least {LEAST_CYCLES} are needed, better ten",),
         effects=(),
         shifts=(),
         places=(),
