@@ -94,7 +94,9 @@ def natural(name: str) -> list[tuple[int, str]]:
 
 
 def span(low: float, high: float) -> str:
-    """A span of seconds in words: "0-60 s", "2-5 min", "over 160 min"."""
+    """A span of seconds in words: "0-60 s", "2-5 min", "over 160 min", "any time"."""
+    if low <= 0.0 and not np.isfinite(high):
+        return "any time"
     unit, size = ("s", 1.0) if max(low, high if np.isfinite(high) else low) <= 120.0 else ("min", 60.0)
     if not np.isfinite(high):
         return f"over {low / size:g} {unit}"

@@ -151,6 +151,7 @@ def test_windows_without_heat_or_before_the_first_start_make_no_map() -> None:
 
 
 def test_spans_are_told_in_seconds_minutes_and_without_end() -> None:
+    assert span(0, inf) == "any time"
     assert [span(0, 60), span(120, 300), span(3600, inf), span(0, 240)] == [
         "0–60 s",
         "2–5 min",
