@@ -70,7 +70,7 @@ def diagnose(
         report("reading", 0.0)
         model, traces, column_map = _read(request, sources, historian, since, map_name)
         if found := overlapping(traces):
-            click.echo(f"{found}: the traces are taken one after the other, in the order of their names", err=True)
+            click.echo(f"{found}: the traces are taken one after the other, as given (a folder by names)", err=True)
         told = run(request, model, traces, roles_of(column_map), report)
     emit(_data(told, out), lambda: show(told, out), as_json_line=as_json)
 

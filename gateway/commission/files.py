@@ -90,7 +90,7 @@ def _driver_of(
         return "modbus", given
     target: Target = make_target(None, None, link, given)
     ours = {"transport": "tcp", "connect_timeout": CONNECT_S}  # what the commands fill in is no setting of the plant
-    plain = {key: value for key, value in target.settings.items() if ours.get(key) != value}
+    plain = {key: value for key, value in target.settings.items() if key in given or ours.get(key) != value}
     return target.driver, plain
 
 

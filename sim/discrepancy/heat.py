@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim.discrepancy.course import as_read
 from sim.discrepancy.fit import Fitted
 from sim.discrepancy.noise import Weigher, decay_and_pull
 from sim.discrepancy.record import Record
@@ -57,13 +58,10 @@ def implied_heat(fitted: Fitted) -> Array:
 
 def _on_the_way(fitted: Fitted) -> Mask:
     """(m,) windows whose readings still follow a change of location, by what lies between heat and reading."""
-    late = sum(
-        one.params.get("delay", 0.0) * (1.0 + one.params.get("blur", 0.0)) + one.params.get("tau", 0.0)
-        for one in fitted.state.named
-        if one.entry.sense is not None and one.entry.whole
-    )
     record = fitted.frame.record
     runs = record.runs
+    clock = runs.time - runs.time[0]
+    late = float(np.max(clock - as_read(fitted.frame, fitted.state, clock)))  # a ramp is read late by the mean delay
     changed = runs.first | (np.diff(runs.place, prepend=-1) != 0)
     since = runs.time - (runs.time - runs.dt)[changed][np.cumsum(changed) - 1]
     return record.windowed(since) < REACH * late

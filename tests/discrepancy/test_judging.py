@@ -1,0 +1,60 @@
+"""What withholds a name, and where heat is not judged."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.discrepancy.baseline import frame_of, on
+from sim.discrepancy.catalogue import CATALOGUE
+from sim.discrepancy.diagnosis import HeldOut
+from sim.discrepancy.fit import Fitted, fit
+from sim.discrepancy.heat import REACH, implied_heat
+from sim.discrepancy.held_out import by_cycles, let_run
+from sim.discrepancy.judging import Found, doubts
+from sim.discrepancy.naming import Step, confirm, step
+from sim.discrepancy.record import record_of
+from tests.discrepancy.plants import model, plant
+
+
+@pytest.fixture(scope="module")
+def base() -> Fitted:
+    record = record_of(model(), [plant(3, pump=2e-4)], ("MarciaPmpFango",))
+    return fit(on(frame_of(record), record))
+
+
+def confirmed(base: Fitted, name: str) -> Step:
+    found = step(base, [one for one in CATALOGUE if one.name == name], {"pump": "MarciaPmpFango"}, 0)
+    assert found.best is not None
+    return replace(found, evidence=(confirm(base, found.best),))
+
+
+@pytest.mark.parametrize(("gain", "removed", "withheld"), [(30.0, -0.1, True), (30.0, 0.1, False), (50.0, -0.1, False)])
+def test_a_clear_gap_must_shrink_unless_the_gain_is_clear(
+    base: Fitted, gain: float, removed: float, withheld: bool
+) -> None:
+    one = confirmed(base, "pump-cooling")
+    best = one.evidence[0]
+    assert best.fitted is not None
+    found = Found(base, best.fitted, ((replace(one, evidence=(replace(best, gain=gain),)), ""),))
+    record = by_cycles(base.frame.record)
+    held = HeldOut(5, 0.5, 0.5, 0.2, removed, (-1.0, 1.0), ())
+    reasons = doubts(found, let_run(base, record), let_run(best.fitted, record), held, None, None)
+    assert [reason for reason in reasons if "no nearer" in reason] == list(reasons)
+    assert bool(reasons) is withheld
+
+
+def test_heat_is_not_judged_where_a_change_is_on_its_way_through_a_dead_time() -> None:
+    trace = plant(3, days=2)
+    read = trace.signals["T"]
+    late = replace(trace, signals={**trace.signals, "T": np.concatenate([np.full(8, read[0]), read[:-8]])})
+    record = record_of(model(), [late], ())
+    base = fit(on(frame_of(record), record))
+    delayed = confirmed(base, "dead-time").evidence[0].fitted
+    assert delayed is not None and delayed.state.named[0].params["delay"] > 120.0
+    runs = record.runs
+    changes = runs.time[np.diff(runs.place, prepend=-1) != 0]
+    soon = np.array([np.any((time > changes + 60.0) & (time < changes + REACH * 120.0)) for time in record.times])
+    assert np.isnan(implied_heat(delayed)[soon]).all()
+    assert 0.3 < np.isfinite(implied_heat(delayed)).mean() < 0.95
+    assert np.isnan(implied_heat(base)).sum() == base.grid.first.sum()
