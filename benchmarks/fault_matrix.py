@@ -13,7 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from math import inf
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -196,11 +196,13 @@ def _row(
     """The plant's clock runs at real speed here, so its seconds are real ones."""
     began, ended = span
     mine = [sample for sample in read if began <= sample.time < until]
-    bad = [sample for sample in mine if not sample.quality.is_good]
-    lost = [moment for moment in unconfirmed if began <= moment < until]
-    noticed = min([sample.time for sample in bad] + lost, default=None)
     # A scan that is under way when the next fault strikes shows that one, though it has the time at which it began.
-    last = max([sample.time for sample in bad if sample.time < until - PERIOD], default=None)
+    newest = max((sample.time for sample in mine), default=until)
+    struck = min(newest, until - PERIOD) if isfinite(until) else until
+    bad = [sample for sample in mine if sample.time < struck and not sample.quality.is_good]
+    lost = [moment for moment in unconfirmed if began <= moment < struck]
+    noticed = min([sample.time for sample in bad] + lost, default=None)
+    last = max([sample.time for sample in bad], default=None)
     back = None if last is None else max(0.0, _all_good_after(mine, last) - ended)
     return Row(
         name,
