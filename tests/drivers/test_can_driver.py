@@ -175,14 +175,15 @@ async def test_a_frame_that_cannot_hold_the_value_is_bad_and_says_why(device: Ca
 async def test_remote_frames_and_frames_of_the_other_id_length_are_not_taken_for_data(
     device: CanDevice, make: Make
 ) -> None:
-    del device.frames[(0x181, False)]
-    driver = make()
+    silent, after = Tag("silent", "0x190:0|16"), Tag("after", "0x191:0|16")
+    driver = make(message_timeout=2.0)
     await driver.open()
-    await driver.read([CAN_TAGS.level])
-    device.put(can.Message(arbitration_id=0x181, is_extended_id=False, is_remote_frame=True, dlc=4))
-    device.send(0x181, bytes((9, 9, 9, 0)), extended=True)
-    await asyncio.sleep(0.2)
-    assert (await driver.read([CAN_TAGS.level]))[0].quality is Quality.WAITING_FOR_INITIAL_DATA
+    await driver.read([silent, after])
+    device.put(can.Message(arbitration_id=0x190, is_extended_id=False, is_remote_frame=True, dlc=4))
+    device.send(0x190, bytes((9, 9, 9, 0)), extended=True)
+    device.send(0x191, bytes(2))
+    await read_until_good(driver, after, within=2.0)
+    assert (await driver.read([silent]))[0].quality is Quality.WAITING_FOR_INITIAL_DATA
 
 
 async def test_the_layouts_of_a_multiplexed_message_keep_their_values_apart(device: CanDevice, make: Make) -> None:
