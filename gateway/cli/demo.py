@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from sim.sha.trace import Trace
     from sim.validation.column_map import ColumnMap
 
-INTERRUPTED = 130
-"""128 + SIGINT, as a shell counts."""
-
 
 @click.command()
 @click.option(
@@ -109,7 +106,10 @@ def _main_job(
             setting = prepare(paths, map_name, limit, seconds, seed, link, out)
             data = perform(setting, console, as_json=as_json)
     except KeyboardInterrupt:
-        fail(f"stopped before the end; PLC and gateway are stopped too, and what there is lies in {out}", INTERRUPTED)
+        fail(
+            f"stopped before the end; PLC and gateway are stopped too, and what there is lies in {out}",
+            Exit.INTERRUPTED,
+        )
     emit(data, lambda: show(data), as_json_line=as_json)
     if data["wrong_good"]:
         fail(f"{data['wrong_good']} wrong values were held for good", Exit.CHECK_FAILED)

@@ -1,4 +1,4 @@
-"""Control-C in long work: it always arrives, and it has an exit code of its own."""
+"""Control-C in long work: it always arrives."""
 
 import signal
 import sys
@@ -7,8 +7,6 @@ from contextlib import contextmanager
 from types import FrameType
 
 Report = Callable[[str, float], None]
-STOPPED = 130
-"""The exit code after Control-C, as a shell gives it."""
 
 
 @contextmanager

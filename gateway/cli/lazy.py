@@ -32,6 +32,17 @@ class LazyGroup(click.Group):
             raise TypeError(f"{place} is no command")
         return command
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; Control-C that it has no words of its own for ends it with a sentence and its code."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            from gateway.cli.output import Exit, fail
+
+            if ctx.find_root().params.get("traceback"):
+                raise
+            fail("stopped before the end", Exit.INTERRUPTED)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list in the help text, from the table: no command is imported for it."""
         with formatter.section("Commands"):

@@ -32,6 +32,7 @@ class Exit(IntEnum):
     DEVICE_EXCEPTION = 4
     TIMEOUT = 5
     NOT_ARMED = 6
+    INTERRUPTED = 130  # 128 + SIGINT, as a shell counts
 
 
 def fail(sentence: str, code: int = Exit.USAGE) -> NoReturn:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from drivers.errors import DriverError
-from gateway.cli.output import as_json, exit_code, fail, sentence, sentences
+from gateway.cli.output import Exit, as_json, exit_code, fail, sentence, sentences
 from gateway.cli.plc_options import Given
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 Work = Callable[["Site"], Awaitable["Outcome"]]
 Show = Callable[[Mapping[str, Any]], None]
-INTERRUPTED = 130
 
 
 def perform(given: Given, command: str, arguments: Mapping[str, Any], work: Work, show: Show) -> None:
@@ -72,7 +71,7 @@ def _done(site: "Site", work: Work) -> "Outcome":
             raise
         return Outcome({"reason": sentence(error)}, exit_code(error), sentence(error))
     except KeyboardInterrupt:
-        return Outcome({"reason": "interrupted"}, INTERRUPTED, "interrupted")
+        return Outcome({"reason": "interrupted"}, Exit.INTERRUPTED, "interrupted")
 
 
 async def _awaited(work: Work, site: "Site") -> "Outcome":

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.cli.interrupt import STOPPED, interruptible
+from gateway.cli.interrupt import interruptible
 from gateway.cli.options import json_option, map_option, seed_option
-from gateway.cli.output import emit, fail, progress, sentences, table
+from gateway.cli.output import Exit, emit, fail, progress, sentences, table
 from gateway.cli.places import shipped
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def rank(
             found = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed)
             data = _written(found, seen, page, picture)
     except KeyboardInterrupt:
-        fail("stopped before the end; nothing was written", STOPPED)
+        fail("stopped before the end; nothing was written", Exit.INTERRUPTED)
     emit(data, lambda: _show(found, page, picture), as_json_line=as_json)
 
 

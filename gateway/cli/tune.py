@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.cli.interrupt import STOPPED, interruptible
+from gateway.cli.interrupt import interruptible
 from gateway.cli.options import json_option, map_option, seed_option
-from gateway.cli.output import emit, progress, sentences, table
+from gateway.cli.output import Exit, emit, progress, sentences, table
 from gateway.cli.traces import load
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def _tell(found: "Tuning", plan: "Plan", study: Path, written: Path | None, *, a
     emit(data, lambda: _show(found, plan, study, written), as_json_line=as_json)
     if found.stopped:
         click.secho(f"stopped after {len(found.trials)} trials; the same command goes on with {study}", err=True)
-        raise SystemExit(STOPPED)
+        raise SystemExit(Exit.INTERRUPTED)
 
 
 def _show(found: "Tuning", plan: "Plan", study: Path, written: Path | None) -> None:

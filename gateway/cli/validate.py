@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.cli.interrupt import STOPPED, interruptible
+from gateway.cli.interrupt import interruptible
 from gateway.cli.options import json_option, map_option, seed_option
 from gateway.cli.output import Exit, emit, fail, progress, sentences, table
 from gateway.cli.places import shipped
@@ -90,7 +90,7 @@ def validate(
     except KeyboardInterrupt:
         begun = (out / "campaign.json").is_file()
         left = f"what was done lies in {out}, and --overwrite begins anew there" if begun else "nothing was written"
-        fail(f"stopped before the end; {left}", STOPPED)
+        fail(f"stopped before the end; {left}", Exit.INTERRUPTED)
     emit(_data(out, results), lambda: _show(out, results), as_json_line=as_json)
     if all(one.failure for one in results):
         fail(f"no model could be run along any trace; {results[0].trace}: {results[0].failure}", Exit.CHECK_FAILED)

@@ -7,7 +7,9 @@ is suggested depends on the seed, the number of trials told, and what they told.
 
 import fcntl
 import os
+import signal
 import sqlite3
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from importlib.util import find_spec
@@ -37,6 +39,25 @@ Facts = Mapping[str, str | int | bool]
 
 
 @contextmanager
+def unbroken() -> Iterator[None]:
+    """Control-C waits until the block ends: raised in the midst of a transaction it would leave the file locked.
+
+    For a block that takes milliseconds. Outside the main thread, where no signal arrives, there is nothing to do.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    pressed: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _frame: pressed.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if pressed:
+            signal.raise_signal(signal.SIGINT)
+
+
+@contextmanager
 def opened(file: Path, facts: Facts, *, prune: bool) -> Iterator["Study"]:
     """The study in `file`, made where there is none, held by this process alone until the block ends.
 
@@ -52,11 +73,13 @@ def opened(file: Path, facts: Facts, *, prune: bool) -> Iterator["Study"]:
     file.parent.mkdir(parents=True, exist_ok=True)
     _check_file(file)
     with _alone(file):
-        storage = _storage(file)
+        with unbroken():
+            storage = _storage(file)
         try:
-            study = optuna.create_study(storage=storage, study_name=NAME, pruner=pruner, load_if_exists=True)
-            _check_facts(file, study, facts)
-            interrupt(study)
+            with unbroken():
+                study = optuna.create_study(storage=storage, study_name=NAME, pruner=pruner, load_if_exists=True)
+                _check_facts(file, study, facts)
+                interrupt(study)
             yield study
         finally:
             storage.remove_session()
@@ -124,6 +147,7 @@ def _short(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+@unbroken()
 def interrupt(study: "Study") -> int:
     """Ends the trials that were running, as failed without a reason; how many."""
     from optuna.trial import TrialState
@@ -134,6 +158,7 @@ def interrupt(study: "Study") -> int:
     return len(running)
 
 
+@unbroken()
 def told(study: "Study") -> list["FrozenTrial"]:
     """The trials that are over, by number; interrupted ones, which failed without a reason, are not among them."""
     from optuna.trial import TrialState
@@ -142,6 +167,7 @@ def told(study: "Study") -> list["FrozenTrial"]:
     return [trial for trial in over if trial.state != TrialState.FAIL or REASON in trial.user_attrs]
 
 
+@unbroken()
 def ask(study: "Study", space: Sequence[Parameter], place: int, seed: int) -> "Trial":
     """The trial at `place` (0 is the first of the study). The first one has no parameters: the method's defaults.
 

@@ -15,7 +15,7 @@ from sim.sha.trace import Trace
 from sim.validation.campaign import parallel
 from sim.validation.cross_validation import HeldOut, folds, held_out, usable
 from sim.validation.paired import Paired, paired
-from sim.validation.study import REASON, Facts, ask, interrupt, opened, told
+from sim.validation.study import REASON, Facts, ask, interrupt, opened, told, unbroken
 from sim.validation.trace_run import TROUBLE
 from sim.validation.tuning_methods import Method, Settings, Task, Taught, method_of
 
@@ -227,8 +227,10 @@ def _pruned_run(trial: "Asked", search: _Search) -> list[FoldResult]:
         if any(one.reason for one in results):
             return results
         values = [search.plan.value(score) for one in results for score in one.scores]
-        trial.report(float(np.mean(values)), len(results))
-        if len(results) < len(work) and trial.should_prune():
+        with unbroken():
+            trial.report(float(np.mean(values)), len(results))
+            enough = len(results) < len(work) and trial.should_prune()
+        if enough:
             return results
     return results
 
@@ -246,6 +248,7 @@ def run_fold(job: FoldJob) -> FoldResult:
     return FoldResult(scores, perf_counter() - begin, reason)
 
 
+@unbroken()
 def _tell(study: "Study", trial: "Asked", results: Sequence[FoldResult], search: _Search) -> None:
     from optuna.trial import TrialState
 

@@ -22,6 +22,7 @@ from drivers.errors import (
     WriteUnverified,
 )
 from gateway.checked import ConfigError
+from gateway.cli.lazy import LazyGroup
 from gateway.cli.main import COMMANDS, main
 from gateway.cli.model import COMMANDS as MODEL_COMMANDS
 from gateway.cli.output import Exit, as_json, exit_code, sentence, sentences
@@ -46,6 +47,17 @@ def test_every_command_explains_itself(command: list[str]) -> None:
         assert result.exit_code == 0
         assert result.stdout.startswith("Usage: ")
         assert "..." not in result.stdout.partition("Commands:")[2], "a command's line is cut off"
+
+
+@click.command()
+def pressed() -> None:
+    raise KeyboardInterrupt
+
+
+def test_control_c_ends_any_command_with_a_sentence_and_its_code() -> None:
+    group = LazyGroup("outer", table={"pressed": (f"{__name__}:pressed", "")})
+    done = CliRunner().invoke(group, ["pressed"])
+    assert (done.exit_code, done.output) == (130, "decanter: stopped before the end\n")
 
 
 def test_emulate_speaks_under_its_own_name() -> None:
@@ -267,7 +279,7 @@ def test_json_is_strict_whatever_the_numbers_are() -> None:
 
 
 def test_exit_codes_are_stable() -> None:
-    assert [int(code) for code in Exit] == [0, 1, 2, 3, 4, 5, 6]
+    assert [int(code) for code in Exit] == [0, 1, 2, 3, 4, 5, 6, 130]
 
 
 def test_the_table_of_commands_names_commands() -> None:

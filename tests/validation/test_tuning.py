@@ -117,6 +117,22 @@ def test_control_c_leaves_a_study_that_goes_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("known")
+def test_control_c_while_a_trial_is_written_waits_until_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    storage = pytest.importorskip("optuna.storages").RDBStorage
+    write = storage.set_trial_state_values
+
+    def pressed(*given: object, **named: object) -> object:
+        monkeypatch.setattr(storage, "set_trial_state_values", write)
+        signal.raise_signal(signal.SIGINT)
+        return write(*given, **named)
+
+    monkeypatch.setattr(storage, "set_trial_state_values", pressed)
+    found = search(tmp_path / "s.db", 3)
+    assert found.stopped and [one.state for one in found.trials] == ["complete"]
+    assert told(search(tmp_path / "s.db", 3)) == told(search(tmp_path / "whole.db", 3))
+
+
+@pytest.mark.usefixtures("known")
 def test_pruning_gives_bad_trials_up_and_keeps_the_best(tmp_path: Path) -> None:
     found = search(tmp_path / "s.db", 25, prune=True)
     pruned = [one for one in found.trials if one.state == "pruned"]
