@@ -108,12 +108,14 @@ class Matrix:
     failures: int
 
 
-def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]], device: Path = MAP) -> Matrix:
+def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]], device: Path = MAP, late: float = 0.0) -> Matrix:
     """Run the faults one after the other against one pair of processes, and judge what was recorded.
 
-    `device` is the register map that the gateway works by; the PLC always has its own.
+    `device` is the register map that the gateway works by; the PLC always has its own. `late` (s) is how late scans may
+    come on the machine: an image that froze is found out so much later.
     """
-    return suffered(make_rig(folder, restless_trace(160.0), period=PERIOD, device=device), faults)
+    rig = make_rig(folder, restless_trace(160.0), period=PERIOD, device=device)
+    return suffered(rig, faults, tolerance=TOLERANCE_S + late)
 
 
 def suffered(

@@ -10,6 +10,8 @@ thus:
   good. Otherwise a scan's readings are good while the last seen change of the heartbeat is less than STALE_PERIODS
   old, LAST_USABLE after that, and bad after DEAD_PERIODS. Until a change from one living count to another is seen
   they are UNCERTAIN: the first cycle after a restart may still show what the memory was cleared to.
+  The age counts from scan to scan: of an image that froze right after one, the last good reading is older by as much
+  as the scans between come late.
   The limits are drawn half a period early, so that the jitter of a scan cannot add a scan to them.
 - A change faster than the tag's `max_rate` since its last good reading (over one period at least) is
   SENSOR_NOT_ACCURATE; a lasting step is believed once the time that passed makes its rate believable.
