@@ -16,7 +16,6 @@ from sim.plc.recording import read_recording
 GROUPS = {
     "node": ("missing heartbeat", "EMCY", "node reset", "restart", "node off the bus", "frozen image"),
     "frames": ("short PDO", "long PDO", "bus-off", "frame loss", "babbling node", "babbling node, our identifiers"),
-    # A block that was built just before the next fault is counted here, so the one that costs blocks comes first.
     "SDO": ("write ignored", "SDO abort", "SDO late", "SDO silent"),
 }
 SEEN = (*GROUPS["node"], "short PDO", "bus-off")
