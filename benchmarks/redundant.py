@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give, percentile
-from benchmarks.rig import CURRENT, MAP, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
+from benchmarks.rig import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
 from gateway.history import events as recorded_events
 from gateway.history import reading, samples
 from gateway.quality import STALE_PERIODS
@@ -35,6 +36,7 @@ RETURN_AFTER_S = 0.5
 TIMEOUT_S = 0.3
 LATEST_S = 1.0
 """An event that comes later than this after its cause counts as lost."""
+AGAIN_S = 3.0
 EDGE_S = 1.0
 """Events so near to the beginning or the end of the gateway's scans are not counted."""
 FAULTS: Sequence[Mapping[str, Any]] = (
@@ -142,10 +144,19 @@ def _both_well(status: Mapping[str, Any]) -> bool:
 
 
 def _suffer(fault: Mapping[str, Any], plc: Plc, gateway: Gateway) -> None:
-    """One fault of the primary link, until the primary is used again."""
+    """One fault of the primary link, until the primary is used again.
+
+    A connection that goes deaf is ordered again where a block was what met it: the new one may serve all readings.
+    """
     before = gateway.status["driver"]["switch_overs"]
-    plc.order("fault", fault={**fault, "face": "tcp"})
-    gateway.wait_for(lambda status: status["driver"]["switch_overs"] > before)
+    for patience_s in (AGAIN_S, AGAIN_S, PATIENCE_S):
+        plc.order("fault", fault={**fault, "face": "tcp"})
+        try:
+            gateway.wait_for(lambda status: status["driver"]["switch_overs"] > before, patience_s)
+            break
+        except AssertionError:
+            if fault["kind"] != "half_open" or patience_s == PATIENCE_S:
+                raise
     while plc.order("status")["faults"]:
         time.sleep(0.02)
     gateway.wait_for(_both_well)
@@ -227,7 +238,9 @@ def switch_times(recording: Recording, historian: Path) -> tuple[float, ...]:
     with reading(historian) as connection:
         rows = connection.execute("SELECT time FROM audit WHERE what = 'link standby' ORDER BY id").fetchall()
     switched = [float(row[0]) for row in rows]
-    return tuple(min(moment - begin for moment in switched if moment >= begin) for begin in began)
+    spans = zip(began, [*began[1:], inf], strict=True)
+    caused = ([moment - begin for moment in switched if begin <= moment < end] for begin, end in spans)
+    return tuple(min(times) for times in caused if times)
 
 
 # ---------------------------------------------------------------- the command
