@@ -62,7 +62,7 @@ FAULTS: Mapping[str, Mapping[str, Any]] = {
 """What is ordered from the PLC, by the row's name. One frozen register behind a living heartbeat is not among them:
 nothing but a tag's own `frozen_after` can tell it (decision 0006)."""
 TOLERATED = ("split reply", "duplicate reply")
-"""No scan may be lost to these; a machine that stands still for a moment may cost one of the ten that each lasts."""
+"""No reading and no block may be lost to these."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +82,6 @@ class Row:
     unconfirmed: int
     judged: int
     wrong_good: int
-
-    @property
-    def lost_scans(self) -> int:
-        """In how many scans, at most, a reading was not good or a block was not confirmed."""
-        return max(self.not_good.values(), default=0) + self.unconfirmed
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,14 +103,12 @@ class Matrix:
     failures: int
 
 
-def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]], device: Path = MAP, late: float = 0.0) -> Matrix:
+def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]], device: Path = MAP) -> Matrix:
     """Run the faults one after the other against one pair of processes, and judge what was recorded.
 
-    `device` is the register map that the gateway works by; the PLC always has its own. `late` (s) is how late scans may
-    come on the machine: an image that froze is found out so much later.
+    `device` is the register map that the gateway works by; the PLC always has its own.
     """
-    rig = make_rig(folder, restless_trace(160.0), period=PERIOD, device=device)
-    return suffered(rig, faults, tolerance=TOLERANCE_S + late)
+    return suffered(make_rig(folder, restless_trace(160.0), period=PERIOD, device=device), faults)
 
 
 def suffered(

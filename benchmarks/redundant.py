@@ -37,6 +37,7 @@ TIMEOUT_S = 0.3
 LATEST_S = 1.0
 """An event that comes later than this after its cause counts as lost."""
 AGAIN_S = 3.0
+"""So long after a fault without a switch-over it was a block that met it (s)."""
 EDGE_S = 1.0
 """Events so near to the beginning or the end of the gateway's scans are not counted."""
 FAULTS: Sequence[Mapping[str, Any]] = (
