@@ -11,15 +11,15 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, best, give
+from sim.engine.belief import observe, on_event, start, with_inputs
+from sim.engine.tracker import Tracker, compile_model
+from sim.forecast.calibration import calibrate, issue, settle
+from sim.forecast.forecast import forecast
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
-from sim.sha.belief import observe, on_event, start, with_inputs
-from sim.sha.calibration import calibrate, issue, settle
 from sim.sha.events import DECANTER
-from sim.sha.forecast import forecast
 from sim.sha.model import Model, Stay
 from sim.sha.semi_markov import compile_chain, draw_paths
 from sim.sha.trace import Event
-from sim.sha.tracker import Tracker, compile_model
 
 SAMPLES = 20_000
 HORIZONS = (60.0, 300.0, 900.0)

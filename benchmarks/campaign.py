@@ -25,13 +25,13 @@ import numpy as np
 from benchmarks.figures import Figure, best, give
 from benchmarks.processes import learned_model
 from sim.artefacts.find import find_model
+from sim.engine.open_loop import open_loop_schedule, start_law
+from sim.engine.simulate import simulate
 from sim.plant.scenarios import SCENARIOS, scenario
 from sim.sha.automaton import Input, Location
 from sim.sha.events import encode
 from sim.sha.flows import RELAXING
 from sim.sha.model import Model
-from sim.sha.open_loop import open_loop_schedule, start_law
-from sim.sha.simulate import simulate
 from sim.sha.trace import Trace
 from sim.validation.campaign import parallel, slim
 from sim.validation.pictures import draw_one, drawings

@@ -43,11 +43,11 @@ from drivers.can.hub_bus import HubBus
 from drivers.canopen.driver import open_canopen
 from drivers.driver import open_driver
 from drivers.tag import Sample
-from gateway.clock import PlantClock
 from gateway.demo.can_bus import can_hub
-from gateway.devices import load_device
-from sim.plc.judge import wrong_good
-from sim.plc.recording import BlockRow, Recording, read_recording
+from gateway.machine.clock import PlantClock
+from gateway.plant.devices import load_device
+from sim.plc.record.judge import wrong_good
+from sim.plc.record.recording import BlockRow, Recording, read_recording
 from sim.sha.trace import Trace
 
 CHANGES, PERIOD = 300, 1.0

@@ -16,7 +16,7 @@ import click
 from benchmarks.fault_matrix import PERIOD, TOLERANCE_S, Matrix, suffered, table
 from benchmarks.rig import ROOT, Rig, make_rig, restless_trace
 from gateway.demo.can_bus import can_hub
-from sim.plc.recording import Recording
+from sim.plc.record.recording import Recording
 from sim.sha.trace import Trace
 
 DEVICE = ROOT / "config/devices/decanter_canopen.toml"

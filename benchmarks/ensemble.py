@@ -20,20 +20,20 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
-from sim.learning.bins import learn_bins
+from sim.engine.belief import Belief, observe, on_event, start, with_inputs
+from sim.engine.tracker import Tracker, compile_model
+from sim.forecast.calibration import Calibration, calibrate, factors
+from sim.forecast.calibration import issue as issue_bands
+from sim.forecast.calibration import settle as settle_bands
+from sim.forecast.ensemble import DENSE, Evidence, Pool, issue, mixture, settle, thinned, weights
+from sim.forecast.forecast import LEVELS, Forecast, forecast
+from sim.learning.bins.learn import learn_bins
 from sim.plant.decanter import Plant
 from sim.plant.scenarios import production
-from sim.sha.belief import Belief, observe, on_event, start, with_inputs
-from sim.sha.calibration import Calibration, calibrate, factors
-from sim.sha.calibration import issue as issue_bands
-from sim.sha.calibration import settle as settle_bands
-from sim.sha.ensemble import DENSE, Evidence, Pool, issue, mixture, settle, thinned, weights
+from sim.scores import block_bootstrap, coverage, crps_quantiles
 from sim.sha.events import Alphabet, Switch, encode
-from sim.sha.forecast import LEVELS, Forecast, forecast
 from sim.sha.model import Model
-from sim.sha.scores import block_bootstrap, coverage, crps_quantiles
 from sim.sha.trace import UNKNOWN, Array, Event, Trace
-from sim.sha.tracker import Tracker, compile_model
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data"
@@ -208,8 +208,8 @@ def synthetic(days: int) -> Case:
 
 def measured() -> list[Case]:
     """What of SKAB and FEMTO is there."""
-    from sim.validation.column_map import load_map
-    from sim.validation.traces import load_traces
+    from sim.traces.column_map import load_map
+    from sim.traces.traces import load_traces
 
     def loaded(file: Path, column_map: str) -> tuple[Trace, Alphabet, str]:
         rules = load_map(ROOT / "config" / "traces" / f"{column_map}.toml")

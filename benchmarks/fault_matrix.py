@@ -21,10 +21,10 @@ import click
 
 from benchmarks.rig import MAP, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
 from drivers.tag import Sample
-from gateway.history import reading, samples
-from gateway.quality import STALE_PERIODS
-from sim.plc.judge import wrong_good
-from sim.plc.recording import EventRow, Recording, RequestRow, read_recording
+from gateway.machine.quality import STALE_PERIODS
+from gateway.store.history import reading, samples
+from sim.plc.record.judge import wrong_good
+from sim.plc.record.recording import EventRow, Recording, RequestRow, read_recording
 
 PERIOD = 0.1
 TOLERANCE_S = STALE_PERIODS * PERIOD

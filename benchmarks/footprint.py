@@ -40,7 +40,7 @@ from benchmarks.processes import (
     software_plc,
     until_usable,
 )
-from sim.plc.recording import Recording, read_recording
+from sim.plc.record.recording import Recording, read_recording
 from sim.plc.registers import read_map
 
 

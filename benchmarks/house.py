@@ -90,7 +90,8 @@ def table(figures: Figures, *, tree: bool) -> list[str]:
         f"lines {sum(figures.lines.values()):,} in {sum(figures.modules.values())} modules, {figures.code:,} of code",
         f"functions {len(lengths):,}: median {statistics.median(lengths):.0f}, 90 % {lengths[len(lengths) * 9 // 10]}, "
         f"longest {lengths[-1]} lines",
-        f"private functions of a module {figures.private:,}, {figures.called_once / max(figures.private, 1):.0%} named once elsewhere in it",
+        f"private functions of a module {figures.private:,}, "
+        f"{figures.called_once / max(figures.private, 1):.0%} named once elsewhere in it",
         f"comments per 100 lines of code {100 * figures.comments / figures.code:.1f}",
         f"calls with more than {POSITIONAL} positional arguments {len(figures.positional)}",
         f"classes {total}, names that stand for several {len(shared)} ({sum(map(len, shared.values()))} classes)",
@@ -98,12 +99,17 @@ def table(figures: Figures, *, tree: bool) -> list[str]:
         f"most modules in a folder {max(figures.modules.values())}",
     ]
     if tree:
-        rows += [f"{figures.modules[room]:4d} modules {figures.lines[room]:6,d} lines  {room}" for room in sorted(figures.lines)]
+        rows += [
+            f"{figures.modules[room]:4d} modules {figures.lines[room]:6,d} lines  {room}"
+            for room in sorted(figures.lines)
+        ]
     return rows
 
 
 @click.command()
-@click.option("--root", type=click.Path(exists=True, file_okay=False, path_type=Path), default=Path(), help="A checkout.")
+@click.option(
+    "--root", type=click.Path(exists=True, file_okay=False, path_type=Path), default=Path(), help="A checkout."
+)
 @click.option("--tree", is_flag=True, help="Folder by folder.")
 @click.option("--list", "listed", is_flag=True, help="Every call, class and import that is counted, by its place.")
 def main(root: Path, tree: bool, listed: bool) -> None:

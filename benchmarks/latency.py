@@ -52,7 +52,7 @@ from benchmarks.processes import (
     until_usable,
 )
 from sim.plc.encode import encode
-from sim.plc.recording import BlockRow, Recording, RequestRow, TruthRow, read_recording
+from sim.plc.record.recording import BlockRow, Recording, RequestRow, TruthRow, read_recording
 from sim.plc.registers import RegisterMap, read_map
 
 CURRENTS = (150.0, 250.0)

@@ -16,10 +16,10 @@ import click
 
 from benchmarks.bare import TEST_REGISTERS, WRITTEN
 from sim.artefacts.model_directory import write_model_directory
-from sim.learning.bins import learn_bins
+from sim.learning.bins.learn import learn_bins
 from sim.plant.scenarios import scenario
 from sim.sha.events import DECANTER
-from sim.validation.trace_file import write_trace
+from sim.traces.trace_file import write_trace
 
 ROOT = Path(__file__).parents[1]
 MAP = ROOT / "config/devices/decanter_plc.toml"
@@ -126,7 +126,7 @@ minutes = 60
 [historian]
 path = "historian.sqlite"
 [log]
-path = "gateway.log.jsonl"
+path = "gateway.plant.log.jsonl"
 [forecast]
 period = {FORECAST_SCANS * period:g}
 """

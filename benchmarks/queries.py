@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.figures import Figure, best, give
-from sim.checking.parse import parse_query
-from sim.checking.query import Symbolic
-from sim.checking.sequential import Draw, mixture_interval, one_or_two_sided, to_half_width
-from sim.checking.sequential_paired import compare
-from sim.checking.sequential_ratio import acceptance, expected_runs, sprt, wald_test
-from sim.checking.symbolic import decide
+from sim.checking.proof.symbolic import decide
+from sim.checking.query.parse import parse_query
+from sim.checking.query.tree import Symbolic
+from sim.checking.smc.rules.paired import compare
+from sim.checking.smc.rules.ratio import acceptance, expected_runs, sprt, wald_test
+from sim.checking.smc.rules.sequential import Draw, mixture_interval, one_or_two_sided, to_half_width
 from sim.sha.automaton import SHA, Edge, Flow, Location
 from sim.sha.trace import Array
 

@@ -22,11 +22,11 @@ import numpy as np
 
 from benchmarks.figures import Figure, give, percentile
 from benchmarks.rig import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
-from gateway.history import events as recorded_events
-from gateway.history import reading, samples
-from gateway.quality import STALE_PERIODS
-from sim.plc.judge import wrong_good
-from sim.plc.recording import Recording, read_recording
+from gateway.machine.quality import STALE_PERIODS
+from gateway.store.history import events as recorded_events
+from gateway.store.history import reading, samples
+from sim.plc.record.judge import wrong_good
+from sim.plc.record.recording import Recording, read_recording
 from sim.sha.events import DECANTER, encode
 from sim.sha.trace import Array, Event, Trace
 
@@ -101,7 +101,7 @@ def measure(folder: Path, switches: int, standby: str = "rtu-tcp") -> Outcome:
             for number in range(switches):
                 _suffer(FAULTS[number % len(FAULTS)], plc, gateway)
             time.sleep(EDGE_S)
-            driver = gateway.status["driver"]
+            driver = gateway.plant.status["driver"]
             code, _ = gateway.stop()
             assert code == 0, gateway.words()
         plc.order("stop")
@@ -149,7 +149,7 @@ def _suffer(fault: Mapping[str, Any], plc: Plc, gateway: Gateway) -> None:
 
     A connection that goes deaf is ordered again where a block was what met it: the new one may serve all readings.
     """
-    before = gateway.status["driver"]["switch_overs"]
+    before = gateway.plant.status["driver"]["switch_overs"]
     for patience_s in (AGAIN_S, AGAIN_S, PATIENCE_S):
         plc.order("fault", fault={**fault, "face": "tcp"})
         try:

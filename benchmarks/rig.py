@@ -19,7 +19,7 @@ from sim.sha.automaton import Distribution, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model
 from sim.sha.trace import Array, Trace
-from sim.validation.trace_file import write_trace
+from sim.traces.trace_file import write_trace
 
 ROOT = Path(__file__).parents[1]
 MAP = ROOT / "config/devices/decanter_plc.toml"

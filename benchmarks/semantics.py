@@ -15,15 +15,15 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
-from sim.learning.bins import learn_bins
+from sim.learning.bins.learn import learn_bins
 from sim.plant.scenarios import SCENARIOS, scenario
+from sim.ranking.cross_validation import HeldOut, held_out
+from sim.ranking.paired import Paired, paired
 from sim.sha.events import DECANTER, Alphabet, encode
 from sim.sha.trace import Trace
-from sim.validation.column_map import load_map
-from sim.validation.cross_validation import HeldOut, held_out
-from sim.validation.paired import Paired, paired
+from sim.traces.column_map import load_map
+from sim.traces.traces import load_traces
 from sim.validation.semantics import side_by_side
-from sim.validation.traces import load_traces
 
 ROOT = Path(__file__).parents[1]
 SKAB = ROOT.parent / "shared" / "data" / "skab" / "anomaly-free.csv"

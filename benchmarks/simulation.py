@@ -9,10 +9,10 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, best, give
+from sim.engine.moments import moments
+from sim.engine.schedule import Schedule, schedule
+from sim.engine.simulate import CHUNK, simulate
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
-from sim.sha.moments import moments
-from sim.sha.schedule import Schedule, schedule
-from sim.sha.simulate import CHUNK, simulate
 from sim.sha.trace import Event
 
 EVENTS, SECONDS, ROWS = 47, 444.0, 401

@@ -1,7 +1,7 @@
 """Statistical checking: agreement with quadrature on first passage, and runs per second against scalar C.
 
 The table of parameter sets (`--table --seeds 5`) is the proof of agreement: for each, the probability by quadrature
-(`sim.checking.quadrature`), the answer's interval, and how often the one lies in the other. The speeds are those of
+(`tests.checking.quadrature`), the answer's interval, and how often the one lies in the other. The speeds are those of
 47 events in 444 s, looked at when the run ends, and on 400 bridged steps. The C program (`smc.c`) walks the same steps
 and is compiled here; without a compiler the method's own figures stand in its place, and the row says so.
 """
@@ -24,16 +24,16 @@ from rich.table import Table
 
 from benchmarks.figures import Figure, give
 from benchmarks.simulation import EVENTS, ROWS, SECONDS, SYMBOLS, plant
-from sim.checking.answer import Answer, Settings, Start, answer, initial
-from sim.checking.answer_estimates import prepared
-from sim.checking.answer_runs import LARGEST, Sampler, sampler
-from sim.checking.paths_known import Known
-from sim.checking.quadrature import Stretch, first_passage
-from sim.checking.query import Compare, Eventually, Number, Probability, Quantity, Span
+from sim.checking.query.tree import Compare, Eventually, Number, Probability, Quantity, Span
+from sim.checking.smc.answer import Answer, Settings, Start, answer, initial
+from sim.checking.smc.estimates import prepared
+from sim.checking.smc.paths.known import Known
+from sim.checking.smc.runs import LARGEST, Sampler, sampler
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
+from tests.checking.quadrature import Stretch, first_passage
 
 REFERENCE = {"events": 2.25e6, "dense": 3.2e5}
 """Runs per second of the reference in scalar C, one thread, measured elsewhere."""

@@ -15,9 +15,9 @@ from typing import Any
 import tomlkit
 
 from benchmarks.rig import CYCLE_S, MAP, Plc, known_model, plc_process, restless_trace
-from gateway.commission.device_file import fields_that_fit, set_block, set_device
+from gateway.commission.files.device_file import fields_that_fit, set_block, set_device
 from sim.artefacts.model_json import model_text
-from sim.validation.trace_file import write_trace
+from sim.traces.trace_file import write_trace
 
 LIMIT = 16
 HOLE = 105

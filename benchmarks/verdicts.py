@@ -15,12 +15,12 @@ import numpy as np
 from rich.table import Table
 
 from sim.artefacts.find import find_model
-from sim.checking.bounds import Bounds
-from sim.checking.envelope import Envelope, envelopes
-from sim.checking.structure import moves
-from sim.checking.verify import DEFAULT, Verification, verify
-from sim.checking.word import Step, TimedWord, parse_word, replay, word_text
-from sim.learning.bins import learn_bins
+from sim.checking.proof.bounds import Bounds
+from sim.checking.proof.envelope import Envelope, envelopes
+from sim.checking.proof.structure import moves
+from sim.checking.proof.verify import DEFAULT, Verification, verify
+from sim.checking.proof.word import Step, TimedWord, parse_word, replay, word_text
+from sim.learning.bins.learn import learn_bins
 from sim.learning.lsha.learn import learn_lsha
 from sim.learning.structure import LearningError
 from sim.plant.scenarios import SCENARIOS, history_and_day, scenario
@@ -29,8 +29,8 @@ from sim.sha.correction import in_sensor_scale
 from sim.sha.events import DECANTER, Alphabet, alphabet_symbols
 from sim.sha.model import Correction, Model
 from sim.sha.trace import UNKNOWN, Trace
-from sim.validation.column_map import load_map
-from sim.validation.traces import load_traces
+from sim.traces.column_map import load_map
+from sim.traces.traces import load_traces
 
 ROOT = Path(__file__).parents[1]
 TEMPERATURE = "TCuscinettiRiduttore"

@@ -119,10 +119,10 @@ class Complains(Protocol):
 
 DRIVERS: dict[str, str] = {
     "can": "drivers.can.driver:open_can",
-    "can-log": "drivers.can.replay:open_can_log",
+    "can-log": "drivers.vehicle.replay:open_can_log",
     "canopen": "drivers.canopen.driver:open_canopen",
-    "modbus": "drivers.modbus:open_modbus",
-    "soft": "drivers.soft:open_soft",
+    "modbus": "drivers.modbus.driver:open_modbus",
+    "soft": "drivers.soft.driver:open_soft",
 }
 
 
@@ -144,8 +144,8 @@ def open_driver(
 
 
 RECORDINGS: dict[str, str] = {
-    "can": "drivers.can.batch:decode_log",
-    "can-log": "drivers.can.batch:decode_log",
+    "can": "drivers.vehicle.batch:decode_log",
+    "can-log": "drivers.vehicle.batch:decode_log",
 }
 
 

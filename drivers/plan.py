@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from drivers.errors import AddressError
-from drivers.modbus_address import Area, Span, locate
+from drivers.modbus.address import Area, Span, locate
 from drivers.tag import Tag
 
 

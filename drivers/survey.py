@@ -119,7 +119,7 @@ class ListensToBus(Protocol):
 
 
 SURVEYS: dict[str, str] = {
-    "modbus": "drivers.modbus_survey:open_survey",
+    "modbus": "drivers.modbus.survey:open_survey",
     "canopen": "drivers.canopen.survey:open_survey",
     "can": "drivers.canopen.survey:open_survey",
 }
@@ -141,7 +141,7 @@ def open_bus_survey(
     return opened(settings, clock=clock)
 
 
-PLANS: dict[str, str] = {"modbus": "drivers.modbus_plan:planned"}
+PLANS: dict[str, str] = {"modbus": "drivers.modbus.preview:planned"}
 
 
 def read_plan(

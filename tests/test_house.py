@@ -10,7 +10,7 @@ import pytest
 
 from gateway.cli.model import COMMANDS
 from gateway.cli.plc import COMMANDS as PLC_COMMANDS
-from gateway.cli.plc_scan import COMMANDS as SCAN_COMMANDS
+from gateway.commission.plc_scan import COMMANDS as SCAN_COMMANDS
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for room in ("drivers", "sim", "gateway") for path in (ROOT / room).rglob("*.py"))
@@ -77,7 +77,7 @@ def test_help_imports_nothing_heavy(command: list[str]) -> None:
 
 
 def test_the_running_gateway_imports_neither_pandas_nor_matplotlib() -> None:
-    assert modules_imported_by("import gateway.app").isdisjoint({"pandas", "matplotlib"})
+    assert modules_imported_by("import gateway.plant.app").isdisjoint({"pandas", "matplotlib"})
 
 
 def test_no_measured_data_lies_in_the_project() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.validation.column_map import load_map
+from sim.traces.column_map import load_map
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

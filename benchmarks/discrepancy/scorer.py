@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.discrepancy.effects import EFFECTS
 from benchmarks.discrepancy.judging import Judged
 from benchmarks.discrepancy.outside import OUTSIDE
-from sim.sha.scores import clopper_pearson
+from sim.scores import clopper_pearson
 
 VISIBLE = 1.5
 """Signal-to-noise ratio from which an effect outside the vocabulary ought to be seen."""

@@ -11,12 +11,10 @@ from typing import Any
 import can
 
 from drivers.can.bus import open_bus
-from drivers.can.decoding import is_vehicle
 from drivers.can.errors_on_bus import BusErrors, ControllerState
 from drivers.can.exchange import Exchange, put
 from drivers.can.fields import EXTENDED, frame_key, frame_name, layout_name, value_of
 from drivers.can.frame import Frame
-from drivers.can.live import LiveVehicle
 from drivers.can.load import BusLoad
 from drivers.can.pump import Pump
 from drivers.can.reception import Channel, Reception, Slot
@@ -30,6 +28,8 @@ from drivers.errors import AddressError, DriverError, LinkDown
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.settings import check_settings
 from drivers.tag import Quality, Sample, Tag, Value
+from drivers.vehicle.decoding import is_vehicle
+from drivers.vehicle.live import LiveVehicle
 
 _LOOK = 0.1
 _PLACES_KEPT = 20_000

@@ -1,8 +1,8 @@
 """The settings of the raw CAN driver: each with its type, its default and its range."""
 
-from drivers.can.decoding import DECODING, VEHICLE
-from drivers.can.obd_poll import POLLING
 from drivers.settings import Setting
+from drivers.vehicle.decoding import DECODING, VEHICLE
+from drivers.vehicle.obd_poll import POLLING
 
 SETTINGS: dict[str, Setting] = {
     "interface": Setting(str, "socketcan"),

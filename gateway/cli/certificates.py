@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from gateway.cli.output import sentences
+from gateway.console.output import sentences
 
 
 @click.command()

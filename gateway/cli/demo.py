@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.cli.learn import learn_from, write
-from gateway.cli.options import finite, map_option, seed_option
-from gateway.cli.output import Exit, emit, fail, progress, sentences, table
-from gateway.cli.places import config_dir, shipped
-from gateway.cli.traces import load
+from gateway.console.options import finite, map_option, seed_option
+from gateway.console.output import Exit, emit, fail, progress, sentences, table
+from gateway.console.places import config_dir, shipped
+from gateway.console.traces import load
 from gateway.demo.links import LINKS
+from gateway.lab.learn import learn_from, write
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from gateway.demo.prepare import Setting
     from sim.sha.trace import Trace
-    from sim.validation.column_map import ColumnMap
+    from sim.traces.column_map import ColumnMap
 
 
 @click.command()
@@ -155,7 +155,7 @@ def prepare(
 
     from gateway.demo.folder import clear
     from gateway.demo.prepare import Setting, limit_for, pace, split, suits, write_device
-    from sim.validation.trace_file import write_trace
+    from sim.traces.trace_file import write_trace
 
     template = config_dir() / "devices" / "decanter_plc.toml"
     with progress("demo") as report:
@@ -199,7 +199,7 @@ def _embedded(map_name: str, seed: int) -> "tuple[list[Trace], Trace, ColumnMap]
 
     from sim.plant.scenarios import history_and_day
     from sim.sha.events import encode
-    from sim.validation.column_map import load_map
+    from sim.traces.column_map import load_map
 
     column_map = load_map(shipped("traces", map_name))
     history, day = history_and_day(seed)

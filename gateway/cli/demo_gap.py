@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from gateway.cli.output import Exit, emit, fail, make_folder, progress, sentences
-from gateway.cli.places import shipped
+from gateway.console.output import Exit, emit, fail, make_folder, progress, sentences
+from gateway.console.places import shipped
 
 MOST = 3
 """Effects that may be named."""
@@ -26,13 +26,13 @@ def demonstrate(seed: int, out: Path, *, as_json: bool) -> None:
 
 def perform(seed: int, out: Path) -> dict[str, Any]:
     """Learn the model before the change and diagnose it after; the figures. Raises ValueError or OSError."""
-    from gateway.cli.diagnosing import Request, roles_of, run
-    from gateway.cli.learn import learn_from, write
     from gateway.demo.gap import days, figures
-    from sim.discrepancy.document import document
-    from sim.discrepancy.output_folder import check_folder
-    from sim.validation.column_map import load_map
-    from sim.validation.trace_file import write_trace
+    from gateway.lab.diagnosing import Request, roles_of, run
+    from gateway.lab.learn import learn_from, write
+    from sim.discrepancy.output.document import document
+    from sim.discrepancy.output.folder import check_folder
+    from sim.traces.column_map import load_map
+    from sim.traces.trace_file import write_trace
 
     column_map, folder, before = load_map(shipped("traces", "decanter")), out / "diagnosis", out / "model_before"
     check_folder(folder, before)

@@ -2,8 +2,8 @@
 
 import click
 
-from gateway.cli.lazy import LazyGroup, Table
-from gateway.cli.threads import one_thread
+from gateway.console.lazy import LazyGroup, Table
+from gateway.console.threads import one_thread
 
 COMMANDS: Table = {
     "demo": (
@@ -24,7 +24,7 @@ COMMANDS: Table = {
         "Make certificates and keys for Modbus/TCP Security.",
     ),
     "diagnose": (
-        "gateway.cli.diagnose:diagnose",
+        "gateway.lab.diagnose:diagnose",
         "Find where a model and traces disagree, name what is missing, add it, prove it.",
     ),
     "plc": ("gateway.cli.plc:plc", "Commission a PLC: probe, scan, read, guess, bind, verify, arm."),

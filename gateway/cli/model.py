@@ -2,23 +2,23 @@
 
 import click
 
-from gateway.cli.lazy import LazyGroup, Table
+from gateway.console.lazy import LazyGroup, Table
 
 COMMANDS: Table = {
-    "learn": ("gateway.cli.learn:learn", "Learn a model from traces and write its directory."),
-    "show": ("gateway.cli.show:show", "Show a model and where it comes from."),
-    "simulate": ("gateway.cli.simulate:simulate", "Let a model run along measured traces; say how far off it is."),
-    "check": ("gateway.cli.check_model:check", "Answer a query: how probable, how hot, whether it can."),
-    "correct": ("gateway.cli.correct:correct", "Learn T' = k T + b from traces and write the corrected model."),
+    "learn": ("gateway.lab.learn:learn", "Learn a model from traces and write its directory."),
+    "show": ("gateway.lab.show:show", "Show a model and where it comes from."),
+    "simulate": ("gateway.lab.simulate:simulate", "Let a model run along measured traces; say how far off it is."),
+    "check": ("gateway.lab.check_model:check", "Answer a query: how probable, how hot, whether it can."),
+    "correct": ("gateway.lab.correct:correct", "Learn T' = k T + b from traces and write the corrected model."),
     "validate": (
-        "gateway.cli.validate:validate",
+        "gateway.lab.validate:validate",
         "Validate models along measured traces in nine stages; write a report for each.",
     ),
-    "verify": ("gateway.cli.verify:verify", "Prove or refute what a model can do; say whether it may be deployed."),
-    "promote": ("gateway.cli.promote:promote", "Make a version of a store current, if its model verifies."),
-    "rank": ("gateway.cli.rank:rank", "Compare models on the same traces; say which are fit for deployment."),
-    "tune": ("gateway.cli.tune:tune", "Search a learning method's best settings by cross-validation over traces."),
-    "export": ("gateway.cli.export:export", "Write a model for UPPAAL along traces; compare with its engine."),
+    "verify": ("gateway.lab.verify:verify", "Prove or refute what a model can do; say whether it may be deployed."),
+    "promote": ("gateway.lab.promote:promote", "Make a version of a store current, if its model verifies."),
+    "rank": ("gateway.lab.rank:rank", "Compare models on the same traces; say which are fit for deployment."),
+    "tune": ("gateway.lab.tune:tune", "Search a learning method's best settings by cross-validation over traces."),
+    "export": ("gateway.lab.export:export", "Write a model for UPPAAL along traces; compare with its engine."),
 }
 
 

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from drivers.errors import DriverError
-from gateway.cli.options import json_option
-from gateway.cli.output import Exit, emit, exit_code, fail, sentences, table
-from gateway.cli.places import config_dir
+from gateway.console.options import json_option
+from gateway.console.output import Exit, emit, exit_code, fail, sentences, table
+from gateway.console.places import config_dir
 
 if TYPE_CHECKING:
     from drivers.tag import Sample, Tag
-    from gateway.clock import PlantClock
-    from gateway.config import Config
-    from gateway.links import Link
+    from gateway.machine.clock import PlantClock
+    from gateway.machine.links import Link
+    from gateway.plant.config import Config
 
 
 def _config_option(command: Any) -> Any:
@@ -61,7 +61,7 @@ def run(
     clock = _clock(clock_text) if clock_text else None
     speed = clock.speed if clock else None
     with sentences():
-        from gateway.app import serve
+        from gateway.plant.app import serve
 
         config = load(path, host, port, speed)
         if stdin:
@@ -80,7 +80,7 @@ def run(
 def check(path: Path, host: str | None, port: int | None, connect: bool, as_json: bool) -> None:
     """Check a configuration, its register map and its model; with --connect the PLC too."""
     with sentences():
-        from gateway.startup import load_model
+        from gateway.plant.startup import load_model
 
         config = load(path, host, port, None)
         loaded = load_model(config)
@@ -116,8 +116,8 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
 def _plan(config: "Config") -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The requests by which a scan reads all tags, in the driver's own sentences, and its cautions; nothing is sent."""
     from drivers.driver import Cautions, Explains
-    from gateway.clock import plant_clock
-    from gateway.startup import make_driver
+    from gateway.machine.clock import plant_clock
+    from gateway.plant.startup import make_driver
 
     driver = make_driver(config, plant_clock())
     plan = driver.explain(config.map.tags) if isinstance(driver, Explains) else ()
@@ -139,14 +139,14 @@ def _stop_at_end() -> None:
 
 def load(path: Path, host: str | None, port: int | None, speed: float | None) -> "Config":
     """The configuration with what the command line replaces. Raises ConfigError (a ValueError)."""
-    from gateway.config import load_config
+    from gateway.plant.config import load_config
 
     given = {"device.host": host, "device.port": port, "clock.speed": speed}
     return load_config(path, {key: value for key, value in given.items() if value is not None})
 
 
 def _clock(text: str) -> "PlantClock":
-    from gateway.clock import PlantClock
+    from gateway.machine.clock import PlantClock
 
     try:
         epoch, start, speed = (float(part) for part in text.split(","))
@@ -163,8 +163,8 @@ def _read_once(config: "Config") -> list[dict[str, Any]]:
     """One reading of every tag over every link. Raises DriverError when no link has a connection."""
     import asyncio
 
-    from gateway.clock import plant_clock
-    from gateway.startup import link_driver
+    from gateway.machine.clock import plant_clock
+    from gateway.plant.startup import link_driver
 
     with sentences():
         drivers = [link_driver(config, link, plant_clock()) for link in config.links]

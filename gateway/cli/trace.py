@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.cli.options import json_option, map_option, picture_option, seed_option
-from gateway.cli.output import emit, make_folder, progress, sentences, table
-from gateway.cli.places import shipped
 from gateway.cli.trace_can import can_log
+from gateway.console.options import json_option, map_option, picture_option, seed_option
+from gateway.console.output import emit, make_folder, progress, sentences, table
+from gateway.console.places import shipped
 
 if TYPE_CHECKING:
     from sim.sha.trace import Trace
-    from sim.validation.load_report import LoadReport
+    from sim.traces.load_report import LoadReport
 
 
 @click.group()
@@ -50,7 +50,7 @@ def synth(
     """
     from sim.plant.scenarios import SCENARIOS, production, scenario
     from sim.sha.events import DECANTER, encode
-    from sim.validation.trace_file import write_trace
+    from sim.traces.trace_file import write_trace
 
     wanted = list(SCENARIOS) if everything else list(names)
     if not wanted and days is None:
@@ -79,8 +79,8 @@ def synth(
 @json_option
 def show(paths: Sequence[str], map_name: str, picture: Path | None, as_json: bool) -> None:
     """Load traces (files, a folder or a glob) by a column map; say what was used, what was refused and why."""
-    from sim.validation.column_map import load_map
-    from sim.validation.traces import load_traces
+    from sim.traces.column_map import load_map
+    from sim.traces.traces import load_traces
 
     with sentences():
         column_map = load_map(shipped("traces", map_name))

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from gateway.cli.options import json_option
-from gateway.cli.output import emit, make_folder, progress, sentences, table
-from gateway.cli.places import shipped
+from gateway.console.options import json_option
+from gateway.console.output import emit, make_folder, progress, sentences, table
+from gateway.console.places import shipped
 
 if TYPE_CHECKING:
     from drivers.driver import Recorded
@@ -40,7 +40,7 @@ def can_log(
     nan. Column maps of the format "long" read it, for OBD-II config/traces/can_obd2.toml.
     """
     from drivers.driver import open_recording
-    from gateway.devices import load_device
+    from gateway.plant.devices import load_device
 
     given = {"format": format_, "bus": bus, "dbc": dbc and str(dbc)}
     with sentences(), progress(log.name) as report:

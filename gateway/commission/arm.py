@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import DriverError
-from gateway.arming import ArmingError, arm_in_log, disarm_in_log, signed
-from gateway.audit import head
-from gateway.commission.by_hand import gateway_runs, hand, layout_of
 from gateway.commission.outcome import Outcome, Site
+from gateway.commission.plc_side.by_hand import gateway_runs, hand, layout_of
 from gateway.commission.through import running_gateway
+from gateway.machine.arming import ArmingError, arm_in_log, disarm_in_log, signed
+from gateway.store.audit import head
 
 
 async def arm(site: Site, audit_path: Path, by: str, reason: str, minutes: float) -> Outcome:

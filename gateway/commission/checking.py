@@ -66,7 +66,7 @@ def _model(site: Site) -> list[Step]:
         return [warning("model", "only the device file was given (--device): the model is not checked")]
     if config.model.path is None:
         return [warning("model", "model.path is not set: the gateway watches the limit and predicts nothing")]
-    from gateway.startup import load_model
+    from gateway.plant.startup import load_model
 
     try:
         loaded = load_model(config)
@@ -116,7 +116,7 @@ def _bad(sample: Sample) -> Step:
 
 
 def _all_bad(first: Sample) -> Step:
-    from gateway.cli.output import Exit
+    from gateway.console.output import Exit
 
     if first.quality is Quality.TIMEOUT:
         return Step("reading", "failed", f"no tag can be read: {first.reason}", Exit.TIMEOUT)

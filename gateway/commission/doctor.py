@@ -10,10 +10,10 @@ from typing import Any
 
 from drivers.driver import Cautions
 from drivers.errors import LinkDown
-from gateway.commission.network import addresses_of, local_end
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.records import RecordsError, broken_at, versions
 from gateway.commission.steps import Step, failed, ok, verdict, warning
+from gateway.commission.survey.network import addresses_of, local_end
 from gateway.commission.target import Target
 from gateway.commission.through import running_gateway
 

@@ -11,14 +11,14 @@ from typing import Any
 from drivers.errors import DeviceException, LinkDown
 from drivers.survey import AsksRegisters, open_registers
 from drivers.tag import DType, Tag
-from gateway.cli.output import Exit
-from gateway.commission.addresses import LAST, Register, parse_register
 from gateway.commission.guess.advice import advise
 from gateway.commission.guess.reading import Shown, parse_shown
 from gateway.commission.guess.scoring import Candidate, Observation, rank
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.records import read_records
+from gateway.commission.survey.addresses import LAST, Register, parse_register
 from gateway.commission.through import read_through, running_gateway
+from gateway.console.output import Exit
 
 BEFORE, AFTER = 2, 5
 """Registers read besides the one that was given: twice off by one, and a value of four registers."""

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.tag import DType, Tag, Value
-from gateway.commission.cells import ListError, Sheet, key_of, read_sheet
+from gateway.commission.files.cells import ListError, Sheet, key_of, read_sheet
+from gateway.commission.files.io_words import COLUMNS, flag_of
 from gateway.commission.guess.reading import ReadingError, parse_shown
-from gateway.commission.io_words import COLUMNS, flag_of
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "name": COLUMNS["name"],

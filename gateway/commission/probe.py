@@ -8,9 +8,11 @@ from typing import Any
 
 from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, open_registers
-from gateway.commission.addresses import Register, parse_register
-from gateway.commission.bus_probe import probe_bus
-from gateway.commission.network import (
+from gateway.commission.outcome import Outcome, Site
+from gateway.commission.steps import Step, failed, ok, verdict, warning
+from gateway.commission.survey.addresses import Register, parse_register
+from gateway.commission.survey.bus_probe import probe_bus
+from gateway.commission.survey.network import (
     addresses_of,
     connect_sentence,
     greeting_of,
@@ -18,8 +20,6 @@ from gateway.commission.network import (
     looks_like,
     not_modbus,
 )
-from gateway.commission.outcome import Outcome, Site
-from gateway.commission.steps import Step, failed, ok, verdict, warning
 from gateway.commission.target import CONNECT_S, Target
 from gateway.commission.through import mention_gateway
 

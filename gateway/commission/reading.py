@@ -10,11 +10,11 @@ from typing import Any
 from drivers.driver import Explains
 from drivers.survey import Raw, open_bus_survey, open_registers
 from drivers.tag import DType, Order, Quality, Sample, Tag
-from gateway.cli.output import Exit
-from gateway.commission.addresses import AddressTextError, parse_stretch, reference_of
-from gateway.commission.bus_probe import SDO_S
 from gateway.commission.outcome import Outcome, Site
+from gateway.commission.survey.addresses import AddressTextError, parse_stretch, reference_of
+from gateway.commission.survey.bus_probe import SDO_S
 from gateway.commission.through import read_through, running_gateway
+from gateway.console.output import Exit
 
 FIRST_WAIT_S = 3.0
 _LOOK_S = 0.02

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.tag import Sample, Tag
-from gateway.commission.cells import ListError
+from gateway.commission.files.cells import ListError
 
 _SQLITE = b"SQLite format 3\0"
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
@@ -48,7 +48,7 @@ def read_recording(path: Path, start: float = -1e18, end: float = 1e18) -> Recor
 
 
 def _from_historian(path: Path, start: float, end: float) -> Recording:
-    from gateway.history import to_trace
+    from gateway.store.history import to_trace
 
     trace = to_trace(path, path.stem, start, end)
     return Recording(path, trace.times.tolist(), {name: column.tolist() for name, column in trace.signals.items()})

@@ -13,11 +13,11 @@ from typing import Any
 from drivers.driver import Driver, open_driver
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.recording import Recording
-from gateway.config import Config, HistorianSection, WritebackSection
-from gateway.core import Gateway
-from gateway.log import open_log
-from gateway.quality import Rules
-from gateway.scan import scans
+from gateway.machine.core import Gateway
+from gateway.machine.quality import Rules
+from gateway.machine.scan import scans
+from gateway.plant.config import Config, HistorianSection, WritebackSection
+from gateway.plant.log import open_log
 
 Progress = Callable[[str, float], None]
 GAP_S = 60.0
@@ -145,7 +145,7 @@ async def _through(config: Config, recording: Recording, progress: Progress) -> 
 
 
 def _data(config: Config, recording: Recording, missing: list[str], seen: Seen, kept: Path) -> dict[str, Any]:
-    from gateway.score import scorecard
+    from gateway.store.score import scorecard
 
     scores = scorecard(kept)
     return {

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gateway.cli.output import Exit, exit_code
+from gateway.console.output import Exit, exit_code
 
 
 @dataclass(frozen=True, slots=True)

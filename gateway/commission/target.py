@@ -12,9 +12,9 @@ from drivers.tag import Tag
 from drivers.tap import Medium
 
 if TYPE_CHECKING:
-    from gateway.config import Config
-    from gateway.devices import DeviceMap
-    from gateway.links import Link
+    from gateway.machine.links import Link
+    from gateway.plant.config import Config
+    from gateway.plant.devices import DeviceMap
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ def make_target(
 
 
 def _of_plant(path: Path, name: str | None, settings: Mapping[str, Any]) -> Target:
-    from gateway.config import load_config
+    from gateway.plant.config import load_config
 
     config = load_config(path)
     link = _chosen(config.links, name)
@@ -144,7 +144,7 @@ def _chosen(links: "Sequence[Link]", name: str | None) -> "Link":
 
 
 def _of_device(path: Path, link: str | None, settings: Mapping[str, Any]) -> Target:
-    from gateway.devices import load_device
+    from gateway.plant.devices import load_device
 
     device = load_device(path)
     merged = {**device.settings, **settings}

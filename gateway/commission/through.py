@@ -6,7 +6,7 @@ from typing import Any
 from drivers.tag import Quality, Sample, Tag
 from gateway.commission.outcome import Site
 from gateway.commission.target import Target
-from gateway.control import ControlError, GatewayLine, connect
+from gateway.plant.control import ControlError, GatewayLine, connect
 
 
 def running_gateway(target: Target) -> GatewayLine | None:

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from drivers.tag import Tag, Value
-from gateway.commission.by_hand import ACCOUNT_TAGS
-from gateway.commission.cells import ListError
+from gateway.commission.files.cells import ListError
 from gateway.commission.hmi import Point, Shown, compare, left_to_do, points_of, read_hmi_list
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.planning import device_of
+from gateway.commission.plc_side.by_hand import ACCOUNT_TAGS
 from gateway.commission.reading import read_raw
 from gateway.commission.recording import Recording, read_recording
 from gateway.commission.records import read_records
-from gateway.core import ORDERS
+from gateway.machine.core import ORDERS
 
 LOOK_S = 0.3
 _HOUR = 3600.0

@@ -7,13 +7,13 @@ from typing import Any
 
 from drivers.driver import Writes
 from drivers.errors import DriverError
-from gateway.audit import standing
-from gateway.commission.addresses import reference_of
-from gateway.commission.by_hand import ACCOUNT_TAGS, layout_of
-from gateway.commission.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
 from gateway.commission.outcome import Outcome, Site
-from gateway.config import LEAST_BLOCKS
-from gateway.devices import DeviceMap, WritebackLayout
+from gateway.commission.plc_side.by_hand import ACCOUNT_TAGS, layout_of
+from gateway.commission.plc_side.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
+from gateway.commission.survey.addresses import reference_of
+from gateway.plant.config import LEAST_BLOCKS
+from gateway.plant.devices import DeviceMap, WritebackLayout
+from gateway.store.audit import standing
 
 LEAST_BLOCKS_IN_TIMER = 3.0
 """So many blocks have to fit in the PLC's timer, so that one that is lost does not make it run out."""

@@ -64,7 +64,7 @@ def _rtu_tcp(_: Path, ready: Ready) -> dict[str, Any]:
 
 def _can(folder: Path, face: str) -> Sequence[object]:
     """Raw CAN frames, or a CANopen node, over a hub between the two processes."""
-    from gateway.cli.places import config_dir
+    from gateway.console.places import config_dir
     from gateway.demo.can_bus import hub_path
 
     device = config_dir() / "devices" / f"decanter_{face}.toml"

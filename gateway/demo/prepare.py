@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.devices import load_device
+from gateway.plant.devices import load_device
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
 from sim.sha.trace import Trace
@@ -200,7 +200,7 @@ limit = {setting.limit:g}
 path = "historian.sqlite"
 
 [log]
-path = "gateway.log.jsonl"
+path = "gateway.plant.log.jsonl"
 
 [forecast]
 horizons = [60, 300, 900]

@@ -13,10 +13,10 @@ import numpy as np
 from drivers.tag import Quality
 from gateway.demo.prepare import Setting
 from gateway.demo.processes import DemoError
-from gateway.devices import load_device
-from gateway.history import events, history, matured, samples, to_trace
-from gateway.quality import STALE_PERIODS
-from gateway.score import Scorecard, scorecard
+from gateway.machine.quality import STALE_PERIODS
+from gateway.plant.devices import load_device
+from gateway.store.history import events, history, matured, samples, to_trace
+from gateway.store.score import Scorecard, scorecard
 from sim.sha.trace import Array, Mask
 
 AHEAD_S = 300.0
@@ -50,8 +50,18 @@ def good_readings(historian: Path) -> Iterator[dict[str, Any]]:
 
 
 def verdict(recording: Path, readings: Path, *, tolerance: float) -> dict[str, Any]:
-    """What `sim.plc.verdict` says of readings, as a process of its own. Raises DemoError when it judged nothing."""
-    command = [sys.executable, "-m", "sim.plc.verdict", str(recording), str(readings), "--tolerance", repr(tolerance)]
+    """What `sim.plc.record.verdict` says of readings, as a process.
+
+    Raises DemoError when it judged nothing."""
+    command = [
+        sys.executable,
+        "-m",
+        "sim.plc.record.verdict",
+        str(recording),
+        str(readings),
+        "--tolerance",
+        repr(tolerance),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if not done.stdout:
         raise DemoError(f"the recording could not be judged: {done.stderr.strip()}")
@@ -113,7 +123,7 @@ def result(setting: Setting, recording: Path, historian: Path, picture: Path) ->
         "judged": said["judged"],
         "notes": list(setting.notes),
         "picture": str(picture),
-        "log": str(setting.folder / "gateway.log.jsonl"),
+        "log": str(setting.folder / "gateway.plant.log.jsonl"),
     }
 
 

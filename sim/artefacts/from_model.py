@@ -10,10 +10,10 @@ from sim.artefacts.flow_file import FlowFile, parse_equation
 from sim.artefacts.flow_kinds import equation_text, quoted
 from sim.artefacts.histogram import Histogram
 from sim.artefacts.report import EFFECT, EMPTY_WORD, UNOBSERVED, Report, ReportedLaw, ReportedLocation, Row, Table
+from sim.effects.kinds import told
 from sim.learning.lsha.table import ObservationTable, TableRow
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
-from sim.sha.effects import told
 from sim.sha.events import Alphabet, Bins
 from sim.sha.flows import FIXED
 from sim.sha.model import Model

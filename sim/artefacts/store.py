@@ -33,7 +33,7 @@ from sim.artefacts.model_directory import (
     write_files,
 )
 from sim.artefacts.model_json import model_hash, read_model_file
-from sim.checking.verify import verify
+from sim.checking.proof.verify import verify
 from sim.sha.model import Model
 
 STORE_FILE = "store.json"

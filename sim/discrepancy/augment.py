@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 
 from sim.discrepancy.catalogue import CATALOGUE
-from sim.discrepancy.course import Named
-from sim.discrepancy.fit import Fitted
-from sim.discrepancy.forms import BLURRED
+from sim.discrepancy.fitting.course import Named
+from sim.discrepancy.fitting.fit import Fitted
+from sim.discrepancy.fitting.forms import BLURRED
+from sim.effects.kinds import EFFECTS
 from sim.learning.free_run import RATES
 from sim.learning.runs import first_switch
 from sim.learning.semi_markov import with_inputs
 from sim.learning.structure import contexts
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Effect, Flow, Input, Location
-from sim.sha.effects import EFFECTS
 from sim.sha.model import Model, Provenance
 from sim.sha.trace import Trace
 

@@ -8,7 +8,7 @@ and loss of one unit of strength along a course of the temperature, `sense` what
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sim.discrepancy.forms import (
+from sim.discrepancy.fitting.forms import (
     Drive,
     Params,
     Sense,
@@ -41,7 +41,7 @@ from sim.discrepancy.forms import (
     wear,
     wear_drive,
 )
-from sim.discrepancy.record import Record
+from sim.discrepancy.fitting.record import Record
 from sim.sha.trace import Array
 
 

@@ -8,9 +8,9 @@ roughness.
 import numpy as np
 
 from sim.discrepancy.diagnosis import Ceiling
-from sim.discrepancy.fit import Fitted
+from sim.discrepancy.fitting.fit import Fitted
+from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.heat import Blocks, blocks_of, flips
-from sim.discrepancy.record import Record
 from sim.learning.runs import Indices
 from sim.sha.trace import Array
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.augment import process_noise
-from sim.discrepancy.fit import Fitted
+from sim.discrepancy.fitting.fit import Fitted
+from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.held_out import by_cycles, let_run
-from sim.discrepancy.record import Record
+from sim.engine.open_loop import open_loop
 from sim.sha.model import Model
-from sim.sha.open_loop import open_loop
 from sim.sha.trace import Trace
 
 WIDE, MOSTLY, SHARE = 1.5, 1.2, 0.2

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.discrepancy.course import as_read
-from sim.discrepancy.fit import Fitted
-from sim.discrepancy.noise import Weigher, decay_and_pull
-from sim.discrepancy.record import Record
+from sim.discrepancy.fitting.course import as_read
+from sim.discrepancy.fitting.fit import Fitted
+from sim.discrepancy.fitting.noise import Weigher, decay_and_pull
+from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.screen import Projector
 from sim.learning.runs import Indices, first_switch
 from sim.sha.trace import Array, Mask

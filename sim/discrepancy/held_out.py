@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.discrepancy.baseline import on
-from sim.discrepancy.course import State, at, grid_at
 from sim.discrepancy.diagnosis import HeldOut
-from sim.discrepancy.fit import Fitted
-from sim.discrepancy.noise import Weigher
-from sim.discrepancy.record import Record
+from sim.discrepancy.fitting.baseline import on
+from sim.discrepancy.fitting.course import State, at, grid_at
+from sim.discrepancy.fitting.fit import Fitted
+from sim.discrepancy.fitting.noise import Weigher
+from sim.discrepancy.fitting.record import Record
+from sim.engine.recursion import linear_recursion
 from sim.learning.runs import Indices
-from sim.sha.recursion import linear_recursion
 from sim.sha.trace import Array
 
 DRAWS, RESAMPLES, TRIFLE = 200, 2000, 0.02

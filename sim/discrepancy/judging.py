@@ -7,7 +7,7 @@ import numpy as np
 
 from sim.discrepancy.catalogue import CATALOGUE
 from sim.discrepancy.diagnosis import Ceiling, HeldOut, Verdict
-from sim.discrepancy.fit import Fitted
+from sim.discrepancy.fitting.fit import Fitted
 from sim.discrepancy.gap import Excess
 from sim.discrepancy.held_out import Trial
 from sim.discrepancy.naming import MARGIN, NEAR, Step

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from sim.discrepancy.diagnosis import Place
-from sim.discrepancy.fit import Fitted
+from sim.discrepancy.fitting.fit import Fitted
+from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.heat import Blocks, blocks_of, event_names, flips
-from sim.discrepancy.record import Record
 from sim.sha.trace import Array, Mask
 
 PHASES = (0.0, 240.0, 900.0, 3600.0, np.inf)

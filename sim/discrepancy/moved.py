@@ -3,7 +3,7 @@
 import numpy as np
 
 from sim.discrepancy.diagnosis import Shift
-from sim.discrepancy.fit import Fitted
+from sim.discrepancy.fitting.fit import Fitted
 from sim.learning.free_run import RATES
 from sim.sha.trace import Array
 

@@ -7,8 +7,8 @@ from itertools import product
 import numpy as np
 
 from sim.discrepancy.catalogue import CATALOGUE, Entry
-from sim.discrepancy.course import Named
-from sim.discrepancy.fit import Fitted, fit
+from sim.discrepancy.fitting.course import Named
+from sim.discrepancy.fitting.fit import Fitted, fit
 from sim.discrepancy.screen import (
     Projector,
     Screen,

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from sim.discrepancy.fit import Fitted, fit
+from sim.discrepancy.fitting.fit import Fitted, fit
 from sim.discrepancy.judging import OVERWHELMING, Found, dubious, insignificant
 from sim.discrepancy.naming import MARGIN, Step, entries_besides, step
 

@@ -14,10 +14,10 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from sim.discrepancy.catalogue import Entry, signals_of
-from sim.discrepancy.course import Named, as_read, filtered
-from sim.discrepancy.fit import Fitted
-from sim.discrepancy.forms import Params, Signals
-from sim.discrepancy.noise import Weigher
+from sim.discrepancy.fitting.course import Named, as_read, filtered
+from sim.discrepancy.fitting.fit import Fitted
+from sim.discrepancy.fitting.forms import Params, Signals
+from sim.discrepancy.fitting.noise import Weigher
 from sim.sha.trace import Array
 
 DRAWS = 20_000

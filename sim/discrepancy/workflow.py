@@ -10,21 +10,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.discrepancy.augment import named_of
-from sim.discrepancy.baseline import frame_of, on
 from sim.discrepancy.catalogue import ROLES
 from sim.discrepancy.ceiling import ceiling
-from sim.discrepancy.course import Named
 from sim.discrepancy.diagnosis import Ceiling, Diagnosis
-from sim.discrepancy.evidence import candidates_of, effect_of
-from sim.discrepancy.fit import Fitted, fit
+from sim.discrepancy.fitting.baseline import frame_of, on
+from sim.discrepancy.fitting.course import Named
+from sim.discrepancy.fitting.fit import Fitted, fit
+from sim.discrepancy.fitting.record import Record, in_order, patiently, record_of
 from sim.discrepancy.gap import Excess, excess, spread_of
 from sim.discrepancy.held_out import by_cycles, compared
 from sim.discrepancy.judging import Found, doubts, left_over, systematic, untested, verdict_of
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
+from sim.discrepancy.output.evidence import candidates_of, effect_of
+from sim.discrepancy.output.story import course_of, sentence_of
 from sim.discrepancy.path import name
-from sim.discrepancy.record import Record, in_order, patiently, record_of
-from sim.discrepancy.story import course_of, sentence_of
 from sim.sha.correction import in_sensor_scale
 from sim.sha.model import Model
 from sim.sha.trace import Trace

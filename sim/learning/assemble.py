@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.candidates import Ground, process_groups
+from sim.engine.recursion import linear_recursion
+from sim.learning.bins.candidates import Ground, process_groups
 from sim.learning.free_run import Fit, Shape, loads, steps
 from sim.learning.noise import Noise
 from sim.learning.runs import Indices, Runs
 from sim.learning.shape import with_parameters
 from sim.learning.structure import contexts, name_of, nearest
 from sim.sha.automaton import SHA, Distribution, Flow, Location
-from sim.sha.recursion import linear_recursion
 from sim.sha.trace import Array
 
 LEAST_DOUBT = 5.0

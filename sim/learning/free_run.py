@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares
 
+from sim.engine.recursion import linear_recursion
 from sim.learning.runs import Indices, Runs
 from sim.sha.automaton import Flow
 from sim.sha.flows import FLOWS, coefficients
-from sim.sha.recursion import linear_recursion
 from sim.sha.trace import Array, Mask
 
 HUBER = 1.345

@@ -12,10 +12,10 @@ from math import inf, sqrt
 
 import numpy as np
 
+from sim.engine.open_loop import errors, open_loop
 from sim.learning.data import resolution, without_spikes
 from sim.learning.structure import LearningError
 from sim.sha.model import Model
-from sim.sha.open_loop import errors, open_loop
 from sim.sha.trace import Array, Trace
 
 WINDOW_SECONDS, WINDOW_READINGS = 30.0, 10

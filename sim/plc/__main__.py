@@ -20,11 +20,11 @@ from sim.plc.control import listen_on_loopback, listen_to_stdin, say
 from sim.plc.faces import Face, face_options, make_faces, with_faces
 from sim.plc.faults import Fault, parse_fault
 from sim.plc.faults import describe as faults_table
+from sim.plc.modbus.server import ModbusServer
 from sim.plc.program import Plc, Settings
-from sim.plc.recorder import Recorder, record_nothing
+from sim.plc.record.recorder import Recorder, record_nothing
 from sim.plc.registers import Place, parse_address, read_map
 from sim.plc.replay import Replay, read_trace
-from sim.plc.server import ModbusServer
 
 UNUSABLE_INPUT = 2
 CANNOT_LISTEN = 3

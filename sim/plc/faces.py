@@ -62,12 +62,12 @@ def _option(*names: str, **rest: Any) -> click.Option:
 FACES: dict[str, FaceKind] = {
     "rtu-tcp": FaceKind(
         "rtu_tcp",
-        "sim.plc.server:make_rtu_tcp",
+        "sim.plc.modbus.server:make_rtu_tcp",
         (_option("--rtu-tcp", type=click.IntRange(0, 65535), help="Modbus RTU frames on this port; 0: a free one."),),
     ),
     "serial": FaceKind(
         "serial",
-        "sim.plc.serial_line:make",
+        "sim.plc.modbus.serial_line:make",
         (
             _option("--serial", metavar="PATH", help="Modbus RTU on this serial port; 'pty' makes a pair of its own."),
             _option("--baud", type=click.IntRange(50), default=19200, help="Bits a second of --serial."),
@@ -77,7 +77,7 @@ FACES: dict[str, FaceKind] = {
     ),
     "tls": FaceKind(
         "tls",
-        "sim.plc.tls:make",
+        "sim.plc.modbus.tls:make",
         (
             _option("--tls", type=_FILE, metavar="DIR", help="Modbus/TCP Security with the certificates in DIR."),
             _option("--tls-port", type=click.IntRange(0, 65535), default=0, help="Port of --tls; 0: a free one."),
@@ -91,7 +91,7 @@ FACES: dict[str, FaceKind] = {
     ),
     "can": FaceKind(
         "can",
-        "sim.plc.can_face:make",
+        "sim.plc.can.face:make",
         (
             _option("--can", type=_FILE, metavar="MAP", help="Raw CAN frames by this device file and its DBC file."),
             _option("--can-channel", default="can0", help="The CAN bus: an interface, or the path of a hub's socket."),

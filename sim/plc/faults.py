@@ -12,10 +12,10 @@ from random import Random
 
 from pydantic import ConfigDict, Field
 
-from sim.plc.can_bend import CanBend
+from sim.plc.can.bend import CanBend
 from sim.plc.canopen.bend import NodeBend
 from sim.plc.checks import Entry, InputError, checked_arguments, listed, signature_of, validated
-from sim.plc.modbus import Reply, Request, exception
+from sim.plc.modbus.messages import Reply, Request, exception
 from sim.plc.registers import parse_address
 
 Alter = Callable[[Request, Reply, Random], Reply]

@@ -9,14 +9,15 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from drivers.tag import Value
-from sim.plc import modbus, writeback
+from sim.plc import writeback
 from sim.plc.checks import InputError, listed
 from sim.plc.clock import PlantClock
 from sim.plc.encode import Unrepresentable, encode, is_bool, resolution, value_at_rest
 from sim.plc.faults import ALL_TAGS, Effect, Fault, merged, refusal
 from sim.plc.image import ProcessImage, Undefined
-from sim.plc.modbus import Refusal, Reply, Request
-from sim.plc.recorder import Record, record_nothing
+from sim.plc.modbus import messages as modbus
+from sim.plc.modbus.messages import Refusal, Reply, Request
+from sim.plc.record.recorder import Record, record_nothing
 from sim.plc.registers import Place, RegisterMap
 from sim.plc.replay import Replay
 from sim.plc.schedule import Line, Schedule

@@ -85,7 +85,7 @@ class SHA:
     """Locations, edges and the location where a trace starts.
 
     `max_rate` (degC/s) saturates every drift on both sides; `low`..`high` (degC) clamps the temperature, and clamps are
-    counted by whoever simulates. `effects` act on top of the flows (`sim.sha.effects`). Raises ValueError, naming the
+    counted by whoever simulates. `effects` act on top of the flows (`sim.effects.kinds`). Raises ValueError, naming the
     part, when a name is doubled, or an edge or an effect names a location that is not there.
     """
 

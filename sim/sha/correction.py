@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from math import log
 
+from sim.effects.kinds import EFFECTS, parameter
 from sim.sha.automaton import SHA, Distribution, Effect, Flow, Input, Location
-from sim.sha.effects import EFFECTS, parameter
 from sim.sha.flows import FIXED, RELAXING
 from sim.sha.model import Correction, Model
 

@@ -1,9 +1,9 @@
 """What entering a location does to the mode parameter m and to the temperature X, in one place for all who need it."""
 
+from sim.effects.kinds import check_effects
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Location
 from sim.sha.distributions import check_distribution
-from sim.sha.effects import check_effects
 from sim.sha.flows import FIXED, RELAXING, check_flow
 
 

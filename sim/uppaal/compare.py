@@ -8,15 +8,15 @@ from math import nan, sqrt
 import numpy as np
 from scipy import stats
 
-from sim.checking import query as q
-from sim.checking.answer import Settings, Start, initial
-from sim.checking.answer import answer as native_answer
-from sim.checking.parse import QueryError, parse_query
+from sim.checking.query import tree as q
+from sim.checking.query.parse import QueryError, parse_query
+from sim.checking.smc.answer import Settings, Start, initial
+from sim.checking.smc.answer import answer as native_answer
+from sim.engine.moments import Prediction, moments
+from sim.engine.schedule import Policy, Schedule, schedule
+from sim.engine.simulate import Runs, simulate
 from sim.sha import distributions
 from sim.sha.model import Model
-from sim.sha.moments import Prediction, moments
-from sim.sha.schedule import Policy, Schedule, schedule
-from sim.sha.simulate import Runs, simulate
 from sim.sha.trace import Array, Trace
 from sim.uppaal.document import Question
 from sim.uppaal.output import Answer, Course

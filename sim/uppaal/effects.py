@@ -7,9 +7,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.sha.augmented.plant import Plant, compile_plant
+from sim.effects.kinds import acts_in, of_kind, parameter
+from sim.engine.plant import Plant, compile_plant
 from sim.sha.automaton import SHA, Effect
-from sim.sha.effects import acts_in, of_kind, parameter
 from sim.uppaal.document import Arrow, number
 from sim.uppaal.players import array
 from sim.uppaal.replay import Clocks

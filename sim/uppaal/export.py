@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from sim.artefacts.files import refused, replace_durably
+from sim.effects.kinds import signals_of
+from sim.engine.open_loop import Start, open_loop
+from sim.engine.schedule import Policy
 from sim.sha import distributions
 from sim.sha.automaton import SHA, transitions
 from sim.sha.correction import in_sensor_scale
-from sim.sha.effects import signals_of
 from sim.sha.entry import check_sha
 from sim.sha.events import alphabet_symbols
 from sim.sha.model import Model
-from sim.sha.open_loop import Start, open_loop
-from sim.sha.schedule import Policy
 from sim.sha.trace import UNKNOWN, Trace
 from sim.uppaal.document import Question, System, number, plain, xml_text
 from sim.uppaal.effects import augmented

@@ -3,9 +3,9 @@
 import re
 from collections.abc import Sequence
 
-from sim.checking.parse import QueryError, parse_query
-from sim.checking.printing import query_text, uppaal_refusal
-from sim.checking.query import Symbolic
+from sim.checking.query.parse import QueryError, parse_query
+from sim.checking.query.printing import query_text, uppaal_refusal
+from sim.checking.query.tree import Symbolic
 from sim.sha.model import Model
 from sim.uppaal.document import Question, number
 from sim.uppaal.replay import Replay

@@ -6,11 +6,11 @@ from math import ceil
 
 import numpy as np
 
+from sim.effects.kinds import dead_time, signals_of
+from sim.engine.open_loop import Start, open_loop_schedule, start_law
+from sim.engine.schedule import Policy, resync_targets
 from sim.sha.automaton import SHA, Distribution, transitions
-from sim.sha.effects import dead_time, signals_of
 from sim.sha.model import Model
-from sim.sha.open_loop import Start, open_loop_schedule, start_law
-from sim.sha.schedule import Policy, resync_targets
 from sim.sha.trace import UNKNOWN, Array, Event, Trace
 
 DIGITS = 6

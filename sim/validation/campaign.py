@@ -15,10 +15,10 @@ from itertools import groupby
 from typing import Any, TypeVar
 from warnings import catch_warnings, simplefilter
 
-from sim.sha.effects import signals_of
+from sim.effects.kinds import signals_of
 from sim.sha.model import Model
 from sim.sha.trace import Trace
-from sim.validation.load_report import LoadReport
+from sim.traces.load_report import LoadReport
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared
 from sim.validation.trace_run import Job, Outcome, Settings, run_job

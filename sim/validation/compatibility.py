@@ -4,8 +4,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from sim.engine.schedule import Policy, resync_targets
 from sim.sha.automaton import SHA, transitions
-from sim.sha.schedule import Policy, resync_targets
 from sim.sha.trace import UNKNOWN, Event
 
 NAMED = 50

@@ -5,7 +5,7 @@ from math import ceil, floor, log10, nan, sqrt
 
 import numpy as np
 
-from sim.sha.scores import block_bootstrap, crps_ordered
+from sim.scores import block_bootstrap, crps_ordered
 from sim.sha.trace import Array
 from sim.validation.results import Interval
 

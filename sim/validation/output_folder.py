@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from sim.artefacts.files import replace_durably
-from sim.sha.open_loop import Score
+from sim.engine.open_loop import Score
 from sim.validation.results import Interval, TraceResult
 from sim.validation.stages import Stage
 

@@ -13,6 +13,8 @@ from typing import Literal
 
 import numpy as np
 
+from sim.engine.open_loop import measured
+from sim.engine.schedule import schedule
 from sim.sha import distributions, flows
 from sim.sha.automaton import SHA, Distribution, Flow, Location
 from sim.sha.correction import in_sensor_scale
@@ -20,8 +22,6 @@ from sim.sha.entry import mode_parameter
 from sim.sha.events import encode
 from sim.sha.flows import FIXED, RELAXING
 from sim.sha.model import Model
-from sim.sha.open_loop import measured
-from sim.sha.schedule import schedule
 from sim.sha.semi_markov import Chain, compile_chain, draw_paths, input_moments
 from sim.sha.trace import Array, Trace
 

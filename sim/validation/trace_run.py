@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from sim.engine.moments import Prediction, moments
+from sim.engine.open_loop import Score, errors, measured, open_loop_schedule, score, start_law
+from sim.engine.schedule import Indices, Policy, schedule
+from sim.engine.simulate import simulate
 from sim.sha import distributions
 from sim.sha.events import encode
 from sim.sha.model import Model
-from sim.sha.moments import Prediction, moments
-from sim.sha.open_loop import Score, errors, measured, open_loop_schedule, score, start_law
-from sim.sha.schedule import Indices, Policy, schedule
-from sim.sha.simulate import simulate
 from sim.sha.trace import Array, Event, Trace
 from sim.validation.compatibility import Compatibility, compatibility, dense_events, symbols_of
 from sim.validation.metrics import Band, Covered, error_quantiles, judge_band, mae_interval, rmse_interval

@@ -47,7 +47,7 @@ def test_the_vocabulary_is_that_of_the_design() -> None:
 
 
 def test_every_effect_is_named_as_the_catalogue_names_it() -> None:
-    automaton_effects = pytest.importorskip("sim.sha.effects")
+    automaton_effects = pytest.importorskip("sim.effects.kinds")
     assert set(EFFECTS) == set(automaton_effects.EFFECTS)
 
 
@@ -151,8 +151,8 @@ def test_no_constant_moves_by_more_than_8_percent() -> None:
 
 @pytest.mark.parametrize("sampling", ["regular", "irregular", "gaps"])
 def test_a_log_has_the_plants_columns_without_the_missing_ones(tmp_path: Path, day: Operation, sampling: str) -> None:
-    from sim.validation.column_map import load_map
-    from sim.validation.traces import load_traces
+    from sim.traces.column_map import load_map
+    from sim.traces.traces import load_traces
 
     spec = Spec("development", "test", 0, sampling=sampling, missing=("TAmbiente",))  # type: ignore[arg-type]
     course = run([(day, machine("development", "stages", True, 0).bearing, still(day), Parts())])[0]

@@ -20,10 +20,10 @@ from benchmarks.discrepancy.runner import Case, case
 from benchmarks.discrepancy.seal import committed, index, opened
 from benchmarks.discrepancy.strata import Spec
 from benchmarks.discrepancy.visible import Family
-from gateway.cli.traces import load
+from gateway.console.traces import load
 from sim.artefacts.model_directory import write_model_directory
-from sim.learning.bins import learn_bins
-from sim.learning.candidates import Candidate
+from sim.learning.bins.candidates import Candidate
+from sim.learning.bins.learn import learn_bins
 
 QUIET = Roughness(0.0, 400.0, 0.0, 0.02, 0.01)
 

@@ -5,12 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.checking.answer import Answer, Settings, Start, answer, believed, initial
-from sim.checking.answer_estimates import prepared
-from sim.checking.answer_runs import engine
-from sim.checking.paths_known import Cuts
-from sim.checking.quadrature import Stretch, first_passage
-from sim.checking.query import (
+from sim.checking.query.tree import (
     Always,
     At,
     Either,
@@ -26,11 +21,16 @@ from sim.checking.query import (
     Span,
     Until,
 )
-from sim.checking.splitting import Split, split
+from sim.checking.smc.answer import Answer, Settings, Start, answer, believed, initial
+from sim.checking.smc.estimates import prepared
+from sim.checking.smc.paths.known import Cuts
+from sim.checking.smc.runs import engine
+from sim.checking.smc.splitting.levels import Split, split
 from sim.sha.automaton import Distribution
 from sim.sha.correction import in_sensor_scale
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Event, Trace
+from tests.checking.quadrature import Stretch, first_passage
 from tests.checking.worlds import TEMP, compare, eventually, flow, model, normal
 
 GAIN, OFFSET, SECONDS = 1.25, -7.0, 300.0

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.checking.answer import Settings, answer, believed, initial
-from sim.checking.parse import parse_query
+from sim.checking.query.parse import parse_query
+from sim.checking.smc.answer import Settings, answer, believed, initial
+from sim.engine.belief import advance, filter_trace
+from sim.engine.open_loop import open_loop
 from sim.sha.automaton import Effect
-from sim.sha.belief import advance, filter_trace
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
-from sim.sha.open_loop import open_loop
 from sim.sha.trace import Event, Trace
 from tests.sha.effect_reference import EFFECTS, TOGETHER, course, plant
 

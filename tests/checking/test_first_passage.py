@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from benchmarks.smc import checked, contains, parameter_sets, question, start_of
-from sim.checking import paths, paths_known
-from sim.checking.answer import Settings, Start, answer, initial
-from sim.checking.answer_estimates import prepared
-from sim.checking.answer_runs import sampler
-from sim.checking.quadrature import Stretch, brownian, first_passage
-from sim.checking.query import Expectation, Hypothesis
+from sim.checking.query.tree import Expectation, Hypothesis
+from sim.checking.smc.answer import Settings, Start, answer, initial
+from sim.checking.smc.estimates import prepared
+from sim.checking.smc.paths import known as paths_known
+from sim.checking.smc.paths import plan as paths
+from sim.checking.smc.runs import sampler
+from tests.checking.quadrature import Stretch, brownian, first_passage
 from tests.checking.worlds import TEMP, along, compare, eventually, flow, model, normal
 
 CASES = parameter_sets()

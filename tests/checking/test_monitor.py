@@ -5,11 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from sim.checking.answer import Settings, answer, initial
-from sim.checking.answer_estimates import prepared
-from sim.checking.answer_runs import MOST_KEPT, sampler
-from sim.checking.monitor_formula import compile_formulas
-from sim.checking.query import (
+from sim.checking.query.tree import (
     Always,
     At,
     Both,
@@ -31,6 +27,10 @@ from sim.checking.query import (
     Span,
     Until,
 )
+from sim.checking.smc.answer import Settings, answer, initial
+from sim.checking.smc.estimates import prepared
+from sim.checking.smc.monitors.formula import compile_formulas
+from sim.checking.smc.runs import MOST_KEPT, sampler
 from sim.sha.automaton import Distribution
 from tests.checking.worlds import AGE, TEMP, TIME, along, compare, eventually, flow, model, normal
 

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from sim.checking.bounds import BEYOND, Bounds, find_bounds, noise_band
-from sim.checking.envelope import Assumptions, Envelope, Sojourn, UnboundedInput, envelopes, quantiles
-from sim.checking.structure import Move, moves
-from sim.checking.word import parse_word, replay, word_text
+from sim.checking.proof.bounds import BEYOND, Bounds, find_bounds, noise_band
+from sim.checking.proof.envelope import Assumptions, Envelope, Sojourn, UnboundedInput, envelopes, quantiles
+from sim.checking.proof.structure import Move, moves
+from sim.checking.proof.word import parse_word, replay, word_text
+from sim.engine.schedule import resync_targets, schedule
+from sim.engine.simulate import simulate
 from sim.sha.automaton import Distribution, Edge, Flow, Input, Location
 from sim.sha.correction import in_sensor_scale
 from sim.sha.events import Alphabet, Bins, alphabet_symbols
 from sim.sha.flows import mean_step
 from sim.sha.model import Correction, Model, Stay
-from sim.sha.schedule import resync_targets, schedule
-from sim.sha.simulate import simulate
 from sim.sha.trace import UNKNOWN, Event
 from tests.checking.verify_models import SYMBOLS, assumptions, linear, models, normal, of, relaxing, thesis
 

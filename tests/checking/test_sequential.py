@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.checking.sequential import Outcome, anytime, fixed, mixture_interval, one_or_two_sided, to_half_width
-from sim.checking.sequential_ratio import RatioTest, acceptance, expected_runs, sprt, wald_test
-from sim.sha.scores import clopper_pearson
+from sim.checking.smc.rules.ratio import RatioTest, acceptance, expected_runs, sprt, wald_test
+from sim.checking.smc.rules.sequential import Outcome, anytime, fixed, mixture_interval, one_or_two_sided, to_half_width
+from sim.scores import clopper_pearson
 from sim.sha.trace import Array
 
 Interval = Callable[[Array, NDArray[np.int_], float], tuple[Array, Array]]

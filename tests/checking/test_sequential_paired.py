@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sim.checking.sequential_paired import PairedOutcome, compare
+from sim.checking.smc.rules.paired import PairedOutcome, compare
 from sim.sha.trace import Array
 
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from sim.checking.answer import Settings, answer, initial
-from sim.checking.answer_estimates import prepared
-from sim.checking.answer_runs import engine
-from sim.checking.monitor_path import cuts
-from sim.checking.paths_known import Cuts
-from sim.checking.quadrature import Stretch, brownian, first_passage
-from sim.checking.query import Always, At, Both, Either, Probability, Span, Until
-from sim.checking.splitting import Split, skewed_interval, split
+from sim.checking.query.tree import Always, At, Both, Either, Probability, Span, Until
+from sim.checking.smc.answer import Settings, answer, initial
+from sim.checking.smc.estimates import prepared
+from sim.checking.smc.monitors.path import cuts
+from sim.checking.smc.paths.known import Cuts
+from sim.checking.smc.runs import engine
+from sim.checking.smc.splitting.levels import Split, skewed_interval, split
+from tests.checking.quadrature import Stretch, brownian, first_passage
 from tests.checking.worlds import along, compare, eventually, flow, model, normal
 
 START = along(model([flow("linear")], [normal(0.0)]), 40.0, 400.0)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from sim.checking.answer import Settings, Start, answer, believed, initial
-from sim.checking.query import At, Both, Comparison, Eventually, Probability, Span
+from sim.checking.query.tree import At, Both, Comparison, Eventually, Probability, Span
+from sim.checking.smc.answer import Settings, Start, answer, believed, initial
 from sim.sha.automaton import Distribution, Effect
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace

@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sim.checking import query as q
-from sim.checking.parse import parse_query
-from sim.checking.symbolic import Verdict, decide
+from sim.checking.proof.symbolic import Verdict, decide
+from sim.checking.query import tree as q
+from sim.checking.query.parse import parse_query
 from sim.sha.automaton import SHA, Edge, Flow, Location, nondeterminism
 
 

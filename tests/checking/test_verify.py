@@ -9,17 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.artefacts.find import find_model
-from sim.checking.envelope import quantiles
-from sim.checking.structure import accept, components, dead_ends, missing, moves, symbols_of, traps, unreachable
-from sim.checking.verify import verify
-from sim.checking.word import TimedWord, parse_word, replay, word_text
+from sim.checking.proof.envelope import quantiles
+from sim.checking.proof.structure import accept, components, dead_ends, missing, moves, symbols_of, traps, unreachable
+from sim.checking.proof.verify import verify
+from sim.checking.proof.word import TimedWord, parse_word, replay, word_text
+from sim.engine.tracker import OnlinePolicy, compile_model, next_location
 from sim.learning.structure import bare_sha
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
 from sim.sha.distributions import mean
 from sim.sha.events import DECANTER, alphabet_symbols
 from sim.sha.model import Correction, Model
 from sim.sha.trace import UNKNOWN, Event, Trace
-from sim.sha.tracker import OnlinePolicy, compile_model, next_location
 from tests.artefacts.real import SETS, real_data
 from tests.checking.verify_models import linear, models, normal, of, relaxing, thesis
 from tests.gateway.support import two_modes

@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.checking.bounds import find_bounds
-from sim.checking.drift import Drift, added
-from sim.checking.envelope import DAY, Assumptions, envelopes
-from sim.checking.structure import moves
-from sim.checking.verify import verify
-from sim.checking.word import parse_word, replay, word_text
+from sim.checking.proof.bounds import find_bounds
+from sim.checking.proof.drift import Drift, added
+from sim.checking.proof.envelope import DAY, Assumptions, envelopes
+from sim.checking.proof.structure import moves
+from sim.checking.proof.verify import verify
+from sim.checking.proof.word import parse_word, replay, word_text
+from sim.effects.kinds import signals_of
+from sim.engine.moments import moments
+from sim.engine.schedule import schedule
 from sim.sha.automaton import Distribution, Effect
-from sim.sha.effects import signals_of
 from sim.sha.events import Alphabet, Switch, alphabet_symbols
 from sim.sha.model import Correction, Model, Stay
-from sim.sha.moments import moments
-from sim.sha.schedule import schedule
 from sim.sha.trace import Event, Trace
 from tests.sha.effect_reference import EFFECTS, TOGETHER, plant, without_noise
 from tests.sha.models import normal

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.checking.answer import Start, initial
-from sim.checking.query import Compare, Comparison, Eventually, Formula, Number, Probability, Quantity, Span
+from sim.checking.query.tree import Compare, Comparison, Eventually, Formula, Number, Probability, Quantity, Span
+from sim.checking.smc.answer import Start, initial
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model, Stay

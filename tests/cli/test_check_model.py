@@ -9,11 +9,11 @@ import pytest
 from click.testing import Result
 
 from drivers.tag import Quality, Sample, Tag
-from gateway.historian import open_historian
-from gateway.records import Keeper
-from gateway.scan import Scan
-from sim.validation.column_map import load_map
-from sim.validation.traces import load_traces
+from gateway.machine.records import Keeper
+from gateway.machine.scan import Scan
+from gateway.store.historian import open_historian
+from sim.traces.column_map import load_map
+from sim.traces.traces import load_traces
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 
 EXAMPLES = [
@@ -81,8 +81,8 @@ def test_equal_seeds_give_equal_answers_and_other_seeds_other_ones(place: Path) 
 def test_more_runs_begin_with_the_same_runs(place: Path) -> None:
     """The first 1000 of 3000 runs are the 1000 runs: their courses' goals come at the same moments."""
     from sim.artefacts.find import find_model
-    from sim.checking.answer import Settings, answer, initial
-    from sim.checking.parse import parse_query
+    from sim.checking.query.parse import parse_query
+    from sim.checking.smc.answer import Settings, answer, initial
 
     found = find_model(place / "model").runnable()
     start = initial(found, location="ON/100-200")

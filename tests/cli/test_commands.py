@@ -22,14 +22,14 @@ from drivers.errors import (
     WriteUnverified,
 )
 from gateway.checked import ConfigError
-from gateway.cli.lazy import LazyGroup
 from gateway.cli.main import COMMANDS, main
 from gateway.cli.model import COMMANDS as MODEL_COMMANDS
-from gateway.cli.output import Exit, as_json, exit_code, sentence, sentences
 from gateway.cli.trace import trace
-from gateway.historian import HistorianError
+from gateway.console.lazy import LazyGroup
+from gateway.console.output import Exit, as_json, exit_code, sentence, sentences
+from gateway.store.historian import HistorianError
 from sim.artefacts.files import ArtefactError
-from sim.validation.load_report import TraceError
+from sim.traces.load_report import TraceError
 from tests.cli.artefact_set import files, written
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 from tests.gateway.support import plant_file

@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from drivers.tag import Quality, Sample, Tag
-from gateway.cli.diagnosing import roles_of
-from gateway.historian import open_historian
-from gateway.history import recent
-from gateway.records import Keeper
-from gateway.scan import Scan
+from gateway.lab.diagnosing import roles_of
+from gateway.machine.records import Keeper
+from gateway.machine.scan import Scan
+from gateway.store.historian import open_historian
+from gateway.store.history import recent
 from sim.artefacts.find import find_model
 from sim.discrepancy.catalogue import ROLES
 from sim.discrepancy.workflow import diagnose
 from sim.plant.cooled import EPOCH, CooledPlant, cooled_days
 from sim.plant.scenarios import scenario
 from sim.sha.trace import Trace
-from sim.validation.column_map import load_map
-from sim.validation.traces import load_traces
+from sim.traces.column_map import load_map
+from sim.traces.traces import load_traces
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 
 

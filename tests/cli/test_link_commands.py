@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.modbus_tls import load_identity
+from drivers.modbus.tls import load_identity
 from gateway.demo.links import LINKS
 from tests.cli.support import decanter, only_object, refused
 from tests.cli.test_demo import performed, sane

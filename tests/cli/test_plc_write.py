@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from gateway.audit import read, verify
 from gateway.cli.main import main
 from gateway.cli.plc import COMMANDS
-from gateway.control import connect
-from sim.plc.recording import read_recording
+from gateway.plant.control import connect
+from gateway.store.audit import read, verify
+from sim.plc.record.recording import read_recording
 from tests.plc.bench import DECANTER, PATIENCE_S, ROOT, Process, running, wait_until
 from tests.test_house import HEAVY, modules_imported_by
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.cli.interrupt import interruptible
+from gateway.console.interrupt import interruptible
 from sim.artefacts.find import find_model
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 

@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
-from sim.validation.column_map import load_map
-from sim.validation.traces import load_traces
+from sim.traces.column_map import load_map
+from sim.traces.traces import load_traces
 from tests.drivers.can_frames import candump
 from tests.drivers.test_can_log import trip
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.tag import DType, Order, Tag, Value
-from gateway.commission.cells import ListError
+from gateway.commission.files.cells import ListError
 from gateway.commission.hmi import Point, Shown, compare, left_to_do, points_of, read_hmi_list
 
 NOW = 1_700_000_000.0

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from openpyxl import Workbook
 
-from gateway.commission.cells import ListError, number_of
-from gateway.commission.io_list import IoList, Reading, read_io_list
-from gateway.commission.io_words import type_of
+from gateway.commission.files.cells import ListError, number_of
+from gateway.commission.files.io_list import IoList, Reading, read_io_list
+from gateway.commission.files.io_words import type_of
 
 ITALIAN = """\
 Elenco I/O - linea 2;;;;;;;

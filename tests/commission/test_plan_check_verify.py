@@ -11,7 +11,7 @@ from drivers.can.hub import Hub
 from gateway.commission.recording import read_recording
 from gateway.commission.soaking import recommended
 from sim.artefacts.model_json import model_text
-from sim.validation.trace_file import write_trace
+from sim.traces.trace_file import write_trace
 from tests.commission.bench import answer, at, free_port, plc
 from tests.plc.bench import DECANTER, ROOT, Process, running, wait_until
 
@@ -179,7 +179,7 @@ def test_readings_with_times_are_compared_with_what_was_recorded(tmp_path: Path)
 def test_questions_are_asked_until_everything_is_proved(
     device: tuple[Process, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from gateway.cli import plc_verify
+    from gateway.commission import plc_verify
 
     process = device[0]
     process.order("force", tag="TCuscinettiRiduttore", value=40.0)

@@ -13,7 +13,7 @@ import pytest
 from drivers.can.hub import Hub
 from drivers.survey import Raw
 from drivers.tag import Quality, Sample, Tag
-from gateway.commission.addresses import AddressTextError, parse_register, parse_stretch
+from gateway.commission.survey.addresses import AddressTextError, parse_register, parse_stretch
 from gateway.commission.watching import Seen, sparkline
 from tests.commission.bench import answer, at, force, plc
 from tests.plc.bench import DECANTER, ROOT, Process, running

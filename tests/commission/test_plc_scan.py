@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from drivers.can.hub import Hub
 from drivers.errors import ReplyTimeout
-from drivers.modbus_survey import ModbusSurvey
-from drivers.modbus_transport import checked
+from drivers.modbus.survey import ModbusSurvey
+from drivers.modbus.transport import checked
 from drivers.survey import Words
-from gateway.commission.register_map import RegisterMap, search
-from gateway.commission.registers import _Asking
+from gateway.commission.survey.register_map import RegisterMap, search
+from gateway.commission.survey.registers import _Asking
 from tests.commission.bench import answer, at, plc
 from tests.plc.bench import DECANTER, ROOT, Process, running
 

@@ -6,9 +6,9 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from drivers import modbus_rtu as rtu
 from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
-from drivers.modbus_verify import IDENTIFY, Asked, check_reply
+from drivers.modbus import rtu
+from drivers.modbus.verify import IDENTIFY, Asked, check_reply
 from drivers.survey import AsksRegisters, open_registers
 from drivers.tag import DType, Order, Quality, Tag
 from drivers.tap import Frame, listening

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from benchmarks.rig import TARGETS, known_model
-from sim.checking.verify import verify
+from sim.checking.proof.verify import verify
 from sim.discrepancy.augment import RUNNING_ONLY, effect_of
 from sim.discrepancy.catalogue import CATALOGUE
-from sim.discrepancy.course import Named
+from sim.discrepancy.fitting.course import Named
+from sim.effects.kinds import EFFECTS
 from sim.learning.semi_markov import fit_stays, with_inputs
 from sim.sha.automaton import Effect
-from sim.sha.effects import EFFECTS
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
 

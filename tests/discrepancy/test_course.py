@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sim.discrepancy.baseline import Frame, frame_of
 from sim.discrepancy.catalogue import CATALOGUE
-from sim.discrepancy.course import Named, State, at, grid_at, scattered, sensitivity
-from sim.discrepancy.record import record_of
+from sim.discrepancy.fitting.baseline import Frame, frame_of
+from sim.discrepancy.fitting.course import Named, State, at, grid_at, scattered, sensitivity
+from sim.discrepancy.fitting.record import record_of
 from sim.sha.trace import Array
 from tests.discrepancy.plants import model, plant
 

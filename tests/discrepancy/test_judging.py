@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.baseline import frame_of, on
 from sim.discrepancy.catalogue import CATALOGUE
 from sim.discrepancy.diagnosis import HeldOut
-from sim.discrepancy.fit import Fitted, fit
+from sim.discrepancy.fitting.baseline import frame_of, on
+from sim.discrepancy.fitting.fit import Fitted, fit
+from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.heat import REACH, implied_heat
 from sim.discrepancy.held_out import by_cycles, let_run
 from sim.discrepancy.judging import Found, doubts
 from sim.discrepancy.naming import Step, confirm, step
-from sim.discrepancy.record import record_of
 from tests.discrepancy.plants import model, plant
 
 

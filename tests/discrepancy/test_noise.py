@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sim.discrepancy.noise import DIFFUSE, Belief, Grid, Noise, Weigher, decay_and_pull, fit_noise
+from sim.discrepancy.fitting.noise import DIFFUSE, Belief, Grid, Noise, Weigher, decay_and_pull, fit_noise
+from sim.engine.recursion import linear_recursion
 from sim.learning.runs import Indices
-from sim.sha.recursion import linear_recursion
 from sim.sha.trace import Array, Mask
 
 NOISE = Noise(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)

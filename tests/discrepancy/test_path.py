@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from sim.discrepancy.baseline import frame_of, on
 from sim.discrepancy.catalogue import CATALOGUE
-from sim.discrepancy.fit import fit
+from sim.discrepancy.fitting.baseline import frame_of, on
+from sim.discrepancy.fitting.fit import fit
+from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.naming import confirm, step
 from sim.discrepancy.path import revised
-from sim.discrepancy.record import record_of
 from tests.discrepancy.plants import model, plant
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.discrepancy.record import in_order, overlapping
+from sim.discrepancy.fitting.record import in_order, overlapping
 from sim.discrepancy.workflow import diagnose
 from sim.sha.trace import Event, Trace
 from tests.discrepancy.plants import model, plant

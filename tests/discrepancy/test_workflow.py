@@ -7,8 +7,8 @@ import pytest
 
 from sim.discrepancy.augment import augmented, named_of
 from sim.discrepancy.workflow import Outcome, diagnose
+from sim.engine.open_loop import open_loop
 from sim.learning.structure import LearningError
-from sim.sha.open_loop import open_loop
 from tests.discrepancy.plants import model, plant
 
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from sim.artefacts.model_directory import read_model_directory
-from sim.discrepancy import output_folder
 from sim.discrepancy.diagnosis import Diagnosis, Verdict
-from sim.discrepancy.document import document, document_text
 from sim.discrepancy.heat_map import heat_map, span
-from sim.discrepancy.output_folder import check_folder, write_diagnosis
-from sim.discrepancy.pictures import CYCLES, ERRORS, SHEET, WHERE, cycles_to_show, draw
-from sim.discrepancy.report import Occasion, place_sentence, report_html
+from sim.discrepancy.output import folder as output_folder
+from sim.discrepancy.output.document import document, document_text
+from sim.discrepancy.output.folder import check_folder, write_diagnosis
+from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE, cycles_to_show, draw
+from sim.discrepancy.output.report import Occasion, place_sentence, report_html
 from tests.discrepancy_report.made_diagnoses import EVIL, LATE, PLACE, course, of
 from tests.gateway.support import two_modes
 

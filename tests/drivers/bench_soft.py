@@ -4,7 +4,7 @@ import time
 from collections.abc import AsyncIterator
 
 from drivers.driver import open_driver
-from drivers.soft import SoftDriver
+from drivers.soft.driver import SoftDriver
 from tests.drivers.benches import Bench, Tags
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.driver import Driver
 from drivers.errors import DriverError
-from drivers.modbus import ModbusDriver, open_modbus
+from drivers.modbus.driver import ModbusDriver, open_modbus
 from drivers.tag import Sample, Tag
 from tests.drivers.scripted import ScriptedPlc
 

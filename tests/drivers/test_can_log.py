@@ -18,11 +18,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.can.frame import Frame
-from drivers.can.log import FORMATS, open_log, require_frames
-from drivers.can.timeline import Timeline
 from drivers.driver import Driver, Explains, open_driver, open_recording
 from drivers.errors import AddressError, DriverError, LinkDown, RecordingError
 from drivers.tag import DType, Quality, Sample, Tag
+from drivers.vehicle.log import FORMATS, open_log, require_frames
+from drivers.vehicle.timeline import Timeline
 from tests.drivers.can_frames import candump, isotp
 
 SPEED = Tag("speed", "obd:0C", unit="rpm")
@@ -103,7 +103,7 @@ def test_a_compressed_log_is_read_too_and_the_format_may_be_given(tmp_path: Path
 
 
 def test_mf4_without_its_package_is_one_clear_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.can.log.find_spec", lambda _: None)
+    monkeypatch.setattr("drivers.vehicle.log.find_spec", lambda _: None)
     path = tmp_path / "trip.mf4"
     path.write_bytes(b"MDF     4.11    ")
     with pytest.raises(RecordingError, match="MF4 logs need the package asammdf, which is not installed here"):

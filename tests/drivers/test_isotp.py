@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.can.isotp import N_CR, Reassembler
+from drivers.vehicle.isotp import N_CR, Reassembler
 from tests.drivers.can_frames import isotp
 
 PAYLOADS = st.integers(1, 4095).flatmap(lambda size: st.binary(min_size=size, max_size=size))

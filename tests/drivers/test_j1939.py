@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.can.dbc import Dbc
-from drivers.can.j1939 import Identifier, J1939Listener, identifier, special, wanted
-from drivers.can.j1939_dm1 import trouble_codes
-from drivers.can.j1939_spns import SPNS
 from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import DType, Quality, Tag
+from drivers.vehicle.dm1 import trouble_codes
+from drivers.vehicle.j1939 import Identifier, J1939Listener, identifier, special, wanted
+from drivers.vehicle.spns import SPNS
 from tests.drivers.can_frames import bam, timed
 
 SPEED = Tag("speed", "spn:190", unit="rpm")

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.can.j1939_transport import BROADCAST, T1, T2, Key, Message, Transport
+from drivers.vehicle.j1939_transport import BROADCAST, T1, T2, Key, Message, Transport
 from tests.drivers.can_frames import control, packets
 
 BAM_KEY, PAIR = Key("can0", 0x00, BROADCAST), Key("can0", 0x03, 0x21)

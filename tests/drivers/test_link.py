@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import LinkDown
 from drivers.link import Backoff, DeadPeer, Link
-from drivers.modbus_transport import SETTINGS, TRANSPORTS
+from drivers.modbus.transport import SETTINGS, TRANSPORTS
 
 
 class Wires:

@@ -20,7 +20,7 @@ from drivers.errors import (
     WriteForbidden,
     WriteUnverified,
 )
-from drivers.modbus import open_modbus
+from drivers.modbus.driver import open_modbus
 from drivers.tag import DType, Order, Quality, Tag
 from tests.drivers.conftest import OpenModbus, read_until_good
 from tests.drivers.scripted import (

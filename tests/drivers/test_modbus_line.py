@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from drivers import modbus_rtu
 from drivers.driver import open_driver
 from drivers.errors import DriverError, LinkDown, ReplyTimeout
-from drivers.modbus import ModbusDriver, open_modbus
-from drivers.modbus_address import Area
-from drivers.modbus_wire import read_request, write_request
+from drivers.modbus import rtu as modbus_rtu
+from drivers.modbus.address import Area
+from drivers.modbus.driver import ModbusDriver, open_modbus
+from drivers.modbus.wire import read_request, write_request
 from drivers.tag import Quality, Sample, Tag
 from tests.drivers.scripted import ScriptedPlc
 from tests.drivers.scripted_line import Bend, PtyLine, ScriptedLine, rtu

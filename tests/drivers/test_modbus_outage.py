@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from drivers.errors import LinkDown
-from drivers.modbus import ModbusDriver, open_modbus
+from drivers.modbus.driver import ModbusDriver, open_modbus
 from drivers.tag import Quality, Sample, Tag
 from tests.drivers.conftest import OpenModbus, open_anyway, read_until_good
 from tests.drivers.scripted import Bend, ScriptedPlc, always, first, mbap, silent, transaction_of

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from drivers.errors import DeviceException, DriverError, LinkDown
-from drivers.modbus import ModbusDriver, open_modbus
-from drivers.modbus_tls import cautions, load_identity, sentence
+from drivers.modbus.driver import ModbusDriver, open_modbus
+from drivers.modbus.tls import cautions, load_identity, sentence
 from drivers.tag import Quality, Tag
 from gateway.certificates import Signer
 from tests.drivers import certified

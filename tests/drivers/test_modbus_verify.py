@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import DeviceException, ReplyMismatch
-from drivers.modbus_verify import Asked, asked, check_reply, split_frames
+from drivers.modbus.verify import Asked, asked, check_reply, split_frames
 from tests.drivers.scripted import ScriptedPlc, mbap
 
 

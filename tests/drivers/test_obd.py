@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.can.frame import Found
-from drivers.can.obd import ObdListener, trouble_code, wanted
-from drivers.can.obd_pids import PIDS
-from drivers.can.obd_poll import questions
 from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import DType, Quality, Tag
+from drivers.vehicle.obd import ObdListener, trouble_code, wanted
+from drivers.vehicle.obd_pids import PIDS
+from drivers.vehicle.obd_poll import questions
 from tests.drivers.can_frames import isotp, timed
 
 SPEED = Tag("speed", "obd:0C", unit="rpm")

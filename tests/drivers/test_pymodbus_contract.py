@@ -1,7 +1,7 @@
 """What pymodbus 3.16.1 does by itself: why the guards exist, and a warning when an upgrade changes it.
 
 Every test here asserts a behaviour that would be wrong in a plant. One that fails after an upgrade means that a guard
-of drivers/modbus_wire.py can be thought over, or that a hook it stands on has gone.
+of drivers/modbus/wire.py can be thought over, or that a hook it stands on has gone.
 """
 
 import asyncio

@@ -7,7 +7,7 @@ import pytest
 
 from drivers.driver import open_driver
 from drivers.errors import DriverError, LinkDown, ReplyTimeout, WriteForbidden, WriteUnverified
-from drivers.soft import FAULTS, SoftDriver, open_soft
+from drivers.soft.driver import FAULTS, SoftDriver, open_soft
 from drivers.tag import DType, Quality, Sample, Tag
 
 SPEED = Tag("speed", "holding:0", scale=0.1, low=0, high=100)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.alarms import (
+from gateway.machine.alarms import (
     TRANSITIONS,
     Alarm,
     Change,

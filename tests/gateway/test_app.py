@@ -12,13 +12,13 @@ import pytest
 
 from drivers.errors import ReplyTimeout
 from drivers.tag import Value
-from gateway.app import run
 from gateway.checked import ConfigError
-from gateway.config import Config
-from gateway.historian import HistorianError, open_historian
-from gateway.history import history, to_trace
-from gateway.predict import Predictor
-from gateway.scan import Scan
+from gateway.machine.predict import Predictor
+from gateway.machine.scan import Scan
+from gateway.plant.app import run
+from gateway.plant.config import Config
+from gateway.store.historian import HistorianError, open_historian
+from gateway.store.history import history, to_trace
 from sim.sha.events import encode
 from tests.gateway.support import (
     CURRENT,
@@ -164,7 +164,7 @@ async def test_stale_readings_clear_the_validity_and_a_frozen_device_is_no_permi
 async def test_a_part_that_fails_is_logged_and_begun_anew_and_the_plc_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gateway.app.RESTART_SECONDS", 0.0)
+    monkeypatch.setattr("gateway.plant.app.RESTART_SECONDS", 0.0)
     whole, calls = Predictor.step, []
 
     def broken(self: Predictor, scan: Scan) -> Any:

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 from drivers.tag import Value
-from gateway.app import run
-from gateway.arming import ArmingError, arm_in_log, disarm_in_log, signed
-from gateway.audit import ARMED, DISARMED, EXPIRED, Entry, open_audit, read, standing, verify
-from gateway.block import Validity
-from gateway.config import Config, load_config
-from gateway.control import connect
-from gateway.writeback import Arming, Pace, Writer
+from gateway.machine.arming import ArmingError, arm_in_log, disarm_in_log, signed
+from gateway.machine.block import Validity
+from gateway.machine.writeback import Arming, Pace, Writer
+from gateway.plant.app import run
+from gateway.plant.config import Config, load_config
+from gateway.plant.control import connect
+from gateway.store.audit import ARMED, DISARMED, EXPIRED, Entry, open_audit, read, standing, verify
 from tests.gateway.support import EPOCH, Bench, JumpClock, config_in, plant_file, two_modes
 from tests.gateway.test_writeback import CLOCK, USABLE, Wire, armed, scan
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.audit import (
+from gateway.store.audit import (
     ARMED,
     DISARMED,
     EXPIRED,

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from gateway.checked import ConfigError
-from gateway.config import load_config
-from gateway.devices import load_device
+from gateway.plant.config import load_config
+from gateway.plant.devices import load_device
 from tests.gateway.support import MAP, ROOT, TEMPERATURE, config_in, plant_file, two_modes
 
 
@@ -130,7 +130,8 @@ def test_a_directory_in_place_of_the_file_is_one_sentence(tmp_path: Path) -> Non
 
 
 def test_the_configuration_does_not_import_plotting_or_tables() -> None:
-    code = "import sys, gateway.config; print(sorted({'pandas', 'matplotlib', 'numpy', 'pymodbus'} & set(sys.modules)))"
+    heavy = "{'pandas', 'matplotlib', 'numpy', 'pymodbus'}"
+    code = f"import sys, gateway.plant.config; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.strip() == "[]"
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.alarms import State, new_alarm, step
-from gateway.app import run
-from gateway.config import load_config
-from gateway.core import Gateway
-from gateway.drift import LEAST, Drift, follow_cycle, restored, rule_of
-from gateway.log import open_log
-from gateway.predict import Prediction, Predictor
-from gateway.startup import make_conditions
+from gateway.machine.alarms import State, new_alarm, step
+from gateway.machine.core import Gateway
+from gateway.machine.drift import LEAST, Drift, follow_cycle, restored, rule_of
+from gateway.machine.predict import Prediction, Predictor
+from gateway.plant.app import run
+from gateway.plant.config import load_config
+from gateway.plant.log import open_log
+from gateway.plant.startup import make_conditions
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event
 from tests.gateway.support import CURRENT, EPOCH, RUNNING, TEMPERATURE, Bench, config_in, logged, plant_file, two_modes
@@ -127,7 +127,7 @@ def test_the_number_of_cycles_is_configured(tmp_path: Path) -> None:
 
 def test_the_predictor_says_how_sure_its_free_run_is_and_is_less_so_with_time() -> None:
     from drivers.tag import Quality, Sample
-    from gateway.scan import Scan
+    from gateway.machine.scan import Scan
 
     predictor, sigmas = Predictor(two_modes(), TEMPERATURE), []
     for scan in range(200):

@@ -14,13 +14,13 @@ from typing import Any
 
 import pytest
 
-from gateway.app import run
-from gateway.clock import PlantClock
-from gateway.config import Config
-from gateway.history import samples
-from gateway.score import scorecard
-from sim.plc.judge import wrong_good
-from sim.plc.recording import read_recording
+from gateway.machine.clock import PlantClock
+from gateway.plant.app import run
+from gateway.plant.config import Config
+from gateway.store.history import samples
+from gateway.store.score import scorecard
+from sim.plc.record.judge import wrong_good
+from sim.plc.record.recording import read_recording
 from tests.gateway.support import ROOT, TEMPERATURE, config_in, plant_file, two_modes
 from tests.plc.bench import Process, running, wait_until
 
@@ -129,9 +129,9 @@ async def test_a_plc_that_dies_and_comes_back_is_read_again_and_its_counters_go_
 SERVE = """
 import sys
 from pathlib import Path
-from gateway.app import serve
-from gateway.clock import PlantClock
-from gateway.config import load_config
+from gateway.plant.app import serve
+from gateway.machine.clock import PlantClock
+from gateway.plant.config import load_config
 config = load_config(Path(sys.argv[1]), {"device.port": int(sys.argv[2]), "clock.speed": float(sys.argv[5])})
 clock = PlantClock(float(sys.argv[3]), float(sys.argv[4]), float(sys.argv[5]))
 serve(config, clock=clock, status_path=Path(sys.argv[6]), console=False)

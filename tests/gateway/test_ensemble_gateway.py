@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gateway.app import run
 from gateway.checked import ConfigError
-from gateway.config import Config, load_config
-from gateway.core import Gateway
-from gateway.ensemble import Ensemble, Member
-from gateway.historian import open_historian
-from gateway.log import open_log
-from gateway.predict import Predictor
-from gateway.scan import Scan
-from gateway.score import scorecard
-from gateway.startup import load_members, load_model
+from gateway.machine.core import Gateway
+from gateway.machine.ensemble import Ensemble, Member
+from gateway.machine.predict import Predictor
+from gateway.machine.scan import Scan
+from gateway.plant.app import run
+from gateway.plant.config import Config, load_config
+from gateway.plant.log import open_log
+from gateway.plant.startup import load_members, load_model
+from gateway.store.historian import open_historian
+from gateway.store.score import scorecard
 from sim.artefacts.model_json import model_text
 from sim.sha.automaton import Distribution
 from sim.sha.model import Correction, Model

@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.tag import Quality, Sample, Tag
-from gateway.historian import Historian, HistorianError, open_historian
-from gateway.history import history, reading, samples, to_trace
-from gateway.records import Keeper
-from gateway.scan import Scan
+from gateway.machine.records import Keeper
+from gateway.machine.scan import Scan
+from gateway.store.historian import Historian, HistorianError, open_historian
+from gateway.store.history import history, reading, samples, to_trace
 from tests.gateway.support import EPOCH, ROOT
 
 TAGS = (Tag("T", "holding:1", unit="degC"), Tag("A", "holding:2", deadband=0.5))
@@ -183,7 +183,7 @@ def test_rows_given_up_at_the_end_are_admitted(tmp_path: Path) -> None:
 
 
 def test_a_full_queue_drops_new_measurements_and_counts_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gateway.historian.QUEUE", 10)
+    monkeypatch.setattr("gateway.store.historian.QUEUE", 10)
     monkeypatch.setattr(Historian, "_commit", lambda *_args, **_keys: False)
     historian, _ = open_historian(tmp_path / "h.sqlite", TAGS)
     historian.put("scans", [(EPOCH + n, 0.0, 0) for n in range(25)])
@@ -216,7 +216,7 @@ def test_old_measurements_are_deleted_and_alarms_and_audit_stay(tmp_path: Path) 
 WRITER = """
 import sys
 from pathlib import Path
-from gateway.historian import open_historian
+from gateway.store.historian import open_historian
 historian, _ = open_historian(Path(sys.argv[1]), ())
 first = int(sys.argv[2])
 for n in range(first, first + 1_000_000):

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from drivers.modbus import ModbusDriver
+from drivers.modbus.driver import ModbusDriver
 from gateway.checked import ConfigError
-from gateway.clock import plant_clock
-from gateway.config import Config, load_config
-from gateway.devices import load_device
-from gateway.redundant import Redundant
-from gateway.startup import make_driver
+from gateway.machine.clock import plant_clock
+from gateway.machine.redundant import Redundant
+from gateway.plant.config import Config, load_config
+from gateway.plant.devices import load_device
+from gateway.plant.startup import make_driver
 from tests.drivers import certified
 from tests.gateway.support import MAP
 

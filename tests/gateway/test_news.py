@@ -7,12 +7,12 @@ from collections.abc import AsyncIterator, Mapping, Sequence
 import pytest
 
 from benchmarks.rig import TEMPERATURE, known_model
-from drivers.soft import SoftDriver, open_soft
+from drivers.soft.driver import SoftDriver, open_soft
 from drivers.tag import Quality, Sample, Tag, Value
-from gateway.clock import plant_clock
-from gateway.predict import Predictor
-from gateway.quality import Rules
-from gateway.scan import Scan, scans
+from gateway.machine.clock import plant_clock
+from gateway.machine.predict import Predictor
+from gateway.machine.quality import Rules
+from gateway.machine.scan import Scan, scans
 
 LEVEL, COUNT = Tag("level", "x", scale=0.5), Tag("count", "y")
 TAGS = (LEVEL, COUNT)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.tag import Quality, Value
-from gateway.predict import Prediction, Predictor
-from sim.sha.belief import filter_trace
+from gateway.machine.predict import Prediction, Predictor
+from sim.engine.belief import filter_trace
 from sim.sha.events import encode
 from sim.sha.trace import UNKNOWN, Trace
 from tests.gateway.support import CURRENT, EPOCH, RUNNING, TEMPERATURE, scan_of, two_modes

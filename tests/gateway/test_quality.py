@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.tag import Quality, Sample, Tag, Value
-from gateway.quality import DeviceAge, Rules, judge
+from gateway.machine.quality import DeviceAge, Rules, judge
 
 T = Tag("T", "holding:1", unit="degC", max_rate=5.0)
 BEAT = Tag("Beat", "holding:2")

@@ -11,8 +11,8 @@ import pytest
 from drivers.driver import Driver, Explains, Writes
 from drivers.errors import DeviceException, LinkDown, ReplyTimeout, WriteForbidden
 from drivers.tag import Quality, Sample, Tag, Value
-from gateway.redundant import Redundant, Rules, Switch, Way
-from gateway.same_plc import RING, Pulse, agree, heard, still
+from gateway.machine.redundant import Redundant, Rules, Switch, Way
+from gateway.machine.same_plc import RING, Pulse, agree, heard, still
 
 BEAT_S = 0.002
 """The device's heartbeat and its one signal count these."""

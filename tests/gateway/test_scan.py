@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import pytest
 
 from drivers.tag import Quality, Sample, Tag
-from gateway.clock import PlantClock, plant_clock
-from gateway.quality import Rules
-from gateway.scan import Scan, scans
+from gateway.machine.clock import PlantClock, plant_clock
+from gateway.machine.quality import Rules
+from gateway.machine.scan import Scan, scans
 from tests.gateway.support import EPOCH, JumpClock
 
 TAG = Tag("T", "holding:1")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from drivers.tag import Tag
-from gateway.historian import open_historian
-from gateway.history import matured
-from gateway.score import error, scorecard
+from gateway.store.historian import open_historian
+from gateway.store.history import matured
+from gateway.store.score import error, scorecard
 from tests.gateway.support import EPOCH
 
 LEVELS = [0.05, 0.25, 0.5, 0.75, 0.95]

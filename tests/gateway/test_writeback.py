@@ -4,10 +4,10 @@ import pytest
 
 from drivers.driver import open_driver
 from drivers.tag import Quality, Sample
-from gateway.block import Validity
-from gateway.devices import load_device
-from gateway.scan import Scan
-from gateway.writeback import Arming, Writer
+from gateway.machine.block import Validity
+from gateway.machine.scan import Scan
+from gateway.machine.writeback import Arming, Writer
+from gateway.plant.devices import load_device
 from tests.gateway.support import EPOCH, MAP, JumpClock, scan_of
 
 _DEVICE = load_device(MAP)

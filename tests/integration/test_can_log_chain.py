@@ -12,15 +12,15 @@ import pytest
 
 from drivers.driver import open_driver, open_recording
 from drivers.tag import Quality, Sample
-from gateway.app import run
-from gateway.config import load_config
-from gateway.devices import load_device
+from gateway.plant.app import run
+from gateway.plant.config import load_config
+from gateway.plant.devices import load_device
 from sim.artefacts.model_json import model_text
-from sim.learning.bins import learn_bins
+from sim.learning.bins.learn import learn_bins
 from sim.sha.events import Alphabet, encode
 from sim.sha.trace import Trace
-from sim.validation.column_map import load_map
-from sim.validation.traces import load_traces
+from sim.traces.column_map import load_map
+from sim.traces.traces import load_traces
 from tests.gateway.support import JumpClock
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,7 +11,7 @@ from benchmarks.rig import restless_trace
 from drivers.can.hub_bus import HubBus
 from sim.plc.faults import FAULTS as KINDS
 from sim.plc.faults import ONLY_AT
-from sim.plc.recording import read_recording
+from sim.plc.record.recording import read_recording
 
 GROUPS = {
     "node": ("missing heartbeat", "EMCY", "node reset", "restart", "node off the bus", "frozen image"),

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.commissioning import ANALOGUE, FLAGS, made
-from gateway.audit import read, verify
 from gateway.commission.records import broken_at, read_records
+from gateway.store.audit import read, verify
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from benchmarks.fault_matrix import FAULTS, OUTAGES, TOLERATED, Matrix, Row, mea
 from benchmarks.rig import MAP
 from sim.plc.faults import FAULTS as KINDS
 from sim.plc.faults import ONLY_AT
-from sim.plc.recording import Recording, RequestRow
+from sim.plc.record.recording import Recording, RequestRow
 
 GROUPS = {
     "absence": ("refuse", "silent", "half_open", "restart", "reset in mid-frame", "frozen image", "illegal register"),

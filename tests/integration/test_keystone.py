@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from benchmarks.rig import CURRENT, RATES, RUNNING, TARGETS, TEMPERATURE, known_model, make_rig
-from gateway.history import events, to_trace
-from sim.learning.bins import Learned, learn_bins
+from gateway.store.history import events, to_trace
+from sim.engine.schedule import schedule
+from sim.engine.simulate import simulate
+from sim.learning.bins.learn import Learned, learn_bins
 from sim.learning.structure import announcements
 from sim.sha.automaton import SHA, transitions
 from sim.sha.events import DECANTER, encode
-from sim.sha.schedule import schedule
-from sim.sha.simulate import simulate
 from sim.sha.trace import UNKNOWN, Event, Trace
 
 SPEED = 80.0

@@ -13,9 +13,9 @@ import pytest
 
 from benchmarks.fault_matrix import TOLERANCE_S, outside
 from benchmarks.rig import Gateway, Plc, Rig, end, make_rig, restless_trace
-from gateway.history import samples
-from sim.plc.judge import wrong_good
-from sim.plc.recording import Recording, read_recording
+from gateway.store.history import samples
+from sim.plc.record.judge import wrong_good
+from sim.plc.record.recording import Recording, read_recording
 from sim.plc.writeback import STILL
 
 KILLS, SEED, PERIOD = 50, 20, 0.1

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.rig import Gateway, Rig, end, make_rig, restless_trace
-from gateway.history import reading
-from sim.plc.recording import read_recording
+from gateway.store.history import reading
+from sim.plc.record.recording import read_recording
 
 PERIOD = 0.1
 FULL = 2 | 4 | 8 | 16

@@ -8,9 +8,9 @@ import pytest
 from benchmarks.rig import MAP, Plc, make_rig, restless_trace
 from drivers.driver import open_driver
 from drivers.tag import Quality, Sample
-from gateway.devices import load_device
-from sim.plc.judge import wrong_good
-from sim.plc.recording import read_recording
+from gateway.plant.devices import load_device
+from sim.plc.record.judge import wrong_good
+from sim.plc.record.recording import read_recording
 
 FAULTS = (
     {"kind": "late", "delay_s": 0.15, "probability": 0.4},

@@ -9,13 +9,13 @@ import pytest
 from sim.artefacts.model_directory import write_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import read_model
-from sim.learning.bins import learn_bins
+from sim.engine.open_loop import errors, open_loop
+from sim.learning.bins.learn import learn_bins
 from sim.learning.correction import corrected_model, learn_correction
 from sim.learning.max_rate import bite, learn_max_rate, with_max_rate
 from sim.learning.structure import LearningError
 from sim.sha.events import DECANTER
 from sim.sha.model import Correction, Model
-from sim.sha.open_loop import errors, open_loop
 from sim.sha.trace import Trace
 from tests.cli.support import decanter, only_object
 from tests.learning.plants import Truth, simulate, with_signal

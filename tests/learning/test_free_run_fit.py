@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.learning.candidates import Candidate, build, ground
+from sim.learning.bins.candidates import Candidate, build, ground
 from sim.learning.data import resolution, without_spikes
 from sim.learning.free_run import Fit, fit_free_run, predict
 from sim.learning.refit import refit

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.learning import bins, held_out
-from sim.learning.bins import CANDIDATES, Learned, learn_bins
-from sim.learning.candidates import Candidate
+from sim.learning import held_out
+from sim.learning.bins import learn as bins
+from sim.learning.bins.candidates import Candidate
+from sim.learning.bins.learn import CANDIDATES, Learned, learn_bins
 from sim.learning.held_out import HeldOut, choose, huber_scale
 from sim.learning.structure import LearningError, contexts
 from sim.sha.automaton import nondeterminism
@@ -277,8 +278,8 @@ def test_very_few_data_give_the_simplest_model() -> None:
 def test_real_data_give_a_sound_model(device: str, source: str) -> None:
     if not (DATA / source).exists():
         pytest.skip(f"{DATA / source} is not there")
-    from sim.validation.column_map import load_map
-    from sim.validation.traces import load_traces
+    from sim.traces.column_map import load_map
+    from sim.traces.traces import load_traces
 
     column_map = load_map(ROOT / "config" / "traces" / f"{device}.toml")
     traces, _ = load_traces(DATA / source, column_map)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.learning.bins import learn_bins
+from sim.learning.bins.learn import learn_bins
 from sim.learning.calibrate import HORIZONS, Scored, calibrate, coverage_of, score_forecasts
 from sim.sha.events import DECANTER
 from tests.learning.plants import Truth, simulate

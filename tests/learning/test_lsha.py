@@ -15,6 +15,7 @@ from benchmarks.known_automata import random_automaton, traces_of
 from sim.artefacts.bundle import read_artefacts
 from sim.artefacts.model_directory import read_model_directory, write_model_directory
 from sim.artefacts.model_json import model_hash
+from sim.engine.open_loop import measured, open_loop
 from sim.learning.lsha.flow_hypotheses import choose_flow
 from sim.learning.lsha.ground import ground_of
 from sim.learning.lsha.learn import LearnedLsha, learn_lsha
@@ -26,7 +27,6 @@ from sim.plant.scenarios import scenario
 from sim.sha.automaton import nondeterminism, transitions
 from sim.sha.entry import check_sha
 from sim.sha.events import DECANTER, Alphabet, Bins, Switch, alphabet_symbols, encode
-from sim.sha.open_loop import measured, open_loop
 from sim.sha.trace import UNKNOWN, Event, Trace
 from tests.learning.lsha_plants import PLANT, by_context, by_direction, random_traces
 
@@ -377,8 +377,8 @@ def test_progress_goes_from_0_to_1() -> None:
 def test_the_cnc_traces_are_learned_whatever_their_order() -> None:
     if not CNC.is_dir():
         pytest.skip(f"{CNC} is not there")
-    from sim.validation.column_map import load_map
-    from sim.validation.traces import load_traces
+    from sim.traces.column_map import load_map
+    from sim.traces.traces import load_traces
 
     column_map = load_map(ROOT / "config" / "traces" / "made_cnc.toml")
     traces, _ = load_traces(CNC, column_map)

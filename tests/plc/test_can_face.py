@@ -15,11 +15,11 @@ from drivers.can.driver import CanDriver, open_can
 from drivers.can.hub import Hub
 from drivers.errors import WriteUnverified
 from drivers.tag import Quality, Sample, Tag
-from gateway.devices import DeviceMap, load_device
-from sim.plc.can_messages import protected, read_messages
+from gateway.plant.devices import DeviceMap, load_device
+from sim.plc.can.messages import protected, read_messages
 from sim.plc.checks import InputError
-from sim.plc.judge import wrong_good
-from sim.plc.recording import EventRow, read_recording
+from sim.plc.record.judge import wrong_good
+from sim.plc.record.recording import EventRow, read_recording
 from tests.drivers.conftest import open_anyway
 from tests.plc.bench import DECANTER, block, crc, ramp, running, trace_file
 

@@ -13,8 +13,8 @@ from drivers.can.hub import Hub
 from drivers.can.hub_bus import HubBus
 from drivers.canopen.driver import CanopenDriver, open_canopen
 from drivers.tag import Quality
-from gateway.devices import load_device
-from sim.plc.recording import read_recording
+from gateway.plant.devices import load_device
+from sim.plc.record.recording import read_recording
 from tests.plc.bench import DECANTER, block, ramp, running, wait_until
 
 MAP = DECANTER.parent / "decanter_canopen.toml"

@@ -14,7 +14,7 @@ import pytest
 
 from sim.plc.faces import FACES
 from sim.plc.faults import FAULTS, ONLY_AT
-from sim.plc.recording import read_recording
+from sim.plc.record.recording import read_recording
 from tests.drivers import certified
 from tests.drivers.scripted_line import rtu
 from tests.plc.bench import PATIENCE_S, Process, Raw, block, client, command_line, ramp, running, wait_until

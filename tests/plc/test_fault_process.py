@@ -9,8 +9,8 @@ import pytest
 
 from drivers.tag import Quality, Sample
 from sim.plc.faults import FAULTS, ONLY_AT
-from sim.plc.judge import wrong_good
-from sim.plc.recording import read_recording
+from sim.plc.record.judge import wrong_good
+from sim.plc.record.recording import read_recording
 from tests.plc.bench import (
     ACCEPTED,
     BLOCK,

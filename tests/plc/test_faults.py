@@ -8,7 +8,7 @@ import pytest
 from sim.plc.__main__ import parse_stretch, read_faults
 from sim.plc.checks import InputError
 from sim.plc.faults import FAULTS, describe, parse_fault
-from sim.plc.modbus import Reply, Request
+from sim.plc.modbus.messages import Reply, Request
 from sim.plc.registers import Place
 from sim.plc.schedule import Schedule
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from drivers.tag import Quality, Sample
 from sim.plc.checks import InputError
 from sim.plc.clock import PlantClock
-from sim.plc.judge import wrong_good
-from sim.plc.recorder import Recorder
-from sim.plc.recording import Recording, Run, TruthRow, read_recording
+from sim.plc.record.judge import wrong_good
+from sim.plc.record.recorder import Recorder
+from sim.plc.record.recording import Recording, Run, TruthRow, read_recording
 
 ROUNDINGS = {"T": (0.05, 1e-12), "On": (0.0, 0.0), "F": (0.0, 2.0**-23)}
 RUN = Run(PlantClock(0.0, 0.0), "decanter", None, 0, ROUNDINGS)

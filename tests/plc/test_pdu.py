@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.plc.clock import PlantClock
-from sim.plc.modbus import Reply, Request
+from sim.plc.modbus.messages import Reply, Request
 from sim.plc.program import Plc, Settings
 from sim.plc.registers import Place, read_map
 from tests.plc.bench import DECANTER

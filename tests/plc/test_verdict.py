@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from drivers.tag import Quality
-from sim.plc.recorder import Recorder
-from sim.plc.verdict import main
+from sim.plc.record.recorder import Recorder
+from sim.plc.record.verdict import main
 
 GOOD, TIMEOUT = int(Quality.GOOD), int(Quality.TIMEOUT)
 RIGHT = [

@@ -4,7 +4,7 @@ import pytest
 
 from sim.plc import writeback
 from sim.plc.clock import PlantClock
-from sim.plc.modbus import Request
+from sim.plc.modbus.messages import Request
 from sim.plc.program import Plc
 from sim.plc.registers import read_map
 from tests.plc.bench import BLOCK, DECANTER, block, crc

@@ -10,22 +10,22 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import WriteForbidden
-from gateway.arming import arm_in_log, signed
-from gateway.audit import DISARMED, Entry, open_audit, read
-from gateway.cli.plc_codegen import write_suite
-from gateway.commission.by_hand import Hand, hand
-from gateway.commission.conformance import Result, put_through
 from gateway.commission.evidence import Evidence
-from gateway.commission.loop_tests import alarms, heartbeat
 from gateway.commission.outcome import Site
-from gateway.commission.structured_text import refusal_codes
-from gateway.commission.suite import conform
+from gateway.commission.plc_codegen import write_suite
+from gateway.commission.plc_side.by_hand import Hand, hand
+from gateway.commission.plc_side.conformance import Result, put_through
+from gateway.commission.plc_side.loop_tests import alarms, heartbeat
+from gateway.commission.plc_side.structured_text import refusal_codes
+from gateway.commission.plc_side.suite import conform
+from gateway.commission.plc_side.vectors import parse, vectors
 from gateway.commission.target import make_target
-from gateway.commission.vectors import parse, vectors
 from gateway.demo.can_bus import can_hub
 from gateway.demo.links import LINKS
-from gateway.devices import load_device
-from sim.plc.recording import read_recording
+from gateway.machine.arming import arm_in_log, signed
+from gateway.plant.devices import load_device
+from gateway.store.audit import DISARMED, Entry, open_audit, read
+from sim.plc.record.recording import read_recording
 from tests.plc.bench import Process, running
 from tests.plc_side.sides import Compiled, Emulated
 from tests.plc_side.test_structured_text import DOCS, PLC, fewer_fields, map_with
@@ -128,7 +128,7 @@ async def at_the_wire(folder: Path, link: str, plc: Process, path: Path, *, arme
 
 def quick(folder: Path, name: str, seconds: float = 1.0) -> Path:
     """The device file with a short timer, so that the suite waits little."""
-    from gateway.cli.places import config_dir
+    from gateway.console.places import config_dir
 
     content = (config_dir() / "devices" / name).read_text().replace("timeout_s = 5.0", f"timeout_s = {seconds}")
     path = folder / name

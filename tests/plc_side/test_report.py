@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from gateway.arming import arm_in_log, disarm_in_log, signed
-from gateway.audit import read
 from gateway.cli.main import main
 from gateway.commission.records import Record, append, hash_of
-from gateway.commission.report_data import CHECKS, FAILED, INCOMPLETE, OPEN, PASSED, gather
-from gateway.commission.report_files import FILES, LIST, verify, write
+from gateway.commission.report.data import CHECKS, FAILED, INCOMPLETE, OPEN, PASSED, gather
+from gateway.commission.report.files import FILES, LIST, verify, write
+from gateway.machine.arming import arm_in_log, disarm_in_log, signed
+from gateway.store.audit import read
 
 NEEDED = [check.command for check in CHECKS if check.required == "always"]
 WRITING = [check.command for check in CHECKS if check.required == "writing"]

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sim.engine.belief import advance, anomaly, compile_model, filter_trace, observe, on_event, start, with_inputs
+from sim.engine.moments import moments
+from sim.engine.schedule import schedule
 from sim.sha import flows
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
-from sim.sha.belief import advance, anomaly, compile_model, filter_trace, observe, on_event, start, with_inputs
 from sim.sha.events import DECANTER
 from sim.sha.model import Model
-from sim.sha.moments import moments
-from sim.sha.schedule import schedule
 from sim.sha.trace import UNKNOWN, Event, Trace
 from tests.sha.plants import normal, relaxing, simulate_two, single, two_states
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from sim.sha.calibration import (
+from sim.forecast.calibration import (
     LEAST_FACTOR,
     MOST_FACTOR,
     Calibration,
@@ -14,8 +14,8 @@ from sim.sha.calibration import (
     issue,
     settle,
 )
-from sim.sha.forecast import LEVELS, Forecast
-from sim.sha.scores import Estimate
+from sim.forecast.forecast import LEVELS, Forecast
+from sim.scores import Estimate
 
 HORIZON = 20.0
 

@@ -10,18 +10,18 @@ from hypothesis import strategies as st
 
 from sim.artefacts.files import ArtefactError
 from sim.artefacts.model_json import model_document, model_hash, model_text, parse_model
+from sim.engine.belief import filter_trace, start
+from sim.engine.moments import moments
+from sim.engine.open_loop import open_loop
+from sim.engine.schedule import schedule
+from sim.engine.simulate import simulate
+from sim.engine.tracker import compile_model
+from sim.forecast.forecast import forecast
 from sim.sha.automaton import SHA, Distribution, Location
-from sim.sha.belief import filter_trace, start
 from sim.sha.correction import corrected, in_sensor_scale
 from sim.sha.events import DECANTER
-from sim.sha.forecast import forecast
 from sim.sha.model import Correction, Model
-from sim.sha.moments import moments
-from sim.sha.open_loop import open_loop
-from sim.sha.schedule import schedule
-from sim.sha.simulate import simulate
 from sim.sha.trace import Event, Trace
-from sim.sha.tracker import compile_model
 from tests.sha.models import EVERYWHERE, limited
 from tests.sha.plants import exponential_stays, relaxing, simulate_two, single, two_states
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.effects.kinds import EFFECTS, check_effect, check_effects, refusal, told
+from sim.engine.moments import moments
+from sim.engine.schedule import schedule, step_coefficients
 from sim.sha.automaton import SHA, Effect
 from sim.sha.correction import in_sensor_scale
-from sim.sha.effects import EFFECTS, check_effect, check_effects, refusal, told
 from sim.sha.entry import check_sha
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Correction, Model
-from sim.sha.moments import moments
-from sim.sha.schedule import schedule, step_coefficients
 from tests.sha.effect_reference import EFFECTS as CASES
 from tests.sha.effect_reference import TOGETHER, course, plant
 

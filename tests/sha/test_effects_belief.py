@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
-from gateway.predict import Predictor
-from sim.sha.automaton import Effect
-from sim.sha.belief import (
+from gateway.machine.predict import Predictor
+from sim.engine.belief import (
     Belief,
     advance,
     belief_of,
@@ -25,12 +24,13 @@ from sim.sha.belief import (
     start,
     with_inputs,
 )
+from sim.engine.moments import moments
+from sim.engine.schedule import schedule
+from sim.engine.tracker import Tracker
+from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
-from sim.sha.moments import moments
-from sim.sha.schedule import schedule
 from sim.sha.trace import Array, Event, Trace
-from sim.sha.tracker import Tracker
 from tests.sha.effect_reference import EFFECTS, FLOWS, TOGETHER, course, plant
 
 ALL = EFFECTS | TOGETHER

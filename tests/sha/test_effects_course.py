@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.engine.moments import moments
+from sim.engine.open_loop import open_loop
+from sim.engine.schedule import schedule
+from sim.engine.simulate import simulate
 from sim.sha.automaton import SHA, Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
-from sim.sha.moments import moments
-from sim.sha.open_loop import open_loop
-from sim.sha.schedule import schedule
-from sim.sha.simulate import simulate
 from sim.sha.trace import Event, Trace
 from tests.sha.effect_reference import EFFECTS, FLOWS, TOGETHER, course, plant, reference, without_noise
 from tests.sha.models import EVERYWHERE, normal

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from sim.engine.schedule import schedule, step_coefficients
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
-from sim.sha.schedule import schedule, step_coefficients
 from tests.sha.effect_reference import EFFECTS, plant
 
 MODEL = Model(plant("exponential", EFFECTS["wear-drift"]), Alphabet((Switch("on", "W_ON", "W_OFF"),)), "T", 0.1)

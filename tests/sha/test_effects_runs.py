@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.engine.belief import compile_model, on_event, start, with_inputs
+from sim.engine.moments import moments
+from sim.engine.schedule import schedule
+from sim.engine.simulate import simulate
+from sim.forecast.forecast import forecast
 from sim.sha.automaton import Distribution, Effect
-from sim.sha.belief import compile_model, on_event, start, with_inputs
 from sim.sha.events import Alphabet, Switch
-from sim.sha.forecast import forecast
 from sim.sha.model import Model, Stay
-from sim.sha.moments import moments
-from sim.sha.schedule import schedule
-from sim.sha.simulate import simulate
 from sim.sha.trace import Event, Trace
 from tests.sha.effect_reference import EFFECTS, TOGETHER, course, plant
 from tests.sha.models import normal

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from sim.sha.ensemble import (
+from sim.forecast.ensemble import (
     DENSE,
     Evidence,
     Pool,
@@ -22,8 +22,8 @@ from sim.sha.ensemble import (
     thinned,
     weights,
 )
-from sim.sha.forecast import LEVELS, Forecast
-from sim.sha.scores import Estimate
+from sim.forecast.forecast import LEVELS, Forecast
+from sim.scores import Estimate
 
 HORIZONS = np.array([60.0, 300.0])
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
+from sim.engine.belief import advance, compile_model, filter_trace, on_event, start
+from sim.forecast.forecast import LEVELS, Forecast, forecast
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
-from sim.sha.belief import advance, compile_model, filter_trace, on_event, start
 from sim.sha.events import DECANTER
-from sim.sha.forecast import LEVELS, Forecast, forecast
 from sim.sha.model import Model, Stay
 from sim.sha.trace import Event
 from tests.sha.plants import exponential_stays, normal, relaxing, simulate_two, single, two_states

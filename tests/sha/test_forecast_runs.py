@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from sim.sha.belief import compile_model, start
-from sim.sha.forecast import forecast
-from sim.sha.particles import Steps, lay_out, survival
+from sim.engine.belief import compile_model, start
+from sim.engine.particles import Steps, lay_out, survival
+from sim.forecast.forecast import forecast
 from sim.sha.semi_markov import Paths
 from sim.sha.trace import Event
 from tests.sha.plants import exponential_stays, two_states

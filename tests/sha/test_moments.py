@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from sim.engine.moments import moments
+from sim.engine.schedule import Schedule, schedule
 from sim.sha import flows
 from sim.sha.automaton import SHA, Edge, Flow, Location
 from sim.sha.entry import drawn_temperature, mode_parameter
-from sim.sha.moments import moments
-from sim.sha.schedule import Schedule, schedule
 from sim.sha.trace import Event, Trace
 from tests.sha.models import ALL, EVERYWHERE, limited, normal
 

@@ -5,12 +5,12 @@ from math import isnan
 import numpy as np
 import pytest
 
+from sim.engine.moments import moments
+from sim.engine.open_loop import errors, open_loop, open_loop_schedule, start_law
+from sim.engine.schedule import schedule
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model
-from sim.sha.moments import moments
-from sim.sha.open_loop import errors, open_loop, open_loop_schedule, start_law
-from sim.sha.schedule import schedule
 from sim.sha.trace import Event, Trace
 from tests.sha.models import normal
 

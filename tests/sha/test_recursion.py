@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.sha.recursion import linear_recursion
+from sim.engine.recursion import linear_recursion
 from sim.sha.trace import Array
 
 

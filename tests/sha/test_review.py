@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.engine.belief import advance, filter_trace, observe, start
+from sim.engine.open_loop import open_loop
+from sim.forecast.calibration import calibrate, issue, settle
+from sim.forecast.forecast import forecast
+from sim.forecast.review import FORECASTS, ONE_STEP, Review, beyond, follow, follow_forecasts, share, standardised
 from sim.sha.automaton import Distribution
-from sim.sha.belief import advance, filter_trace, observe, start
-from sim.sha.calibration import calibrate, issue, settle
-from sim.sha.forecast import forecast
-from sim.sha.open_loop import open_loop
-from sim.sha.review import FORECASTS, ONE_STEP, Review, beyond, follow, follow_forecasts, share, standardised
 from sim.sha.trace import Trace
 from tests.sha.plants import exponential_stays, relaxing, simulate_two, single, two_states
 

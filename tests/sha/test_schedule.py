@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sim.engine.schedule import Schedule, resync_targets, schedule, step_coefficients
 from sim.sha.automaton import SHA, Edge, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model
-from sim.sha.schedule import Schedule, resync_targets, schedule, step_coefficients
 from sim.sha.trace import UNKNOWN, Event, Trace
 from tests.sha.models import ALL, EVERYWHERE
 

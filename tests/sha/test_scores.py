@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 from scipy.stats import binom, chi2
 
-from sim.sha import scores
+from sim import scores
 
 
 @pytest.mark.parametrize(("mean", "sigma", "outcome"), [(0.0, 1.0, 0.3), (50.0, 2.0, 57.0), (-3.0, 0.1, -3.0)])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from sim.engine.moments import moments
+from sim.engine.schedule import Schedule, schedule
+from sim.engine.simulate import CHUNK, simulate
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
-from sim.sha.moments import moments
-from sim.sha.schedule import Schedule, schedule
-from sim.sha.simulate import CHUNK, simulate
 from sim.sha.trace import Array, Event, Trace
 from tests.sha.models import EVERYWHERE, limited, normal
 from tests.sha.test_moments import EVENTS, INPUTS, OUTPUTS

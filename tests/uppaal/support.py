@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from sim.plant.scenarios import SCENARIOS, scenario
+from sim.ranking.tuning_methods import METHODS, Task
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Input, Location
 from sim.sha.events import DECANTER, Alphabet, Bins, encode
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
-from sim.validation.tuning_methods import METHODS, Task
 from tests.uppaal.interpreter import Network
 
 TEMPERATURE = "Temp"

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.sha.effects import EFFECTS as KINDS
+from sim.effects.kinds import EFFECTS as KINDS
+from sim.engine.open_loop import open_loop
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
-from sim.sha.open_loop import open_loop
 from sim.sha.trace import Event, Trace
 from sim.uppaal.export import Exported, ExportError, export
 from tests.sha.effect_reference import EFFECTS, TOGETHER, course, plant

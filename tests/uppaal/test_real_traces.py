@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from gateway.cli.places import shipped
+from gateway.console.places import shipped
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import alphabet_symbols
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN
+from sim.traces.column_map import load_map
+from sim.traces.traces import load_traces
 from sim.uppaal.export import export
-from sim.validation.column_map import load_map
-from sim.validation.traces import load_traces
 from tests.uppaal.interpreter import Network
 from tests.uppaal.support import courses, middle
 

@@ -7,14 +7,14 @@ from math import inf, sqrt
 import numpy as np
 import pytest
 
+from sim.engine.moments import moments
+from sim.engine.open_loop import open_loop
+from sim.engine.schedule import Policy, schedule
 from sim.plant.scenarios import SCENARIOS
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.flows import FLOWS as KINDS
 from sim.sha.model import Correction, Model
-from sim.sha.moments import moments
-from sim.sha.open_loop import open_loop
-from sim.sha.schedule import Policy, schedule
 from sim.sha.trace import UNKNOWN, Event
 from sim.uppaal.export import export
 from tests.uppaal.interpreter import Network

@@ -14,6 +14,7 @@ import pytest
 
 from sim.artefacts.find import Found
 from sim.sha.trace import Trace
+from sim.traces.load_report import FileReport, LoadReport
 from sim.validation import campaign
 from sim.validation.campaign import (
     Runner,
@@ -27,7 +28,6 @@ from sim.validation.campaign import (
     waited_for,
 )
 from sim.validation.discovery import Discovery
-from sim.validation.load_report import FileReport, LoadReport
 from sim.validation.output_folder import results_json
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.sha.scores import block_bootstrap, crps_gaussian
+from sim.scores import block_bootstrap, crps_gaussian
 from sim.sha.trace import Array
 from sim.validation import metrics
 from sim.validation.metrics import block_length, judge_band, mae_interval, rmse_interval

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from sim.engine.schedule import Policy
 from sim.sha.automaton import Edge
 from sim.sha.events import encode
-from sim.sha.schedule import Policy
 from sim.sha.trace import UNKNOWN, Event
 from sim.validation.compatibility import compatibility, dense_events
 from tests.validation.small_plant import plant_model, plant_trace, without_edge

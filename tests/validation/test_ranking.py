@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sim.engine.open_loop import Score
 from sim.plant.scenarios import scenario
+from sim.ranking.fitness import CRITERIA, Facts, Limits, judge, limits_of, seen_traces, verdict
+from sim.ranking.paired import holm, paired
+from sim.ranking.ranking import Ranking, Weights, rank, score
+from sim.ranking.report import as_plain, draw_ranking, page, spreads, win_matrix
 from sim.sha.automaton import SHA, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model, Provenance
-from sim.sha.open_loop import Score
 from sim.sha.trace import joint_hash
-from sim.validation.fitness import CRITERIA, Facts, Limits, judge, limits_of, seen_traces, verdict
-from sim.validation.paired import holm, paired
-from sim.validation.ranking import Ranking, Weights, rank, score
-from sim.validation.ranking_report import as_plain, draw_ranking, page, spreads, win_matrix
 from sim.validation.results import TraceResult
 
 KNOWN = Facts(synthetic=False, verified=True)

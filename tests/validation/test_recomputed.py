@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from sim.artefacts.find import Found
+from sim.ranking.ranking import rank
 from sim.sha.trace import Array, Trace
 from sim.validation.campaign import outcomes_by_model, run_here
 from sim.validation.discovery import Discovery
 from sim.validation.output_folder import results_csv
-from sim.validation.ranking import rank
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared
 from sim.validation.trace_run import Settings

@@ -6,12 +6,12 @@ from math import exp, sqrt
 import numpy as np
 import pytest
 
+from sim.engine.open_loop import errors, open_loop
+from sim.engine.schedule import schedule
+from sim.engine.simulate import simulate
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Correction, Model, Stay
-from sim.sha.open_loop import errors, open_loop
-from sim.sha.schedule import schedule
-from sim.sha.simulate import simulate
 from sim.sha.trace import Event, Trace
 from sim.validation.semantics import side_by_side
 

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from sim.sha.events import DECANTER, Alphabet, Bins, encode
 from sim.sha.trace import UNKNOWN, Trace, joint_hash
-from sim.validation.clock import longest_rising, unroll_midnight
-from sim.validation.column_map import load_map
-from sim.validation.cycles import split_cycles
-from sim.validation.load_report import TraceError
-from sim.validation.trace_file import write_trace
-from sim.validation.traces import load_traces
+from sim.traces.clock import longest_rising, unroll_midnight
+from sim.traces.column_map import load_map
+from sim.traces.cycles import split_cycles
+from sim.traces.load_report import TraceError
+from sim.traces.trace_file import write_trace
+from sim.traces.traces import load_traces
 from tests.validation.places import MAPS
 
 T = "TCuscinettiRiduttore"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from sim.sha.events import DECANTER, Bins, Switch, alphabet_symbols
-from sim.validation.alphabet_table import alphabet_from_table, alphabet_to_table
-from sim.validation.column_map import load_map
-from sim.validation.traces import load_traces
+from sim.traces.alphabet_table import alphabet_from_table, alphabet_to_table
+from sim.traces.column_map import load_map
+from sim.traces.traces import load_traces
 from tests.validation.places import MAPS
 
 GOOD = """

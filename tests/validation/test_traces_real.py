@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from sim.sha.trace import joint_hash
-from sim.validation.column_map import load_map
-from sim.validation.traces import load_traces
+from sim.traces.column_map import load_map
+from sim.traces.traces import load_traces
 from tests.validation.places import DATA, MAPS
 
 pytestmark = [

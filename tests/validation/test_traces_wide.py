@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sim.sha.trace import UNKNOWN, Trace
-from sim.validation.column_map import ColumnMap, load_map
-from sim.validation.load_report import FileReport, LoadReport, TraceError
-from sim.validation.traces import load_traces, units
+from sim.traces.column_map import ColumnMap, load_map
+from sim.traces.load_report import FileReport, LoadReport, TraceError
+from sim.traces.traces import load_traces, units
 from tests.validation.places import MAPS
 
 T = "TCuscinettiRiduttore"

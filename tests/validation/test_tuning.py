@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from sim.plant.scenarios import scenario
+from sim.ranking import study, tuning_methods
+from sim.ranking.cross_validation import folds, held_out, usable
+from sim.ranking.tuning import Plan, Trial, Tuning, final_model, tune
+from sim.ranking.tuning_methods import ANY, METHODS, Choice, Real, Task, Whole, method_of, tuned_alphabet
 from sim.sha.events import DECANTER, Bins
 from sim.sha.trace import Trace
-from sim.validation import study, tuning_methods
-from sim.validation.cross_validation import folds, held_out, usable
-from sim.validation.tuning import Plan, Trial, Tuning, final_model, tune
-from sim.validation.tuning_methods import ANY, METHODS, Choice, Real, Task, Whole, method_of, tuned_alphabet
 from tests.validation.places import ROOT
 from tests.validation.tuning_plant import ALPHABET, relaxing, relaxing_method, traces
 

@@ -7,8 +7,8 @@ import sys
 import time
 from pathlib import Path
 
-from sim.validation import tuning_methods
-from sim.validation.tuning import Plan, tune
+from sim.ranking import tuning_methods
+from sim.ranking.tuning import Plan, tune
 from tests.validation.tuning_plant import ALPHABET, relaxing, relaxing_method, traces
 
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from sim.ranking.tuning_methods import Choice, Method, Real, Settings, Task, Taught
 from sim.sha.automaton import SHA, Distribution, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model
 from sim.sha.trace import Array, Trace
-from sim.validation.tuning_methods import Choice, Method, Real, Settings, Task, Taught
 
 TARGET, K = 50.0, 0.01
 ALPHABET = Alphabet(())

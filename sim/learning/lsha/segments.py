@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim.engine.recursion import linear_recursion
 from sim.learning.runs import Indices, Runs
-from sim.sha.recursion import linear_recursion
 from sim.sha.trace import Array, Mask
 
 TOLD = 1e-9

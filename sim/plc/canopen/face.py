@@ -8,15 +8,15 @@ from typing import Any
 
 import can
 
-from sim.plc.can_bend import CanBend, bent
-from sim.plc.can_station import Station, record
+from sim.plc.can.bend import CanBend, bent
+from sim.plc.can.station import Station, record
 from sim.plc.canopen.bend import NodeBend, together
 from sim.plc.canopen.node import SDO_ANSWER, SDO_REQUEST, CanopenNode, Out
 from sim.plc.canopen.objects import Layout, read_layout
 from sim.plc.canopen.pdo import TPDO
 from sim.plc.canopen.sdo import GENERAL, abort_frame
 from sim.plc.faults import Effect, merged
-from sim.plc.modbus import Reply, Request
+from sim.plc.modbus.messages import Reply, Request
 from sim.plc.program import Plc
 from sim.plc.schedule import Line, Scheduled
 

@@ -1,0 +1,423 @@
+"""The Modbus driver (TCP, TLS, RTU): blocks read under deadlines, refused addresses kept apart, one verified write."""
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+from pymodbus.pdu import ModbusPDU
+
+from drivers.codec import decode, encode
+from drivers.driver import Clock
+from drivers.errors import (
+    AddressError,
+    DeviceException,
+    DriverError,
+    LinkDown,
+    ReplyMismatch,
+    ReplyTimeout,
+    WriteForbidden,
+    WriteUnverified,
+)
+from drivers.link import Backoff, DeadPeer, Link
+from drivers.modbus.address import Span, locate
+from drivers.modbus.quarantine import Refused
+from drivers.modbus.transport import AnyWire, checked, make_transport
+from drivers.modbus.verify import quality_of
+from drivers.modbus.wire import Reply, read_request, write_request
+from drivers.plan import Block, Limits, Quarantine, bisect, describe, fitting, plan_spans, refusal_of
+from drivers.tag import Quality, Sample, Tag, Value
+
+# A device exception that can be about one address of several. 5, 6, 10, 11 are about the moment or the way there.
+_ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
+_MAX_WRITE_BITS = 1968
+_LAYOUTS_KEPT = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a block has no values: the quality that its tags get, the sentence, the device's exception code if any."""
+
+    quality: Quality
+    reason: str
+    code: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """The tags of one call, located or with the reason why not, and the block plan under one quarantine.
+
+    `tags` are held so that their identities, by which layouts are found again, stay theirs.
+    """
+
+    tags: tuple[Tag, ...]
+    spans: tuple[Span, ...]
+    misplaced: tuple[tuple[Tag, str], ...]
+    quarantine: Quarantine
+    blocks: tuple[Block, ...]
+
+
+def open_modbus(
+    settings: Mapping[str, Any], *, clock: Clock, write_map: Sequence[Tag] = (), seed: int = 0
+) -> "ModbusDriver":
+    """Make a Modbus driver, not yet opened.
+
+    `transport` is "tcp" (`host`, `port`), "tls" (Modbus/TCP Security: also `certificates`, the folder of ca.pem,
+    client.pem and client.key, and `tls_name` where the PLC's certificate has another name than `host`), "rtu" (`serial`
+    port, `baud`, `parity`, `stopbits`) or "rtu-tcp" (RTU frames at `host` and `port`). The last two also have `echo`,
+    if the adapter gives back what is sent, and `longest_reply`, after which an answer can no longer come.
+
+    Further settings (seconds unless named otherwise): `unit` (0..255; 1..247 on a serial line); `timeout`, the deadline
+    of one request with all its `attempts` (only reads have more than one, each with an equal share; a device that is
+    slower than timeout / attempts is never read; the time that bytes need on a serial line comes on top);
+    `connect_timeout`; `max_registers`, `max_bits`, `max_write_registers`, the most that the device takes in a request;
+    `max_gap`, addresses read in vain to save a request; `pause_ms` between requests; `one_client`, if the device serves
+    one connection only; `backoff_first` and `backoff_cap`; `max_failures` and `max_silence`, the dead-peer rule;
+    `refused_first` and `refused_cap`, when a refused address is asked again.
+
+    Raises DriverError for an unknown key (it lists the known ones), a value out of range and certificates that cannot
+    be used, AddressError for a tag of the write map that cannot be written.
+    """
+    return ModbusDriver(checked(settings), clock=clock, write_map=tuple(write_map), seed=seed)
+
+
+class ModbusDriver:
+    """One Modbus device behind one connection; a Driver that Writes. Made by `open_modbus`."""
+
+    def __init__(self, settings: Mapping[str, Any], *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._limits = Limits(
+            settings["max_registers"], settings["max_bits"], settings["max_gap"], settings["pause_ms"] / 1000
+        )
+        self._write_map = {span.tag.name: span for span in map(_writable, write_map)}
+        self._writable_addresses = frozenset(
+            (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
+        )
+        self._lock = asyncio.Lock()
+        self._refused = Refused(settings["refused_first"], settings["refused_cap"])
+        self._layouts: dict[tuple[int, ...], _Layout] = {}
+        self._last_exchange = float("-inf")
+        self._foreign = 0
+        self._counts = dict.fromkeys(
+            ("requests", "timeouts", "mismatches", "exceptions", "retries", "writes", "bisections"), 0
+        )
+        self._transport = make_transport(settings, clock)
+        self._link: Link[AnyWire] = Link(
+            self._connect,
+            self._disconnect,
+            connect_deadline=settings["connect_timeout"],
+            backoff=Backoff(settings["backoff_first"], settings["backoff_cap"]),
+            dead_peer=DeadPeer(settings["max_failures"], settings["max_silence"]),
+            seed=seed,
+        )
+
+    # ------------------------------------------------------------ Driver
+
+    async def open(self) -> None:
+        """Start the supervisor and try once. Raises LinkDown if the first attempt fails (it goes on trying)."""
+        await self._link.open()
+
+    async def close(self) -> None:
+        """Stop the supervisor and close the connection. Never raises; may be called twice."""
+        await self._link.close()
+
+    @property
+    def connected(self) -> bool:
+        """True from the first valid reply on a connection until that connection is lost or given up as dead."""
+        return self._link.proven
+
+    def statistics(self) -> Mapping[str, float]:
+        """Counters since the driver was made; `quarantined` counts the addresses' ranges refused at present."""
+        link = self._link.statistics()
+        wire = self._link.connection
+        return {
+            **self._counts,
+            "foreign_replies": self._foreign + (wire.foreign if wire else 0),
+            "quarantined": self._refused.ranges,
+            "reconnects": max(0, link["connects"] - 1),
+            **link,
+        }
+
+    async def read(self, tags: Sequence[Tag]) -> list[Sample]:
+        """Read all tags now; a failure is a Sample of bad quality with the reason. A block's tags share one reply."""
+        now = _now()
+        self._refused.renew(now, self._link.connects)
+        layout = self._layout(tags)
+        samples = {id(tag): self._no(tag, Quality.CONFIGURATION_ERROR, reason) for tag, reason in layout.misplaced}
+        trial = self._refused.trial(layout.spans, now)
+        for block in layout.blocks:
+            samples |= await self._settled(block)
+        if trial:
+            samples |= await self._tried(trial)
+        for span in layout.spans:
+            if id(span.tag) not in samples:
+                samples[id(span.tag)] = self._no(span.tag, *self._refused.verdict(span, now))
+        return [samples[id(tag)] for tag in tags]
+
+    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+        """The block plan in sentences: what cannot be read and why, each request, the worst-case cycle time."""
+        layout = self._layout(tags)
+        refused = [(span, refusal_of(span, layout.quarantine)) for span in layout.spans]
+        left_out = [reason for _, reason in layout.misplaced]
+        left_out += [f"{span.tag.name}: in quarantine: {refusal.reason}" for span, refusal in refused if refusal]
+        return (*left_out, *describe(layout.blocks, self._limits, self._settings["timeout"]))
+
+    def cautions(self) -> tuple[str, ...]:
+        """What works and should not stay as it is, in sentences: a key that others may read, a certificate's end."""
+        return self._transport.cautions()
+
+    # ------------------------------------------------------------ Writes
+
+    async def write(self, values: Sequence[tuple[Tag, Value]]) -> None:
+        """Write all values with one request (function 16; 15 for coils), sent once, then read back and compare.
+
+        Raises WriteForbidden, EncodingError, or AddressError if the tags are not one block (nothing was sent);
+        LinkDown, ReplyTimeout, ReplyMismatch (it is not known whether the device took it); DeviceException;
+        WriteUnverified. Never retries: whether to write again is the caller's decision.
+        """
+        if not values:
+            return
+        block, words = self._write_block(values)
+        async with self._lock:
+            self._counts["writes"] += 1
+            request = write_request(block.area, block.start, words, self._settings["unit"])
+            await self._once(request)
+            try:
+                stored = await self._read_back(block)
+            except DriverError as error:
+                raise WriteUnverified(f"the device confirmed the write, but reading back failed: {error}") from error
+        _compare(block, words, stored)
+
+    async def _once(self, request: ModbusPDU) -> None:
+        """Send a write. One without an answer ends the connection, so that it cannot be delivered later."""
+        wire = self._link.connection
+        try:
+            await self._exchange(request, self._settings["timeout"])
+        except (ReplyTimeout, ReplyMismatch):
+            if wire is not None:
+                self._link.lost(wire, "a write was not answered: what is left of it must not arrive later")
+            raise
+
+    async def _read_back(self, block: Block) -> list[int]:
+        """What the device holds now, in as many requests as its read limit asks for (the lock is held)."""
+        words: list[int] = []
+        largest = self._limits.largest(block.area)
+        for start in range(block.start, block.stop, largest):
+            part = Block(block.area, start, min(largest, block.stop - start), ())
+            words += (await self._attempts(part)).words
+        return words
+
+    def _write_block(self, values: Sequence[tuple[Tag, Value]]) -> tuple[Block, list[int]]:
+        """The one block of the write and its words, checked against the write map first."""
+        pieces = sorted(((self._mapped(tag), value) for tag, value in values), key=lambda piece: piece[0].start)
+        spans = tuple(span for span, _ in pieces)
+        block = _contiguous(spans)
+        largest = _MAX_WRITE_BITS if block.area.is_bits else self._settings["max_write_registers"]
+        if block.count > largest:
+            raise AddressError(f"{block.count} words do not fit in one write request, which takes {largest}")
+        if not self._writable_addresses.issuperset((block.area, number) for number in range(block.start, block.stop)):
+            raise WriteForbidden(f"{block.area}:{block.start} count {block.count} reaches outside the write map")
+        return block, [word for span, value in pieces for word in encode(span.tag, value)]
+
+    def _mapped(self, tag: Tag) -> Span:
+        span = self._write_map.get(tag.name)
+        if span is None or span.tag != tag:
+            raise WriteForbidden(f"{tag.name} ({tag.address}) is not in the write map; nothing was sent")
+        return span
+
+    # ------------------------------------------------------------ reading blocks
+
+    def _layout(self, tags: Sequence[Tag]) -> _Layout:
+        """Where the tags lie and how they are read, worked out anew only when the quarantine has changed."""
+        key = tuple(map(id, tags))
+        layout = self._layouts.get(key)
+        if layout is None or layout.quarantine is not self._refused.quarantine:
+            if len(self._layouts) >= _LAYOUTS_KEPT:
+                self._layouts.clear()
+            layout = self._layouts[key] = _lay_out(tags, self._limits, self._refused.quarantine)
+        return layout
+
+    async def _settled(self, block: Block) -> dict[int, Sample]:
+        """The block's samples; if the device refuses it, those of its parts."""
+        outcome = await self._ask(block)
+        samples = self._samples(block, outcome)
+        if isinstance(outcome, Reply):
+            self._refused.answered(block)
+        elif outcome.code in _ABOUT_ADDRESSES and self._refused.may_bisect(block, _now()):
+            return samples | await self._bisected(block, outcome)
+        return samples
+
+    async def _bisected(self, block: Block, refusal: Failure) -> dict[int, Sample]:
+        """Find the refused addresses of a refused block; the samples of the parts that were asked on the way."""
+        self._counts["bisections"] += 1
+        samples: dict[int, Sample] = {}
+        reasons = {(block.start, block.stop): refusal.reason}
+        answered = False
+        search = bisect(block)
+        part = next(search, None)
+        while part is not None:
+            outcome = await self._ask(part)
+            if isinstance(outcome, Failure) and outcome.code not in _ABOUT_ADDRESSES:
+                # The link or the device's mood has changed: what was not reached is unknown, and nothing is concluded.
+                return self._samples(block, outcome) | {key: s for key, s in samples.items() if s.value is not None}
+            samples |= self._samples(part, outcome)
+            if isinstance(outcome, Failure):
+                reasons[part.start, part.stop] = outcome.reason
+            else:
+                answered = True
+            try:
+                part = search.send(isinstance(outcome, Failure))
+            except StopIteration as end:
+                self._refused.found(block, end.value, answered=answered, reasons=reasons, now=_now())
+                part = None
+        return samples
+
+    async def _tried(self, trial: Block) -> dict[int, Sample]:
+        """Ask a quarantined place again, in a request of its own."""
+        outcome = await self._ask(trial)
+        if isinstance(outcome, Reply):
+            self._refused.rejoin(trial)
+        elif outcome.code in _ABOUT_ADDRESSES:
+            self._refused.again(trial, outcome.reason, _now())
+        return self._samples(trial, outcome)
+
+    def _samples(self, block: Block, outcome: Reply | Failure) -> dict[int, Sample]:
+        if isinstance(outcome, Failure):
+            return {id(span.tag): self._no(span.tag, outcome.quality, outcome.reason) for span in block.spans}
+        return {id(span.tag): _sample(span, block, outcome) for span in block.spans}
+
+    def _no(self, tag: Tag, quality: Quality, reason: str) -> Sample:
+        return Sample(tag.name, None, quality, self._clock(), reason=reason)
+
+    async def _ask(self, block: Block) -> Reply | Failure:
+        """Read one block; what goes wrong is a Failure."""
+        async with self._lock:
+            try:
+                return await self._attempts(block)
+            except DeviceException as error:
+                return Failure(quality_of(error.code), str(error), error.code)
+            except ReplyTimeout as error:
+                return Failure(Quality.TIMEOUT, str(error))
+            except ReplyMismatch as error:
+                return Failure(Quality.COMMUNICATION_ERROR, str(error))
+            except LinkDown as error:
+                return Failure(Quality.NOT_CONNECTED, str(error))
+
+    # ------------------------------------------------------------ one exchange (the lock is held)
+
+    async def _attempts(self, block: Block) -> Reply:
+        """Read a block, again with a new transaction id if no valid reply came, all within the deadline."""
+        attempts = self._settings["attempts"]
+        patience = self._settings["timeout"] / attempts
+        for _ in range(attempts - 1):
+            try:
+                return await self._exchange(self._read_request(block), patience)
+            except (ReplyTimeout, ReplyMismatch):
+                if self._link.connection is None:
+                    raise
+                self._counts["retries"] += 1
+        return await self._exchange(self._read_request(block), patience)
+
+    def _read_request(self, block: Block) -> ModbusPDU:
+        return read_request(block.area, block.start, block.count, self._settings["unit"])
+
+    async def _exchange(self, request: ModbusPDU, deadline: float) -> Reply:
+        """Send one request once, and tell the link how it went."""
+        if (rest := self._last_exchange + self._limits.pause - _now()) > 0.0:
+            await asyncio.sleep(rest)
+        wire = self._link.connection
+        if wire is None:
+            raise LinkDown(self._why_down())
+        self._counts["requests"] += 1
+        started = _now()
+        try:
+            reply = await wire.ask(request, self._link.patience(deadline))
+        except (ReplyTimeout, ReplyMismatch) as error:
+            self._counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
+            self._link.failed(wire, _now() - started, str(error))
+            raise
+        except DeviceException as error:
+            self._counts["exceptions"] += 1
+            self._link.answered(wire)
+            raise self._transport.explained(error) from None
+        except LinkDown as error:
+            self._link.lost(wire, str(error))
+            raise
+        finally:
+            self._last_exchange = _now()
+        self._link.answered(wire)
+        return reply
+
+    # ------------------------------------------------------------ the connection
+
+    async def _connect(self) -> AnyWire:
+        wire = self._transport.wire(lambda reason: self._link.lost(wire, reason))
+        await wire.connect()
+        return wire
+
+    def _disconnect(self, wire: AnyWire) -> None:
+        self._foreign += wire.foreign
+        wire.abandon()
+
+    def _why_down(self) -> str:
+        hint = "; this device serves one client only: is another one connected?" if self._settings["one_client"] else ""
+        return f"not connected: {self._link.reason}{hint}"
+
+
+# ---------------------------------------------------------------- without state
+
+
+def _now() -> float:
+    return asyncio.get_running_loop().time()
+
+
+def _lay_out(tags: Sequence[Tag], limits: Limits, quarantine: Quarantine) -> _Layout:
+    spans: list[Span] = []
+    misplaced: list[tuple[Tag, str]] = []
+    for tag in tags:
+        try:
+            spans.append(fitting(locate(tag), limits))
+        except AddressError as error:
+            misplaced.append((tag, str(error)))
+    blocks = plan_spans(spans, limits, quarantine)
+    return _Layout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks)
+
+
+def _sample(span: Span, block: Block, reply: Reply) -> Sample:
+    first = span.start - block.start
+    value, quality, reason = decode(span.tag, reply.words[first : first + span.count])
+    return Sample(span.tag.name, value, quality, reply.received, reply.sent, reason)
+
+
+def _writable(tag: Tag) -> Span:
+    """The tag's place, if the protocol can write it. Raises AddressError where it cannot."""
+    span = locate(tag)
+    if not span.area.is_writable:
+        raise AddressError(f"{tag.name}: {tag.address} is read-only by protocol: write to holding or coil addresses")
+    if tag.bit is not None:
+        raise AddressError(f"{tag.name}: one bit of a register cannot be written without touching the other fifteen")
+    return span
+
+
+def _contiguous(spans: tuple[Span, ...]) -> Block:
+    """The block that the spans fill without gap or overlap. Raises AddressError if they do not."""
+    for left, right in pairwise(spans):
+        if left.area is not right.area or left.stop != right.start:
+            raise AddressError(
+                f"{left.tag.name} ({left.tag.address}) and {right.tag.name} ({right.tag.address}) are not neighbours: "
+                "one write is one request, so its tags must follow one another without gap or overlap"
+            )
+    return Block(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
+
+
+def _compare(block: Block, written: Sequence[int], read: Sequence[int]) -> None:
+    """Raise WriteUnverified, naming the tags, if the words read back are not those that were written."""
+    wrong = []
+    for span in block.spans:
+        part = slice(span.start - block.start, span.stop - block.start)
+        if tuple(written[part]) != tuple(read[part]):
+            wrong.append(f"{span.tag.name}: wrote {list(written[part])}, reads back {list(read[part])}")
+    if wrong:
+        raise WriteUnverified("the device confirmed the write, but " + "; ".join(wrong))

@@ -1,0 +1,86 @@
+"""How a Modbus device would be read, request by request, before anything is sent (see `drivers.survey`)."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+from drivers.errors import AddressError
+from drivers.modbus import rtu
+from drivers.modbus.address import Span, locate
+from drivers.modbus.transport import checked
+from drivers.plan import Block, Limits, fitting, plan_spans
+from drivers.survey import ReadPlan, Request
+from drivers.tag import Tag
+
+_ASKED, _HEAD = 8, 5
+"""Bytes of a read request, and of a reply beside its data, on a serial line (MODBUS over Serial Line V1.02, 2.5)."""
+
+
+def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[Tag]) -> ReadPlan:
+    """The requests of one scan, and those of one write of the block. Raises DriverError for a setting."""
+    given = checked(settings)
+    limits = Limits(given["max_registers"], given["max_bits"], given["max_gap"], given["pause_ms"] / 1000)
+    spans: list[Span] = []
+    problems: list[str] = []
+    for tag in tags:
+        try:
+            spans.append(fitting(locate(tag), limits))
+        except AddressError as error:
+            problems.append(str(error))
+    requests = [_request(block, given) for block in plan_spans(spans, limits)]
+    writes, refused = _writing(written, given, limits)
+    seconds = sum(one.seconds for one in requests) + limits.pause * max(0, len(requests) - 1)
+    writing = sum(one.seconds for one in writes)
+    return ReadPlan(tuple(requests), writes, (*problems, *refused), seconds, writing, _overlaps(spans))
+
+
+def _request(block: Block, given: Mapping[str, Any]) -> Request:
+    used = {number for span in block.spans for number in range(span.start, span.stop)}
+    names = tuple(span.tag.name for span in block.spans)
+    place = f"{block.area}:{block.start}"
+    return Request("read", place, block.count, block.count - len(used), names, _worst(block.count, block, given))
+
+
+def _worst(count: int, block: Block, given: Mapping[str, Any]) -> float:
+    """The deadline, and on a serial line the time that the bytes need (s)."""
+    octets = (count + 7) // 8 if block.area.is_bits else 2 * count
+    wire = rtu.transmission(_ASKED + _HEAD + octets, given["baud"]) if given.get("serial") else 0.0
+    return float(given["timeout"]) + wire
+
+
+def _writing(
+    written: Sequence[Tag], given: Mapping[str, Any], limits: Limits
+) -> tuple[tuple[Request, ...], tuple[str, ...]]:
+    """One write of the block, and the requests that read it back; and what keeps it from being one request."""
+    if not written:
+        return (), ()
+    try:
+        spans = tuple(sorted((locate(tag) for tag in written), key=lambda span: span.start))
+    except AddressError as error:
+        return (), (str(error),)
+    whole = Block(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
+    most = given["max_write_registers"]
+    problems: tuple[str, ...] = ()
+    if whole.count > most:
+        problems = (
+            f"the block has {whole.count} words and the device takes {most} in one write: leave fields out "
+            "(decanter plc bind --block)",
+        )
+    place, names = f"{whole.area}:{whole.start}", tuple(span.tag.name for span in spans)
+    found = [Request("write", place, whole.count, 0, names, _worst(0, whole, given))]
+    largest = limits.largest(whole.area)
+    for start in range(whole.start, whole.stop, largest):
+        count = min(largest, whole.stop - start)
+        found.append(Request("read back", f"{whole.area}:{start}", count, 0, (), _worst(count, whole, given)))
+    return tuple(found), problems
+
+
+def _overlaps(spans: Sequence[Span]) -> tuple[str, ...]:
+    """Neighbours of which one begins before the other ends, bits of one register apart."""
+    found = []
+    for left, right in pairwise(sorted(spans, key=lambda span: (span.area, span.start, span.stop))):
+        bits = left.tag.bit is not None and right.tag.bit is not None
+        if left.area is right.area and right.start < left.stop and not (bits and left.tag.bit != right.tag.bit):
+            places = f"{left.tag.address} ({left.tag.dtype}) and {right.tag.address} ({right.tag.dtype})"
+            found.append(f"{left.tag.name} and {right.tag.name} overlap: {places}; correct an address or a type")
+    return tuple(found)

@@ -1,0 +1,104 @@
+"""RTU frames: unit, PDU and CRC in a stream that has neither header nor transaction id (pure).
+
+MODBUS over Serial Line V1.02: a frame ends with a silence of 3.5 characters. Bytes reach a program through buffers that
+keep no such times, so a reply's length is taken from its content and checked by its CRC.
+"""
+
+from pymodbus.framer import FramerRTU
+from pymodbus.pdu import ModbusPDU
+
+from drivers.errors import ReplyMismatch
+from drivers.modbus.verify import IDENTIFY, Asked
+
+BITS = 11
+"""Of one character on a serial Modbus line: start, eight data, parity and stop, or a second stop."""
+FAST_BAUD = 19200
+FAST_SILENCE_S = 0.00175
+"""Above 19200 bit/s the silence between frames is fixed (V1.02, 2.5.1.1)."""
+LONGEST = 256
+_EXCEPTION, _CONFIRMATION = 5, 8
+
+
+def request_frame(request: ModbusPDU) -> bytes:
+    """The bytes of a request."""
+    plain = bytes((request.dev_id, request.function_code)) + request.encode()
+    return plain + crc(plain)
+
+
+def crc(data: bytes) -> bytes:
+    """CRC-16/MODBUS as it goes on the wire."""
+    return FramerRTU.compute_CRC(data).to_bytes(2, "big")
+
+
+def asked(frame: bytes) -> Asked:
+    """What a request of function 1 to 4, 15 or 16 asks for, from its own bytes; one of function 43 has no address."""
+    if frame[1] == IDENTIFY:
+        return Asked(0, frame[0], IDENTIFY, 0, 0)
+    return Asked(0, frame[0], frame[1], int.from_bytes(frame[2:4], "big"), int.from_bytes(frame[4:6], "big"))
+
+
+def silence(baud: int) -> float:
+    """Seconds of silence between two frames: 3.5 characters."""
+    return FAST_SILENCE_S if baud > FAST_BAUD else 3.5 * BITS / baud
+
+
+def transmission(octets: int, baud: int) -> float:
+    """Seconds that so many bytes take on the line."""
+    return octets * BITS / baud
+
+
+def reply_octets(request: Asked) -> int:
+    """How long the reply to a request is, if it is none of an exception; the most for function 43."""
+    if request.function == IDENTIFY:
+        return LONGEST
+    if request.function in (15, 16):
+        return _CONFIRMATION
+    return 5 + (2 * request.count if request.function in (3, 4) else (request.count + 7) // 8)
+
+
+def reply_length(request: Asked, data: bytes) -> int | None:
+    """The length of the reply that begins with `data` by what it says itself; None while that is not known.
+
+    Raises ReplyMismatch for one whose function has no known length: where it ends cannot be said.
+    """
+    if len(data) < 2:
+        return None
+    if data[1] & 0x80:
+        return _EXCEPTION
+    if data[1] in (15, 16):
+        return _CONFIRMATION
+    if data[1] in (1, 2, 3, 4):
+        return data[2] + 5 if len(data) > 2 else None
+    if data[1] == request.function == IDENTIFY:
+        return _identity_length(data)
+    raise ReplyMismatch(f"{request}: the reply is of function {data[1]} and {request.function} was asked")
+
+
+def _identity_length(data: bytes) -> int | None:
+    """An identification's length: 8 bytes of head, then so many objects of number, length and text; then the CRC."""
+    if len(data) < 8:
+        return None
+    end = 8
+    for _ in range(data[7]):
+        if len(data) < end + 2:
+            return None
+        end += 2 + data[end + 1]
+    return end + 2
+
+
+def unwrapped(request: Asked, frame: bytes) -> bytes:
+    """The frame as Modbus TCP would have it (the header's first six bytes are 0). Raises ReplyMismatch by the CRC."""
+    if crc(frame[:-2]) != frame[-2:]:
+        raise ReplyMismatch(f"{request}: the reply's CRC is wrong (noise on the line, or another baud rate or parity?)")
+    return bytes(6) + frame[:-2]
+
+
+def words_of(request: Asked, frame: bytes) -> tuple[int, ...]:
+    """The registers, or bits as 0 and 1, of a verified reply; none for the confirmation of a write."""
+    payload = frame[3:-2]
+    if request.function in (3, 4):
+        return tuple(int.from_bytes(payload[at : at + 2], "big") for at in range(0, len(payload), 2))
+    if request.function in (1, 2):
+        packed = int.from_bytes(payload, "little")
+        return tuple(packed >> index & 1 for index in range(request.count))
+    return ()

@@ -1,0 +1,224 @@
+"""A Modbus device asked by hand: each request sent once, each failure raised as it is (see `drivers.survey`)."""
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+from pymodbus.pdu import ModbusPDU
+from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
+
+from drivers.codec import decode
+from drivers.driver import Clock
+from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.modbus.address import Area, Span, locate
+from drivers.modbus.transport import AnyWire, checked, make_transport
+from drivers.modbus.verify import quality_of
+from drivers.modbus.wire import Reply, read_request
+from drivers.plan import Block, Limits, fitting, plan_spans
+from drivers.survey import Raw, Words
+from drivers.tag import Quality, Sample, Tag
+
+_ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
+_OBJECTS = ("vendor", "product code", "revision", "vendor URL", "product", "model", "application")
+"""V1.1b3, 6.21: the objects 0 to 6 of an identification."""
+_MOST_PARTS = 16
+
+
+@asynccontextmanager
+async def open_survey(settings: Mapping[str, Any], *, clock: Clock) -> AsyncIterator["ModbusSurvey"]:
+    """A connection by the Modbus driver's settings. Raises DriverError; LinkDown if it is not made."""
+    survey = ModbusSurvey(checked(settings), clock)
+    try:
+        await survey.connect()
+        yield survey
+    finally:
+        survey.close()
+
+
+class ModbusSurvey:
+    """One connection, made anew when the device has closed it. Made by `open_survey`."""
+
+    def __init__(self, settings: Mapping[str, Any], clock: Clock) -> None:
+        self._settings, self._clock = settings, clock
+        self._transport = make_transport(settings, clock)
+        self._limits = Limits(settings["max_registers"], settings["max_bits"], settings["max_gap"])
+        self._wire: AnyWire | None = None
+        self._lost = ""
+        self._answered = False
+        self._last_exchange = float("-inf")
+        self._foreign = 0
+        self._counts = dict.fromkeys(("requests", "timeouts", "mismatches", "exceptions", "connects"), 0)
+
+    async def connect(self) -> None:
+        """Make the connection. Raises LinkDown with the reason."""
+        wire = self._transport.wire(self._on_lost)
+        deadline = self._settings["connect_timeout"]
+        try:
+            async with asyncio.timeout(deadline):
+                await wire.connect()
+        except TimeoutError:
+            raise LinkDown(f"no connection within {deadline:g} s: nobody answers there at all") from None
+        self._wire, self._lost = wire, ""
+        self._counts["connects"] += 1
+
+    def close(self) -> None:
+        """Let the connection go."""
+        wire, self._wire = self._wire, None
+        if wire is not None:
+            self._foreign += wire.foreign
+            wire.abandon()
+
+    def statistics(self) -> Mapping[str, float]:
+        """Counters by the names of the driver's."""
+        return {**self._counts, "foreign_replies": self._foreign + (self._wire.foreign if self._wire else 0)}
+
+    def cautions(self) -> tuple[str, ...]:
+        """What works and should not stay as it is."""
+        return self._transport.cautions()
+
+    # ------------------------------------------------------------ asking
+
+    async def read(self, area: str, start: int, count: int, unit: int | None = None) -> Words:
+        """One request for `count` registers or bits. Raises DriverError by its kinds."""
+        reply = await self._exchange(read_request(Area(area), start, count, self._unit(unit)))
+        return Words(reply.words, reply.received - reply.sent)
+
+    async def identity(self, unit: int | None = None) -> Mapping[str, str]:
+        """What the device says of itself; raises DeviceException where it says nothing (many do not)."""
+        found: dict[str, str] = {}
+        after = 0
+        for _ in range(_MOST_PARTS):
+            request = ReadDeviceInformationRequest(read_code=1, object_id=after, dev_id=self._unit(unit))
+            await self._exchange(request)
+            part, after = _identification(self._wire.last if self._wire is not None else b"")
+            found |= part
+            if not after:
+                break
+        return found
+
+    async def tags(self, tags: Sequence[Tag]) -> list[Raw]:
+        """Each tag with its raw words, by the fewest requests; a refused block is asked again tag by tag."""
+        spans: dict[int, Span] = {}
+        found: dict[int, Raw] = {}
+        for tag in tags:
+            try:
+                spans[id(tag)] = fitting(locate(tag), self._limits)
+            except AddressError as error:
+                found[id(tag)] = self._failed(tag, tag.address, 0, Quality.CONFIGURATION_ERROR, str(error))
+        for block in plan_spans(spans.values(), self._limits):
+            found |= await self._block(block)
+        return [found[id(tag)] for tag in tags]
+
+    async def _block(self, block: Block) -> dict[int, Raw]:
+        try:
+            reply = await self._patiently(block)
+        except DeviceException as error:
+            if error.code in _ABOUT_ADDRESSES and len(block.spans) > 1:
+                found: dict[int, Raw] = {}
+                for span in block.spans:
+                    found |= await self._block(Block(span.area, span.start, span.count, (span,)))
+                return found
+            return self._block_failed(block, quality_of(error.code), str(error))
+        except DriverError as error:
+            quality = Quality.TIMEOUT if isinstance(error, ReplyTimeout) else Quality.COMMUNICATION_ERROR
+            quality = Quality.NOT_CONNECTED if isinstance(error, LinkDown) else quality
+            return self._block_failed(block, quality, str(error))
+        return {id(span.tag): _raw(span, block, reply) for span in block.spans}
+
+    async def _patiently(self, block: Block) -> Reply:
+        """As often as the settings allow, as the driver would."""
+        request = (block.area, block.start, block.count, self._unit(None))
+        for _ in range(self._settings["attempts"] - 1):
+            try:
+                return await self._exchange(read_request(*request))
+            except (ReplyTimeout, ReplyMismatch):
+                continue
+        return await self._exchange(read_request(*request))
+
+    def _block_failed(self, block: Block, quality: Quality, reason: str) -> dict[int, Raw]:
+        return {
+            id(span.tag): self._failed(span.tag, f"{span.area}:{span.start}", span.count, quality, reason)
+            for span in block.spans
+        }
+
+    def _failed(self, tag: Tag, place: str, count: int, quality: Quality, reason: str) -> Raw:
+        return Raw(tag, Sample(tag.name, None, quality, self._clock(), reason=reason), place, count)
+
+    def _unit(self, unit: int | None) -> int:
+        return int(self._settings["unit"]) if unit is None else unit
+
+    async def _exchange(self, request: ModbusPDU) -> Reply:
+        """One request, once; a connection that the device has closed after an answer is made anew before."""
+        if (rest := self._last_exchange + self._settings["pause_ms"] / 1000 - _now()) > 0.0:
+            await asyncio.sleep(rest)
+        if self._wire is None:
+            if not self._answered:
+                raise self._turned_away()
+            await self.connect()
+        wire = self._wire
+        if wire is None:
+            raise LinkDown(self._lost)
+        self._counts["requests"] += 1
+        try:
+            reply = await wire.ask(request, self._settings["timeout"])
+        except DeviceException as error:
+            self._answered = True
+            self._counts["exceptions"] += 1
+            raise self._transport.explained(error) from None
+        except (ReplyTimeout, ReplyMismatch) as error:
+            self._counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
+            raise
+        except LinkDown as error:
+            self.close()
+            self._lost = str(error)
+            raise self._turned_away() if not self._answered else LinkDown(self._lost) from None
+        finally:
+            self._last_exchange = _now()
+        self._answered = True
+        return reply
+
+    def _turned_away(self) -> LinkDown:
+        """The connection was made and ended before any answer: what that means."""
+        if "closed the connection" in self._lost and "TLS" not in self._lost:
+            return LinkDown(
+                f"{self._lost} before it answered anything: it may be busy with another client (some devices serve "
+                "one at a time), or it does not accept this machine's address"
+            )
+        return LinkDown(self._lost)
+
+    def _on_lost(self, reason: str) -> None:
+        wire, self._wire, self._lost = self._wire, None, reason
+        if wire is not None:
+            self._foreign += wire.foreign
+
+
+def _now() -> float:
+    return asyncio.get_running_loop().time()
+
+
+def _raw(span: Span, block: Block, reply: Reply) -> Raw:
+    first = span.start - block.start
+    words = reply.words[first : first + span.count]
+    value, quality, reason = decode(span.tag, words)
+    sample = Sample(span.tag.name, value, quality, reply.received, reply.sent, reason)
+    return Raw(span.tag, sample, f"{span.area}:{span.start}", span.count, tuple(words))
+
+
+def _identification(reply: bytes) -> tuple[dict[str, str], int]:
+    """The objects in a reply, and the number of the one that follows in another (0: none).
+
+    It is unit, function, MEI type, code, conformity, more, next, count, objects. What is cut short is left out.
+    """
+    if len(reply) < 8:
+        return {}, 0
+    more, following, count, at = reply[5], reply[6], reply[7], 8
+    found: dict[str, str] = {}
+    for _ in range(count):
+        if at + 2 > len(reply):
+            break
+        number, length = reply[at], reply[at + 1]
+        name = _OBJECTS[number] if number < len(_OBJECTS) else f"object {number}"
+        found[name] = reply[at + 2 : at + 2 + length].decode("latin-1").strip("\0 ")
+        at += 2 + length
+    return found, following if more == 0xFF else 0

@@ -1,0 +1,265 @@
+"""One TCP or TLS connection to a Modbus device: pymodbus 3.16.1 behind our own verification of every received byte.
+
+pymodbus builds the requests, numbers them, moves the bytes and decodes the replies. It hands every received byte to
+`trace_packet` first; there the stream is cut into frames, and only a frame that answers the outstanding request goes
+on to the library, whole: its TLS framer takes every record for a frame. That hook, `callback_disconnected`,
+`call_create` and the transport behind `client.ctx` are all that is used beyond its everyday interface;
+tests/drivers/test_pymodbus_contract.py fails if they change.
+"""
+
+import asyncio
+import socket
+import ssl
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from pymodbus.client import AsyncModbusTcpClient, AsyncModbusTlsClient
+from pymodbus.exceptions import ModbusException
+from pymodbus.pdu import ModbusPDU
+from pymodbus.pdu.bit_message import ReadCoilsRequest, ReadDiscreteInputsRequest, WriteMultipleCoilsRequest
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadInputRegistersRequest,
+    WriteMultipleRegistersRequest,
+)
+
+from drivers.driver import Clock
+from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.modbus.address import Area
+from drivers.modbus.verify import Asked, asked, check_reply, split_frames
+from drivers.tap import current, moved
+
+# More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line.
+_FLOOD = 65536
+# pymodbus times nothing here: every exchange and every connect has a deadline of ours, and it must not fire first.
+_NEVER = 3600.0
+
+_READS: dict[Area, type[ModbusPDU]] = {
+    Area.COIL: ReadCoilsRequest,
+    Area.DISCRETE: ReadDiscreteInputsRequest,
+    Area.INPUT: ReadInputRegistersRequest,
+    Area.HOLDING: ReadHoldingRegistersRequest,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The registers (or bits as 0 and 1) of one reply, with the moments of sending and of complete reception."""
+
+    words: tuple[int, ...]
+    sent: float
+    received: float
+
+
+def read_request(area: Area, start: int, count: int, unit: int) -> ModbusPDU:
+    """The request that reads `count` addresses of a table."""
+    return _READS[area](address=start, count=count, dev_id=unit)
+
+
+def write_request(area: Area, start: int, words: Sequence[int], unit: int) -> ModbusPDU:
+    """The one request (function 16, for coils 15) that writes all words."""
+    if area is Area.COIL:
+        return WriteMultipleCoilsRequest(address=start, bits=[bool(word) for word in words], dev_id=unit)
+    return WriteMultipleRegistersRequest(address=start, registers=list(words), dev_id=unit)
+
+
+@dataclass(frozen=True, slots=True)
+class Secured:
+    """TLS for a wire: the context, the name that the server's certificate must have, and failures in words."""
+
+    context: ssl.SSLContext
+    name: str
+    sentence: Callable[[Exception], str]
+
+
+class Wire:
+    """A connection, from `connect` to `abandon`, for one exchange at a time. `on_lost` hears why it broke.
+
+    `last` is the unit and the PDU of the last reply that answered a request.
+    """
+
+    def __init__(
+        self, host: str, port: int, *, clock: Clock, on_lost: Callable[[str], None], secured: Secured | None = None
+    ) -> None:
+        self._clock = clock
+        self._on_lost = on_lost
+        self._secured = secured
+        self._client = self._made(host, port, secured)
+        self._client.ctx.callback_disconnected = self._disconnected  # type: ignore[method-assign]
+        self._client.ctx.max_buffer_size = 2 * _FLOOD
+        self._request: Asked | None = None
+        self._verdict: asyncio.Future[DriverError] | None = None
+        self._sent = self._received = 0.0
+        self._stream = b""
+        self._seen = 0
+        self.foreign = 0
+        self.last = b""
+        self._tap = current()
+
+    def _made(self, host: str, port: int, secured: Secured | None) -> AsyncModbusTcpClient:
+        """pymodbus's client for the connection, with everything that it does by itself turned off."""
+        if secured is None:
+            return AsyncModbusTcpClient(
+                host, port=port, retries=0, reconnect_delay=0, timeout=_NEVER, trace_packet=self._inspect
+            )
+        client = AsyncModbusTlsClient(
+            host,
+            port=port,
+            sslctx=secured.context,
+            retries=0,
+            reconnect_delay=0,
+            timeout=_NEVER,
+            trace_packet=self._inspect,
+        )
+        create = client.ctx.loop.create_connection
+        names = {"ssl": secured.context, "server_hostname": secured.name}
+        client.ctx.call_create = partial(create, client.ctx.handle_new_connection, host, port, **names)
+        return client
+
+    async def connect(self) -> None:
+        """Connect; the caller sets the deadline by cancelling. Raises LinkDown with the system's own reason."""
+        parameters = self._client.comm_params
+        try:
+            # Not client.connect(): that one answers False and keeps the reason to itself.
+            await self._client.ctx.call_create()
+        except (OSError, ValueError) as error:  # ValueError: a host name that DNS or TLS cannot even be asked for
+            self._client.close()
+            reason = self._secured.sentence(error) if self._secured else _reason(error)
+            raise LinkDown(f"{parameters.host}:{parameters.port} does not connect: {reason}") from error
+        except asyncio.CancelledError:
+            self._client.close()
+            raise
+
+    @property
+    def alive(self) -> bool:
+        """False once the connection is gone. True says nothing about the peer."""
+        return bool(self._client.connected)
+
+    def abandon(self) -> None:
+        """Close at once. What an unanswered request left in the send buffer is discarded, not delivered late."""
+        transport = self._client.ctx.transport
+        if isinstance(transport, asyncio.Transport):
+            raw = transport.get_extra_info("socket")
+            if self._request is not None and raw is not None:
+                raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            transport.abort()
+        self._client.close()
+
+    async def ask(self, request: ModbusPDU, deadline: float) -> Reply:
+        """Send the request once and wait up to `deadline` seconds for the reply that answers it.
+
+        Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the connection breaks or cannot be
+        understood any more (then `alive` is False).
+        """
+        verdict = self._verdict = asyncio.get_running_loop().create_future()
+        foreign, self._request = self.foreign, None
+        try:
+            exchange = asyncio.ensure_future(self._client.execute(False, request))
+        except ModbusException as error:
+            raise LinkDown(f"the connection is closed ({error.string})") from error
+        try:
+            await asyncio.wait({exchange, verdict}, timeout=deadline, return_when=asyncio.FIRST_COMPLETED)
+            if verdict.done():
+                raise verdict.result()
+            if not exchange.done():
+                others = self.foreign - foreign
+                dropped = f" ({others} with another transaction id dropped)" if others else ""
+                raise ReplyTimeout(f"{self._request}: no reply within {deadline:.3g} s{dropped}")
+            return self._reply(exchange.result())
+        finally:
+            self._verdict = None
+            exchange.cancel()
+
+    def _reply(self, pdu: ModbusPDU) -> Reply:
+        count = self._request.count if self._request else 0
+        words = tuple(int(word) for word in (pdu.registers or pdu.bits)[:count])
+        self._request = None
+        return Reply(words, self._sent, self._received)
+
+    # ------------------------------------------------------------ called by pymodbus
+
+    def _inspect(self, sending: bool, data: bytes) -> bytes:
+        """Note what is sent; of what is received let through only the frame that was waited for.
+
+        On reception `data` is pymodbus's whole buffer, which it empties before each send and from which it then cuts
+        as many bytes as it was given back here. The stream is framed apart from that, so that a late reply whose first
+        half came before a new request and whose second half comes after is still recognised.
+        """
+        self._tell(data if sending else data[self._seen :], sent=sending)
+        if sending:
+            self._request, self._sent, self._seen = asked(data), self._clock(), 0
+            return data
+        self._stream += data[self._seen :]
+        passed = self._passed()
+        self._seen = len(data) - len(passed)
+        if self._seen > _FLOOD:
+            self._break("the peer floods the line with frames that nobody asked for")
+        return passed
+
+    def _tell(self, data: bytes, *, sent: bool) -> None:
+        """Let the evidence know, where somebody gathers it."""
+        transport = self._client.ctx.transport
+        if self._tap is not None and isinstance(transport, asyncio.Transport):
+            ends = [socket_place(transport.get_extra_info(name)) for name in ("peername", "sockname")]
+            self._tap(moved("tcp", ends[0], data, sent=sent, local=ends[1]))
+
+    def _passed(self) -> bytes:
+        try:
+            frames, self._stream = split_frames(self._stream)
+        except ReplyMismatch as error:
+            self._break(str(error))
+            return b""
+        passed = b""
+        for frame in frames:
+            request = self._request
+            if passed or request is None or not self._is_awaited(request, frame):
+                self.foreign += 1
+            else:
+                passed = self._checked(request, frame)
+        return passed
+
+    def _is_awaited(self, request: Asked, frame: bytes) -> bool:
+        waiting = self._verdict is not None and not self._verdict.done()
+        return waiting and request.transaction == int.from_bytes(frame[:2], "big")
+
+    def _checked(self, request: Asked, frame: bytes) -> bytes:
+        """The frame if it answers the request; otherwise the exchange ends with what is wrong."""
+        self._received = self._clock()
+        try:
+            check_reply(request, frame)
+        except (ReplyMismatch, DeviceException) as error:
+            self._request = None
+            self._fail(error)
+            return b""
+        self.last = frame[6:]
+        return frame
+
+    def _disconnected(self, exc: Exception | None) -> None:
+        where = " in the middle of a reply" if self._stream else ""
+        said = f"the peer closed the connection{where}"
+        if self._secured is not None and isinstance(exc, ssl.SSLError):
+            said = self._secured.sentence(exc)
+        elif self._secured is not None and not self._received and not where:
+            said = "the peer closed the connection after the TLS handshake: it may not accept our certificate"
+        self._fail(LinkDown(said))
+        self._on_lost(said)
+
+    def _break(self, reason: str) -> None:
+        self.abandon()
+        self._fail(LinkDown(reason))
+        self._on_lost(reason)
+
+    def _fail(self, error: DriverError) -> None:
+        if self._verdict is not None and not self._verdict.done():
+            self._verdict.set_result(error)
+
+
+def socket_place(name: tuple[str, int] | None) -> str:
+    """A socket's name as `host:port`."""
+    return f"{name[0]}:{name[1]}" if name else ""
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)

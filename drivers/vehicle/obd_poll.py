@@ -1,0 +1,129 @@
+"""Asking for OBD-II parameters on a bus, one request at a time; only where the configuration says `poll = true`.
+
+Nothing else is ever sent than requests for the parameters of the tags, to the units whose answers they name, and the
+flow control by which a unit goes on with an answer of several frames (ISO 15765-2).
+"""
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+from drivers.can.frame import Frame
+from drivers.settings import Setting
+from drivers.vehicle.isotp import CONSECUTIVE, FIRST
+from drivers.vehicle.obd import ANSWER, CURRENT, ENGINE, REFUSAL, RESPONSE_PENDING, VEHICLE, Wanted
+
+POLLING: dict[str, Setting] = {
+    "poll": Setting(bool, False),
+    "poll_period": Setting(float, 1.0, 0.01, 3600.0),
+    "poll_timeout": Setting(float, 0.2, 0.01, 5.0),
+    "poll_29bit": Setting(bool, False),
+}
+"""`poll`: ask at all. Seconds from round to round, and for which an answer is waited for; 29-bit requests."""
+
+_PADDING = b"\x55"
+_FLOW_CONTROL = b"\x30\x00\x00".ljust(8, _PADDING)
+# A unit that says "response pending" may take this much longer (P2*, ISO 15765-4).
+_PENDING = 5.0
+
+Send = Callable[[int, bool, bytes], None]
+"""Puts a frame on the bus: identifier, 29-bit, data. Raises DriverError if it cannot."""
+
+
+class Question(NamedTuple):
+    """One request: the identifiers of the unit's answers and of requests to it, and what is asked for."""
+
+    answer: int
+    request: int
+    extended: bool
+    service: int
+    parameter: int
+
+    @property
+    def data(self) -> bytes:
+        """The request's frame: a single frame of 8 bytes."""
+        body = bytes([self.service, self.parameter] if self.service in (CURRENT, VEHICLE) else [self.service])
+        return (bytes([len(body)]) + body).ljust(8, _PADDING)
+
+
+def questions(wanted: Sequence[Wanted], *, extended: bool) -> list[Question]:
+    """What to ask so that every parameter is answered once; `extended` for tags that name no unit."""
+    asked: dict[Question, None] = {}
+    for one in wanted:
+        unit = ENGINE[extended] if one.where.source is None else one.where.source
+        long = unit > 0x7FF
+        request = 0x18DA00F1 | (unit & 0xFF) << 8 if long else unit - 8
+        asked[Question(unit, request, long, one.service, one.parameter)] = None
+    return list(asked)
+
+
+class Poller:
+    """Asks round by round; `take` is told of every frame of the bus. `settings` are those of POLLING, checked."""
+
+    def __init__(self, wanted: Callable[[], Sequence[Wanted]], settings: Mapping[str, Any]) -> None:
+        self._wanted = wanted
+        self._send: Send = _nowhere
+        self._settings = settings
+        self._asked: Question | None = None
+        self._answered = asyncio.Event()
+        self._pending = False
+        self._left = 0
+        self.counts = dict.fromkeys(("polls", "polls_unanswered"), 0)
+
+    def take(self, frame: Frame) -> None:
+        """Notice the answer to what was asked, and let a unit go on that answers in several frames.
+
+        Raises what `send` raises.
+        """
+        asked = self._asked
+        if asked is None or (frame.id, frame.extended) != (asked.answer, asked.extended) or len(frame.data) < 2:
+            return
+        kind = frame.data[0] >> 4
+        if kind == FIRST:
+            self._pending, self._left = True, (int.from_bytes(frame.data[:2], "big") & 0x0FFF) - 6
+            self._send(asked.request, asked.extended, _FLOW_CONTROL)
+            return
+        if kind == CONSECUTIVE:
+            self._left -= 7
+            if self._left <= 0:
+                self._answered.set()
+            return
+        self._pending = tuple(frame.data[1:4]) == (REFUSAL, asked.service, RESPONSE_PENDING)
+        if not self._pending and frame.data[1] in (asked.service + ANSWER, REFUSAL):
+            self._answered.set()
+
+    def describe(self) -> list[str]:
+        """What is asked for, in sentences."""
+        period = self._settings["poll_period"]
+        asked = questions(self._wanted(), extended=self._settings["poll_29bit"])
+        return [f"0x{one.request:03X} is asked every {period:g} s: {one.data[:3].hex(' ')}" for one in asked]
+
+    async def run(self, send: Send) -> None:
+        """Ask until cancelled. What `send` raises ends it."""
+        self._send = send
+        loop = asyncio.get_running_loop()
+        while True:
+            due = loop.time() + self._settings["poll_period"]
+            for question in questions(self._wanted(), extended=self._settings["poll_29bit"]):
+                await self._ask(question)
+            await asyncio.sleep(max(0.0, due - loop.time()))
+
+    async def _ask(self, question: Question) -> None:
+        self._asked, self._pending = question, False
+        self._answered.clear()
+        self.counts["polls"] += 1
+        self._send(question.request, question.extended, question.data)
+        await self._wait(self._settings["poll_timeout"])
+        if self._pending and not self._answered.is_set():
+            await self._wait(_PENDING)
+        self.counts["polls_unanswered"] += not self._answered.is_set()
+
+    async def _wait(self, seconds: float) -> None:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await self._answered.wait()
+
+
+def _nowhere(_: int, __: bool, ___: bytes) -> None:
+    """Before the first connection nothing has been asked, and so nothing is sent."""

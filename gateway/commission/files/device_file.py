@@ -1,0 +1,169 @@
+"""What is changed in a device file: tags, settings of the driver, the write-back block; and new files to begin with."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.items import AoT, Comment, Table, Whitespace
+
+from gateway.checked import ConfigError, read_toml
+from gateway.commission.files.toml_edit import put
+from gateway.commission.plc_side.fields import described
+from gateway.plant.devices import BLOCK_FIELDS
+
+PLACE_KEYS = (
+    *("transport", "host", "port", "timeout", "certificates", "tls_name", "serial", "baud", "parity", "stopbits"),
+    *("echo", "longest_reply", "interface", "channel", "bitrate"),
+)
+"""Settings that say where a device is; they belong into the plant file, all others into the device file."""
+ENCODING: Mapping[str, Any] = {
+    **{"address": None, "dtype": "uint16", "order": "ABCD", "scale": 1.0, "offset": 0.0, "bit": None, "length": 0},
+}
+"""The keys of a tag that say how its value lies in the device, with their defaults."""
+NEEDED = frozenset({"layout_version", "sequence", "heartbeat", "validity", "crc", "sequence_copy"})
+"""Fields that every block has."""
+LEAVE_OUT = (
+    *("band_low", "band_high", "minutes_low", "minutes_high", "horizon_low", "model_hash", "anomaly", "location"),
+    *("horizon_median", "horizon", "age", "minutes_median", "p_limit", "input_quality", "zone", "temperature_now"),
+    *("horizon_high", "alarms"),
+)
+"""In this order fields are left out where a PLC takes too few words in one write: what is missed least comes first."""
+
+
+def starter(name: str, driver: str) -> str:
+    """A device file to begin with, without a tag."""
+    document = tomlkit.document()
+    document.add(tomlkit.comment(f"The device {name}: where each tag lies. `decanter plc check` says what is wrong."))
+    if driver == "modbus":
+        document.add(tomlkit.comment("Addresses are PDU addresses (0-based): holding:100 is 40101 counted from 40001."))
+    document.add(tomlkit.nl())
+    table = tomlkit.table()
+    table["name"], table["driver"] = name, driver
+    document["device"] = table
+    return tomlkit.dumps(document)
+
+
+def set_device(document: tomlkit.TOMLDocument, settings: Mapping[str, Any]) -> None:
+    """Keys of [device]; None takes one out."""
+    if "device" not in document:
+        document["device"] = tomlkit.table()
+    for key, value in settings.items():
+        put(document["device"], key, value)
+
+
+def set_tag(document: tomlkit.TOMLDocument, name: str, given: Mapping[str, Any]) -> None:
+    """Put the given keys into the tag of this name, which is made where it is not there; None takes a key out."""
+    tags = _tags(document)
+    table = next((one for one in tags if one.get("name") == name), None)
+    if table is not None:
+        _fill(table, given)
+        return
+    table = tomlkit.table()
+    table["name"] = name
+    _fill(table, given)
+    _append(tags, table)
+
+
+def _fill(table: Table, given: Mapping[str, Any]) -> None:
+    for key, value in given.items():
+        if isinstance(value, Mapping):
+            inline = tomlkit.inline_table()
+            inline.update(value)
+            put(table, key, inline)
+        else:
+            put(table, key, value)
+
+
+def encoding(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of a place as a tag has them: what is the default is not written."""
+    return {key: _unless_default(given.get(key), default) for key, default in ENCODING.items()}
+
+
+def _unless_default(value: Any, default: Any) -> Any:
+    return None if value is None or value == default else value
+
+
+def _tags(document: tomlkit.TOMLDocument) -> AoT:
+    found = document.get("tags")
+    if found is None:
+        document["tags"] = found = tomlkit.aot()
+        found = document["tags"]
+    if not isinstance(found, AoT):
+        raise ConfigError(["tags: is written as a plain list; write each as a [[tags]] table"])
+    return found
+
+
+def _append(tags: AoT, table: Table) -> None:
+    """A new tag after the last one, before the comments that lead on to what follows it."""
+    if len(tags):
+        rest = _leading_on(tags[-1])
+        tags[-1].add(tomlkit.nl())
+        for item in rest:
+            table.add(item)
+    tags.append(table)
+
+
+def _leading_on(table: Table) -> list[Comment | Whitespace]:
+    """Take the blank lines and comments at the end of a table out of it."""
+    body = table.value.body
+    rest: list[Comment | Whitespace] = []
+    while body and body[-1][0] is None and isinstance(item := body[-1][1], Comment | Whitespace):
+        rest.insert(0, item)
+        body.pop()
+    return rest
+
+
+# ---------------------------------------------------------------- the block
+
+
+def fields_that_fit(words: int) -> list[str]:
+    """The most useful fields for a PLC that takes so many words in one write. Raises ConfigError for too few."""
+    left = list(BLOCK_FIELDS)
+    for name in LEAVE_OUT:
+        if len(left) <= words:
+            break
+        left.remove(name)
+    if len(left) > words:
+        raise ConfigError(
+            [f"the PLC takes {words} words in one write, and a block has at least {len(left)}: it cannot be written"]
+        )
+    return left
+
+
+def set_block(
+    document: tomlkit.TOMLDocument, head: Mapping[str, Any], names: Sequence[str] | None, template: Path
+) -> None:
+    """The [writeback] table: `head` are its keys (None takes one out), `names` its fields (None: as they are).
+
+    Type and scale of a field that is not there yet are those of the shipped register map. Raises ConfigError.
+    """
+    if "writeback" not in document:
+        if "tags" in document and len(_tags(document)):
+            _tags(document)[-1].add(tomlkit.nl())
+        document["writeback"] = tomlkit.table()
+    table = document["writeback"]
+    for key, value in head.items():
+        put(table, key, value)
+    wanted = BLOCK_FIELDS if names is None and "fields" not in table else names
+    if wanted is not None:
+        _set_fields(table, wanted, template)
+
+
+def _set_fields(table: Any, names: Sequence[str], template: Path) -> None:
+    if unknown := [name for name in names if name not in BLOCK_FIELDS]:
+        raise ConfigError(
+            [f"--fields: {unknown[0]!r} is no field of the block; give some of {', '.join(BLOCK_FIELDS)}"]
+        )
+    wanted = [name for name in BLOCK_FIELDS if name in (*names, *NEEDED)]
+    present = {row["name"]: dict(row) for row in table.get("fields", ())}
+    if list(present) == wanted:
+        return
+    known = {row["name"]: row for row in read_toml(template)["writeback"]["fields"]} | present
+    fields = tomlkit.array()
+    for name in wanted:
+        inline = tomlkit.inline_table()
+        inline.update(known[name])
+        fields.add_line(inline, comment=described(name))
+    fields.add_line(indent="")
+    table["fields"] = fields

@@ -1,0 +1,275 @@
+"""An I/O list as tags: each row gives one, or one sentence that says what is wrong with it."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gateway.commission.files.cells import Line, ListError, Sheet, key_of, number_of, read_sheet
+from gateway.commission.files.io_words import COLUMNS, FUNCTIONS, KNOWN_TYPES, ORDERS, TABLES, type_of
+from gateway.commission.survey.addresses import AddressTextError, Register, parse_register
+
+_BIT = re.compile(r"(.+?)[.:/](?:bit\s*)?(\d{1,2})")
+_SHORT = re.compile(r"([0134])x0*(\d{1,5})")
+_IEC = re.compile(r"%?(m|mw|mx|mf|md|i|iw|ix|q|qw|qx)\s*(\d{1,5})")
+_HEX = re.compile(r"(?:0x|16#)([0-9a-f]{1,4})|([0-9a-f]{1,4})h")
+_REFERENCE_TABLES = {"0": "coil", "1": "discrete", "3": "input", "4": "holding"}
+_IEC_TABLES = {"m": "coil", "mx": "coil", "q": "coil", "qx": "coil", "mw": "holding", "qw": "holding"} | {
+    "i": "discrete", "ix": "discrete", "iw": "input", "mf": "holding", "md": "holding"
+}  # fmt: skip
+_UNITS = dict.fromkeys(("°c", "c", "deg c", "gradi c", "gradi"), "degC") | {"giri min": "rpm", "giri": "rpm"}
+_SINGLE = frozenset({"bool", "int8", "uint8", "int16", "uint16", "bcd16", "string"})
+_DIGITS = 9
+
+
+class _RowError(ValueError):
+    """What is wrong with a row: the column and the rest of the sentence."""
+
+    def __init__(self, column: str, reason: str) -> None:
+        super().__init__(reason)
+        self.column = column
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """How a list is read where it does not say itself.
+
+    `table` of bare numbers, `order` of values wider than a register, `shift` added to every address, `modbus` False
+    for other drivers' addresses, which are left as they are.
+    """
+
+    table: str = "holding"
+    order: str = "ABCD"
+    shift: int = 0
+    modbus: bool = True
+    rename: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """A tag of the list: its keys as the device file has them (None: not written there), and its line."""
+
+    name: str
+    keys: Mapping[str, Any]
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class IoList:
+    """A list as it was understood. `problems` are sentences, one for each row that is no tag."""
+
+    sheet: Sheet
+    tags: tuple[Listed, ...]
+    problems: tuple[str, ...]
+
+
+def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = None, page: str | None = None) -> IoList:
+    """The list in `path`; `columns` (our name -> its header) wins over the guess. Raises ListError."""
+    if unknown := sorted(set(columns or {}) - set(COLUMNS)):
+        raise ListError(f"--column {unknown[0]}=...: there is no such column; known are {', '.join(COLUMNS)}")
+    sheet = read_sheet(path, COLUMNS, ("name", "address"), given=columns, sheet=page)
+    tags: list[Listed] = []
+    problems: list[str] = []
+    for line in sheet.lines:
+        try:
+            tags.append(_listed(sheet, line, how, tags))
+        except _RowError as error:
+            problems.append(f"{sheet.where(line, error.column)}: {error}")
+    if not tags and not problems:
+        raise ListError(f"{path}: has a header in line {sheet.header_line} and no row under it; give one row a tag")
+    return IoList(sheet, tuple(tags), tuple(problems))
+
+
+def _listed(sheet: Sheet, line: Line, how: Reading, before: Sequence[Listed]) -> Listed:
+    found = line.get("name")
+    if not found:
+        raise _RowError("name", "is empty; give the tag's name, or take the row out")
+    name = how.rename.get(found, found)
+    if twice := next((one for one in before if one.name == name), None):
+        raise _RowError("name", f"{name!r} is in line {twice.line} already; give each tag a name of its own")
+    keys = _keys(sheet, line, how)
+    if other := next((one for one in before if _collide(keys, one.keys)), None):
+        said = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
+        raise _RowError("address", f"{said}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)")
+    return Listed(name, keys, line.number)
+
+
+def _collide(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether two tags claim the same register; two different bits of it do not."""
+    bits = (one["bit"], other["bit"])
+    return bool(one["address"] == other["address"] and (None in bits or bits[0] == bits[1]))
+
+
+def _keys(sheet: Sheet, line: Line, how: Reading) -> dict[str, Any]:
+    address, bit = _address(sheet, line, how)
+    dtype, length = _type(line, address, bit)
+    low, high = _number(line, "low"), _number(line, "high")
+    scale, offset = _scaling(line, low, high)
+    if low is not None and high is not None and not low < high:
+        raise _RowError("low", f"{low:g} is not below the highest value {high:g}; swap or correct them")
+    numeric = dtype not in ("bool", "string")
+    return {
+        "address": address,
+        "dtype": dtype,
+        "order": None if dtype in _SINGLE else _order(line, how),
+        "scale": scale if numeric else None,
+        "offset": offset if numeric else None,
+        "bit": bit,
+        "length": length or None,
+        "unit": _unit(line) if numeric else None,
+        "low": low if numeric else None,
+        "high": high if numeric else None,
+        "sentinel": _whole(line, "sentinel") if numeric else None,
+    }
+
+
+def _unit(line: Line) -> str | None:
+    text = line.get("unit")
+    return _UNITS.get(key_of(text), text) if text not in ("", "-") else None
+
+
+def _number(line: Line, column: str) -> float | None:
+    text = line.get(column)
+    if text in ("", "-", "–", "n/a", "n.a."):
+        return None
+    try:
+        return round(number_of(text), 12)
+    except ValueError:
+        raise _RowError(column, f"{text!r} is no number; give one such as 0,1 or 0.1, or leave it empty") from None
+
+
+def _whole(line: Line, column: str) -> int | None:
+    text = line.get(column).lower()
+    if match := _HEX.fullmatch(text):
+        return int(match[1] or match[2], 16)
+    number = _number(line, column)
+    if number is not None and not number.is_integer():
+        raise _RowError(column, f"{text!r} is no whole number; give the raw number that means 'not available'")
+    return None if number is None else int(number)
+
+
+def _scaling(line: Line, low: float | None, high: float | None) -> tuple[float | None, float | None]:
+    """(scale, offset): as they are given, or from a raw range and the range in units."""
+    scale, offset = _number(line, "scale"), _number(line, "offset")
+    raw_low, raw_high = _number(line, "raw_low"), _number(line, "raw_high")
+    if scale == 0:
+        raise _RowError("scale", "is 0, which would make every reading 0; give the units per count")
+    if scale is not None or raw_high is None or high is None:
+        return scale, offset
+    span = raw_high - (raw_low or 0.0)
+    if span == 0 or high == (low or 0.0):
+        raise _RowError("raw_high", "the raw range or the range in units is empty; give two different ends")
+    found = (high - (low or 0.0)) / span
+    return round(found, _DIGITS), round((low or 0.0) - found * (raw_low or 0.0), _DIGITS)
+
+
+def _order(line: Line, how: Reading) -> str:
+    text = line.get("order")
+    if not text or text == "-":
+        return how.order
+    found = ORDERS.get(key_of(text))
+    if found is None:
+        raise _RowError("order", f"{text!r} is no order that is known here; give ABCD, CDAB, BADC or DCBA")
+    return found
+
+
+def _type(line: Line, address: str, bit: int | None) -> tuple[str, int]:
+    text = line.get("dtype")
+    if not text:
+        return ("bool", 0) if bit is not None or address.partition(":")[0] in ("coil", "discrete") else ("uint16", 0)
+    found = type_of(key_of(text))
+    if found is None:
+        raise _RowError("dtype", f"{text!r} is no type that is known here; give one of {KNOWN_TYPES}")
+    dtype, length = found
+    if dtype == "string":
+        length = length or _whole(line, "length") or 0
+        if length <= 0:
+            raise _RowError("dtype", "a string needs its length in bytes: write STRING[16], or give a column Length")
+    elif bit is not None:
+        dtype = "bool"
+    return dtype, length
+
+
+# ---------------------------------------------------------------- addresses
+
+
+def _address(sheet: Sheet, line: Line, how: Reading) -> tuple[str, int | None]:
+    """(address in the driver's notation, bit or None)."""
+    text = line.get("address")
+    if not text:
+        raise _RowError("address", "is empty; give the address, or take the row out")
+    if not how.modbus:
+        return text, _bit(line)
+    plain, bit = text.lower().replace(" ", ""), _bit(line)
+    match = _BIT.fullmatch(plain)
+    if bit is None and match and not match[1].isalpha():
+        plain, bit = match[1], int(match[2])
+    if bit is not None and bit > 15:
+        raise _RowError("bit", f"bit {bit} is not in a register, which has bits 0 to 15")
+    register = _register(sheet, line, plain, text, how)
+    moved = register.moved(how.shift)
+    if not 0 <= moved.number <= 65535:
+        raise _RowError("address", f"{text!r} moved by {how.shift} is outside 0 to 65535; give another --shift")
+    return str(moved), None if moved.is_bit else bit
+
+
+def _bit(line: Line) -> int | None:
+    found = _whole(line, "bit")
+    if found is not None and not 0 <= found <= 15:
+        raise _RowError("bit", f"bit {found} is not in a register, which has bits 0 to 15")
+    return found
+
+
+def _register(sheet: Sheet, line: Line, plain: str, text: str, how: Reading) -> Register:
+    """A place by whatever notation: holding:100, 40101, 4x101, %MW100, 0x64, or a bare number in a table."""
+    for read in _NOTATIONS:
+        if (found := read(plain)) is not None:
+            return _within(found, text)
+    table = _table(sheet, line) or how.table
+    if match := _HEX.fullmatch(plain):
+        return _within(Register(table, int(match[1] or match[2], 16)), text)
+    if plain.isdecimal() and len(plain) <= 5:
+        return _within(Register(table, int(plain)), text)
+    raise _RowError("address", f"{text!r} is no address; give one such as 40101, 4x101, %MW100, holding:100 or 100")
+
+
+def _within(register: Register, text: str) -> Register:
+    if not 0 <= register.number <= 65535:
+        raise _RowError("address", f"{text!r} is outside the addresses, which are 0 to 65535")
+    return register
+
+
+def _usual(plain: str) -> Register | None:
+    """holding:100 and 5- or 6-digit reference numbers."""
+    try:
+        return parse_register(plain) if ":" in plain or len(plain) >= 5 else None
+    except AddressTextError:
+        return None
+
+
+def _short(plain: str) -> Register | None:
+    match = _SHORT.fullmatch(plain)
+    return Register(_REFERENCE_TABLES[match[1]], int(match[2]) - 1) if match and match[2] != "0" else None
+
+
+def _iec(plain: str) -> Register | None:
+    match = _IEC.fullmatch(plain)
+    return Register(_IEC_TABLES[match[1]], int(match[2])) if match else None
+
+
+_NOTATIONS: tuple[Callable[[str], Register | None], ...] = (_usual, _short, _iec)
+
+
+def _table(sheet: Sheet, line: Line) -> str:
+    """The row's own table; "" where it names none."""
+    text = line.get("table")
+    if not text:
+        return ""
+    key = key_of(text)
+    if found := TABLES.get(key):
+        return found
+    header = key_of(sheet.columns.get("table", ""))
+    if key in FUNCTIONS and any(word in header for word in ("func", "funz", "code", "codice", "fc")):
+        return FUNCTIONS[key]
+    raise _RowError("table", f"{text!r} is no register table; give holding, input, coil or discrete")

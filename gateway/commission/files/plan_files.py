@@ -1,0 +1,204 @@
+"""The files that `bind` and `import` change: a device file, and the plant file that leads to it; both may be new."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from gateway.checked import ConfigError, read_toml
+from gateway.commission.files.device_file import PLACE_KEYS, set_device, starter
+from gateway.commission.files.toml_edit import Edit, commit, edited, put
+from gateway.commission.target import CONNECT_S, Target, TargetError, make_target
+
+_PLANT = """\
+# The gateway's configuration. Relative paths are relative to this file. `decanter check` says what is wrong with it.
+
+[device]
+
+[scan]
+period = 1.0                 # s between two scans
+
+[model]
+temperature = "TCuscinettiRiduttore"   # the tag that is predicted and watched
+# path = "models/decanter"   # a model; without it: monitoring and the threshold alarm only
+
+[writeback]
+mode = "off"                 # "off", "shadow" (computed and stored; `decanter plc arm` lets it be written) or "armed"
+
+[alarms]
+limit = 80.0                 # degC
+
+[historian]
+path = "out/historian.sqlite"
+
+[log]
+path = "out/gateway.plant.log.jsonl"
+"""
+_SHORT_FORM = frozenset({"host", "port", "timeout"})
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """What is to be changed. `plant` is None where only a device file is given; `link` names one of the plant's.
+
+    `place` are settings that say where the device is, `settings` those of the device file, `driver` that of a new one.
+    """
+
+    plant: Path | None
+    device: Path
+    driver: str
+    link: str | None
+    place: Mapping[str, Any]
+    settings: Mapping[str, Any]
+
+    @property
+    def existing(self) -> tuple[Path, ...]:
+        """Those that are there."""
+        return tuple(path for path in (self.plant, self.device) if path is not None and path.exists())
+
+
+def find_files(plant: Path | None, device: Path | None, link: str | None, given: Mapping[str, Any]) -> Files:
+    """Which files are meant, and where each of the given settings belongs. Raises ConfigError or TargetError."""
+    if plant is None and device is None:
+        raise TargetError(
+            "which file? Give the plant file (--config FILE) or the device file (--device FILE); it is made"
+        )
+    if plant is not None and plant.exists():
+        if device is not None:
+            raise TargetError(f"--config and --device exclude each other: {plant} names its device file itself")
+        path = _device_of(plant, link)
+    else:
+        path = device or (plant or Path()).parent / "devices" / f"{(plant or Path()).stem}.toml"
+    driver, found = _driver_of(path, plant, link, given)
+    place = {key: value for key, value in found.items() if key in PLACE_KEYS}
+    settings = {key: value for key, value in found.items() if key not in PLACE_KEYS}
+    return Files(plant, path, driver, link, place, settings)
+
+
+def _driver_of(
+    path: Path, plant: Path | None, link: str | None, given: Mapping[str, Any]
+) -> tuple[str, Mapping[str, Any]]:
+    """(driver, settings): of the device file that is there, else by the link that is given."""
+    if path.exists():
+        driver = read_toml(path).get("device", {}).get("driver")
+        if not isinstance(driver, str):
+            raise ConfigError([f"{path}: device.driver: is missing; give the name of a driver such as 'modbus'"])
+        return driver, given
+    if plant is None and link is None and not set(given) & {"host", "serial", "channel"}:
+        return "modbus", given
+    target: Target = make_target(None, None, link, given)
+    ours = {"transport": "tcp", "connect_timeout": CONNECT_S}  # what the commands fill in is no setting of the plant
+    plain = {key: value for key, value in target.settings.items() if key in given or ours.get(key) != value}
+    return target.driver, plain
+
+
+def _device_of(plant: Path, link: str | None) -> Path:
+    """The device file that a plant file names, of its first link or of the one called `link`."""
+    table = read_toml(plant).get("device", {})
+    links = table.get("links")
+    if links is None and isinstance(table.get("file"), str):
+        return plant.parent / str(table["file"])
+    for row in links if isinstance(links, list) else ():
+        if isinstance(row, dict) and link in (None, row.get("name")) and isinstance(row.get("file"), str):
+            return plant.parent / str(row["file"])
+    wanted = f"a link {link!r}" if link else "device.file or a [[device.links]] table with a file"
+    raise ConfigError([f"{plant}: has no {wanted}; add it, or give --device FILE"])
+
+
+# ---------------------------------------------------------------- changing
+
+
+Change = Callable[[tomlkit.TOMLDocument], None]
+
+
+def device_edit(files: Files, change: Change) -> Edit:
+    """The device file with a change, and with the settings that were given. Raises ConfigError."""
+
+    def changed(document: tomlkit.TOMLDocument) -> None:
+        set_device(document, files.settings)
+        change(document)
+
+    return edited(files.device, changed, starter(files.device.stem, files.driver))
+
+
+def plant_edit(files: Files, keep: Mapping[str, Any]) -> Edit | None:
+    """The plant file with where the device is, and with the keys to `keep` (section.key); None without a plant file.
+
+    Raises ConfigError.
+    """
+    if files.plant is None:
+        return None
+    new = not files.plant.exists()
+
+    def changed(document: tomlkit.TOMLDocument) -> None:
+        _place(document, files, new=new)
+        for dotted, value in keep.items():
+            section, _, key = dotted.partition(".")
+            if section not in document:
+                document[section] = tomlkit.table()
+            put(document[section], key, value)
+
+    return edited(files.plant, changed, _PLANT)
+
+
+def _place(document: tomlkit.TOMLDocument, files: Files, *, new: bool) -> None:
+    table: Any = document["device"] if "device" in document else document.setdefault("device", tomlkit.table())
+    if not new:
+        rows = table.get("links")
+        row = table if rows is None else next(row for row in rows if files.link in (None, row.get("name")))
+        for key, value in files.place.items():
+            put(row, key, value)
+        return
+    folder = (files.plant or Path()).parent
+    place = {key: _complete(key, value) for key, value in files.place.items()}
+    file = _relative(files.device, folder)
+    if files.driver == "modbus" and set(place) <= _SHORT_FORM:
+        table.update({"file": file, **place})
+        return
+    rows = tomlkit.aot()
+    row = tomlkit.table()
+    row.update({"name": files.link or files.driver, "file": file, **place})
+    rows.append(row)
+    table["links"] = rows
+
+
+def _complete(key: str, value: Any) -> Any:
+    return str(Path(value).absolute()) if key == "certificates" else value
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """The path as it is written in a file of this folder."""
+    try:
+        return path.absolute().relative_to(folder.absolute()).as_posix()
+    except ValueError:
+        return path.absolute().as_posix()
+
+
+def save(device: Edit, plant: Edit | None) -> list[Path]:
+    """Check both files and put them in their places, the device file first; gives the backups.
+
+    Raises ConfigError (for the plant file: the device file stands then) or OSError.
+    """
+    from gateway.plant.config import load_config
+    from gateway.plant.devices import load_device
+
+    backups = [commit(device, load_device)] if device.changed else []
+    if plant is not None and plant.changed:
+        try:
+            backups.append(commit(plant, load_config))
+        except ConfigError as error:
+            if not device.changed:
+                raise
+            said = [problem.replace("nothing was written", f"{device.path} is written") for problem in error.problems]
+            raise ConfigError(said) from None
+    return [path for path in backups if path is not None]
+
+
+def settings_of(pairs: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """--keep KEY=VALUE: (settings of the device, keys of the plant file, which have a dot). Raises ConfigError."""
+    plant = {key: value for key, value in pairs.items() if "." in key}
+    if bad := [key for key in plant if not all(key.split(".")) or key.count(".") != 1]:
+        raise ConfigError([f"--keep {bad[0]}: give section.key of the plant file, such as scan.period=1.0"])
+    return {key: value for key, value in pairs.items() if "." not in key}, plant

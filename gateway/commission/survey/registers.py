@@ -1,0 +1,145 @@
+"""`scan registers` at work: the search of `register_map` asked of a device, with what silence and closing mean."""
+
+import asyncio
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.survey import AsksRegisters, open_registers
+from gateway.commission.outcome import Outcome, Site
+from gateway.commission.survey.addresses import Register
+from gateway.commission.survey.register_map import RegisterMap, Stretch, search
+from gateway.commission.through import mention_gateway
+from gateway.console.output import Exit
+
+Progress = Callable[[str, float], None]
+MOST_REGISTERS, MOST_BITS = 125, 2000
+"""The protocol's own limits of one read (MODBUS Application Protocol V1.1b3, 6.1 to 6.4)."""
+_BUSY = frozenset({5, 6})
+_NOT_THERE = frozenset({10, 11})
+_ILLEGAL_FUNCTION = 1
+_BUSY_TRIES = 8
+_PATIENCE = 4
+"""So many refusals by silence in a row, with no answer before them, are a device that is not there."""
+
+
+@dataclass(slots=True)
+class _Asking:
+    """One device under search: the reasons of its refusals, and whether it has answered at all."""
+
+    survey: AsksRegisters
+    table: str
+    reasons: Counter[str] = field(default_factory=Counter)
+    alive: Stretch | None = None
+    silences: int = 0
+
+    async def answers(self, start: int, count: int) -> bool:
+        """Whether the device answers a read of the block; silence and a closed connection are refusals, asked twice.
+
+        Raises DeviceException for a table or a unit that is not there, ReplyTimeout or LinkDown for a device that is
+        gone.
+        """
+        for last in (False, True):
+            try:
+                await self._patiently(start, count)
+            except DeviceException as error:
+                if error.code in _NOT_THERE or error.code == _ILLEGAL_FUNCTION:
+                    raise
+                self.reasons[f"exception {error.code}"] += 1
+                return False
+            except (ReplyTimeout, ReplyMismatch, LinkDown) as error:
+                if last:
+                    await self._missed(error)
+            else:
+                self.alive, self.silences = (start, 1), 0
+                return True
+        return False
+
+    async def _patiently(self, start: int, count: int) -> None:
+        """Ask, again after a pause while the device says that it is busy."""
+        for attempt in range(_BUSY_TRIES):
+            try:
+                await self.survey.read(self.table, start, count)
+            except DeviceException as error:
+                if error.code not in _BUSY or attempt == _BUSY_TRIES - 1:
+                    raise
+                await asyncio.sleep(0.05 * 2**attempt)
+            else:
+                return
+
+    async def _missed(self, error: ReplyTimeout | ReplyMismatch | LinkDown) -> None:
+        """A refusal by silence, if the device still answers elsewhere. Raises the error if it does not."""
+        self.silences += 1
+        if self.alive is None:
+            if self.silences >= _PATIENCE or isinstance(error, LinkDown):
+                raise error
+        else:
+            await self.survey.read(self.table, *self.alive)
+        self.reasons["no reply" if isinstance(error, ReplyTimeout) else "no valid reply"] += 1
+
+
+async def scan_registers(site: Site, first: Register, count: int, budget: int, progress: Progress) -> Outcome:
+    """What can be read of `count` addresses from `first` on, and the largest block, in at most `budget` requests.
+
+    Blocks asked again after silence, and canaries that tell silence from absence, come on top of the budget.
+    """
+    mention_gateway(site)
+    most = min(MOST_BITS if first.is_bit else MOST_REGISTERS, int(site.target.settings.get("max_registers", 2000)))
+    async with open_registers(site.target.settings, clock=time.time) as survey:
+        asking = _Asking(survey, first.table)
+        try:
+            found = await _searched(asking, first, count, (most, budget), progress)
+        finally:
+            site.count(survey.statistics())
+    data = _plain(found, first, asking.reasons)
+    if found.unknown:
+        left = sum(stretch[1] for stretch in found.unknown)
+        site.notes.append(f"{left} addresses were not asked: {budget} requests were the bound; give --requests")
+    if not found.readable:
+        return Outcome(data, Exit.CHECK_FAILED, f"nothing of {first} count {count} can be read")
+    return Outcome(data)
+
+
+async def _searched(
+    asking: _Asking, first: Register, count: int, bounds: tuple[int, int], progress: Progress
+) -> RegisterMap:
+    steps = search(first.number, count, most=bounds[0], budget=bounds[1])
+    try:
+        block = next(steps)
+        while True:
+            progress(f"{first.table}:{block[0]} count {block[1]}", (block[0] - first.number) / count)
+            block = steps.send(await asking.answers(*block))
+    except StopIteration as stop:
+        found: RegisterMap = stop.value
+        return found
+
+
+def _plain(found: RegisterMap, first: Register, reasons: Mapping[str, int]) -> dict[str, Any]:
+    def ranges(stretches: list[Stretch]) -> list[dict[str, Any]]:
+        return [_range(Register(first.table, start), count) for start, count in stretches]
+
+    return {
+        "table": first.table,
+        "asked": _range(first, found.count),
+        "readable": ranges(found.readable),
+        "refused": ranges(found.refused),
+        "unknown": ranges(found.unknown),
+        "largest_block": found.largest,
+        "too_long": found.too_long or None,
+        "seams": [f"{first.table}:{seam}" for seam in sorted(found.seams)],
+        "requests": found.requests,
+        "refusals": dict(reasons),
+    }
+
+
+def _range(start: Register, count: int) -> dict[str, Any]:
+    last = start.moved(count - 1)
+    return {
+        "first": str(start),
+        "last": str(last),
+        "reference": start.reference if count == 1 else f"{start.reference}-{last.reference}",
+        "count": count,
+    }

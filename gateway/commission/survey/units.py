@@ -1,0 +1,110 @@
+"""`scan units` and `scan nodes`: who answers behind one connection, or on one bus."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from drivers.errors import DeviceException, ReplyMismatch, ReplyTimeout
+from drivers.survey import AsksRegisters, ListensToBus, open_bus_survey, open_registers
+from gateway.commission.outcome import Outcome, Site
+from gateway.commission.probe import first_register
+from gateway.commission.survey.bus_probe import HEARTBEAT, STATES, identity_of
+from gateway.commission.through import mention_gateway
+from gateway.console.output import Exit
+
+Progress = Callable[[str, float], None]
+UNIT_S = 0.25
+LISTEN_S = 1.5
+NODE_S = 0.06
+_BEHIND_GATEWAY = frozenset({10, 11})
+
+
+async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> Outcome:
+    """Every unit asked once, and once more if silent; a refusal is an answer too, except a gateway's own."""
+    mention_gateway(site)
+    given = site.target.settings
+    hurried = {"timeout": given.get("timeout", UNIT_S)}
+    if site.target.kind.startswith("modbus-rtu"):
+        hurried["longest_reply"] = given.get("longest_reply", hurried["timeout"])
+    register = first_register(site.target)
+    rows: list[dict[str, Any]] = []
+    async with open_registers(site.target.with_settings(**hurried).settings, clock=time.time) as survey:
+        try:
+            for place, unit in enumerate(units):
+                progress(f"unit {unit}", place / len(units))
+                if (row := await _unit(survey, unit, (register.table, register.number))) is not None:
+                    rows.append(row)
+        finally:
+            site.count(survey.statistics())
+    if not rows:
+        said = f"none of {len(units)} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
+        return Outcome({"units": rows, "asked": len(units)}, Exit.TIMEOUT, said)
+    return Outcome({"units": rows, "asked": len(units)})
+
+
+async def _unit(survey: AsksRegisters, unit: int, place: tuple[str, int]) -> dict[str, Any] | None:
+    """What one unit answers; None if nothing. Raises LinkDown when the connection does not come back."""
+    begun = time.monotonic()
+    for last in (False, True):
+        try:
+            words = await survey.read(*place, 1, unit)
+        except DeviceException as error:
+            if error.code in _BEHIND_GATEWAY:
+                return None
+            answer = str(error)
+        except (ReplyTimeout, ReplyMismatch):
+            if last:
+                return None
+            begun = time.monotonic()
+            continue
+        else:
+            answer = f"{place[0]}:{place[1]} is {words.words[0]}"
+        return {"unit": unit, "answer": answer, "ms": 1e3 * (time.monotonic() - begun)} | await _identity(survey, unit)
+    return None
+
+
+async def _identity(survey: AsksRegisters, unit: int) -> dict[str, str]:
+    try:
+        identity = await survey.identity(unit)
+    except (DeviceException, ReplyTimeout, ReplyMismatch):
+        return {"identity": ""}
+    return {"identity": " ".join(identity.values())}
+
+
+async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, listen_only: bool) -> Outcome:
+    """The CANopen nodes of a bus: by their heartbeats, and unless `listen_only` by their answers to SDO requests."""
+    async with open_bus_survey(site.target.driver, site.target.settings, clock=time.time) as survey:
+        try:
+            progress("listening", 0.0)
+            frames = await survey.listen(LISTEN_S)
+            beats = {
+                frame.id - HEARTBEAT: frame.data[0] & 0x7F
+                for frame in frames
+                if not frame.extended and HEARTBEAT < frame.id <= HEARTBEAT + 127 and len(frame.data) == 1
+            }
+            rows: list[dict[str, Any]] = []
+            for place, node in enumerate(nodes):
+                progress(f"node {node}", place / len(nodes))
+                answers = not listen_only and await _answers(survey, node)
+                identity = await identity_of(survey, node) if answers else None
+                if identity is not None or node in beats:
+                    state = beats.get(node)
+                    said = "no heartbeat" if state is None else STATES.get(state, f"state {state}")
+                    rows.append({"node": node, "heartbeat": said, "sdo": identity is not None, **(identity or {})})
+        finally:
+            site.count(survey.statistics())
+    if not rows:
+        said = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
+        return Outcome({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, said)
+    return Outcome({"nodes": rows, "asked": len(nodes)})
+
+
+async def _answers(survey: ListensToBus, node: int) -> bool:
+    """Whether the node answers a request for its device type, whatever it says. Raises LinkDown."""
+    try:
+        await survey.object(node, 0x1000, 0, NODE_S)
+    except ReplyTimeout:
+        return False
+    except (DeviceException, ReplyMismatch):
+        return True
+    return True

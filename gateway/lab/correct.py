@@ -1,0 +1,154 @@
+"""`decanter model correct`: a calibration correction of a model, learned from traces that it was not fitted to."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gateway.console.options import json_option, map_option
+from gateway.console.output import Exit, emit, fail, progress, sentences, table
+from gateway.console.traces import load
+
+if TYPE_CHECKING:
+    from sim.learning.correction import LearnedCorrection
+    from sim.learning.max_rate import Bite, MaxRate
+    from sim.sha.model import Model
+    from sim.sha.trace import Trace
+
+
+@click.command(short_help="Learn T' = k T + b from traces and write the corrected model.")
+@click.argument("name")
+@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@map_option
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory or store to write to.")
+@click.option(
+    "--form",
+    type=click.Choice(["best", "gain", "affine"]),
+    default="best",
+    show_default=True,
+    help="gain: T' = k T; affine: T' = k T + b; best: the simplest one as good as the best.",
+)
+@click.option("--max-rate", "limit_rate", is_flag=True, help="Also limit the flows by the greatest rate in the traces.")
+@json_option
+def correct(
+    name: str, paths: Sequence[str], map_name: str, out: Path, form: str, limit_rate: bool, as_json: bool
+) -> None:
+    """Learn the calibration correction T' = k T (+ b) of a model and write the corrected model.
+
+    T is the automaton's temperature, T' what the sensor reads. Give traces that the model was not learned from. The
+    correction is accepted when the error of held-out traces falls by more than its standard error; where nothing is
+    accepted nothing is written, and the exit code is 1.
+    """
+    with sentences(), progress("correcting") as report:
+        chosen, traces = _given(name, paths, map_name)
+        learned, rate, bites = _learn(chosen, traces, form, limit_rate, report)
+        accepted = learned.chosen is not None or (bites is not None and bites.accepted)
+        written = _write(chosen, traces, learned, rate if bites and bites.accepted else None, out) if accepted else None
+    data = _plain(learned, rate, bites) | {
+        "training traces": _seen_before(chosen, traces),
+        "written": written,
+        "out": str(out) if written else None,
+    }
+    emit(data, lambda: _show(data), as_json_line=as_json)
+    if not accepted:
+        fail(f"nothing was accepted, so nothing was written: {learned.best.reason}", Exit.CHECK_FAILED)
+
+
+def _given(name: str, paths: Sequence[str], map_name: str) -> "tuple[Model, list[Trace]]":
+    """The model, and the traces with the events of its own alphabet."""
+    from dataclasses import replace
+
+    from sim.artefacts.find import find_model
+    from sim.sha.events import encode
+
+    traces, column_map = load(paths, map_name)
+    chosen = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature).runnable()
+    if chosen.alphabet.channels:
+        traces = [replace(trace, events=encode(trace, chosen.alphabet)) for trace in traces]
+    return chosen, traces
+
+
+def _learn(
+    chosen: "Model", traces: "list[Trace]", form: str, limit_rate: bool, report: Any
+) -> "tuple[LearnedCorrection, MaxRate | None, Bite | None]":
+    from dataclasses import replace
+
+    from sim.learning.correction import FORMS, learn_correction
+    from sim.learning.max_rate import bite, learn_max_rate, with_max_rate
+
+    wanted = [one for one in FORMS if form in ("best", one)]
+    learned = learn_correction(chosen, traces, forms=wanted, progress=report)
+    if not limit_rate:
+        return learned, None, None
+    rate = learn_max_rate(traces, chosen.temperature)
+    corrected = replace(chosen, correction=learned.correction)
+    return learned, rate, bite(with_max_rate(corrected, rate), traces)
+
+
+def _write(
+    chosen: "Model", traces: "list[Trace]", learned: "LearnedCorrection", rate: "MaxRate | None", out: Path
+) -> str:
+    """Write the new model; returns the path of its file, or the name of its version in a store."""
+    import time
+
+    from sim.artefacts.model_directory import write_model_directory
+    from sim.artefacts.model_json import model_hash
+    from sim.artefacts.store import STORE_FILE, save
+    from sim.learning.correction import corrected_model
+    from sim.learning.max_rate import with_max_rate
+    from sim.sha.trace import joint_hash
+
+    model = corrected_model(chosen, learned, joint_hash(traces), model_hash(chosen))
+    model = model if rate is None else with_max_rate(model, rate)
+    if (out / STORE_FILE).is_file():
+        return save(out, model, created=time.time())
+    return str(write_model_directory(out, model))
+
+
+def _seen_before(chosen: "Model", traces: "list[Trace]") -> bool:
+    """Whether these are the very traces that the model was learned from: the held-out error is no such thing then."""
+    from sim.sha.trace import joint_hash
+
+    return chosen.provenance.data_hash == joint_hash(traces)
+
+
+def _plain(learned: "LearnedCorrection", rate: "MaxRate | None", bites: "Bite | None") -> dict[str, Any]:
+    from dataclasses import asdict
+
+    fits = []
+    for fit in learned.fits:
+        row = asdict(fit)
+        fits.append({"form": fit.form, **row.pop("correction"), **{k: v for k, v in row.items() if k != "form"}})
+    limit = None if rate is None or bites is None else asdict(rate) | asdict(bites)
+    return {
+        "chosen": learned.chosen,
+        "correction": asdict(learned.correction),
+        "fits": fits,
+        "skipped": list(learned.skipped),
+        "max_rate": limit,
+    }
+
+
+def _show(data: dict[str, Any]) -> None:
+    columns = ("form", "gain", "gain_error", "offset", "offset_error", "before", "after", "improvement_error", "runs")
+    table(
+        "T' = gain T + offset; mean absolute error of held-out runs (°C)",
+        columns,
+        [[fit[key] for key in columns] for fit in data["fits"]],
+    )
+    for fit in data["fits"]:
+        click.echo(f"{fit['form']}: {'accepted' if fit['accepted'] else 'not accepted'}, {fit['reason']}")
+    if data["max_rate"] is not None:
+        limit = data["max_rate"]
+        verdict = "accepted" if limit["accepted"] else "not accepted, as it makes the model worse"
+        click.echo(
+            f"max rate: {limit['rate']:.3g} °C/s, {limit['margin']:g} times what was seen; {limit['limited']} steps "
+            f"meet it, error {limit['before']:.3g} without and {limit['after']:.3g} °C with it: {verdict}"
+        )
+    if data["training traces"]:
+        click.echo("these are the traces that the model was learned from: held out here, but not for the model")
+    if data["skipped"]:
+        click.echo(f"left out, with too few readings: {', '.join(data['skipped'])}")
+    if data["written"]:
+        click.echo(f"written: {data['written']}")

@@ -1,0 +1,187 @@
+"""`decanter model learn`: a model from traces, written with all its artefacts."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gateway.console.options import json_option, map_option, seed_option
+from gateway.console.output import emit, progress, sentences, table
+from gateway.console.traces import load
+from gateway.lab.show import show_model, summary
+
+if TYPE_CHECKING:
+    from sim.learning.bins.learn import Learned
+    from sim.learning.lsha.learn import LearnedLsha
+    from sim.sha.trace import Trace
+    from sim.traces.column_map import ColumnMap
+
+FLOWS = ("constant", "linear", "logarithmic", "exponential", "driven")
+REPORT = "learning_report"
+
+
+@click.command(short_help="Learn a model from traces and write its directory.")
+@click.option("--method", type=click.Choice(["bins", "lsha"]), default="bins", show_default=True)
+@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@map_option
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory to write.")
+@click.option("--name", default="decanter", show_default=True, help="The model's name, and the artefacts' base name.")
+@seed_option
+@click.option("--delta", type=click.FloatRange(0.0), help="lsha: merge tolerance, share of the parameters' spread.")
+@click.option("--default-flow", type=click.Choice(FLOWS), help="lsha: the flow of all locations to begin with.")
+@click.option(
+    "--memory", type=click.Choice(["context", "direction", "previous", "word"]), help="lsha: what rare words share."
+)
+@click.option("--n-min", type=click.IntRange(2), help="lsha: segments below which a word says nothing by itself [5].")
+@click.option("--alpha", type=click.FloatRange(0, 1, min_open=True, max_open=True), help="lsha: error rate [0.05].")
+@click.option("--split", type=click.IntRange(2), help="lsha: parts of the traces, each held out once [5].")
+@click.option("--observed-edges", is_flag=True, help="lsha: no default edges for what was never seen.")
+@json_option
+def learn(
+    method: str,
+    paths: Sequence[str],
+    map_name: str,
+    out: Path,
+    name: str,
+    seed: int,
+    as_json: bool,
+    observed_edges: bool,
+    **given: float | str | None,
+) -> None:
+    """Learn a model from traces and write its directory with all artefacts.
+
+    `bins`: one location for each combination of running and current bin, fitted by free-run maximum likelihood; the
+    held-out likelihood chooses between a constant target and one that the current drives.
+
+    `lsha`: L*_SHA. Words of events that the traces do not tell apart lead to one location; flow, memory and merge
+    tolerance are chosen by the held-out likelihood unless given. The directory gets a learning report besides.
+    """
+    settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    settings |= {"complete": False} if observed_edges else {}
+    with sentences(), progress(f"learning ({method})") as report:
+        if settings and method != "lsha":
+            raise ValueError(f"--{_option(settings)} belongs to --method lsha; leave it out, or choose that method")
+        traces, column_map = load(paths, map_name)
+        if method == "lsha":
+            data, show = _lsha(traces, column_map, name, seed, settings, report, out)
+        else:
+            learned = learn_from(traces, column_map, name=name, seed=seed, report=report)
+            written = write(out, learned)
+            data = {"model": str(out), "file": str(written), **summary(learned.model)}
+            data["diagnostics"] = diagnostics(learned)
+
+            def show() -> None:
+                show_model(learned.model)
+                _show_tables(diagnostics(learned), out)
+
+    emit(data, show, as_json_line=as_json)
+
+
+def _option(settings: Mapping[str, Any]) -> str:
+    first = next(iter(settings))
+    return {"complete": "observed-edges"}.get(first, first.replace("_", "-"))
+
+
+def learn_from(traces: "Sequence[Trace]", column_map: "ColumnMap", *, name: str, seed: int, report: Any) -> "Learned":
+    """A model of the traces by the map's alphabet and temperature."""
+    from sim.learning.bins.learn import learn_bins
+
+    return learn_bins(
+        traces,
+        column_map.alphabet,
+        column_map.temperature,
+        name=name,
+        seed=seed,
+        progress=report,
+    )
+
+
+def write(out: Path, learned: "Learned") -> Path:
+    """Write the model directory; returns the path of its model.json."""
+    from sim.artefacts.model_directory import write_model_directory
+
+    return write_model_directory(out, learned.model, learned.values)
+
+
+def _lsha(
+    traces: "Sequence[Trace]",
+    column_map: "ColumnMap",
+    name: str,
+    seed: int,
+    settings: Mapping[str, Any],
+    report: Any,
+    out: Path,
+) -> tuple[dict[str, Any], Callable[[], None]]:
+    """(what the command says in JSON, what it shows to people), once the model directory is written."""
+    from sim.artefacts.model_directory import write_model_directory
+    from sim.learning.lsha.learn import learn_lsha
+    from sim.learning.lsha.report import report_document, report_text
+    from sim.learning.lsha.settings import LshaSettings
+
+    learned = learn_lsha(
+        traces,
+        column_map.alphabet,
+        column_map.temperature,
+        name=name,
+        seed=seed,
+        settings=LshaSettings(**settings),
+        progress=report,
+    )
+    document = report_document(learned.report)
+    more = {
+        f"{REPORT}.json": json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+        f"{REPORT}.md": report_text(learned.report, name),
+    }
+    table_of = learned.report.table
+    written = write_model_directory(out, learned.model, learned.values, observations=table_of, more=more)
+    shown = lsha_diagnostics(learned)
+    data = {"model": str(out), "file": str(written), **summary(learned.model), "diagnostics": shown}
+
+    def show() -> None:
+        show_model(learned.model)
+        _show_tables(shown, out)
+        checked = learned.report.acceptance
+        click.echo(f"accepted: {checked.accepted} of {checked.traces} training traces, by the observed edges alone")
+        click.echo(f"learning report: {out / (REPORT + '.md')}")
+
+    return data, show
+
+
+def diagnostics(learned: "Learned") -> dict[str, list[dict[str, Any]]]:
+    """How the model came about, as plain values: the candidates' held-out scores, the fits, the bands' coverage."""
+    from dataclasses import asdict
+
+    fits = [asdict(one) for one in learned.locations if one.source != "unknown"]
+    wanted = ("name", "source", "readings", "stays", "mu", "mu_error", "sigma", "k", "gains")
+    return {
+        "candidates": [asdict(one) for one in learned.candidates],
+        "fits": [{name: fit[name] for name in wanted} for fit in fits],
+        "held-out forecasts": [asdict(one) for one in learned.coverage],
+    }
+
+
+def lsha_diagnostics(learned: "LearnedLsha") -> dict[str, list[dict[str, Any]]]:
+    """How the model came about, in short: the rivals, the locations, the edges and the check, the bands' coverage."""
+    from dataclasses import asdict
+
+    report = learned.report
+    wanted = ("name", "flow", "entry", "segments", "readings", "seconds", "mu", "mu_error", "scatter", "rate")
+    fits = [asdict(one) for one in report.locations]
+    edges = {"observed": report.observed_edges, "default": report.default_edges, "queries": report.queries}
+    checked = {"traces": report.acceptance.traces, "accepted": report.acceptance.accepted}
+    return {
+        "flow hypotheses": [asdict(one) for one in report.flows],
+        "structures (errors in units of a segment's uncertainty)": [asdict(one) for one in report.structures],
+        "locations": [{name: fit[name] for name in wanted} for fit in fits],
+        "edges and acceptance": [edges | checked],
+        "held-out forecasts": [asdict(one) for one in report.coverage],
+    }
+
+
+def _show_tables(tables: Mapping[str, list[dict[str, Any]]], out: Path) -> None:
+    for title, rows in tables.items():
+        if rows:
+            table(title, list(rows[0]), [list(row.values()) for row in rows])
+    click.echo(f"model directory: {out}")

@@ -1,0 +1,136 @@
+"""`decanter model show`: a model as text or JSON."""
+
+from collections.abc import Mapping
+from math import nan
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gateway.console.options import json_option
+from gateway.console.output import emit, sentences, table
+
+if TYPE_CHECKING:
+    from sim.artefacts.find import Found
+    from sim.sha.automaton import SHA
+    from sim.sha.model import Model, Stay
+
+
+@click.command(short_help="Show a model and where it comes from.")
+@click.argument("name")
+@json_option
+def show(name: str, as_json: bool) -> None:
+    """Show a model: locations, flows, laws of parameters and stays, where it comes from.
+
+    Of artefacts that cannot be run the structure is shown, and why they cannot.
+    """
+    from sim.artefacts.find import find_model
+
+    with sentences():
+        found = find_model(name)
+        if found.model is None or found.artefacts is not None:
+            emit(_artefacts(found), lambda: _show_artefacts(found), as_json_line=as_json)
+            return
+        shown = found.model
+        emit(summary(shown), lambda: show_model(shown), as_json_line=as_json)
+
+
+def _artefacts(found: "Found") -> dict[str, Any]:
+    edges = [
+        {"source": e.source, "symbol": e.symbol, "target": e.target, "guard": e.guard} for e in found.structure.edges
+    ]
+    return {
+        "name": found.name,
+        "initial": found.structure.initial,
+        "locations": _location_rows(found.structure, {}),
+        "edges": edges,
+        "runnable": found.model is not None,
+        "refusal": found.refusal,
+        "notes": list(found.notes),
+    }
+
+
+def _show_artefacts(found: "Found") -> None:
+    sha = found.structure
+    if found.model is None:
+        table(f"{found.name}: {len(sha.locations)} locations", ["location"], [[each.name] for each in sha.locations])
+    else:
+        rows = _location_rows(sha, {})
+        table(f"{found.name}: {len(rows)} locations", list(rows[0]), [list(row.values()) for row in rows])
+    table(f"{len(sha.edges)} edges", ["from", "symbol", "to"], [[e.source, e.symbol, e.target] for e in sha.edges])
+    for note in found.notes:
+        click.echo(note)
+    if found.refusal:
+        click.secho(f"it cannot be run: {found.refusal}", fg="yellow")
+
+
+def summary(shown: "Model") -> dict[str, Any]:
+    """The model as plain values for JSON."""
+    from sim.artefacts.model_json import model_hash
+
+    return {
+        "name": shown.sha.name,
+        "hash": model_hash(shown),
+        "temperature": shown.temperature,
+        "sensor_sigma": shown.sensor_sigma,
+        "correction": {"gain": shown.correction.gain, "offset": shown.correction.offset},
+        "locations": _location_rows(shown.sha, shown.semi_markov),
+        "edges": len(shown.sha.edges),
+        "effects": [
+            {
+                "kind": effect.kind,
+                "params": dict(effect.params),
+                "signals": dict(effect.signals),
+                "locations": list(effect.locations),
+                "event": effect.event,
+            }
+            for effect in shown.sha.effects
+        ],
+        "provenance": {
+            "method": shown.provenance.method,
+            "data_hash": shown.provenance.data_hash,
+            "traces": list(shown.provenance.traces),
+            "synthetic": shown.provenance.synthetic,
+            "settings": dict(shown.provenance.settings),
+            "scores": dict(shown.provenance.scores),
+        },
+    }
+
+
+def _location_rows(sha: "SHA", stays: "Mapping[str, Stay]") -> list[dict[str, Any]]:
+    from sim.sha import distributions
+
+    rows = []
+    for location in sha.locations:
+        law: Mapping[str, float] = location.distribution.params if location.distribution else {}
+        stay = stays.get(location.name)
+        row: dict[str, Any] = {"location": location.name, "flow": location.flow.kind}
+        row |= {name: law.get(name, nan) for name in ("mu", "sigma")}
+        row |= {name: location.flow.params.get(name, nan) for name in ("k", "noise")}
+        row["gain"] = location.flow.inputs[0].gain if location.flow.inputs else nan
+        row["stay_s"] = distributions.mean(stay.law) if stay else nan
+        row["next"] = max(stay.to, key=lambda name: stay.to[name]) if stay and stay.to else ""
+        rows.append(row)
+    return rows
+
+
+def show_model(shown: "Model") -> None:
+    """Print the model's locations, its effects and where it comes from."""
+    from sim.effects.kinds import told
+
+    rows = _location_rows(shown.sha, shown.semi_markov)
+    columns = list(rows[0])
+    table(
+        f"{shown.sha.name}: {len(rows)} locations, {len(shown.sha.edges)} edges",
+        columns,
+        [list(row.values()) for row in rows],
+    )
+    for effect in shown.sha.effects:
+        click.echo(f"effect {told(effect)}")
+    origin = shown.provenance
+    click.echo(f"temperature {shown.temperature}, sensor sigma {shown.sensor_sigma:.3g} °C, method {origin.method}")
+    if shown.calibration:
+        click.echo("calibration " + ", ".join(f"{h:g} s x {f:.2f}" for h, f in sorted(shown.calibration.items())))
+    if not shown.correction.identity:
+        click.echo(f"correction T' = {shown.correction.gain:.4g} T {shown.correction.offset:+.3g} °C")
+    synthetic = ", SYNTHETIC: not learned from a plant" if origin.synthetic else ""
+    click.echo(f"{len(origin.traces)} traces, content {origin.data_hash[:12]}{synthetic}")

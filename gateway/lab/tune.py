@@ -1,0 +1,153 @@
+"""`decanter model tune`: the best settings of a learning method by cross-validation over traces, resumable."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gateway.console.interrupt import interruptible
+from gateway.console.options import json_option, map_option, seed_option
+from gateway.console.output import Exit, emit, progress, sentences, table
+from gateway.console.traces import load
+
+if TYPE_CHECKING:
+    from sim.ranking.tuning import Objective, Plan, Tuning
+    from sim.sha.trace import Trace
+    from sim.traces.column_map import ColumnMap
+
+SHOWN = 10
+
+
+@click.command(short_help="Search a learning method's best settings by cross-validation over traces.")
+@click.option("--method", type=click.Choice(["bins", "lsha"]), default="bins", show_default=True)
+@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@map_option
+@click.option("--cycles", is_flag=True, help="Cut each trace into cycles first, for one long recording.")
+@click.option(
+    "--study",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    help="The file of the search; one that is there is gone on with.",
+)
+@click.option("--trials", type=click.IntRange(1), default=30, show_default=True, help="Trials of the study in all.")
+@click.option("--folds", type=click.IntRange(2), default=5, show_default=True, help="Parts that are held out in turn.")
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
+@click.option(
+    "--objective",
+    type=click.Choice(["crps", "likelihood"]),
+    default="crps",
+    show_default=True,
+    help="Of held-out traces, open loop: CRPS in °C, or minus the log-likelihood per reading.",
+)
+@click.option("--prune", is_flag=True, help="Give a trial up when its first folds are worse than the median's.")
+@click.option("--out", type=click.Path(path_type=Path), help="Learn with the best settings from all traces; write it.")
+@click.option("--name", default="decanter", show_default=True, help="The name of the model for --out.")
+@seed_option
+@json_option
+def tune(
+    method: str,
+    paths: Sequence[str],
+    map_name: str,
+    cycles: bool,
+    study: Path,
+    trials: int,
+    folds: int,
+    jobs: int,
+    objective: "Objective",
+    prune: bool,
+    out: Path | None,
+    name: str,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Search a learning method's best settings by cross-validation over traces.
+
+    The first trial has the method's defaults; the result says whether the best settings beat them by more than one
+    standard error, paired by trace. A search that was stopped or killed goes on with the same command; a study of
+    other traces, another method or other settings is refused.
+    """
+    from sim.ranking.tuning import Plan
+    from sim.ranking.tuning import tune as searched
+
+    with sentences(), progress(f"tuning ({method})") as bar, interruptible(bar) as report:
+        traces, column_map = _traces(paths, map_name, cycles=cycles)
+        plan = Plan(method, objective, folds, seed)
+        found = searched(
+            traces,
+            column_map.alphabet,
+            column_map.temperature,
+            plan,
+            study,
+            trials=trials,
+            jobs=jobs,
+            prune=prune,
+            progress=report,
+        )
+        written = None
+        if out is not None and not found.stopped:
+            report("learning with the best settings", 1.0)
+            written = _write(found, traces, column_map, plan, name, out)
+    _tell(found, plan, study, written, as_json=as_json)
+
+
+def _traces(paths: Sequence[str], map_name: str, *, cycles: bool) -> "tuple[list[Trace], ColumnMap]":
+    from sim.traces.cycles import split_cycles
+
+    traces, column_map = load(paths, map_name)
+    if cycles:
+        traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
+    return traces, column_map
+
+
+def _write(
+    found: "Tuning", traces: "Sequence[Trace]", column_map: "ColumnMap", plan: "Plan", name: str, out: Path
+) -> Path:
+    from sim.artefacts.model_directory import write_model_directory
+    from sim.ranking.tuning import final_model
+
+    if found.best is None:
+        raise ValueError(f"{found.sentence}; nothing is written to {out}")
+    taught = final_model(traces, column_map.alphabet, column_map.temperature, plan, found.best, name)
+    write_model_directory(out, taught.model, taught.values)
+    return out
+
+
+def _tell(found: "Tuning", plan: "Plan", study: Path, written: Path | None, *, as_json: bool) -> None:
+    data = {
+        "method": plan.method,
+        "objective": plan.objective,
+        "study": str(study),
+        **asdict(found),
+        "model": written and str(written),
+    }
+    emit(data, lambda: _show(found, plan, study, written), as_json_line=as_json)
+    if found.stopped:
+        click.secho(f"stopped after {len(found.trials)} trials; the same command goes on with {study}", err=True)
+        raise SystemExit(Exit.INTERRUPTED)
+
+
+def _show(found: "Tuning", plan: "Plan", study: Path, written: Path | None) -> None:
+    unit = "CRPS (°C)" if plan.objective == "crps" else "minus log-likelihood per reading"
+    complete = sorted((one for one in found.trials if one.state == "complete"), key=lambda one: one.value)
+    rows = [[one.number, one.value, one.error, one.settings or "defaults"] for one in complete[:SHOWN]]
+    if found.default is not None and found.default not in complete[:SHOWN]:
+        rows.append([found.default.number, found.default.value, found.default.error, "defaults"])
+    others: dict[str, Any] = {}
+    for one in found.trials:
+        if one.state != "complete":
+            others[one.state] = others.get(one.state, 0) + 1
+    more = "".join(f", {count} {state}" for state, count in others.items())
+    title = f"{plan.method}: {len(found.trials)} trials{more}; the best by held-out {unit}"
+    if rows:
+        table(title, ("trial", "value", "standard error", "settings"), rows)
+    click.echo(found.sentence)
+    failed = next((one for one in found.trials if one.state == "failed"), None)
+    if failed is not None and found.best is not None:
+        click.echo(f"trial {failed.number} failed: {failed.reason}")
+    for note in found.notes:
+        click.echo(f"note: {note}")
+    click.echo(f"study: {study}")
+    if written is not None:
+        click.echo(f"model directory: {written}")

@@ -1,0 +1,239 @@
+"""`decanter model verify`: what is certain about a model before it runs, and the word that shows what is wrong."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.core import ParameterSource
+
+from gateway.console.options import finite, json_option, map_option
+from gateway.console.output import Exit, emit, sentences, table
+from gateway.console.places import shipped
+from gateway.console.traces import load
+
+if TYPE_CHECKING:
+    from sim.artefacts.find import Found
+    from sim.checking.proof.envelope import Assumptions, Sojourn
+    from sim.checking.proof.verify import Check, Verification
+    from sim.checking.proof.word import TimedWord
+    from sim.engine.schedule import Policy
+    from sim.traces.column_map import ColumnMap
+
+GROWS = "A flow that relaxes cannot grow: learn with --method bins, or with --method lsha --default-flow exponential."
+STAYS, CASES, WIDTH = 12, 4, 150
+"""What the text shows of a counterexample and of a check's cases, and signs a case; --json has all of them."""
+
+
+def pair(text: str) -> tuple[float, float]:
+    """LOW..HIGH as two numbers. Raises click.BadParameter."""
+    low, dots, high = text.partition("..")
+    try:
+        return (float(low), float(high)) if dots else (float(text), float(text))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no range; write LOW..HIGH, as 0..600") from None
+
+
+def _sojourn(_: click.Context, __: click.Parameter, text: str) -> "Sojourn":
+    if text == "any" or text == "law":
+        return "any" if text == "any" else "law"
+    return pair(text)
+
+
+def _inputs(_: click.Context, __: click.Parameter, texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    ranges = {}
+    for text in texts:
+        name, sign, value = text.rpartition("=")
+        if not (sign and name):
+            raise click.BadParameter(f"{text!r} is no signal's range; write SIGNAL=LOW..HIGH")
+        ranges[name] = pair(value)
+    return ranges
+
+
+@click.command(short_help="Prove or refute what a model can do; say whether it may be deployed.")
+@click.argument("model")
+@click.option("--traces", "paths", multiple=True, help="Must be accepted: a file, a folder or a glob; may be repeated.")
+@map_option
+@click.option("--bounds", type=(float, float), metavar="LOW HIGH", help="Claim that T stays within these (°C).")
+@click.option(
+    "--sojourn",
+    default="any",
+    callback=_sojourn,
+    metavar="any|law|LOW..HIGH",
+    show_default=True,
+    help="How long stays last: any time, as the model's own laws allow, or LOW to HIGH seconds.",
+)
+@click.option(
+    "--z", type=click.FloatRange(0), default=3.0, show_default=True, callback=finite, help="Standard deviations."
+)
+@click.option(
+    "--inputs", multiple=True, callback=_inputs, metavar="SIGNAL=LOW..HIGH", help="Range of an input; may be repeated."
+)
+@click.option("--start", type=(float, float), metavar="LOW HIGH", help="Where runs begin (°C).")
+@click.option(
+    "--policy",
+    type=click.Choice(["reject", "ignore", "resync"]),
+    default="resync",
+    show_default=True,
+    help="An event without an edge.",
+)
+@click.option("--known", is_flag=True, help="No gap ever: UNKNOWN, which leads to the initial location, never comes.")
+@click.option(
+    "--wear",
+    type=click.FloatRange(0),
+    callback=finite,
+    metavar="DAYS",
+    help="Follow a wear for so long; else 7 to 365.",
+)
+@click.option("--word", "out", type=click.Path(path_type=Path, dir_okay=False), help="Write the first counterexample.")
+@json_option
+def verify(
+    model: str,
+    paths: Sequence[str],
+    map_name: str,
+    bounds: tuple[float, float] | None,
+    sojourn: "Sojourn",
+    z: float,
+    inputs: dict[str, tuple[float, float]],
+    start: tuple[float, float] | None,
+    policy: "Policy",
+    known: bool,
+    wear: float | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Verify a model's structure, and what its temperature can do under any sequence of events.
+
+    Every check is proven, refuted with its evidence, or not decided. Leaves with 1 when the model is not deployable; a
+    range given by --bounds must be proven too. `decanter model simulate MODEL --word ...` replays a counterexample.
+    """
+    from sim.artefacts.find import find_model
+    from sim.checking.proof.envelope import DAY, Assumptions
+
+    with sentences():
+        traces, column_map = load(paths, map_name) if paths else ([], _named_map(map_name))
+        if column_map is None:
+            found = find_model(model)
+        else:
+            found = find_model(model, alphabet=column_map.alphabet, temperature=column_map.temperature)
+        assumptions = Assumptions(z, sojourn, inputs, start, policy, not known, None if wear is None else wear * DAY)
+        result = _verified(found, traces, bounds, assumptions)
+        worst = _counterexample(result)
+        if out is not None and worst is not None:
+            _save(out, worst[1])
+    emit(plain(result, found), lambda: _show(result, found, model, out), as_json_line=as_json)
+    if not result.deployable:
+        sys.exit(Exit.CHECK_FAILED)
+
+
+def _named_map(map_name: str) -> "ColumnMap | None":
+    """The column map, if it was named: artefacts take their alphabet from it, also without a trace."""
+    if click.get_current_context().get_parameter_source("map_name") is not ParameterSource.COMMANDLINE:
+        return None
+    from sim.traces.column_map import load_map
+
+    return load_map(shipped("traces", map_name))
+
+
+def _verified(
+    found: "Found", traces: Sequence[Any], bounds: tuple[float, float] | None, assumptions: "Assumptions"
+) -> "Verification":
+    """The verification; the alphabet of artefacts is the one that their report lists, if it lists one."""
+    from sim.checking.proof.verify import verify as check
+
+    reported = tuple(name for name, _ in found.artefacts.report.events) if found.artefacts else ()
+    return check(
+        found.model or found.structure,
+        symbols=reported or None,
+        traces=traces,
+        bounds=bounds,
+        assumptions=assumptions,
+        refusal=found.refusal,
+        clock=perf_counter,
+    )
+
+
+def _save(out: Path, word: "TimedWord") -> None:
+    from sim.checking.proof.word import word_text
+
+    out.write_text(word_text(word) + "\n", encoding="utf-8")
+
+
+def plain(result: "Verification", found: "Found") -> dict[str, Any]:
+    """The verification as plain values for JSON."""
+    from sim.checking.proof.word import word_text
+
+    rows = [
+        {
+            "check": one.name,
+            "verdict": one.verdict,
+            "blocking": one.blocking,
+            "evidence": one.evidence,
+            "details": list(one.details),
+            "words": [word_text(word) for word in one.words],
+            "seconds": one.seconds,
+        }
+        for one in result.checks
+    ]
+    return {
+        "model": found.name,
+        "deployable": result.deployable,
+        "reasons": list(result.reasons),
+        "assumptions": list(result.assumptions),
+        "checks": rows,
+        "intervals": {name: list(one) for name, one in result.bounds.intervals.items()} if result.bounds else {},
+        "notes": list(found.notes),
+    }
+
+
+def _show(result: "Verification", found: "Found", model: str, out: Path | None) -> None:
+    seconds = sum(one.seconds for one in result.checks)
+    rows = [[one.name, one.verdict, "" if one.blocking else "no", f"{1e3 * one.seconds:.1f}"] for one in result.checks]
+    table(f"{found.name}: verified in {seconds:.2f} s", ("check", "verdict", "decides", "ms"), rows)
+    for one in result.checks:
+        _show_check(one)
+    if result.bounds is not None:
+        click.echo(f"assumed: {'; '.join(result.assumptions)}")
+    worst = _counterexample(result)
+    if worst is not None:
+        _show_word(*worst, model, out)
+    against = [one.name for one in _against(result)]
+    said = f"NOT deployable: {'; '.join(against)}" if against else "deployable"
+    click.secho(said, fg="red" if against else "green", bold=True)
+    if "growth" in against and result.executable:
+        click.echo(GROWS)
+
+
+def _counterexample(result: "Verification") -> "tuple[str, TimedWord] | None":
+    """(check, word) of the first counterexample: one that decides comes before one that only informs."""
+    ordered = sorted(result.checks, key=lambda one: not one.blocking)
+    return next(((one.name, word) for one in ordered for word in one.words), None)
+
+
+def _against(result: "Verification") -> "list[Check]":
+    return [one for one in result.checks if one.blocking and one.verdict != "proven"]
+
+
+def _show_check(one: "Check") -> None:
+    click.echo(f"{one.name}: {one.evidence}")
+    if one.verdict == "proven" or one.name == "bounds" or len(one.details) < 2:
+        return
+    for detail in one.details[:CASES]:
+        click.echo(f"    {detail if len(detail) <= WIDTH else detail[:WIDTH] + ' ...'}")
+    if len(one.details) > CASES:
+        click.echo(f"    ... and {len(one.details) - CASES} more (--json has them all)")
+
+
+def _show_word(check: str, word: "TimedWord", model: str, out: Path | None) -> None:
+    from sim.checking.proof.word import word_text
+
+    text, size = word_text(word), f"{len(word.steps)} stays"
+    if out is not None:
+        replayed = f"decanter model simulate {model} --word {out}"
+        click.echo(f"counterexample to {check}, of {size}: {out}; replay it: {replayed}")
+    elif len(word.steps) <= STAYS:
+        click.echo(f"counterexample to {check}: decanter model simulate {model} --word '{text}'")
+    else:
+        click.echo(f"a counterexample to {check}, of {size}, was found; --word FILE writes it, for model simulate")

@@ -1,0 +1,265 @@
+"""The running gateway's local socket: one line of JSON a request, one a reply, for programs of the same user.
+
+So a commissioning tool sees what the gateway sees, and a device that serves one client only is not asked by two. A
+request is `{"command": "read", ...}` with a key of COMMANDS; a reply has `ok`, and `reason` where it is false. Nothing
+here writes to the device: `arm` lets the gateway write its block, `disarm` takes that back.
+"""
+
+import asyncio
+import json
+import os
+import socket
+import struct
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from drivers.tag import DType, Order, Sample, Tag
+from gateway.machine.arming import ArmingError
+from gateway.machine.redundant import Redundant
+from gateway.plant.status import strict
+
+if TYPE_CHECKING:
+    from gateway.machine.core import Gateway
+
+MODE = 0o600
+LONGEST = 1 << 20
+_CREDENTIALS = struct.Struct("3i")
+_TAG_KEYS = frozenset(field.name for field in fields(Tag)) - {"name", "writable"}
+
+
+class ControlError(ValueError):
+    """A request that cannot be carried out; the sentence goes into the reply."""
+
+
+Snapshot = Callable[["Gateway"], dict[str, Any]]
+Command = Callable[["Gateway", Mapping[str, Any], Snapshot], Awaitable[dict[str, Any]]]
+
+
+@contextmanager
+def short(path: Path) -> Iterator[str]:
+    """The path as a Unix socket may be called: by way of its folder's descriptor, since its length is limited.
+
+    Raises OSError where the folder is not there.
+    """
+    folder = os.open(path.parent, os.O_PATH | os.O_DIRECTORY)
+    try:
+        yield f"/proc/self/fd/{folder}/{path.name}"
+    finally:
+        os.close(folder)
+
+
+def listening_socket(path: Path) -> socket.socket:
+    """A socket at `path` that only this user may join. Raises OSError, also where a living gateway has it already."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    found = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        with short(path) as name:
+            if path.is_socket() and not _is_alive(name):
+                path.unlink()
+            found.bind(name)
+        path.chmod(MODE)
+        found.listen(8)
+        found.setblocking(False)
+    except OSError as error:
+        found.close()
+        raise OSError(error.errno, f"no control socket at {path}: {error.strerror or error}") from None
+    return found
+
+
+def _is_alive(name: str) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(name)
+        except ConnectionRefusedError:
+            return False
+    return True
+
+
+class Control:
+    """The socket of one gateway, from `open` to `close`. `snapshot` gives the status."""
+
+    def __init__(self, gateway: "Gateway", path: Path, snapshot: Snapshot) -> None:
+        self._gateway, self.path, self._snapshot = gateway, path, snapshot
+        self._server: asyncio.Server | None = None
+        self._tasks: set[asyncio.Task[Any]] = set()
+
+    async def open(self) -> None:
+        """Begin to serve. Raises OSError."""
+        self._server = await asyncio.start_unix_server(self._serve, sock=listening_socket(self.path), limit=LONGEST)
+
+    async def close(self) -> None:
+        """Stop serving; requests under way are given up."""
+        server, self._server = self._server, None
+        if server is None:
+            return
+        server.close()
+        tasks = tuple(self._tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        self.path.unlink(missing_ok=True)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        if task is not None:
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+        try:
+            while _is_ours(writer) and (line := await reader.readline()):
+                reply = await answer(self._gateway, line, self._snapshot)
+                writer.write(json.dumps(strict(reply), ensure_ascii=False, allow_nan=False).encode() + b"\n")
+                await writer.drain()
+        except (OSError, ValueError, asyncio.CancelledError):
+            pass  # the client has gone, sends without end, or the gateway stops: nobody waits for an answer
+        finally:
+            writer.close()
+
+
+def _is_ours(writer: asyncio.StreamWriter) -> bool:
+    """True for a client of this user or of the superuser, whatever the file's mode has become."""
+    sock: socket.socket = writer.get_extra_info("socket")
+    _, user, _ = _CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
+    return user in (0, os.geteuid())
+
+
+async def answer(gateway: "Gateway", line: bytes, snapshot: Snapshot) -> dict[str, Any]:
+    """The reply to one request."""
+    try:
+        request = json.loads(line)
+        if not isinstance(request, dict) or not isinstance(request.get("command"), str):
+            raise ControlError('a request is a JSON object such as {"command": "status"}')
+        act = COMMANDS.get(request["command"])
+        if act is None:
+            raise ControlError(f"there is no command {request['command']!r}; known are {', '.join(COMMANDS)}")
+        return {"ok": True, **await act(gateway, request, snapshot)}
+    except json.JSONDecodeError as error:
+        return {"ok": False, "reason": f"the request is not JSON: {error}"}
+    except ControlError as error:
+        return {"ok": False, "reason": str(error)}
+
+
+# ---------------------------------------------------------------- commands
+
+
+async def _status(gateway: "Gateway", _: Mapping[str, Any], snapshot: Snapshot) -> dict[str, Any]:
+    return {"pid": os.getpid(), "config": str(gateway.config.path), "status": snapshot(gateway)}
+
+
+async def _read(gateway: "Gateway", request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
+    """The samples of the last scan: of the `tags` named, or of all; or of `addresses`, asked of the device now."""
+    if "addresses" in request:
+        return {"pid": os.getpid(), **await _asked(gateway, request["addresses"])}
+    known = gateway.config.map.by_name
+    names = request.get("tags", list(known))
+    if not isinstance(names, list) or (strange := [name for name in names if name not in known]):
+        wrong = strange[0] if isinstance(names, list) else names
+        raise ControlError(f"{wrong!r} is no tag of {gateway.config.map.path}; known are {', '.join(known)}")
+    last = gateway.last
+    if last is None:
+        raise ControlError("the gateway has not read anything yet")
+    return {
+        "pid": os.getpid(),
+        "time": gateway.clock.now(),
+        "period": gateway.config.scan.period,
+        "samples": [plain(last.samples[name]) for name in names if name in last.samples],
+    }
+
+
+async def _asked(gateway: "Gateway", given: Any) -> dict[str, Any]:
+    """Bare addresses by way of the gateway's own connection, so that a device of one client can be asked."""
+    if isinstance(gateway.driver, Redundant):
+        raise ControlError("bare addresses differ from link to link, and this gateway has several; name tags")
+    if not isinstance(given, list) or not all(isinstance(one, dict) for one in given):
+        raise ControlError('addresses are a list such as [{"address": "holding:100", "dtype": "uint16"}]')
+    samples = await gateway.driver.read([_tag(one) for one in given])
+    return {"time": gateway.clock.now(), "samples": [plain(sample) for sample in samples]}
+
+
+def _tag(given: Mapping[str, Any]) -> Tag:
+    unknown = sorted(set(given) - _TAG_KEYS)
+    if unknown or not isinstance(given.get("address"), str):
+        raise ControlError(f"{dict(given)!r} is no address; it has 'address' and may have {', '.join(_TAG_KEYS)}")
+    try:
+        typed = {"dtype": DType(given.get("dtype", "uint16")), "order": Order(given.get("order", "ABCD"))}
+    except ValueError as error:
+        raise ControlError(f"{given['address']}: {error}") from None
+    return Tag(**{"name": given["address"], **given, **typed})
+
+
+def plain(sample: Sample) -> dict[str, Any]:
+    """A sample as JSON."""
+    return {
+        "tag": sample.tag,
+        "value": sample.value,
+        "quality": sample.quality.name,
+        "time": sample.time,
+        "sent": sample.sent,
+        "reason": sample.reason,
+    }
+
+
+async def _arm(gateway: "Gateway", request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
+    """Let blocks be written from the next scan on: `by`, `reason`, `minutes`."""
+    by, reason, minutes = (request.get(key) for key in ("by", "reason", "minutes"))
+    number = isinstance(minutes, int | float) and not isinstance(minutes, bool)
+    if not (isinstance(by, str) and isinstance(reason, str) and number):
+        raise ControlError("arming needs by and reason as text and minutes as a number")
+    try:
+        made = await gateway.arm(by, reason, float(minutes or 0.0))
+    except ArmingError as error:
+        raise ControlError(str(error)) from None
+    return {"pid": os.getpid(), "by": made.by, "reason": made.reason, "until": made.until}
+
+
+async def _disarm(gateway: "Gateway", request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
+    """Take everything back and write no more: `by`, `reason`."""
+    by, reason = request.get("by"), request.get("reason")
+    if not (isinstance(by, str) and by.strip() and isinstance(reason, str)):
+        raise ControlError("disarming needs by and reason as text")
+    return {"pid": os.getpid(), "was_armed": await gateway.disarm(by, reason)}
+
+
+COMMANDS: dict[str, Command] = {"status": _status, "read": _read, "arm": _arm, "disarm": _disarm}
+"""Everything that can be asked of a running gateway; a new one is a row here."""
+
+
+# ---------------------------------------------------------------- the other side
+
+
+class GatewayLine:
+    """A client's connection to a running gateway (blocking); see `connect`."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._sock = sock
+        self._file = sock.makefile("rb")
+
+    def ask(self, command: str, **keys: Any) -> dict[str, Any]:
+        """One request; gives the reply. Raises ControlError with the gateway's reason, OSError if it is gone."""
+        self._sock.sendall(json.dumps({"command": command, **keys}).encode() + b"\n")
+        line = self._file.readline()
+        if not line:
+            raise ConnectionResetError("the gateway has closed its control socket")
+        reply: dict[str, Any] = json.loads(line)
+        if not reply.pop("ok", False):
+            raise ControlError(str(reply.get("reason", "the gateway refused without a reason")))
+        return reply
+
+    def close(self) -> None:
+        """Let it go."""
+        self._file.close()
+        self._sock.close()
+
+
+def connect(path: Path, timeout: float = 5.0) -> GatewayLine | None:
+    """The running gateway at `path`; None where none runs, or not for this user."""
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    sock.settimeout(timeout)
+    with suppress(OSError):
+        with short(path) as name:
+            sock.connect(name)
+        return GatewayLine(sock)
+    sock.close()
+    return None

@@ -1,0 +1,126 @@
+"""How right the predictions were, from the historian alone: errors, forecasts against persistence, what was written."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import nan
+from pathlib import Path
+from sqlite3 import Connection
+from typing import Any
+
+import numpy as np
+
+from gateway.machine.records import percentile
+from gateway.store.history import Aligned, Matured, history, matured, reading
+from sim.scores import coverage, crps_quantiles
+from sim.sha.trace import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """Root mean square and mean absolute error (degC) over `count` readings; NaN without any."""
+
+    rmse: float
+    mae: float
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class HorizonScore:
+    """The forecasts for one `horizon` (s) that have matured: mean absolute error of the median and of persistence
+    (the reading when it was made), mean CRPS (degC), share of readings inside the 90 % band, their `count`."""
+
+    horizon: float
+    mae: float
+    persistence_mae: float
+    crps: float
+    coverage90: float
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class WriteScore:
+    """Blocks by verdict, and the latency (ms, real time) from a scan's last reply to the confirmed write."""
+
+    verdicts: dict[str, int]
+    p50: float
+    p99: float
+
+
+@dataclass(frozen=True, slots=True)
+class Scorecard:
+    """`scans` and `samples` (kept) and `events` are counts; `free_run` and `one_step` the errors of the two ways to
+    predict; `forecasts` one score a horizon, ascending; `guards` what the model's guards last said: reviews, clamps."""
+
+    scans: int
+    samples: int
+    events: int
+    free_run: Error
+    one_step: Error
+    band90: float
+    forecasts: tuple[HorizonScore, ...]
+    writes: WriteScore
+    guards: Mapping[str, Any] = field(default_factory=dict)
+
+
+def scorecard(path: Path) -> Scorecard:
+    """The scores of everything in the historian at `path`. Raises HistorianError."""
+    with reading(path) as connection:
+        counts = {
+            table: int(connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0])  # noqa: S608
+            for table in ("scans", "samples", "events")
+        }
+        verdicts = dict(connection.execute("SELECT verdict, count(*) FROM writes GROUP BY verdict").fetchall())
+        latencies = [
+            float(row[0]) for row in connection.execute("SELECT latency_ms FROM writes WHERE latency_ms IS NOT NULL")
+        ]
+        guards = _guards(connection)
+    seen = history(path)
+    return Scorecard(
+        scans=counts["scans"],
+        samples=counts["samples"],
+        events=counts["events"],
+        free_run=error(seen.free_run, seen.measured),
+        one_step=error(seen.mean, seen.measured),
+        band90=_covered(seen),
+        forecasts=tuple(_horizon(one) for _, one in sorted(matured(path).items())),
+        writes=WriteScore(verdicts, percentile(latencies, 0.5), percentile(latencies, 0.99)),
+        guards=guards,
+    )
+
+
+def _guards(connection: Connection) -> dict[str, Any]:
+    """The newest report of the guards; nothing in a file of an earlier gateway or without a model."""
+    if not connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'guards'").fetchone()[0]:
+        return {}
+    row = connection.execute("SELECT content FROM guards ORDER BY time DESC LIMIT 1").fetchone()
+    return json.loads(row[0]) or {} if row else {}
+
+
+def error(predicted: Array, measured: Array) -> Error:
+    """The error where both are known."""
+    gap = (predicted - measured)[np.isfinite(predicted) & np.isfinite(measured)]
+    if not gap.size:
+        return Error(nan, nan, 0)
+    return Error(float(np.sqrt(np.mean(gap**2))), float(np.mean(np.abs(gap))), int(gap.size))
+
+
+def _covered(seen: Aligned) -> float:
+    known = np.isfinite(seen.mean) & np.isfinite(seen.measured)
+    return coverage(seen.low[known], seen.high[known], seen.measured[known]) if known.any() else nan
+
+
+def _horizon(one: Matured) -> HorizonScore:
+    came = np.isfinite(one.outcome) & np.isfinite(one.persistence)
+    if not came.any():
+        return HorizonScore(one.horizon, nan, nan, nan, nan, 0)
+    outcome, quantiles = one.outcome[came], one.quantiles[came]
+    low, median, high = (quantiles[:, one.levels.index(level)] for level in (0.05, 0.5, 0.95))
+    return HorizonScore(
+        one.horizon,
+        float(np.mean(np.abs(median - outcome))),
+        float(np.mean(np.abs(one.persistence[came] - outcome))),
+        float(np.mean(crps_quantiles(one.levels, quantiles, outcome))),
+        coverage(low, high, outcome),
+        int(came.sum()),
+    )

@@ -1,0 +1,217 @@
+"""Does the temperature stay within LOW..HIGH? Proven for all words, refuted by one that leaves, or not decided."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import isinf, sqrt
+from typing import Literal
+
+import numpy as np
+
+from sim.checking.proof.counterexample import BEYOND, escape, variants
+from sim.checking.proof.envelope import Assumptions, Envelope, Range, envelopes, start_range, worn_for
+from sim.checking.proof.reach import Bound, Graph, Side, climb, intervals, make_graph, side_of
+from sim.checking.proof.structure import moves
+from sim.checking.proof.word import TimedWord, parse_word, replay, word_text
+from sim.checking.proof.word_effects import offset_range
+from sim.effects.kinds import dead_time, of_kind
+from sim.sha.automaton import Location
+from sim.sha.correction import in_sensor_scale
+from sim.sha.distributions import mean
+from sim.sha.entry import drawn_temperature, mode_parameter
+from sim.sha.events import alphabet_symbols
+from sim.sha.flows import RELAXING
+from sim.sha.model import Model
+
+Verdict = Literal["proven", "refuted", "not decided"]
+
+
+@dataclass(frozen=True, slots=True)
+class Escape:
+    """How one border is passed: `up` the upper one; `reach` (degC) is the highest or lowest temperature there can be.
+
+    It is infinite where the temperature grows without bound. `word` leaves the range when it is replayed, first in
+    `location`, `seconds` after the start; None where no such word was found.
+    """
+
+    up: bool
+    reach: float
+    word: TimedWord | None = None
+    location: str = ""
+    seconds: float = 0.0
+
+    @property
+    def grows(self) -> bool:
+        """Whether there is no bound at all on this side."""
+        return isinf(self.reach)
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """The claim that T stays within `low`..`high` (degC), of the flows without noise and without the model's clamp.
+
+    `intervals` has the lowest and highest temperature in each location that some sequence of events reaches; they
+    hold whatever the verdict, unless `settled` is False. `start` is where runs begin.
+    """
+
+    low: float
+    high: float
+    start: Range
+    verdict: Verdict
+    intervals: Mapping[str, Range]
+    escapes: tuple[Escape, ...] = ()
+    settled: bool = True
+
+    @property
+    def grows(self) -> bool:
+        """Whether the temperature has no bound on some side."""
+        return any(one.grows for one in self.escapes)
+
+    @property
+    def excess(self) -> float:
+        """degC by which the range is left at most; 0 where it is proven."""
+        return max((abs(one.reach - (self.high if one.up else self.low)) for one in self.escapes), default=0.0)
+
+
+def find_bounds(
+    model: Model, low: float, high: float, assumptions: Assumptions, *, doubt: float | None = None
+) -> Bounds:
+    """The claim decided for a model that can be run; temperatures are the sensor's (`sim.sha.correction`).
+
+    With `doubt` (degC) the start and what is drawn are at their means, and only a target that lies outside of
+    `low`..`high` is moved towards it, by as much as the location's own law allows at z but at most by `doubt`; inputs
+    and stays are as assumed. Proven means up to 0.001 degC, what rounding can hide in the slowest loops. Raises
+    ValueError for an empty range, and UnboundedInput for a driven flow whose input nobody bounds.
+    """
+    if not low < high:
+        raise ValueError(f"no temperature lies within {low:g} to {high:g} degC; give LOW below HIGH")
+    model = in_sensor_scale(model)
+    symbols = alphabet_symbols(model.alphabet)
+    onward = moves(model.sha, symbols, assumptions.policy, unknown=assumptions.unknown)
+    rooms = envelopes(model, assumptions, onward)
+    start = start_range(model, assumptions, low, high)
+    if doubt is not None:
+        given = model.initial if assumptions.start is None else None
+        start = start if given is None else (mean(given), mean(given))
+        places = zip(rooms, model.sha.locations, strict=True)
+        rooms = tuple(_kindest(room, location, (low, high), doubt) for room, location in places)
+    graph = make_graph(rooms, onward, model.sha.initial, model.sha.max_rate)
+    least, most = offset_range(model.sha)
+    (top, upper), (bottom, lower) = _bound(graph, start[1] - least, up=True), _bound(graph, start[0] - most, up=False)
+    escapes = [
+        _escape(model, side, bound, start[int(up)], (low, high), assumptions)
+        for side, bound, up in ((top, upper, True), (bottom, lower, False))
+        if bound.peak.max() > (high - most if up else least - low) + BEYOND
+    ]
+    settled = upper.settled and lower.settled
+    verdict: Verdict = "proven" if settled and not escapes else "not decided"
+    if any(one.word is not None for one in escapes):
+        verdict = "refuted"
+    return Bounds(low, high, start, verdict, _read(model, graph, upper, lower), tuple(escapes), settled)
+
+
+_ROUNDS = 200
+
+
+def _bound(graph: Graph, start: float, *, up: bool) -> tuple[Side, Bound]:
+    """The side and its bounds, from X at `start` (degC).
+
+    A housing is never beyond the farthest X. That is first looked for without any, and then raised until it holds with
+    a housing that is as far; under stays of any length it holds at once.
+    """
+    sign = 1.0 if up else -1.0
+    side = side_of(graph, up=up)
+    found = climb(side, sign * start)
+    if not any(room.push is not None and room.push.coupling for room in graph.envelopes):
+        return side, found
+    reach = float(found.peak.max())
+    for _ in range(_ROUNDS):
+        if isinf(reach):
+            return side, found
+        side = side_of(graph, up=up, housing=sign * reach)
+        found = climb(side, sign * start)
+        beyond = float(found.peak.max()) - reach
+        if beyond <= 0.0:
+            return side, found
+        reach += 1.5 * beyond + 1e-9
+    return side, replace(found, settled=False)
+
+
+def _read(model: Model, graph: Graph, upper: Bound, lower: Bound) -> dict[str, Range]:
+    """What the sensor may read in each location: after a lag what was anywhere, after a dead time what was before."""
+    least, most = offset_range(model.sha)
+    found = {name: (low + least, high + most) for name, (low, high) in intervals(graph, upper, lower).items()}
+    if of_kind(model.sha, "sensor-lag") is None and not dead_time(model.sha):
+        return found
+    lows, highs = zip(*found.values(), strict=True)
+    return dict.fromkeys(found, (min(lows), max(highs)))
+
+
+def _kindest(room: Envelope, location: Location, within: Range, doubt: float) -> Envelope:
+    """The location with means for what is drawn, and its targets as near to the range as its own doubt lets them be.
+
+    The upper and the lower side are each given the benefit apart, so that the ends of `m` may change places.
+    """
+    middle, law = mode_parameter(location)[0], drawn_temperature(location)
+    plain = replace(room, m=(middle, middle), fresh=None if law is None else (mean(law), mean(law)))
+    if room.flow.kind not in RELAXING:
+        return plain
+    if room.push is not None:
+        lowest, highest = (_nearest(room, middle, within[int(up)], doubt, up=up) for up in (False, True))
+        return replace(plain, m=(lowest, highest))
+    below, above = (min(max(way, 0.0), doubt) for way in (middle - room.m[0], room.m[1] - middle))
+    up = min(max(plain.target(up=True) - within[1], 0.0), below)
+    down = min(max(within[0] - plain.target(up=False), 0.0), above)
+    return replace(plain, m=(middle + down, middle - up))
+
+
+def _nearest(room: Envelope, middle: float, border: float, doubt: float, *, up: bool) -> float:
+    """The m nearest to its mean, `middle`, at which X settles inside of `border`, among those that the doubt allows.
+
+    Losses stand between m and where X settles, so it is looked for by bisection.
+    """
+    end = min(max(room.m[int(not up)], middle - doubt), middle + doubt)
+
+    def beyond(m: float) -> bool:
+        drift = replace(room, m=(m, m)).drift(up)
+        reach = middle if drift is None else drift.rest[0] if up else drift.rest[1]
+        return reach > border if up else reach < border
+
+    if not beyond(middle):
+        return middle
+    for _ in range(50):
+        half = 0.5 * (middle + end)
+        middle, end = (half, end) if beyond(half) else (middle, half)
+    return end
+
+
+def _escape(model: Model, side: Side, bound: Bound, start: float, within: Range, assumptions: Assumptions) -> Escape:
+    """The way out on one side; a word counts only when its text, read and replayed, really leaves."""
+    up = side.sign > 0
+    shift = offset_range(model.sha)[int(up)]
+    reach = side.sign * float(np.max(bound.peak)) + shift
+    bare = side_of(side.graph, up=up)  # a housing as hot as can be would lead ways that no run can go
+    word = escape(bare, side.sign * start, side.sign * (within[int(up)] - shift))
+    for one in () if word is None else variants(model, side.graph, word, worn_for(assumptions)):
+        read = parse_word(word_text(one))
+        try:
+            visit = replay(model, read, assumptions.policy).leaves(*within)
+        except ValueError:
+            if not model.sha.effects:
+                raise
+            continue  # too long to be followed under a thermostat or radiation
+        if visit is not None:
+            return Escape(up, reach, read, visit.location, read.end)
+    return Escape(up, reach)
+
+
+def noise_band(model: Model, z: float) -> tuple[float, Mapping[str, float]]:
+    """(z standard deviations at which the noise of relaxing flows settles, location -> noise of the others).
+
+    The variance of a relaxing flow tends to noise^2 / (2k) from wherever it starts; that of any other flow grows with
+    the time spent, at the given degC/sqrt(s). Locations without noise are left out.
+    """
+    flows = {location.name: location.flow for location in in_sensor_scale(model).sha.locations}
+    noisy = {name: flow for name, flow in flows.items() if flow.params["noise"] > 0}
+    settled = [flow.params["noise"] / sqrt(2.0 * flow.params["k"]) for flow in noisy.values() if flow.kind in RELAXING]
+    walking = {name: flow.params["noise"] for name, flow in noisy.items() if flow.kind not in RELAXING}
+    return z * max(settled, default=0.0), walking

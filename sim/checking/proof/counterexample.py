@@ -1,0 +1,176 @@
+"""A timed word that leads out of a range, where the bounds say that there is one: found again move by move, forwards.
+
+The bounds (`reach`) are limits; a word has finitely many stays of finite length. So the same equations are followed
+from the start with finite stays, keeping the best way to each location for every number of events, until a stay leaves
+the range. The last stay is cut where it has gone half-way beyond the border (at most 1 degC).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from math import ceil, inf, isinf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.checking.proof.envelope import DAY, Envelope
+from sim.checking.proof.reach import Graph, Side, best_moves
+from sim.checking.proof.word import Step, TimedWord
+from sim.sha.flows import RELAXING
+from sim.sha.model import Model
+
+MOST_STAYS = 5_000
+"""Stays of a counterexample at most."""
+BEYOND = 1e-6
+"""degC by which a bound must pass the border to count as outside."""
+_PATIENCE = (5.0, 10.0, 20.0, 40.0)
+"""Time constants for which a relaxing flow is followed; after the last a float cannot tell it from its target."""
+_LONGEST = (1e4, 1e6, 1e8)
+"""Seconds for which a drift outwards is followed; the shortest that does is taken."""
+_PACE = 200
+"""Stays after which it is asked whether, at the pace of as many stays before, the rest can be enough."""
+_FOREVER = 1e12
+_LONGER = (0.0, 600.0, 3600.0, 6.0 * 3600.0, DAY, 7.0 * DAY)
+"""Seconds by which the last stay is made longer where effects act: lags and housings are slower than the bounds."""
+
+
+def escape(side: Side, start: float, border: float) -> TimedWord | None:
+    """A word whose temperature passes `border` (both with the side's sign); None if none is found in MOST_STAYS.
+
+    To be asked only where the bounds pass the border by more than BEYOND.
+    """
+    for longest in _LONGEST:
+        path = _way_out(_finite(side, _PATIENCE[-1], longest), start, border + 0.5 * BEYOND)
+        if path:
+            words = (_along(side, _finite(side, patience, longest), path, start, border) for patience in _PATIENCE)
+            return next((word for word in words if word is not None), None)
+    return None
+
+
+def variants(model: Model, graph: Graph, word: TimedWord, horizon: float) -> Iterator[TimedWord]:
+    """The word itself and, where effects act, with a longer last stay and at the times at which wear and sensor are
+    said to be worst; a wear is followed for `horizon` seconds.
+    """
+    sha = model.sha
+    if not sha.effects:
+        yield word
+        return
+    marks = [one.params["at"] for one in sha.effects if one.kind == "sensor-offset-step"]
+    worn = [one.params["since"] for one in sha.effects if one.kind == "wear-drift"]
+    # Path and places are one to one, so the last stay's own limit is that of where the word's moves lead.
+    most = max((room.sojourn[1] for room in graph.envelopes), default=inf)
+    for more in _LONGER if isinf(most) else _LONGER[:1]:
+        end = word.end + more
+        clocks = [0.0, *(mark for at in marks for mark in (at - 0.5 * end, at)), *(at + horizon - end for at in worn)]
+        for clock in dict.fromkeys(clocks):
+            first = replace(word.steps[0], clock=clock) if marks or worn else word.steps[0]
+            yield TimedWord((first, *word.steps[1:]), end)
+
+
+def _way_out(side: Side, start: float, border: float) -> list[tuple[int, str]]:
+    """The (location, symbol that leads there) of each stay on the way with the fewest; empty when none is found."""
+    graph = side.graph
+    entry, leaving = np.full((2, side.target.size), -inf)
+    entry[graph.initial] = start
+    ways: list[NDArray[np.int32]] = []
+    changed, highest = [graph.initial], -inf
+    for number in range(MOST_STAYS):
+        peaks = {place: side.peak(place, float(entry[place])) for place in changed}
+        best = max(peaks, key=lambda place: peaks[place])
+        if peaks[best] > border:
+            return _back(graph, ways, best)
+        if number % _PACE == _PACE - 1:
+            if (peaks[best] - highest) * (MOST_STAYS - number) / _PACE < border - peaks[best]:
+                return []
+            highest = peaks[best]
+        for place in changed:
+            leaving[place] = side.leave(place, float(entry[place]))
+        offered, row = best_moves(graph, leaving)
+        offered = np.where((offered > -inf) & ~np.isnan(side.fresh), side.fresh, offered)
+        better = offered > entry
+        if not better.any():
+            return []
+        entry = np.where(better, offered, entry)
+        ways.append(np.where(better, row, -1).astype(np.int32))
+        changed = np.flatnonzero(better).tolist()
+    return []
+
+
+def _finite(side: Side, patience: float, longest: float) -> Side:
+    """The side with endless stays cut off: what relaxes is followed until it has settled, what drifts for `longest`."""
+    rooms = tuple(_cut(room, patience, longest, side.graph.rate) for room in side.graph.envelopes)
+    return replace(side, graph=replace(side.graph, envelopes=rooms))
+
+
+def _cut(room: Envelope, patience: float, longest: float, rate: float) -> Envelope:
+    least, most = room.sojourn
+    if not isinf(most):
+        return room
+    if room.push is not None:
+        return replace(room, sojourn=(least, max(least, _slowly(room, patience, longest))))
+    if room.flow.kind in RELAXING:
+        ramp = 0.0 if isinf(rate) else 1e3 / rate  # under a limited rate the first 1000 degC are run through evenly
+        longest = ceil(patience / room.flow.params["k"] + ramp)
+    return replace(room, sojourn=(least, max(least, longest)))
+
+
+def _slowly(room: Envelope, patience: float, longest: float) -> float:
+    """Seconds for a stay where effects act: time constants of the slower of what the drift relaxes with, if it does."""
+    rates = [
+        drift.at(edge)[1] for up in (True, False) if (drift := room.drift(up)) for edge in drift.rest if not isinf(edge)
+    ]
+    slowest = min((rate for rate in rates if rate > 0), default=0.0)
+    return ceil(patience / slowest) if slowest else longest
+
+
+def _back(graph: Graph, ways: Sequence[NDArray[np.int32]], place: int) -> list[tuple[int, str]]:
+    """The (location, symbol that leads there) of each stay, the first one's symbol empty."""
+    found: list[tuple[int, str]] = []
+    for rows in reversed(ways):
+        row = int(rows[place])
+        if row >= 0:
+            found.append((place, graph.symbol[row]))
+            place = int(graph.source[row])
+    return [(place, ""), *reversed(found)]
+
+
+def _along(side: Side, finite: Side, path: list[tuple[int, str]], start: float, border: float) -> TimedWord | None:
+    x, time, steps = start, 0.0, list[Step]()
+    for number, (place, symbol) in enumerate(path):
+        fresh = float(side.fresh[place])
+        drawn = number > 0 and fresh == fresh
+        x = fresh if drawn else x
+        steps.append(_step(side, place, symbol, time, side.sign * x if drawn or not number else None))
+        if number < len(path) - 1:
+            least, most = finite.graph.envelopes[place].sojourn
+            dt = max((least, most), key=lambda dt: finite.after(place, x, dt))
+            x, time = finite.after(place, x, dt), time + dt
+    last = _crossing(side, path[-1][0], x, border)
+    return None if last is None else TimedWord(tuple(steps), time + last)
+
+
+def _step(side: Side, place: int, symbol: str, time: float, temperature: float | None) -> Step:
+    room = side.graph.envelopes[place]
+    m, inputs = room.corner(side.sign > 0)
+    return Step(time, symbol, None if room.flow.kind == "constant" else m, temperature, inputs)
+
+
+def _crossing(side: Side, place: int, x: float, border: float) -> float | None:
+    """Seconds after which a stay is outside: half-way to its peak, at most 1 degC, beyond the border; None if never."""
+    peak = side.peak(place, x)
+    if not peak > border + 0.25 * BEYOND:
+        return None
+    wanted = border + min(1.0, 0.5 * (peak - border))
+    if x >= wanted:
+        return 0.0
+    most = side.graph.envelopes[place].sojourn[1]
+    high = 1.0
+    while side.after(place, x, min(high, most)) < wanted:
+        high *= 2.0
+        if high > _FOREVER:
+            return None
+    low, high = 0.0, min(high, most)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if side.after(place, x, middle) >= wanted else (middle, high)
+    rounded = ceil(10.0 * high) / 10.0
+    return rounded if rounded <= most else high

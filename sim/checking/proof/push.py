@@ -1,0 +1,249 @@
+"""What the effects do to a location's drift: ranges of heats, losses and sinks, as the signals' ranges allow them.
+
+Heats that read the same signal are bounded together, cell by cell of its range. A loss lies between that of the pump's
+least and greatest value. The housing is as warm as anything was, a thermostat that may be open or closed does the more.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sim.checking.proof.drift import Drift, Pair, added
+from sim.effects.kinds import acts_in, parameter
+from sim.engine.terms import steady
+from sim.sha.automaton import SHA, Effect, Flow, Location
+from sim.sha.flows import RELAXING
+from sim.sha.trace import Array
+
+Range = tuple[float, float]
+Reader = Callable[[Array], Array]
+
+CELLS = 32
+"""Parts of a signal's range in which the heats that read it are bounded each by itself."""
+HOTTEST = 1e4
+"""Kelvins up to which radiation is bounded closely."""
+STEEP = 1e3
+"""1/s: how a lower bound falls beyond."""
+_HEATS = (
+    "current-heating",
+    "quadratic-current-heating",
+    "current-saturation",
+    "torque-friction",
+    "speed-friction",
+    "vibration-friction",
+    "ambient-coupling",
+)
+_LOSSES = ("feed-temperature-coupling", "pump-cooling")
+_OTHERS = ("startup-churning", "wear-drift", "housing-thermal-mass", "thermostatic-cooling", "radiation-loss")
+_ALL = (*_HEATS, *_LOSSES, *_OTHERS)
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """A heat -loss (X - sink), both within ranges (1/s, degC)."""
+
+    loss: Range
+    sink: Range
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """What effects add in one location: `heat` (degC/s), the flow's own inputs among it; `losses`; `coupling` (1/s).
+
+    `signals` are the values that give the least and the greatest drift, as far as constant ones can. `around` (degC) is
+    the range of what is radiated to.
+    """
+
+    heat: Range
+    signals: tuple[Mapping[str, float], Mapping[str, float]]
+    losses: tuple[Loss, ...]
+    coupling: float = 0.0
+    thermostat: Effect | None = None
+    radiation: Effect | None = None
+    around: Range = (0.0, 0.0)
+
+
+def push_of(sha: SHA, location: Location, m: Range, ranges: Callable[[str], Range], horizon: float) -> Push | None:
+    """What acts in the location; None where nothing does. `ranges` gives that of each signal that is read there.
+
+    `m` is the range of the mode parameter, `horizon` (s) how long wear goes on.
+    """
+    acting = {kind: [one for one in sha.effects if one.kind == kind and acts_in(one, location.name)] for kind in _ALL}
+    if not any(acting.values()):
+        return None
+    losses = [one for kind in _LOSSES for one in acting[kind]]
+    low, high, chosen = _heated(location.flow, [one for kind in _HEATS for one in acting[kind]], ranges)
+    for effect in (*acting["startup-churning"], *acting["wear-drift"]):
+        most = effect.params["gain"] * (horizon if effect.kind == "wear-drift" else 1.0)
+        low, high = low + min(most, 0.0), high + max(most, 0.0)
+    pulls = tuple(_loss(effect, ranges) for effect in losses)
+    for side in (0, 1):
+        alone = _alone(location.flow, m, (low, high), side)
+        for effect, pull in zip(losses, pulls, strict=True):
+            chosen[side].update(_loss_signals(effect, pull.sink, ranges, alone, side))
+    radiation, around = next(iter(acting["radiation-loss"]), None), (0.0, 0.0)
+    if radiation is not None:
+        around = _temperature(radiation, "ambient", "surroundings", ranges)
+        for name in radiation.signals.values():
+            for side in (0, 1):
+                chosen[side].setdefault(name, ranges(name)[side])
+    return Push(
+        heat=(low, high),
+        signals=chosen,
+        losses=pulls,
+        coupling=sum(one.params["coupling"] for one in acting["housing-thermal-mass"]),
+        thermostat=next(iter(acting["thermostatic-cooling"]), None),
+        radiation=radiation,
+        around=around,
+    )
+
+
+def drift_of(flow: Flow, m: Range, push: Push, *, up: bool, housing: float | None) -> Drift:
+    """The greatest (`up`) or the least drift in X, for a mode parameter within `m`.
+
+    `housing` (degC) is the highest or lowest temperature that the housing may have; None leaves it out.
+    """
+    side = int(up)
+    parts = [_alone(flow, m, push.heat, side)]
+    parts += [_pull(one, up=up) for one in push.losses]
+    if push.coupling and housing is not None:
+        parts.append(Drift((), ((push.coupling * housing, push.coupling),)))
+    if push.thermostat is not None:
+        parts.append(_valve(push.thermostat, up=up))
+    if push.radiation is not None:
+        parts.append(_radiated(push.radiation, push.around[side], up=up))
+    return added(parts)
+
+
+def _alone(flow: Flow, m: Range, heat: Range, side: int) -> Drift:
+    """The flow and the heats without anything lost."""
+    if flow.kind in RELAXING:
+        return Drift((), ((flow.params["k"] * m[side] + heat[side], flow.params["k"]),))
+    drive = m[side] if flow.kind == "linear" else 0.0
+    if flow.kind == "logarithmic":  # it fades from this to 0
+        entered = m[side] / flow.params["t0"]
+        drive = max(entered, 0.0) if side else min(entered, 0.0)
+    return Drift((), ((drive + heat[side], 0.0),))
+
+
+# ------------------------------------------------------------------ heats
+
+
+def _heated(
+    flow: Flow, effects: Sequence[Effect], ranges: Callable[[str], Range]
+) -> tuple[float, float, tuple[dict[str, float], dict[str, float]]]:
+    """(least heat, greatest heat, the signals' values at either), the flow's inputs taken in."""
+    low, high = 0.0, 0.0
+    chosen: tuple[dict[str, float], dict[str, float]] = ({}, {})
+    names = [one.signal for one in flow.inputs] + [signal for one in effects for signal in one.signals.values()]
+    for name in dict.fromkeys(names):
+        readers = [_reader(one) for one in effects if name in one.signals.values()]
+        k = flow.params.get("k", 0.0)
+        readers += [_input(k * one.gain, one.reference) for one in flow.inputs if one.signal == name]
+        bends = [parameter(one, "knee") for one in effects if "knee" in one.params and name in one.signals.values()]
+        grid = _grid(ranges(name), [0.0, *bends])
+        values = np.array([reader(grid) for reader in readers])
+        inside = np.minimum(values[:, :-1], values[:, 1:]), np.maximum(values[:, :-1], values[:, 1:])
+        low, high = low + float(inside[0].sum(axis=0).min()), high + float(inside[1].sum(axis=0).max())
+        total = values.sum(axis=0)
+        chosen[0][name], chosen[1][name] = float(grid[total.argmin()]), float(grid[total.argmax()])
+    return low, high, chosen
+
+
+def _grid(limits: Range, bends: Sequence[float]) -> Array:
+    """Points of a range, `bends` inside it among them: between two, every heat is monotone in the signal."""
+    low, high = limits
+    points = {*np.linspace(low, high, CELLS + 1).tolist(), *(bend for bend in bends if low < bend < high)}
+    return np.array(sorted(points) if high > low else [low, low])
+
+
+def _reader(effect: Effect) -> Reader:
+    (name,) = effect.signals.values()
+    return lambda grid: np.asarray(steady(effect, {name: grid})[0])
+
+
+def _input(gain: float, reference: float) -> Reader:
+    return lambda grid: np.asarray(gain * (grid - reference))
+
+
+# ------------------------------------------------------------------ losses
+
+
+def _loss(effect: Effect, ranges: Callable[[str], Range]) -> Loss:
+    pumps = ranges(effect.signals["pump"]) if "pump" in effect.signals else (1.0, 1.0)
+    least, most = (effect.params["loss"] * max(pump, 0.0) for pump in pumps)
+    if effect.kind == "pump-cooling":
+        return Loss((least, most), _temperature(effect, "sink", "sink", ranges))
+    return Loss((least, most), _temperature(effect, "feed", "", ranges))
+
+
+def _temperature(effect: Effect, role: str, fixed: str, ranges: Callable[[str], Range]) -> Range:
+    """The range of a temperature that a signal gives in the scale of X, or the parameter without one."""
+    if role not in effect.signals:
+        return effect.params[fixed], effect.params[fixed]
+    low, high = ranges(effect.signals[role])
+    scale, shift = parameter(effect, "scale"), parameter(effect, "shift")
+    return scale * low + shift, scale * high + shift
+
+
+def _loss_signals(
+    effect: Effect, sink: Range, ranges: Callable[[str], Range], alone: Drift, side: int
+) -> dict[str, float]:
+    """The values that drive outwards: warm (cold) sinks, and least pumping where the drift `alone` goes beyond them."""
+    a, b = alone.at(sink[side])
+    outward = (a - b * sink[side]) * (1.0 if side else -1.0) > 0
+    found = {}
+    for role, signal in effect.signals.items():
+        low, high = ranges(signal)
+        pumping = max(low if outward else high, 0.0)
+        found[signal] = pumping if role == "pump" else (high if side else low)
+    return found
+
+
+def _pull(one: Loss, *, up: bool) -> Drift:
+    """Below the sink a loss warms, above it cools: which of its strengths is the bound changes there."""
+    sink = one.sink[int(up)]
+    least, most = one.loss
+    below, above = (most, least) if up else (least, most)
+    return Drift((sink,), ((below * sink, below), (above * sink, above)))
+
+
+def _valve(effect: Effect, *, up: bool) -> Drift:
+    """Open at `opens` and above, closed at `closes` and below, between the two whichever does the more."""
+    loss, sink = effect.params["loss"], effect.params["sink"]
+    opens, closes = effect.params["opens"], effect.params["closes"]
+    cooled, idle = (loss * sink, loss), (0.0, 0.0)
+    if not up:
+        return Drift((max(closes, sink),), (idle, cooled))
+    if sink <= closes:
+        return Drift((opens,), (idle, cooled))
+    if sink >= opens:
+        return Drift((), (cooled,))
+    return Drift((sink, opens), (cooled, idle, cooled))
+
+
+def _radiated(effect: Effect, around: float, *, up: bool) -> Drift:
+    """Tangents (`up`) or chords of -gain ((X - zero)^4 - (around - zero)^4), which is concave above zero.
+
+    Below the absolute zero of X's scale nothing is radiated.
+    """
+    gain, zero = effect.params["gain"], parameter(effect, "zero")
+    received = gain * (max(around, zero) - zero) ** 4
+    depths = np.concatenate([np.arange(0.0, 900.0, 2.0), np.geomspace(900.0, HOTTEST, 200)])
+    heats = received - gain * depths**4
+    if up:
+        slopes = 4.0 * gain * depths**3
+        lines = np.column_stack([heats + slopes * (depths + zero), slopes])
+        return _lowest([(received, 0.0), *map(tuple, lines[1:].tolist())])
+    slopes = np.append(-np.diff(heats) / np.diff(depths), STEEP)
+    lines = np.column_stack([heats + slopes * (depths + zero), slopes])
+    return Drift(tuple((depths + zero).tolist()), ((received, 0.0), *map(tuple, lines.tolist())))
+
+
+def _lowest(lines: Sequence[Pair]) -> Drift:
+    """The lowest of lines that grow steeper from one to the next: each begins where it meets the one before it."""
+    steeper = [lines[0], *(after for before, after in pairwise(lines) if after[1] > before[1])]
+    knots = tuple((after[0] - before[0]) / (after[1] - before[1]) for before, after in pairwise(steeper))
+    return Drift(knots, tuple(steeper))

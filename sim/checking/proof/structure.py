@@ -1,0 +1,168 @@
+"""Facts about an automaton's graph, found exhaustively: conflicts, gaps, reachability, dead ends, accepted traces."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from sim.engine.schedule import Policy, resync_targets
+from sim.sha.automaton import SHA
+from sim.sha.trace import UNKNOWN, Event
+
+Move = tuple[str, str, str]
+"""(source, symbol, target)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Acceptance:
+    """How far an automaton follows one trace. All of it is accepted where `index` is None.
+
+    Otherwise event number `index` (counted from 0), `symbol` at `time` (absolute s), has no edge out of `locations`,
+    where the automaton may be by then: one location, or several when it is not deterministic.
+    """
+
+    trace: str
+    events: int
+    index: int | None = None
+    symbol: str = ""
+    time: float = 0.0
+    locations: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """What happened, in words."""
+        if self.index is None:
+            return f"{self.trace}: all {self.events} events accepted"
+        where = " or ".join(repr(name) for name in self.locations)
+        return (
+            f"{self.trace}: stops at event {self.index} of {self.events} ({self.symbol!r} at {self.time:.3f} s), which "
+            f"has no edge out of {where}"
+        )
+
+
+def symbols_of(sha: SHA) -> tuple[str, ...]:
+    """The symbols on the edges, in the order in which they first stand there; UNKNOWN is not among them."""
+    return tuple(dict.fromkeys(edge.symbol for edge in sha.edges if edge.symbol != UNKNOWN))
+
+
+def guarded(sha: SHA) -> list[str]:
+    """One sentence for each edge with a guard."""
+    return [
+        f"edge {edge.source} -{edge.symbol}-> {edge.target} has the guard {edge.guard!r}"
+        for edge in sha.edges
+        if edge.guard
+    ]
+
+
+def missing(sha: SHA, symbols: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Location -> the symbols for which it has no edge; only locations that lack some.
+
+    UNKNOWN is never missing: it leads to the initial location from everywhere, whatever the edges say.
+    """
+    there: dict[str, set[str]] = {location.name: set() for location in sha.locations}
+    for edge in sha.edges:
+        there[edge.source].add(edge.symbol)
+    lacking = {name: tuple(s for s in symbols if s != UNKNOWN and s not in has) for name, has in there.items()}
+    return {name: lacks for name, lacks in lacking.items() if lacks}
+
+
+def moves(sha: SHA, symbols: Sequence[str], policy: Policy, *, unknown: bool = True) -> tuple[Move, ...]:
+    """All that can happen at run time, each once: the edges, then UNKNOWN, and under `resync` what has no edge.
+
+    UNKNOWN leads to the initial location (unless not `unknown`: it never comes); a symbol without an edge to where most
+    edges with it lead.
+    """
+    edges = dict.fromkeys((e.source, e.symbol, e.target) for e in sha.edges if e.symbol != UNKNOWN)
+    lost = [(location.name, UNKNOWN, sha.initial) for location in sha.locations] if unknown else []
+    jumps: list[Move] = []
+    if policy == "resync":
+        fallback = resync_targets(sha)
+        lacking = missing(sha, tuple(dict.fromkeys((*symbols, *symbols_of(sha)))))
+        jumps = [
+            (name, symbol, fallback.get(symbol, sha.initial)) for name, lacks in lacking.items() for symbol in lacks
+        ]
+    return (*edges, *lost, *jumps)
+
+
+def unreachable(sha: SHA) -> tuple[str, ...]:
+    """The locations to which no sequence of edges leads from the initial one, in the automaton's order."""
+    onward = _onward(sha)
+    seen, waiting = {sha.initial}, [sha.initial]
+    while waiting:
+        fresh = onward[waiting.pop()] - seen
+        seen |= fresh
+        waiting += fresh
+    return tuple(location.name for location in sha.locations if location.name not in seen)
+
+
+def dead_ends(sha: SHA) -> tuple[str, ...]:
+    """The locations that no edge leaves (sinks); one whose edges all lead back to itself is a dead end too."""
+    return tuple(name for name, onward in _onward(sha).items() if not onward - {name})
+
+
+def components(sha: SHA) -> tuple[tuple[str, ...], ...]:
+    """The strongly connected components, largest first: sets of locations that can all reach one another."""
+    names = [location.name for location in sha.locations]
+    groups = _groups(sha)
+    found = [tuple(name for name, label in zip(names, groups, strict=True) if label == one) for one in set(groups)]
+    return tuple(sorted(found, key=lambda group: (-len(group), names.index(group[0]))))
+
+
+def traps(sha: SHA) -> tuple[tuple[str, ...], ...]:
+    """The components that are never left once entered, where there are others besides; dead ends are not repeated."""
+    found = components(sha)
+    onward = _onward(sha)
+    if len(found) < 2:
+        return ()
+    ends = set(dead_ends(sha))
+    closed = [group for group in found if set().union(*(onward[name] for name in group)) <= set(group)]
+    return tuple(group for group in closed if not set(group) <= ends)
+
+
+def accept(sha: SHA, events: Sequence[Event], trace: str = "trace") -> Acceptance:
+    """Whether some run of the automaton follows all events: `A<> p_1.next_i == N_E` for the trace's program.
+
+    Guards are text and taken as true. UNKNOWN leads to the initial location.
+    """
+    return accept_all(sha, {trace: events})[0]
+
+
+def accept_all(sha: SHA, words: Mapping[str, Sequence[Event]]) -> tuple[Acceptance, ...]:
+    """`accept` for several traces, by name."""
+    onward: dict[tuple[str, str], set[str]] = {}
+    for edge in sha.edges:
+        onward.setdefault((edge.source, edge.symbol), set()).add(edge.target)
+    return tuple(_followed(sha.initial, onward, events, name) for name, events in words.items())
+
+
+def _followed(
+    initial: str, onward: Mapping[tuple[str, str], Collection[str]], events: Sequence[Event], trace: str
+) -> Acceptance:
+    here = {initial}
+    for index, event in enumerate(events):
+        reached = {target for place in here for target in onward.get((place, event.symbol), ())}
+        if event.symbol == UNKNOWN:
+            reached = {initial}
+        if not reached:
+            return Acceptance(trace, len(events), index, event.symbol, event.time, tuple(sorted(here)))
+        here = reached
+    return Acceptance(trace, len(events))
+
+
+def _onward(sha: SHA) -> dict[str, set[str]]:
+    onward: dict[str, set[str]] = {location.name: set() for location in sha.locations}
+    for edge in sha.edges:
+        onward[edge.source].add(edge.target)
+    return onward
+
+
+def _groups(sha: SHA) -> list[int]:
+    """The number of each location's strongly connected component."""
+    index = {location.name: place for place, location in enumerate(sha.locations)}
+    rows = [index[edge.source] for edge in sha.edges]
+    columns = [index[edge.target] for edge in sha.edges]
+    graph = csr_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(index), len(index)))
+    _, labels = connected_components(graph, directed=True, connection="strong")
+    return [int(label) for label in labels]

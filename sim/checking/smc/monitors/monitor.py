@@ -1,0 +1,323 @@
+"""Monitors: what is noted of runs while they go by, piece after piece, until the answer of each is known.
+
+A monitor sees the pieces of n runs in the order of time. `who` are the runs (rows of the monitor) that a piece's rows
+stand for. `watch` says which lines the temperature is looked at for, so that bridges are drawn for no others.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import inf
+from typing import Protocol
+
+import numpy as np
+
+from sim.checking.query.tree import Expression
+from sim.checking.smc.monitors.formula import TINY, Lines, Value, exists, region, table, value, visited
+from sim.checking.smc.paths.plan import Engine, Indices, Piece, State, with_extremes
+from sim.sha.semi_markov import MOST_STAYS
+from sim.sha.trace import Array, Mask
+
+Watched = tuple[list[tuple[Value, Value]], list[tuple[Value, Value]]]
+KEEP, EVERY = 0.75, 8
+"""Decided runs are left out when fewer than KEEP of them are undecided, which is looked at after EVERY rows."""
+
+
+class Monitor(Protocol):
+    """What the runs are given to."""
+
+    def watch(self, piece: Piece, who: Indices) -> Watched:
+        """The lines looked at from below and from above, at both ends of the piece."""
+        ...
+
+    def see(self, piece: Piece, who: Indices) -> None:
+        """Note what happens in the piece."""
+        ...
+
+    def open(self) -> Mask | None:
+        """The runs whose answer may still change; None: all."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Totals:
+    """What happened to the runs that were followed: clamps, steps at the maximum rate, runs that ran out of stays."""
+
+    clamps: int
+    limited: int
+    cut: int
+
+
+def follow(engine: Engine, monitors: Sequence[Monitor], runs: int, rng: np.random.Generator) -> Totals:
+    """Lead `runs` runs past the monitors from the start to the end; decided runs are left out on the way."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a line at infinity is never reached, one at no number neither
+        return _followed(engine, monitors, runs, rng)
+
+
+def _followed(engine: Engine, monitors: Sequence[Monitor], runs: int, rng: np.random.Generator) -> Totals:
+    state, who = engine.begin(runs, rng), np.arange(runs)
+    clamps = limited = cut = 0
+    for row in range(engine.clock.size - 1):
+        for piece in engine.advance(row, state, rng):
+            show(piece, who if piece.rows is None else who[piece.rows], monitors, rng)
+        if row % EVERY != EVERY - 1:
+            continue
+        undecided = [monitor.open() for monitor in monitors]
+        if any(one is None for one in undecided):
+            continue
+        keep = np.any([one[who] for one in undecided if one is not None], axis=0)
+        if np.count_nonzero(keep) < KEEP * keep.size:
+            gone = _totals(state.take(~keep))
+            clamps, limited, cut = clamps + gone.clamps, limited + gone.limited, cut + gone.cut
+            state, who = state.take(keep), who[keep]
+            if not who.size:
+                break
+    rest = _totals(state)
+    return Totals(clamps + rest.clamps, limited + rest.limited, cut + rest.cut)
+
+
+def _totals(state: State) -> Totals:
+    return Totals(int(state.clamps.sum()), int(state.limited.sum()), int((state.stays >= MOST_STAYS).sum()))
+
+
+def show(piece: Piece, who: Indices, monitors: Sequence[Monitor], rng: np.random.Generator) -> None:
+    """Draw the extremes that some monitor looks at, and give the piece to all."""
+    ups: list[tuple[Value, Value]] = []
+    downs: list[tuple[Value, Value]] = []
+    for monitor in monitors:
+        more_ups, more_downs = monitor.watch(piece, who)
+        ups += more_ups
+        downs += more_downs
+    if ups or downs:
+        with_extremes(piece, ups, downs, rng)
+    for monitor in monitors:
+        monitor.see(piece, who)
+
+
+def inside(piece: Piece, low: float, high: float) -> bool:
+    """Whether the piece lies in low..high; all of a piece's runs are in the same row of time, cut at both ends."""
+    middle = piece.middle
+    if isinstance(middle, np.ndarray):
+        middle = float(middle[0])
+    return low - 1e-9 <= middle <= high + 1e-9
+
+
+def _watched(lines: Lines, piece: Piece) -> Watched:
+    ups = [lines.lines[index].ends(piece) for index, up in lines.watched if up]
+    return ups, [lines.lines[index].ends(piece) for index, up in lines.watched if not up]
+
+
+@dataclass(slots=True)
+class Reach:
+    """Whether a formula comes true within low..high (s), and by when (s; inf where not): the end of that piece, or its
+    begin where it is true from there on."""
+
+    lines: Lines
+    low: float
+    high: float
+    found: Mask
+    when: Array
+
+    def watch(self, piece: Piece, who: Indices) -> Watched:
+        """The formula's lines, within the span."""
+        return _watched(self.lines, piece) if inside(piece, self.low, self.high) else ([], [])
+
+    def see(self, piece: Piece, who: Indices) -> None:
+        """Note the runs in which the formula is true somewhere."""
+        if not inside(piece, self.low, self.high):
+            return
+        met = exists(self.lines, 0, piece)
+        if met is False:
+            return
+        rows = np.arange(who.size) if met is True else np.flatnonzero(met)
+        new = rows[~self.found[who[rows]]]
+        self.found[who[new]] = True
+        if new.size:
+            part = _part(piece, new)
+            at_start = _true_in(table(self.lines, 0, part), region(self.lines, part, at_end=False))
+            self.when[who[new]] = np.where(at_start, part.begin, part.begin + part.dt)
+
+    def open(self) -> Mask | None:
+        """The runs in which it has not been true."""
+        return ~self.found
+
+
+@dataclass(slots=True)
+class Holds:
+    """Whether `hold` (formula 0, negated) lasts until `goal` (formula 1) within low..high (s).
+
+    Within a piece the nearer of two lines on the same side comes first. Where goal and end of hold lie on both sides
+    of the path and it reaches both in one piece, the order is not known: counted as not reached, and in `unclear`.
+    """
+
+    lines: Lines
+    low: float
+    high: float
+    found: Mask
+    broken: Mask
+    when: Array
+    unclear: int = 0
+
+    def watch(self, piece: Piece, who: Indices) -> Watched:
+        """The lines of both formulas, up to the span's end."""
+        return _watched(self.lines, piece) if inside(piece, 0.0, self.high) else ([], [])
+
+    def see(self, piece: Piece, who: Indices) -> None:
+        """Note where the goal is reached and where hold has ended."""
+        if not inside(piece, 0.0, self.high):
+            return
+        n = who.size
+        low, high = visited(self.lines, piece)
+        here = region(self.lines, piece, at_end=False)
+        ends, goal = (_nearest(table(self.lines, which, piece), here, n) for which in (0, 1))
+        up, down = ends[0] <= high, ends[1] >= low
+        late = inside(piece, self.low, self.high)
+        rise = (goal[0] <= high) & (goal[0] <= ends[0]) & late
+        fall = (goal[1] >= low) & (goal[1] >= ends[1]) & late
+        at_once = (goal[0] == here) & late
+        torn = ~at_once & ((rise & down & ~fall) | (fall & up & ~rise))
+        alive = ~self.found[who] & ~self.broken[who]
+        self.unclear += int(np.count_nonzero(torn & alive))
+        success = alive & (at_once | ((rise | fall) & ~torn))
+        self.found[who[success]] = True
+        by = np.where(at_once, piece.begin, piece.begin + piece.dt)
+        self.when[who[success]] = by[success]
+        self.broken[who[alive & ~success & (up | down)]] = True
+
+    def open(self) -> Mask | None:
+        """The runs in which neither has come."""
+        return ~(self.found | self.broken)
+
+
+def _nearest(truth: Mask, here: Indices, runs: int) -> tuple[Indices, Indices]:
+    """(n,) the first true region at or above the runs' own, and at or below; beyond all where there is none."""
+    count = truth.shape[0]
+    wide = truth if truth.ndim == 2 else np.broadcast_to(truth[:, None], (count, runs))
+    above, below = np.full((count + 1, runs), count), np.full((count + 1, runs), -1)
+    for index in range(count):
+        below[index] = np.where(wide[index], index, below[index - 1] if index else -1)
+        back = count - 1 - index
+        above[back] = np.where(wide[back], back, above[back + 1])
+    columns = np.arange(runs)
+    return above[here, columns], below[here, columns]
+
+
+@dataclass(slots=True)
+class Answered:
+    """Whether each instant of `cause` (formula 0) is followed by `effect` (formula 1) low..high s later.
+
+    Kept piece by piece and judged at the end (`failed`). An instant inside a piece is known to within the piece.
+    """
+
+    lines: Lines
+    low: float
+    high: float
+    bound: float
+    runs: int
+    first: list[Array] = field(default_factory=list)
+    last: list[Array] = field(default_factory=list)
+    causes: list[Array] = field(default_factory=list)
+
+    def watch(self, piece: Piece, who: Indices) -> Watched:
+        """The lines of both formulas."""
+        return _watched(self.lines, piece)
+
+    def see(self, piece: Piece, who: Indices) -> None:
+        """Note the piece's earliest and latest instant of the effect and an instant of the cause."""
+        n = who.size
+        begin, middle = (np.broadcast_to(np.asarray(one, dtype=float), (n,)) for one in (piece.begin, piece.middle))
+        stop = np.broadcast_to(np.asarray(piece.begin + piece.dt), (n,))
+        here, there = (region(self.lines, piece, at_end=at_end) for at_end in (False, True))
+        spans = []
+        for which in (0, 1):
+            met = np.broadcast_to(exists(self.lines, which, piece), (n,))
+            at_start, at_end = (_true_in(table(self.lines, which, piece), where) for where in (here, there))
+            first = np.where(at_start, begin, np.where(met, middle, inf))
+            last = np.where(at_end, stop, np.where(at_start & ~met, begin, np.where(met, middle, -inf)))
+            spans.append((first, last))
+        self.causes.append(self._spread(spans[0][0], who, inf))
+        self.first.append(self._spread(spans[1][0], who, inf))
+        self.last.append(self._spread(spans[1][1], who, -inf))
+
+    def _spread(self, values: Array, who: Indices, missing: float) -> Array:
+        whole = np.full(self.runs, missing)
+        whole[who] = values
+        return whole
+
+    def open(self) -> Mask | None:
+        """All: what comes last may be a cause without effect."""
+        return None
+
+    def failed(self) -> Mask:
+        """(n,) the runs in which some cause had no effect in time; causes too late to tell count as answered."""
+        failed = np.zeros(self.runs, dtype=np.bool_)
+        pointer = np.zeros(self.runs, dtype=np.intp)
+        first, last = (
+            np.vstack([*self.first, np.full(self.runs, inf)]),
+            np.vstack([*self.last, np.full(self.runs, inf)]),
+        )
+        columns = np.arange(self.runs)
+        for cause in self.causes:
+            asked = (cause + self.high <= self.bound + 1e-9) & ~failed
+            target = np.where(asked, cause + self.low, -inf)
+            while np.any(behind := last[pointer, columns] < target - 1e-9):
+                pointer += behind
+            answer = np.maximum(first[pointer, columns], target)
+            failed |= asked & (answer > cause + self.high + 1e-9)
+        return failed
+
+
+def _part(piece: Piece, rows: Indices) -> Piece:
+    """Some rows of a piece, without its extremes."""
+
+    def of(column: Value) -> Value:
+        return column[rows] if isinstance(column, np.ndarray) else column
+
+    location = piece.location if isinstance(piece.location, int) else piece.location[rows]
+    times = of(piece.begin), of(piece.dt), of(piece.age)
+    return Piece(None, *times, location, piece.start[rows], piece.end[rows], of(piece.bridge))
+
+
+def _true_in(truth: Mask, where: Indices) -> Mask:
+    return np.asarray(truth[where] if truth.ndim == 1 else truth[where, np.arange(where.size)])
+
+
+@dataclass(slots=True)
+class Extreme:
+    """The greatest (sign 1) or least (sign -1) value of factor * temperature + rest on the way, in `best` (n,)."""
+
+    factor: float
+    rest: Expression
+    sign: float
+    best: Array
+
+    def _ends(self, piece: Piece, runs: int) -> tuple[Array, Array, Value, Value]:
+        """sign * expression at both ends of the piece, (n,), and the parts without temperature."""
+        later = piece.begin + piece.dt, piece.age + piece.dt
+        rest = value(self.rest, 0.0, piece.begin, piece.age), value(self.rest, 0.0, *later)
+        first, last = self.factor * piece.start + rest[0], self.factor * piece.end + rest[1]
+        return self.sign * np.broadcast_to(first, (runs,)), self.sign * np.broadcast_to(last, (runs,)), *rest
+
+    def watch(self, piece: Piece, who: Indices) -> Watched:
+        """The temperatures at which the expression is just beyond the best so far, the piece's ends included."""
+        first, last, before, after = self._ends(piece, who.size)
+        self.best[who] = np.maximum(self.best[who], np.maximum(first, last))
+        if self.factor == 0.0:
+            return [], []
+        beyond = self.best[who] + TINY * (1.0 + np.abs(self.best[who]))
+        line = ((self.sign * beyond - before) / self.factor, (self.sign * beyond - after) / self.factor)
+        return ([line], []) if self.sign * self.factor > 0 else ([], [line])
+
+    def see(self, piece: Piece, who: Indices) -> None:
+        """Raise the best so far by what the bridges reach between the piece's ends, which `watch` has seen."""
+        drawn = piece.rise if self.sign * self.factor > 0 else piece.fall
+        if drawn is None:
+            return
+        rows, e = drawn
+        first, last, *_ = self._ends(piece, who.size)
+        bridge = (piece.bridge[rows] if isinstance(piece.bridge, np.ndarray) else piece.bridge) * self.factor**2
+        top = 0.5 * (first[rows] + last[rows] + np.sqrt((last[rows] - first[rows]) ** 2 + 2.0 * bridge * e))
+        self.best[who[rows]] = np.maximum(self.best[who[rows]], top)
+
+    def open(self) -> Mask | None:
+        """All."""
+        return None

@@ -1,0 +1,215 @@
+"""Runs under effects whose events are known: the simulator's own steps, short enough that a query can look at them.
+
+Every run has its own X, housing, lags, thermostat and m. Steps are those of `sim.sha.augmented`, at most LONGEST s
+and 0.05 of the fastest time constant where the temperature counts. In between the path of X is the bridge of its
+noise about a straight line; after a lag it is smooth, and its extremes are those of the steps' ends.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import inf, isfinite, nextafter
+
+import numpy as np
+
+from sim.checking.smc.paths.known import MOST_ROWS, Cuts, crossings, notes_of
+from sim.checking.smc.paths.plan import FINE, LEAST_DECAY, LONGEST, Indices, Piece, State, World
+from sim.checking.smc.paths.tilting import Tilts
+from sim.effects.kinds import dead_time, sensor_offsets
+from sim.engine.belief_state import Hidden
+from sim.engine.course import start_state
+from sim.engine.cuts import fastest
+from sim.engine.kernel import move
+from sim.engine.plant import compile_plant
+from sim.engine.runs import Plan, augmented_plan
+from sim.engine.schedule import Schedule, schedule
+from sim.sha import distributions
+from sim.sha.automaton import SHA, Effect
+from sim.sha.entry import mode_parameter
+from sim.sha.trace import UNKNOWN, Array, Event
+
+
+@dataclass(frozen=True, slots=True)
+class Augmented:
+    """The engine (`paths.Engine`); `clock` (s since the start) and the offsets `before` and `after` each row (degC).
+
+    `bridge` (rows,) is V of each step's noise in X; 0 behind a lag.
+    """
+
+    world: World
+    plan: Plan
+    clock: Array
+    before: Array
+    after: Array
+    bridge: Array
+    notes: tuple[str, ...]
+    columns: int = 0
+
+    def tilted(self, tilts: Tilts) -> "Augmented":
+        """Never asked for: there are no columns."""
+        raise ValueError("runs under effects have no mode parameters that may be drawn by laws of their own")
+
+    def begin(self, runs: int, rng: np.random.Generator) -> State:
+        """`runs` runs at the start; `State.hidden` has X, housing, lags, and whether the thermostat is open."""
+        plant, belief = self.plan.plant, self.world.belief
+        opened = np.zeros(runs)
+        if belief is None:
+            s = start_state(plant, distributions.draw(self.world.first, runs, rng), float(self.before[0]))
+            mode = _mode(self.plan, self.world.location, runs, rng)
+        else:
+            hidden = belief.hidden or Hidden((), ())
+            values, vectors = np.linalg.eigh(np.array(hidden.covariance))
+            drawn = rng.standard_normal((runs, len(hidden.mean))) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+            drawn = np.array(hidden.mean) + drawn
+            s, mode, opened = drawn[:, :-1], drawn[:, -1], np.full(runs, float(hidden.opened))
+        clamps = np.zeros(runs, dtype=np.intp)
+        _clamp(self.plan.schedule.sha, s, clamps)
+        x = s[:, plant.sensed] + self.before[0]
+        return State(x, mode, clamps, np.zeros(runs, dtype=np.intp), hidden=np.column_stack([s, opened]))
+
+    def advance(self, row: int, state: State, rng: np.random.Generator) -> Iterator[Piece]:
+        """The one piece of a row."""
+        plan, schedule_ = self.plan, self.plan.schedule
+        plant, place, dt = plan.plant, int(schedule_.location[row]), float(schedule_.dt[row])
+        s, opened = state.hidden[:, :-1].copy(), state.hidden[:, -1] > 0.5
+        runs = len(s)
+        if row and schedule_.entry[row]:
+            law = plan.temperature_laws[place]
+            if law is not None:
+                s[:, 0] = distributions.draw(law, runs, rng)
+                _clamp(schedule_.sha, s, state.clamps)
+            state.mode = _mode(plan, place, runs, rng)
+        start = s[:, plant.sensed] + self.before[row]
+        if dt > 0:
+            drawn = rng.standard_normal((runs, plant.size))
+            push = np.where(opened[:, None], drawn @ plan.open[row].T, drawn @ plan.closed[row].T)
+            moved = move(plant, plan.steps, row, s, state.mode, opened, push)
+            s, opened = moved.s, moved.opened
+            state.limited += moved.met
+            _clamp(schedule_.sha, s, state.clamps)
+        state.hidden = np.column_stack([s, opened])
+        state.x = s[:, plant.sensed] + self.after[row]
+        age = float(schedule_.age[row])
+        yield Piece(None, float(self.clock[row]), dt, age, place, start, state.x, float(self.bridge[row]))
+
+
+def _mode(plan: Plan, place: int, runs: int, rng: np.random.Generator) -> Array:
+    law = plan.mode_laws[place]
+    if law is not None:
+        return distributions.draw(law, runs, rng)
+    return np.full(runs, mode_parameter(plan.schedule.sha.locations[place])[0])
+
+
+def _clamp(sha: SHA, s: Array, clamps: Indices) -> None:
+    """Puts X back into the range, in place, and counts."""
+    outside = (s[:, 0] < sha.low) | (s[:, 0] > sha.high)
+    if outside.any():
+        clamps += outside
+        s[:, 0] = np.clip(s[:, 0], sha.low, sha.high)
+
+
+def augmented(world: World, cuts: Cuts) -> Augmented:
+    """The engine along the events and signals of `world.trace`. Raises ValueError as `schedule` does."""
+    trace = world.trace
+    if trace is None:
+        raise ValueError(
+            f"model {world.sha.name!r} has effects, whose signals the semi-Markov law does not give: let a trace drive "
+            f"the runs (--events FILE, from its first reading or --from trace:SECONDS, --future recorded)"
+        )
+    delay, sha = dead_time(world.sha), relative(world.sha, world.begin)
+    shift = delay - world.begin
+    inputs = replace(trace, times=trace.times + shift, events=())
+    events = _felt(world, [Event(event.time + shift, event.symbol) for event in trace.events])
+    coarse = schedule(sha, events, [cuts.bound], start=0.0, inputs=inputs, policy="resync")
+    outputs = _outputs(coarse, cuts, sha)
+    steps = schedule(sha, events, outputs, start=0.0, inputs=inputs, policy="resync")
+    if world.belief is not None and steps.location[0] != world.location:
+        raise ValueError(f"trace {trace.name!r}: its events do not lead to the location that the belief is in")
+    if steps.dt.size > MOST_ROWS:
+        raise ValueError(
+            f"the query needs {steps.dt.size} steps a run, above {MOST_ROWS}: ask for a shorter bound or interval"
+        )
+    plan = augmented_plan(steps, world.belief.x if world.belief is not None else distributions.mean(world.first))
+    clock = np.concatenate([[0.0], np.cumsum(steps.dt)])
+    begins = steps.segments.time if steps.segments is not None else clock[:-1]
+    closed = plan.steps.closed
+    bridge = closed.noise[:, 0, 0] / np.maximum(closed.phi[:, 0, 0], LEAST_DECAY)
+    return Augmented(
+        world=world,
+        plan=plan,
+        clock=clock,
+        before=sensor_offsets(sha, begins),
+        after=sensor_offsets(sha, begins + steps.dt - np.where(steps.dt > 0, 1e-9, 0.0)),
+        bridge=np.zeros_like(bridge) if plan.plant.lags else bridge,
+        notes=(*notes_of(trace, world, cuts.bound, len(steps.unmatched)), *_approximate(plan)),
+    )
+
+
+def relative(sha: SHA, begin: float) -> SHA:
+    """The automaton on a clock that is 0 at `begin` (absolute s), its dead time being in the events already."""
+    return replace(sha, effects=tuple(_moved(effect, begin) for effect in sha.effects))
+
+
+def _moved(effect: Effect, begin: float) -> Effect:
+    params = {name: value - begin if name in ("since", "at") else value for name, value in effect.params.items()}
+    if effect.kind == "dead-time":
+        params = {"delay": 0.0}
+    return replace(effect, params=params)
+
+
+def _felt(world: World, events: list[Event]) -> list[Event]:
+    """Events in s since the start; what a belief has felt already lies before it."""
+    if world.belief is None:
+        return events
+    settled = nextafter(0.0, -1.0)
+    moved = [Event(settled, event.symbol) if event.time == 0.0 else event for event in events]
+    if world.age > 0.0 and not any(event.time < 0.0 for event in moved):
+        return [Event(-world.age, UNKNOWN), *moved]
+    return moved
+
+
+def _outputs(coarse: Schedule, cuts: Cuts, sha: SHA) -> Array:
+    """Where steps must end; twice where an instant counts or the sensor steps."""
+    begins = np.concatenate([[0.0], np.cumsum(coarse.dt)])[:-1]
+    part = FINE / np.maximum(_fast(sha), 1e-12)
+    points = [np.array([cuts.bound])]
+    instants = {time for time in cuts.instants if 0.0 <= time <= cuts.bound}
+    instants |= {
+        one.params["at"]
+        for one in sha.effects
+        if one.kind == "sensor-offset-step" and 0.0 < one.params["at"] < cuts.bound
+    }
+    for first, dt, age, place in zip(begins, coarse.dt, coarse.age, coarse.location, strict=True):
+        longest = min(LONGEST, float(part[place]), cuts.longest)
+        for low, high in cuts.looked:
+            left, right = max(float(first), low), min(float(first + dt), high)
+            if right > left:
+                count = int(np.ceil((right - left) / longest))
+                if count > MOST_ROWS:
+                    raise ValueError(f"the query needs more than {MOST_ROWS} steps a run: ask for a shorter bound")
+                points.append(np.linspace(left, right, count + 1)[1:])
+        instants |= set(crossings(cuts.clocks, float(first), float(dt), float(age)))
+    doubled = np.repeat(np.array(sorted(instants)), 2)
+    singles = np.unique(np.concatenate(points))
+    near = np.isin(np.round(singles, 9), np.round(np.concatenate([doubled, begins]), 9)) & (singles < cuts.bound)
+    singles = singles[~near & ~np.isin(singles, doubled)]
+    return np.sort(np.concatenate([singles, doubled]))
+
+
+def _fast(sha: SHA) -> Array:
+    plant = compile_plant(sha)
+    speed = fastest(plant)
+    if plant.lags:
+        speed = np.maximum(speed, plant.lag_rate)
+    if isfinite(plant.housing_tau):
+        speed = np.maximum(speed, 1.0 / plant.housing_tau)
+    return speed
+
+
+def _approximate(plan: Plan) -> Iterator[str]:
+    """What the runs only come near to."""
+    if plan.plant.thermostat is not None or plan.plant.radiation is not None:
+        yield "thermostat and radiation are followed run by run, the noise of a step being that of its begin"
+    if plan.plant.lags:
+        yield "behind the sensor's lag the path is smooth: its extremes are those of the steps' ends"
+    if plan.schedule.sha.max_rate < inf:
+        yield "the maximum rate holds for the mean slope of each step"

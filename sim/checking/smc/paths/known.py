@@ -1,0 +1,298 @@
+"""Runs whose events are known: one plan of exact steps for all of them, cut where a query looks at them."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import ceil, inf, isfinite, log1p, nextafter, sqrt
+
+import numpy as np
+
+from sim.checking.smc.paths.plan import LEAST_DECAY, Indices, Piece, State, World, clamp, draw_start, limit
+from sim.checking.smc.paths.tilting import Tilts, chosen, scored, start_at, start_tiltable, tiltable
+from sim.engine.schedule import Schedule, schedule, step_coefficients
+from sim.sha import distributions, flows
+from sim.sha.automaton import Distribution, Flow
+from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
+from sim.sha.trace import UNKNOWN, Array, Event, Mask, Trace
+
+MOST_ROWS = 200_000
+"""Steps of one run; a query that needs more is refused."""
+
+Affine = tuple[float, float, float]
+
+_SAME = 1e-9
+"""Seconds within which two ends of steps are one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cuts:
+    """Where the steps of a query over `bound` seconds must end: `instants` (s) and, in each stay, where an affine
+    c + t * time + g * age of `clocks` is 0; those are steps of length 0 too. In `looked` ((from, to), s) the
+    temperature counts: steps are as short as their flow demands, and at most `longest` (s).
+    """
+
+    bound: float
+    instants: tuple[float, ...] = ()
+    clocks: tuple[Affine, ...] = ()
+    looked: tuple[tuple[float, float], ...] = ()
+    longest: float = inf
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """One exact step: X' = decay * X + pull * mode + shift + noise, after X and m were drawn anew where a law says so.
+
+    Without `own` the mode is the same for all runs and stands in `mean`. `column` is where the drawn m's standard score
+    is kept, if it may be drawn by a law of its own (`tilting`).
+    """
+
+    begin: float
+    dt: float
+    age: float
+    location: int
+    fresh: Distribution | None
+    drawn: Distribution | None
+    own: bool
+    mean: float
+    decay: float
+    pull: float
+    shift: float
+    sigma: float
+    bridge: float
+    flow: Flow
+    offset: float
+    column: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """The engine (`paths.Engine`) of known events."""
+
+    world: World
+    clock: Array
+    rows: tuple[_Row, ...]
+    notes: tuple[str, ...]
+    columns: int = 0
+    tilts: Tilts | None = None
+
+    def tilted(self, tilts: Tilts) -> "Known":
+        """The same with the mode parameters of `columns` stays drawn by these laws."""
+        return replace(self, tilts=tilts)
+
+    def begin(self, runs: int, rng: np.random.Generator) -> State:
+        """`runs` runs at the start."""
+        drawn = np.empty(0) if self.tilts is None else np.full((runs, self.columns), np.nan)
+        column = self.rows[0].column
+        if self.tilts is None or column is None:
+            x, mode = draw_start(self.world, runs, rng)
+        else:
+            drawn[:, column] = self.tilts.scores(column, runs, rng)
+            x, mode = start_at(self.world, drawn[:, column], rng)
+        x, outside = clamp(self.world.sha, x)
+        clamps = np.zeros(runs, dtype=np.intp) if outside is None else outside.astype(np.intp)
+        return State(x, mode, clamps, np.zeros(runs, dtype=np.intp), drawn=drawn)
+
+    def advance(self, row: int, state: State, rng: np.random.Generator) -> Iterator[Piece]:
+        """The one piece of a row."""
+        step, start = self.rows[row], state.x
+        if step.fresh is not None:
+            start, outside = clamp(self.world.sha, distributions.draw(step.fresh, start.size, rng))
+            _count(state.clamps, outside)
+        if step.drawn is not None:
+            if self.tilts is None or step.column is None:
+                state.mode = distributions.draw(step.drawn, start.size, rng)
+            else:
+                state.drawn[:, step.column] = self.tilts.scores(step.column, start.size, rng)
+                state.mode = scored(step.drawn, state.drawn[:, step.column])
+        end = start if step.dt == 0.0 else self._moved(step, start, state, rng)
+        state.x = end
+        yield Piece(None, step.begin, step.dt, step.age, step.location, start, end, step.bridge)
+
+    def _moved(self, step: _Row, start: Array, state: State, rng: np.random.Generator) -> Array:
+        rate = self.world.sha.max_rate
+        if isfinite(rate):
+            target = (state.mode if step.own else step.mean) + step.offset
+            fast = np.abs(flows.drift(step.flow, start, target, step.age)) > rate
+            if fast.any():
+                state.limited += fast
+                mean = flows.mean_step(step.flow, start, target, step.age, step.dt, rate)
+                end, outside = clamp(self.world.sha, mean + step.sigma * rng.standard_normal(start.size))
+                _count(state.clamps, outside)
+                return end
+        end = rng.standard_normal(start.size) if step.sigma else np.zeros(start.size)
+        end *= step.sigma
+        end += step.shift
+        part = start * step.decay
+        end += part
+        if step.own and step.pull:
+            end += np.multiply(state.mode, step.pull, out=part)
+        end, outside = clamp(self.world.sha, end)
+        _count(state.clamps, outside)
+        return end
+
+
+def _count(counts: Indices, outside: Mask | None) -> None:
+    if outside is not None:
+        counts += outside
+
+
+def known(world: World, cuts: Cuts) -> Known:
+    """The engine along the events and inputs of `world.trace`. Raises ValueError as `schedule` does.
+
+    An event without an edge leads where most edges with its symbol lead (`resync`), as the gateway does; it is noted.
+    """
+    trace = world.trace
+    if trace is None:
+        raise ValueError("known events need a trace")
+    events = _felt(world, trace)
+    inputs = replace(trace, times=trace.times - world.begin, events=())
+    coarse = schedule(world.sha, events, [cuts.bound], start=0.0, inputs=inputs, policy="resync")
+    steps = schedule(world.sha, events, _outputs(coarse, cuts), start=0.0, inputs=inputs, policy="resync")
+    if world.belief is not None and steps.location[0] != world.location:
+        raise ValueError(f"trace {trace.name!r}: its events do not lead to the location that the belief is in")
+    if steps.dt.size > MOST_ROWS:
+        raise ValueError(
+            f"the query needs {steps.dt.size} steps a run, above {MOST_ROWS}: ask for a shorter bound or interval"
+        )
+    clock = np.concatenate([[0.0], np.cumsum(steps.dt)])
+    rows, columns = _with_columns(world, _rows(world, steps, clock))
+    return Known(world, clock, rows, notes_of(trace, world, cuts.bound, len(steps.unmatched)), columns)
+
+
+def _felt(world: World, trace: Trace) -> list[Event]:
+    """The trace's events in s since the start. Those up to a belief's own time only settle where and how old it is."""
+    if world.belief is None:
+        return [Event(event.time - world.begin, event.symbol) for event in trace.events]
+    settled = nextafter(0.0, -1.0)
+    begun = [event for event in trace.events if event.time <= world.begin]
+    before = [Event(min(event.time - world.begin, settled), event.symbol) for event in begun]
+    after = [Event(event.time - world.begin, event.symbol) for event in trace.events[len(begun) :]]
+    if not before and world.age > 0.0:  # still in the first stay, which is older than the runs
+        before = [Event(-world.age, UNKNOWN)]
+    return before + after
+
+
+def notes_of(trace: Trace, world: World, bound: float, unmatched: int) -> tuple[str, ...]:
+    """What limits runs along a trace, one sentence each."""
+    notes = []
+    last = float(trace.times[-1]) - world.begin if trace.times.size else 0.0
+    if last < bound - 1e-6:
+        notes.append(f"the trace ends {last:.6g} s after the start: from there to {bound:.6g} s nothing more happens")
+    if unmatched:
+        notes.append(f"{unmatched} events had no edge and led where most edges with their symbol lead")
+    return tuple(notes)
+
+
+def _outputs(coarse: Schedule, cuts: Cuts) -> Array:
+    """Where steps must end: fine points where the temperature is looked at, and twice where an instant counts."""
+    begins = np.concatenate([[0.0], np.cumsum(coarse.dt)])[:-1]
+    instants = {time for time in cuts.instants if 0.0 <= time <= cuts.bound}
+    points: list[Array] = [np.array([cuts.bound])]
+    for begin, dt, age, place in zip(
+        begins.tolist(), coarse.dt.tolist(), coarse.age.tolist(), coarse.location.tolist(), strict=True
+    ):
+        flow = coarse.sha.locations[place].flow
+        for low, high in cuts.looked:
+            first, last = max(begin, low), min(begin + dt, high)
+            if last > first:
+                points.append(_fine(flow, age + first - begin, last - first, longest=cuts.longest) + first)
+        instants |= set(crossings(cuts.clocks, begin, dt, age))
+    doubled = np.repeat(np.array(sorted(instants)), 2)
+    singles = np.unique(np.concatenate(points))
+    ends = np.append(begins[1:], np.inf)  # steps end there anyway
+    near = ends[np.clip(np.searchsorted(ends, singles - _SAME), 0, ends.size - 1)]
+    singles = singles[(np.abs(singles - near) > _SAME) | (singles == cuts.bound)]
+    singles = singles[~np.isin(singles, doubled)]
+    return np.sort(np.concatenate([singles, doubled]))
+
+
+def _fine(flow: Flow, age: float, length: float, *, longest: float) -> Array:
+    """The points inside and at the end of a stretch of `length` s that begins `age` s after entry."""
+    own = float(limit(flow, age))
+    if flow.kind == "logarithmic":  # equal steps of the logarithm: they grow with the age
+        begin = flow.params["t0"] + age
+        ratio = log1p(length / begin)
+        count = ceil(ratio / log1p(own / begin))
+        points = begin * np.expm1(ratio * np.arange(count + 1) / count)
+    else:
+        points = np.linspace(0.0, length, ceil(length / own) + 1 if isfinite(own) else 2)
+    if np.diff(points).max() > longest:
+        points = np.union1d(points, np.linspace(0.0, length, ceil(length / longest) + 1))
+    return np.asarray(points[points > 0.0])
+
+
+def crossings(clocks: Sequence[Affine], begin: float, dt: float, age: float) -> Iterator[float]:
+    """The moments (s) of a stretch at which one of the affine functions of the clocks is 0."""
+    for c, t, g in clocks:
+        if t + g != 0.0:
+            time = (g * (begin - age) - c) / (t + g)
+            if begin <= time <= begin + dt:
+                yield time
+
+
+def _rows(world: World, steps: Schedule, clock: Array) -> tuple[_Row, ...]:
+    sha = world.sha
+    decay, pull, variance = step_coefficients(steps)
+    mean, spread = np.array([mode_parameter(place) for place in sha.locations]).T[:, steps.location]
+    bridge = variance / np.maximum(decay, LEAST_DECAY)
+    alone = _alone(world, steps, pull)
+    variance = variance + np.where(alone, pull**2 * spread, 0.0)
+    own = (spread > 0) & ~alone
+    if world.belief is not None:
+        own |= steps.stay == 0
+    shift = pull * (steps.offset + np.where(own, 0.0, mean))
+    entered = steps.entry & (np.arange(steps.dt.size) > 0)
+    rows = []
+    for k, place in enumerate(steps.location.tolist()):
+        location = sha.locations[place]
+        rows.append(
+            _Row(
+                begin=float(clock[k]),
+                dt=float(steps.dt[k]),
+                age=float(steps.age[k]),
+                location=place,
+                fresh=drawn_temperature(location) if entered[k] else None,
+                drawn=drawn_parameter(location) if entered[k] and own[k] else None,
+                own=bool(own[k]),
+                mean=float(mean[k]),
+                decay=float(decay[k]),
+                pull=float(pull[k]),
+                shift=float(shift[k]),
+                sigma=sqrt(float(variance[k])),
+                bridge=float(bridge[k]),
+                flow=location.flow,
+                offset=float(steps.offset[k]),
+            )
+        )
+    return tuple(rows)
+
+
+def _with_columns(world: World, rows: Sequence[_Row]) -> tuple[tuple[_Row, ...], int]:
+    """The rows with a column where a stay begins whose m may be drawn by a law of its own, and how many there are."""
+    begins = [0, *(k for k, row in enumerate(rows) if k and row.drawn is not None)]
+    effects = np.zeros(len(begins))
+    for which, (first, last) in enumerate(pairwise([*begins, len(rows)])):
+        law = rows[first].drawn
+        free = tiltable(law) if first else start_tiltable(world) and rows[0].own
+        sigma = law.params["sigma"] if free and law is not None else _start_sigma(world) if free else 0.0
+        effects[which] = sigma * sum(row.pull for row in rows[first:last] if row.own)
+    places = chosen(effects)
+    columns = {begins[which]: column for column, which in enumerate(places)}
+    return tuple(replace(row, column=columns.get(k)) for k, row in enumerate(rows)), len(places)
+
+
+def _start_sigma(world: World) -> float:
+    if world.belief is not None:
+        return sqrt(world.belief.mm)
+    return sqrt(mode_parameter(world.sha.locations[world.location])[1])
+
+
+def _alone(world: World, steps: Schedule, pull: Array) -> Mask:
+    """The steps that alone feel their stay's normal m: it is drawn together with their noise, which leaves the law."""
+    if isfinite(world.sha.max_rate):
+        return np.zeros(steps.dt.size, dtype=np.bool_)
+    laws = [drawn_parameter(place) for place in world.sha.locations]
+    normal = np.array([law is not None and law.kind == "normal" for law in laws])[steps.location]
+    felt = np.bincount(steps.stay, weights=pull != 0)[steps.stay]
+    here = normal & (felt <= 1)
+    return here & (steps.stay > 0) if world.belief is not None else here

@@ -1,0 +1,220 @@
+"""Runs on demand: drawn in chunks of fixed sizes, each from a seed of its own, so that run i is always the same run."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import inf
+
+import numpy as np
+
+from sim.checking.query.tree import Expression
+from sim.checking.smc.monitors.course import Courses
+from sim.checking.smc.monitors.formula import affine, split
+from sim.checking.smc.monitors.monitor import Answered, Extreme, Monitor, Totals, follow
+from sim.checking.smc.monitors.path import Watch, cuts
+from sim.checking.smc.paths.effects import augmented
+from sim.checking.smc.paths.known import Cuts, known
+from sim.checking.smc.paths.plan import LONGEST, Engine, World
+from sim.checking.smc.paths.semi_markov import semi_markov
+from sim.sha.trace import Array, Mask
+
+SMALLEST, LARGEST = 64, 16384
+"""Runs of the first chunk, and of the large ones: each is twice the one before it. A chunk's rows fit the cache."""
+
+MOST_KEPT = 6_000_000
+"""Numbers that a chunk keeps of the pieces of its runs, for paths that are judged at the end."""
+
+MOST_MOMENTS = 1_000_000
+"""Runs whose moment of the goal is kept, for a picture."""
+
+Report = Callable[[str, float], None]
+
+
+def engine(world: World, where: Cuts) -> Engine:
+    """The engine for a world: along its trace's events, or by the semi-Markov law."""
+    if world.sha.effects:
+        return augmented(world, where)
+    return known(world, where) if world.trace is not None else semi_markov(world, where)
+
+
+def chunk_size(number: int, largest: int = LARGEST) -> int:
+    """Runs of chunk `number`, from 0."""
+    return min(SMALLEST << min(number, 20), largest)
+
+
+def generator(seed: int, number: int) -> np.random.Generator:
+    """The generator of chunk `number` under a seed."""
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy=seed, spawn_key=(number,))))
+
+
+@dataclass(slots=True)
+class Sampler:
+    """Verdicts of one run after another on some paths, all seen on the same runs (common random numbers).
+
+    `verdicts` are the chunks drawn and not yet handed out; `drawn` counts the runs handed out, `when` keeps the moments
+    of the first path's goal, chunk by chunk. Chunks have `largest` runs at most: what the ones before had to keep says
+    how many.
+    """
+
+    engine: Engine
+    watches: tuple[Watch, ...]
+    seed: int
+    left: Mask
+    totals: Totals
+    chunks: int = 0
+    drawn: int = 0
+    unclear: int = 0
+    largest: int = LARGEST
+    when: list[Array] = field(default_factory=list)
+
+    def draw(self, runs: int) -> Mask:
+        """(runs, paths) the verdicts of the next runs."""
+        parts, missing = [], runs
+        while missing > 0:
+            if not self.left.shape[0]:
+                self.left = self._chunk()
+            part, self.left = self.left[:missing], self.left[missing:]
+            parts.append(part)
+            missing -= part.shape[0]
+        self.drawn += runs
+        return np.concatenate(parts)
+
+    def _chunk(self) -> Mask:
+        runs = chunk_size(self.chunks, self.largest)
+        monitors = [one.start(runs) for one in self.watches]
+        self.totals = added(self.totals, follow(self.engine, monitors, runs, generator(self.seed, self.chunks)))
+        self.chunks += 1
+        self.unclear += sum(getattr(monitor, "unclear", 0) for monitor in monitors)
+        for monitor in monitors:
+            if isinstance(monitor, Answered):
+                self.largest = min(self.largest, max(MOST_KEPT // (3 * len(monitor.causes)), 1))
+        moments = self.watches[0].when(monitors[0])
+        if moments is not None and sum(part.size for part in self.when) < MOST_MOMENTS:
+            self.when.append(moments)
+        return np.stack([one.verdict(monitor) for one, monitor in zip(self.watches, monitors, strict=True)], axis=1)
+
+    def passages(self) -> Array:
+        """The moment (s) of the first path's goal in each run handed out (the first million of them), inf without."""
+        return np.concatenate([*self.when, np.empty(0)])[: self.drawn]
+
+
+def added(one: Totals, other: Totals) -> Totals:
+    """Both together."""
+    return Totals(one.clamps + other.clamps, one.limited + other.limited, one.cut + other.cut)
+
+
+def sampler(world: World, watches: tuple[Watch, ...], seed: int) -> Sampler:
+    """A sampler of runs long enough for all the paths. Raises ValueError as the engines do."""
+    bound = max(one.bound for one in watches)
+    made = engine(world, cuts(watches, bound))
+    return Sampler(made, watches, seed, np.empty((0, len(watches)), dtype=np.bool_), Totals(0, 0, 0))
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Mean, sum of squared deviations, least and greatest of `runs` values."""
+
+    runs: int = 0
+    mean: float = 0.0
+    squares: float = 0.0
+    least: float = inf
+    greatest: float = -inf
+
+    def joined(self, values: Array) -> "Summary":
+        """With these values too (Chan, Golub & LeVeque 1979)."""
+        mean, runs = float(values.mean()), self.runs + values.size
+        off = mean - self.mean
+        squares = self.squares + float(np.square(values - mean).sum()) + off**2 * self.runs * values.size / runs
+        least, greatest = min(self.least, float(values.min())), max(self.greatest, float(values.max()))
+        return Summary(runs, self.mean + off * values.size / runs, squares, least, greatest)
+
+
+def _check_finite(*columns: Array) -> None:
+    if not all(np.isfinite(column).all() for column in columns):
+        raise ValueError(
+            "an expression of the query is no finite number at some instant of a run: it divides by 0 there"
+        )
+
+
+def extremes(
+    world: World, expression: Expression, bound: float, runs: int, seed: int, *, greatest: bool, report: Report
+) -> tuple[Summary, Totals, tuple[str, ...]]:
+    """The greatest (or least) values of an expression on the runs; what happened to them; the engine's notes.
+
+    Raises ValueError for an expression that is not finite everywhere.
+    """
+    factor, rest = split(expression)
+    bent = affine(rest) is None
+    looked = ((0.0, bound),) if factor or bent else ()
+    made = engine(world, Cuts(bound, (), (), looked, LONGEST if bent else inf))
+    sign = 1.0 if greatest else -1.0
+    found, totals, number = Summary(), Totals(0, 0, 0), 0
+    while found.runs < runs:
+        size = chunk_size(number)
+        monitor = Extreme(factor, rest, sign, np.full(size, -inf))
+        totals = added(totals, follow(made, [monitor], size, generator(seed, number)))
+        _check_finite(monitor.best)
+        found = found.joined(sign * monitor.best[: runs - found.runs])
+        number += 1
+        report("runs", found.runs / runs)
+    notes = ("what is not linear in the clocks is looked at each 4 s at least, at the ends of steps",) if bent else ()
+    return found, totals, (*made.notes, *notes)
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """One run: `times` (p,), s since the start, and `values` (expressions, p); two rows at an instant are a jump."""
+
+    times: Array
+    values: Array
+
+
+MOST_SHOWN = 1000
+"""Steps into which a course is cut for being shown, where its flow does not ask for more."""
+
+MOST_POINTS = 20_000_000
+"""Numbers of all courses of one simulation together."""
+
+
+def courses(
+    world: World, expressions: Sequence[Expression], bound: float, runs: int, seed: int
+) -> tuple[tuple[Course, ...], Totals, tuple[str, ...]]:
+    """The courses of `runs` runs, at both ends of every step; what happened to them; the engine's notes.
+
+    Raises ValueError for more numbers than fit, and for an expression that is not finite everywhere.
+    """
+    made = engine(world, Cuts(bound, (), (), ((0.0, bound),), max(LONGEST, bound / MOST_SHOWN)))
+    rows = made.clock.size - 1
+    if runs * rows * 2 * len(expressions) > MOST_POINTS:
+        raise ValueError(
+            f"{runs} courses of {rows} steps with {len(expressions)} expressions are too many numbers; "
+            f"ask for fewer runs or a shorter bound"
+        )
+    monitor: Courses = Courses(tuple(expressions), tuple(place.name for place in world.sha.locations))
+    monitors: list[Monitor] = [monitor]
+    totals = follow(made, monitors, runs, generator(seed, 0))
+    _check_finite(*(column for pair in monitor.values for column in pair))
+    return _sorted(monitor, runs), totals, made.notes
+
+
+def _sorted(monitor: Courses, runs: int) -> tuple[Course, ...]:
+    """The pieces, run by run."""
+    who = np.concatenate([owner for *_, owner in monitor.times])
+    order = np.argsort(who, kind="stable")
+    begin = np.concatenate([times for times, *_ in monitor.times])[order]
+    stop = np.concatenate([times for _, times, _ in monitor.times])[order]
+    first = np.concatenate([values for values, _ in monitor.values], axis=1)[:, order]
+    last = np.concatenate([values for _, values in monitor.values], axis=1)[:, order]
+    times, values = np.stack([begin, stop], axis=1), np.stack([first, last], axis=2)
+    edges = np.searchsorted(who[order], np.arange(runs + 1))
+    return tuple(
+        _thinned(times[low:high].ravel(), values[:, low:high].reshape(values.shape[0], -1))
+        for low, high in pairwise(edges.tolist())
+    )
+
+
+def _thinned(times: Array, values: Array) -> Course:
+    """Without the rows that repeat the one before them."""
+    same = (np.diff(times) == 0) & np.all(np.isclose(np.diff(values, axis=1), 0.0, atol=1e-12), axis=0)
+    keep = np.concatenate([[True], ~same])
+    return Course(times[keep], values[:, keep])

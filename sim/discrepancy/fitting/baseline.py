@@ -1,0 +1,109 @@
+"""The given model's own parameters: which there are, what is believed of them, and what each does to a target.
+
+The given values are the centre of a weak belief, so that a location hardly visited keeps them. Locations of equal rate
+share it, and so do those of equal gains, as the learner left them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.discrepancy.fitting.record import Record
+from sim.learning.free_run import RATES, Shape, loads
+from sim.learning.shape import Names, Prior, shape_of
+from sim.sha.entry import mode_parameter
+from sim.sha.model import Model
+from sim.sha.trace import Array
+
+TARGET_SPREAD, DRIFT_SPREAD, FACTOR_SPREAD, LOG_RATE_SPREAD, GAIN_SPREAD = 40.0, 0.02, 10.0, 1.5, 1.0
+"""How far the plant's parameters are believed to lie from the given ones: degC, degC/s, degC, 1, shares of a gain."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A record with the structure of the parameters: `shape`, their `names`, and `load` (n, p) on targets."""
+
+    record: Record
+    shape: Shape
+    names: Names
+    load: Array
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """How many linear parameters and how many rates."""
+        return self.shape.centre.size, self.shape.rate_centre.size
+
+    @property
+    def prior(self) -> Array:
+        """(p + r,) the precision of the belief in each linear parameter and each log(rate)."""
+        return np.concatenate([self.shape.spread**-2.0, self.shape.rate_spread**-2.0])
+
+    @property
+    def centre(self) -> Array:
+        """(p + r,) the belief's centre."""
+        return np.concatenate([self.shape.centre, self.shape.rate_centre])
+
+
+def frame_of(record: Record) -> Frame:
+    """The parameters of the record's model that the record's traces visit; equal rates and gains are shared."""
+    model = record.model
+    visited = set(np.unique(record.runs.place).tolist())
+    free = [location.name for place, location in enumerate(model.sha.locations) if place in visited]
+    shape, names = shape_of(
+        model.sha,
+        free,
+        record.signals,
+        Prior((20.0, TARGET_SPREAD)),
+        rates=_shared_rates(model),
+        gains=_shared_gains(model),
+    )
+    shape = _centred(model, shape, names)
+    return Frame(record, shape, names, loads(record.runs, shape))
+
+
+def _shared_rates(model: Model) -> dict[str, str]:
+    """Locations of equal rate share it: the first of them gives the group its name."""
+    groups: dict[tuple[str, float], str] = {}
+    shared = {}
+    for location in model.sha.locations:
+        kind = location.flow.kind
+        if kind in RATES:
+            shared[location.name] = groups.setdefault((RATES[kind], location.flow.params[RATES[kind]]), location.name)
+    return shared
+
+
+def _shared_gains(model: Model) -> dict[str, str]:
+    groups: dict[tuple[tuple[str, float], ...], str] = {}
+    return {
+        location.name: groups.setdefault(
+            tuple((given.signal, given.gain) for given in location.flow.inputs), location.name
+        )
+        for location in model.sha.locations
+        if location.flow.inputs
+    }
+
+
+def _centred(model: Model, shape: Shape, names: Names) -> Shape:
+    """The shape with the given model's values as the belief's centre."""
+    by_name = model.sha.by_name
+    centre, spread = shape.centre.copy(), shape.spread.copy()
+    spreads = {"linear": DRIFT_SPREAD, "logarithmic": FACTOR_SPREAD}
+    for number, name in enumerate(names.targets):
+        centre[number] = mode_parameter(by_name[name])[0]
+        spread[number] = spreads.get(by_name[name].flow.kind, TARGET_SPREAD)
+    for number, (group, signal) in enumerate(names.gains, start=len(names.targets)):
+        gain = next(given.gain for given in by_name[group].flow.inputs if given.signal == signal)
+        centre[number], spread[number] = gain, max(GAIN_SPREAD * abs(gain), 1e-4)
+    rates = [by_name[name].flow.params[RATES[by_name[name].flow.kind]] for name in names.rates]
+    return replace(
+        shape,
+        centre=centre,
+        spread=spread,
+        rate_centre=np.log(np.array(rates)) if rates else np.empty(0),
+        rate_spread=np.full(len(rates), LOG_RATE_SPREAD),
+    )
+
+
+def on(frame: Frame, record: Record) -> Frame:
+    """The same parameters over another record of the same model."""
+    return Frame(record, frame.shape, frame.names, loads(record.runs, frame.shape))

@@ -1,0 +1,225 @@
+"""The free run of a model with effects over a record: its mean course in closed steps, its reading, its derivatives.
+
+Over a step the drift is k (target - X) + heat - loss X, so a loss counts to the rate and a heat to the target. Effects
+whose heat or loss depends on the course (a housing, a thermostat, radiation) are iterated from the course before until
+it stands still; the iteration contracts because what they add is fed back through a relaxation.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.discrepancy.catalogue import Entry
+from sim.discrepancy.fitting.baseline import Frame
+from sim.discrepancy.fitting.noise import Grid, decay_and_pull
+from sim.engine.recursion import linear_recursion
+from sim.learning.free_run import RATES, steps
+from sim.sha.trace import Array
+
+ITERATIONS, STILL = 60, 1e-6
+"""Passes at most, and the change (degC) below which a course stands still."""
+TAIL = 4
+"""Cycles over which the heat of one is followed, itself included: about a day."""
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """An effect in the model: its catalogue `entry`, the signal of each role, and all its parameters by name."""
+
+    entry: Entry
+    signals: Mapping[str, str]
+    params: Mapping[str, float]
+
+    @property
+    def strength(self) -> float:
+        """The parameter that scales it."""
+        return self.params[self.entry.strength]
+
+    def scaled(self, strength: float) -> "Named":
+        """The same effect at another strength."""
+        return replace(self, params={**self.params, self.entry.strength: strength})
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The free run at one set of parameters: `linear` (p,), `log_rates` (r,), the effects' `strengths` (e,).
+
+    `course` (n,) degC is the bearing at the knots, `mean` (n,) what the sensor would read of it without noise. Of each
+    step: `k` (n,) 1/s the flow's own rate (0 where it does not relax), `loss` (n,) what effects add to it, `decay` and
+    `target` (n,) those of the flow without effects.
+    """
+
+    linear: Array
+    log_rates: Array
+    named: tuple[Named, ...]
+    course: Array
+    mean: Array
+    decay: Array
+    k: Array
+    target: Array
+    loss: Array
+
+    @property
+    def parameters(self) -> Array:
+        """(p + r + e,) all of them as one vector."""
+        return np.concatenate([self.linear, self.log_rates, [one.strength for one in self.named]])
+
+
+def run_free(
+    frame: Frame, linear: Array, log_rates: Array, start: Array, named: Sequence[Named] = (), guess: Array | None = None
+) -> State:
+    """The mean course from the start temperatures (R,), one for each run; `guess` (n,) is a course to iterate from."""
+    runs = frame.record.runs
+    decay, pull = steps(runs, frame.shape, log_rates)
+    target = frame.load @ linear
+    k = rates_of(frame, log_rates)
+    drives = [one for one in named if one.entry.drive is not None]
+    push = pull * target
+    push[runs.first] = start
+    course = linear_recursion(decay, push, 0.0)
+    loss = np.zeros(len(runs))
+    if drives:
+        flow = (decay, np.where(runs.first, start[np.cumsum(runs.first) - 1], push), k)
+        course, loss = _driven(frame, drives, flow, course if guess is None else guess)
+    mean = course
+    for one in named:
+        if one.entry.sense is not None:
+            mean = one.entry.sense(frame.record, one.params, mean)
+    return State(linear, log_rates, tuple(named), course, mean, decay, k, target, loss)
+
+
+def _driven(
+    frame: Frame, drives: Sequence[Named], flow: tuple[Array, Array, Array], course: Array
+) -> tuple[Array, Array]:
+    """(course, loss) with the effects; `flow` is (decay, what the flow adds, k) without them."""
+    record = frame.record
+    runs = record.runs
+    _, own_push, k = flow
+    _, own_pull = decay_and_pull(k, runs.dt)
+    own_heat = np.where(runs.first, 0.0, own_push / np.maximum(own_pull, 1e-12))
+    for _ in range(ITERATIONS):
+        loss, heat = np.zeros(len(runs)), own_heat.copy()
+        middle = np.where(runs.first, course, 0.5 * (course + np.concatenate([course[:1], course[:-1]])))
+        for one in drives:
+            lost, added = one.entry.drive(record, one.signals, one.params, middle)  # type: ignore[misc]
+            loss += one.strength * lost
+            heat += one.strength * added
+        decay, pull = decay_and_pull(k + loss, runs.dt)
+        before = course
+        course = linear_recursion(np.where(runs.first, 0.0, decay), np.where(runs.first, own_push, pull * heat), 0.0)
+        if not np.isfinite(course).all() or np.max(np.abs(course - before)) < STILL:
+            break
+    return course, loss
+
+
+def rates_of(frame: Frame, log_rates: Array) -> Array:
+    """(n,) 1/s the rate of each step's flow, 0 where it does not relax."""
+    shape = frame.shape
+    relaxing = np.array([RATES.get(kind) == "k" for kind in shape.kinds])
+    rate = np.append(np.exp(log_rates), 0.0)[np.where(relaxing, shape.rate, -1)]
+    return np.asarray(rate[frame.record.runs.place])
+
+
+def filtered(frame: Frame, state: State, heat: Array) -> Array:
+    """(n, c) degC what heats (n, c) in degC/s, held over each step, add to the bearing's temperature."""
+    runs = frame.record.runs
+    decay, pull = decay_and_pull(state.k + state.loss, runs.dt)
+    decay = np.where(runs.first, 0.0, decay)
+    push = np.where(runs.first, 0.0, pull)
+    columns = heat if heat.ndim == 2 else heat[:, None]
+    return linear_recursion(decay[:, None], push[:, None] * columns, np.zeros(columns.shape[1]))
+
+
+def sensitivity(frame: Frame, state: State, start: Array) -> Array:
+    """(n, p + r + e) derivative of the reading's mean by every parameter of the state; the start is held.
+
+    In closed form without effects; with them by finite differences of the simulation itself.
+    """
+    return _differences(frame, state, start) if state.named else _closed(frame, state)
+
+
+def _closed(frame: Frame, state: State) -> Array:
+    runs, shape, step = frame.record.runs, frame.shape, 1e-4
+    decay, pull = steps(runs, shape, state.log_rates)
+    p, r = frame.count
+    linear = linear_recursion(decay[:, None], pull[:, None] * frame.load, np.zeros(p))
+    before = np.concatenate([[0.0], state.mean[:-1]])
+    up, down = (steps(runs, shape, state.log_rates + sign * step) for sign in (1, -1))
+    push = ((up[0] - down[0]) * before + (up[1] - down[1]) * state.target) / (2 * step)
+    push[runs.first] = 0.0
+    group = np.append(shape.rate, -1)[runs.place]
+    rates = linear_recursion(decay[:, None], np.where(group[:, None] == np.arange(r), push[:, None], 0.0), np.zeros(r))
+    return np.column_stack([linear, rates])
+
+
+def _differences(frame: Frame, state: State, start: Array) -> Array:
+    _, r = frame.count
+    point = state.parameters
+    sizes = np.concatenate(
+        [1e-3 * frame.shape.spread, np.full(r, 1e-3), [max(1e-3 * abs(one.strength), 1e-18) for one in state.named]]
+    )
+    columns = []
+    for number, size in enumerate(sizes.tolist()):
+        moved = point.copy()
+        moved[number] += size
+        trial = at(frame, moved, start, state.named, state.course)
+        columns.append((trial.mean - state.mean) / size)
+    return np.column_stack(columns)
+
+
+def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: Array | None = None) -> State:
+    """The free run at a vector of all parameters (p + r + e,)."""
+    p, r = frame.count
+    strengths = point[p + r :].tolist()
+    moved = [one.scaled(value) for one, value in zip(named, strengths, strict=True)]
+    return run_free(frame, point[:p], point[p : p + r], start, moved, guess)
+
+
+def grid_at(frame: Frame, state: State) -> Grid:
+    """The windows of the frame's record as the noise sees them around a state.
+
+    What is rough reaches the reading as late as the rest: heat that came with the start at once, beside one that comes
+    late, would be played against it.
+    """
+    rate, running = (as_read(frame, state, column) for column in (state.k + state.loss, frame.record.running))
+    return frame.record.grid(rate, running, scattered(frame, state))
+
+
+def scattered(frame: Frame, state: State) -> Array:
+    """(m, cycles) degC what a scatter of 1 of each cycle's friction heat does to the windows' readings.
+
+    Formed at the knots and through the sensor, as the sensitivities of the parameters are. What is only nearly alike
+    would be played against them, to make up for what is missing at starts and stops. What a cycle leaves behind is
+    followed through the next ones of TAIL.
+    """
+    record, runs = frame.record, frame.record.runs
+    cycles, order = np.unique(record.cycle, return_inverse=True)
+    decay, pull = decay_and_pull(state.k + state.loss, runs.dt)
+    heat = np.where(runs.first, 0.0, pull * friction_heat(frame, state))
+    begins = np.diff(order, prepend=-1) != 0
+    followed = []
+    for group in range(TAIL):  # cycles so far apart share a column: what one of them leaves is dropped at the next
+        own = order % TAIL == group
+        response = linear_recursion(np.where(runs.first | (begins & own), 0.0, decay), np.where(own, heat, 0.0), 0.0)
+        followed.append(record.windowed(as_read(frame, state, response)))
+    age = order[record.rows[record.begins]][:, None] - np.arange(cycles.size)
+    columns = np.column_stack(followed)[:, np.arange(cycles.size) % TAIL]
+    return np.asfortranarray(np.where((age >= 0) & (age < TAIL), columns, 0.0))
+
+
+def as_read(frame: Frame, state: State, column: Array) -> Array:
+    """(n,) degC what the sensor shows of a part (n,) of the bearing's temperature: as late as it shows the whole."""
+    for one in state.named:
+        if one.entry.sense is not None and one.entry.whole:
+            column = one.entry.sense(frame.record, one.params, column)
+    return column
+
+
+def friction_heat(frame: Frame, state: State) -> Array:
+    """(n,) degC/s by how much more the machine heats than at rest: what a cycle's scatter multiplies."""
+    record = frame.record
+    rest = (record.running < 0.5) & (state.k > 0)
+    floor = float(np.median(state.target[rest])) if rest.any() else float(np.quantile(state.mean, 0.02))
+    heat = np.where(state.k > 0, state.k * (state.target - floor), np.where(state.decay == 1.0, state.target, 0.0))
+    return np.asarray(np.maximum(heat, 0.0) * record.running)

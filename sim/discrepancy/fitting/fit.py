@@ -1,0 +1,218 @@
+"""The model's parameters, the effects' strengths and the plant's noise of greatest likelihood on a record.
+
+Steps of Gauss and Newton on the free run, the residuals weighed by the noise's inverse covariance; between them the
+noise is fitted with the model's own parameters taken out (restricted likelihood: Harville 1974). The likelihoods of two
+fits on the same record can be compared: the same parameters are integrated out under the same belief in both, and the
+strengths of the effects are maximised.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
+from sim.discrepancy.fitting.course import Named, State, at, grid_at, sensitivity
+from sim.discrepancy.fitting.noise import Belief, Grid, Noise, Weigher, fit_noise
+from sim.discrepancy.fitting.record import Record
+from sim.sha.model import Model
+from sim.sha.trace import Array
+
+ROUNDS, NEWTON = 4, 8
+LARGEST_TARGET, LARGEST_SHARE = 15.0, 0.7
+"""A step of Newton's is shortened to this: degC of a target (other parameters in proportion to their belief), and the
+share of itself by which a strength may change."""
+MOVING = 0.5
+"""The share of readings that differ from the one before, up to which a course is a staircase."""
+SETTLED = 0.05
+"""The fit ends when no part of the noise moves by more than this (log)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A fit: the free run `state`, the `noise` under which it is judged, and the linear problem around it.
+
+    `residual` (m,) degC is measured - free run in windows, `columns` (m, p + r + e) the sensitivities there, `prior`
+    (p + r + e,) the precision of the belief in each parameter, `off` how far the state lies from the belief's centre,
+    `covariance` that of the parameters. `likelihood` is the restricted log-likelihood with the noise's belief.
+    """
+
+    frame: Frame
+    state: State
+    start: Array
+    noise: Noise
+    grid: Grid
+    residual: Array
+    columns: Array
+    prior: Array
+    off: Array
+    covariance: Array
+    likelihood: float
+
+    @property
+    def own(self) -> int:
+        """How many parameters are the model's own: p + r."""
+        return sum(self.frame.count)
+
+    @property
+    def sensor_sigma(self) -> float:
+        """degC the standard deviation of a single reading."""
+        record = self.frame.record
+        counts = np.diff(np.append(record.begins, record.rows.size))
+        return float(self.noise.sensor * np.sqrt(np.median(counts)))
+
+
+def first_noise(model: Model, record: Record) -> Noise:
+    """Where the search for the noise begins: the given model's sensor and process, a slightly rough plant."""
+    process = [location.flow.params.get("noise", 0.0) for location in model.sha.locations]
+    seen = [value for value in process if value > 0]
+    counts = np.diff(np.append(record.begins, record.rows.size))
+    sensor = max(model.sensor_sigma, 0.02) / np.sqrt(float(np.median(counts)))
+    return Noise(max(float(sensor), rounding(model, record)), float(np.median(seen)) / 2 if seen else 0.003, 3e-4, 0.01)
+
+
+def rounding(model: Model, record: Record) -> float:
+    """degC that rounding alone is off by in the mean of a window: 0 where the sensor's noise blurs the steps.
+
+    Readings that stand on one step for a window's length are all wrong by the same; their mean is no better than one.
+    """
+    change = np.abs(np.diff(record.runs.reading[record.rows]))
+    moves = change[change > 0]
+    if moves.size == 0 or moves.size > MOVING * change.size:
+        return 0.0
+    step = float(np.median(moves))
+    return step / float(np.sqrt(12.0)) if model.sensor_sigma < step / 2.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Point:
+    """The linear problem around one state."""
+
+    state: State
+    grid: Grid
+    residual: Array
+    columns: Array
+    off: Array
+
+
+def _around(frame: Frame, state: State, start: Array, reading: Array) -> _Point:
+    record = frame.record
+    off = np.concatenate([state.parameters[: sum(frame.count)] - frame.centre, np.zeros(len(state.named))])
+    return _Point(
+        state,
+        grid_at(frame, state),
+        reading - record.windowed(state.mean),
+        record.windowed(sensitivity(frame, state, start)),
+        off,
+    )
+
+
+def fit(
+    frame: Frame,
+    named: Sequence[Named] = (),
+    begin: Fitted | None = None,
+    *,
+    moved: Array | None = None,
+    rounds: int = ROUNDS,
+    iterations: int = 12,
+) -> Fitted:
+    """The fit with the effects `named`, from another fit on the same frame or from the belief.
+
+    `moved` (p + r,) is by how much the other fit's own parameters are moved before.
+    """
+    record = frame.record
+    reading = record.reading
+    start = reading[record.window_first] if begin is None else begin.start
+    own = frame.centre if begin is None else begin.state.parameters[: begin.own]
+    own = own if moved is None else own + moved
+    prior = np.concatenate([frame.prior, np.zeros(len(named))])
+    belief = Belief(first_noise(record.model, record), least=rounding(record.model, record))
+    noise = belief.centre if begin is None else begin.noise
+    state = at(frame, np.concatenate([own, [one.strength for one in named]]), start, named)
+    for _ in range(rounds):
+        state = _newton_steps(frame, state, start, reading, noise, prior)
+        point = _around(frame, state, start, reading)
+        before = noise
+        noise, cost = _noise(point, frame, belief, noise, iterations)
+        if _change(before, noise) < SETTLED:
+            break
+    weigher = Weigher(point.grid, noise)
+    inverse = np.linalg.inv(point.columns.T @ weigher.weigh(point.columns) + np.diag(np.maximum(prior, 1e-12)))
+    covariance = np.asarray(inverse, dtype=float)
+    return Fitted(
+        frame, state, start, noise, point.grid, point.residual, point.columns, prior, point.off, covariance, -cost
+    )
+
+
+def _noise(point: _Point, frame: Frame, belief: Belief, noise: Noise, iterations: int) -> tuple[Noise, float]:
+    own = sum(frame.count)
+    columns, prior, off = point.columns[:, :own], frame.prior, point.off[:own]
+
+    def cost(trial: Noise) -> float:
+        return -restricted(Weigher(point.grid, trial), columns, point.residual, prior, off)
+
+    return fit_noise(cost, belief, noise, iterations)
+
+
+def _change(before: Noise, after: Noise) -> float:
+    pairs = zip(
+        (before.sensor, before.process, before.rough, before.cycle, before.memory),
+        (after.sensor, after.process, after.rough, after.cycle, after.memory),
+        strict=True,
+    )
+    return max(abs(float(np.log(new / old))) for old, new in pairs)
+
+
+def _newton_steps(frame: Frame, state: State, start: Array, reading: Array, noise: Noise, prior: Array) -> State:
+    """A few steps of Gauss and Newton, each halved until it does not make things worse."""
+    point = _around(frame, state, start, reading)
+    for _ in range(NEWTON):
+        weigher = Weigher(point.grid, noise)
+        both = weigher.weigh(np.column_stack([point.residual, point.columns]))
+        normal = point.columns.T @ both[:, 1:] + np.diag(np.maximum(prior, 1e-12))
+        step = cho_solve(cho_factor(normal), point.columns.T @ both[:, 0] - prior * point.off)
+        step = step * min(1.0, 1.0 / float(np.max(np.abs(step) / _longest(frame, state), initial=1.0)))
+        here = float(point.residual @ both[:, 0] + point.off @ (prior * point.off))
+        for _half in range(5):
+            moved = at(frame, _allowed(state, state.parameters + step), start, state.named, state.course)
+            residual = reading - frame.record.windowed(moved.mean)
+            off = point.off + np.concatenate([step[: point.off.size - len(state.named)], np.zeros(len(state.named))])
+            there = float(residual @ weigher.weigh(residual[:, None])[:, 0] + off @ (prior * off))
+            if np.isfinite(there) and there <= here + 1e-6:
+                break
+            step = 0.5 * step
+        if not np.isfinite(there) or there > here:
+            break
+        state = moved
+        point = _around(frame, state, start, reading)
+        if here - there < 0.02:
+            break
+    return state
+
+
+def _longest(frame: Frame, state: State) -> Array:
+    own = LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior)
+    return np.concatenate([own, [max(LARGEST_SHARE * abs(one.strength), 1e-15) for one in state.named]])
+
+
+def _allowed(state: State, point: Array) -> Array:
+    """The point with strengths of the wrong sign put to a tiny one of the right sign."""
+    out = point.copy()
+    first = point.size - len(state.named)
+    for number, one in enumerate(state.named, start=first):
+        least = 1e-3 * abs(one.strength)
+        if one.entry.sign > 0:
+            out[number] = max(out[number], least)
+    return out
+
+
+def restricted(weigher: Weigher, columns: Array, residual: Array, prior: Array, off: Array) -> float:
+    """The log-likelihood with the parameters integrated out around the free run (their belief included)."""
+    both = weigher.weigh(np.column_stack([residual, columns]))
+    normal = columns.T @ both[:, 1:] + np.diag(prior)
+    score = columns.T @ both[:, 0] - prior * off
+    factor = cho_factor(normal)
+    misfit = float(residual @ both[:, 0] + off @ (prior * off) - score @ cho_solve(factor, score))
+    determinant = 2.0 * float(np.log(np.diag(factor[0])).sum()) - float(np.log(prior).sum())
+    return -0.5 * (weigher.logdet + determinant + misfit)

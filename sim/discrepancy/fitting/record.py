@@ -1,0 +1,233 @@
+"""Measured traces laid out for a diagnosis: every step of the given model's locations, and windows of readings.
+
+The free runs of the model are formed on the fine knots (one a row). Likelihoods are formed on windows: the readings of
+a window count as one, at their mean time, so that a day of 1 s samples costs no more than one of 60 s samples.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from sim.discrepancy.fitting.noise import Grid
+from sim.learning.preparation import encoded
+from sim.learning.runs import Indices, Runs, first_switch, free_runs, thinned
+from sim.learning.structure import LearningError
+from sim.sha.events import Alphabet, Switch, encode
+from sim.sha.model import Model
+from sim.sha.trace import UNKNOWN, Array, Mask, Trace
+
+KNOTS, WINDOWS = 250_000, 4_000
+"""Fine knots and windows at most: what lies closer together is merged."""
+LEAST_WINDOW = 20.0
+"""Seconds of a window at least (or one row, where rows lie further apart)."""
+LIVELY, FINER = 900.0, 4.0
+"""Seconds after a start or a stop in which windows are so many times shorter."""
+SLOW = 2.0
+"""Times the usual interval between rows (all but one in a hundred) beyond which a recorder has a gap."""
+LATE = 1.5
+"""Times the usual interval between rows from which a start or a stop in it was noticed late."""
+BETWEEN = 3600.0
+"""Seconds that are put between traces of which nobody knows when they were recorded."""
+NEVER = 1e9
+"""Seconds since a start-up that was not seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """n knots of the traces under `model`'s locations, and m windows of readings.
+
+    `runs` holds the knots; its `inputs` are the `signals` (n, q), held over each step. `running` (n,) is 1 in steps
+    made while the machine runs (1 everywhere without a switch), `since` (n,) the seconds since its last start-up at the
+    step's start, `cycle` (n,) numbers the cycles, what lies before a trace's first start-up counting to its first.
+    `window` (s) is the length of a window at rest, `rows` (r,) are the knots with a reading, `begins` (m,) the place in
+    `rows` where each window begins.
+    """
+
+    model: Model
+    signals: tuple[str, ...]
+    runs: Runs
+    running: Array
+    since: Array
+    cycle: Indices
+    window: float
+    rows: Indices
+    begins: Indices
+
+    def windowed(self, columns: Array) -> Array:
+        """The mean over each window's readings of columns (n,) or (n, c) given at the knots: (m,) or (m, c)."""
+        picked = columns[self.rows]
+        counts = np.diff(np.append(self.begins, self.rows.size))
+        sums = np.add.reduceat(picked, self.begins, axis=0)
+        return np.asarray(sums / (counts if columns.ndim == 1 else counts[:, None]))
+
+    @property
+    def times(self) -> Array:
+        """(m,) the mean time of each window's readings, absolute s."""
+        return self.windowed(self.runs.time)
+
+    @property
+    def reading(self) -> Array:
+        """(m,) the mean reading of each window, degC."""
+        return self.windowed(self.runs.reading)
+
+    @property
+    def window_cycle(self) -> Indices:
+        """(m,) the cycle of each window."""
+        return self.cycle[self.rows[self.begins]]
+
+    @property
+    def window_first(self) -> Mask:
+        """(m,) whether a window begins a run."""
+        return np.asarray(np.diff(self.runs.run[self.rows[self.begins]], prepend=-1) != 0)
+
+    def signal(self, name: str) -> Array:
+        """(n,) a signal held over each step; NaN while it was never read."""
+        return self.runs.inputs[:, self.signals.index(name)]
+
+    def grid(self, k: Array, running: Array, heats: Array) -> Grid:
+        """The windows as the noise sees them; `k` (n,) 1/s and `running` (n,) are each step's rate and whether rough
+        heat acts, `heats` (m, cycles) as in `Grid`."""
+        passed = np.cumsum(np.column_stack([k, running]) * self.runs.dt[:, None], axis=0)
+        times, mean = self.times, self.windowed(passed)
+        first = self.window_first
+        dt = np.where(first, 1.0, np.diff(times, prepend=times[0] - 1.0))
+        rate, share = (np.diff(mean, axis=0, prepend=mean[:1]) / dt[:, None]).T
+        return Grid(dt, np.where(first, 0.0, rate), share, first, self.window_cycle, heats)
+
+    def where(self, keep: Mask) -> "Record":
+        """The knots of whole cycles, of which the first of each piece begins a run of its own."""
+        runs = self.runs.where(keep)
+        cut = np.diff(np.flatnonzero(keep), prepend=-2) != 1
+        run = np.cumsum(runs.first | cut) - 1
+        runs = replace(runs, run=run)
+        runs = replace(runs, dt=np.where(runs.first, 0.0, runs.dt))
+        running, since, cycle = self.running[keep], self.since[keep], self.cycle[keep]
+        rows, begins = _windows(runs, cycle, running, self.window)
+        return replace(self, runs=runs, running=running, since=since, cycle=cycle, rows=rows, begins=begins)
+
+
+def overlapping(traces: Sequence[Trace]) -> str:
+    """Which trace begins before another one ends, in words; "" where they lie one after the other."""
+    ordered = sorted((trace for trace in traces if trace.times.size), key=lambda trace: float(trace.times[0]))
+    for before, after in pairwise(ordered):
+        if after.times[0] < before.times[-1]:
+            return f"{after.name} begins before {before.name} ends"
+    return ""
+
+
+def in_order(traces: Sequence[Trace]) -> list[Trace]:
+    """The traces by their times; those that overlap (each begins at 0, say) one after the other as they were given."""
+    having = [trace for trace in traces if trace.times.size]
+    if not overlapping(having):
+        return sorted(having, key=lambda trace: float(trace.times[0]))
+    laid, end = list[Trace](), 0.0
+    for trace in having:
+        shift = end - float(trace.times[0])
+        events = tuple(replace(event, time=event.time + shift) for event in trace.events)
+        laid.append(replace(trace, times=trace.times + shift, events=events))
+        end = float(laid[-1].times[-1]) + BETWEEN
+    return laid
+
+
+def patiently(trace: Trace, alphabet: Alphabet) -> Trace:
+    """The trace encoded with a gap that suits its recorder: rows that usually come late leave no gap between them.
+
+    Events that a trace has already are kept where its rows come in time, and where it lacks a channel's signal.
+    """
+    usual = SLOW * float(np.quantile(np.diff(trace.times), 0.99)) if trace.times.size > 2 else 0.0
+    if usual <= alphabet.gap or any(channel.signal not in trace.signals for channel in alphabet.channels):
+        return encoded(trace, alphabet)
+    return replace(trace, events=encode(trace, replace(alphabet, gap=usual)))
+
+
+def record_of(
+    model: Model, traces: Sequence[Trace], signals: Sequence[str], *, knots: int = KNOTS, windows: int = WINDOWS
+) -> Record:
+    """The encoded `traces` under the locations of `model`; a trace without a reading of the temperature is left out.
+
+    Raises LearningError (a ValueError) when an event has no edge or nothing can be followed.
+    """
+    having = [
+        trace
+        for trace in traces
+        if np.isfinite(trace.signals.get(model.temperature, np.empty(0))).any() and trace.times.size > 1
+    ]
+    if not having:
+        raise LearningError(f"no trace has a reading of {model.temperature!r}, the model's temperature")
+    runs = thinned(
+        free_runs(having, model.sha, model.temperature, signals=tuple(signals), modelled=known(model)), knots
+    )
+    running, since, cycle = _machine(runs, having, first_switch(model.alphabet))
+    runs = _cut_late(runs, running)
+    window = max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER)
+    rows, begins = _windows(runs, cycle, running, window)
+    return Record(model, tuple(signals), runs, running, since, cycle, window, rows, begins)
+
+
+def _cut_late(runs: Runs, running: Array) -> Runs:
+    """The runs begun anew where a start or a stop was noticed late: it lies somewhere in a step that took long.
+
+    Heat that the model would then be given late is no heat that it lacks.
+    """
+    seen = runs.dt[runs.dt > 0]
+    late = runs.dt > LATE * (float(np.median(seen)) if seen.size else 0.0)
+    turns = np.append(np.diff(running) != 0, False) & (np.diff(runs.run, append=-1) == 0)
+    cut = late & turns & np.isfinite(runs.reading)
+    run = np.cumsum(runs.first | cut) - 1
+    return replace(runs, run=run, dt=np.where(runs.first | cut, 0.0, runs.dt))
+
+
+def known(model: Model) -> Mask:
+    """(L,) which locations say how the temperature moves: all but an initial one in which nothing is known yet."""
+    sha = model.sha
+    return np.array(
+        [
+            location.name != sha.initial or location.flow.kind != "constant" or len(sha.locations) == 1
+            for location in sha.locations
+        ]
+    )
+
+
+def _machine(runs: Runs, traces: Sequence[Trace], switch: Switch | None) -> tuple[Array, Array, Indices]:
+    """(running, since, cycle) of every knot, from the switch's events."""
+    running, since = np.ones(len(runs)), np.full(len(runs), NEVER)
+    cycle, count = np.zeros(len(runs), dtype=np.intp), 0
+    for number, trace in enumerate(traces):
+        rows = np.flatnonzero(runs.trace == number)
+        if not rows.size:
+            continue
+        begin = runs.time[rows] - runs.dt[rows]
+        starts = np.empty(0)
+        if switch is not None:
+            told = [event for event in trace.events if event.symbol in (switch.rising, switch.falling, UNKNOWN)]
+            times = np.array([event.time for event in told])
+            state = np.array([0.0, *(float(event.symbol == switch.rising) for event in told)])
+            done = np.searchsorted(times, begin, side="right")
+            running[rows] = state[done]
+            rises = state[1:] > state[:-1]
+            starts = times[rises]
+        place = np.searchsorted(starts, begin, side="right")
+        if starts.size:
+            since[rows] = np.where(place > 0, begin - starts[np.maximum(place, 1) - 1], NEVER)
+        number_of = np.maximum(place - 1, 0)
+        cycle[rows] = count + number_of
+        count += max(int(starts.size), 1)
+    return running, since, cycle
+
+
+def _clock(runs: Runs, running: Array) -> Array:
+    """(n,) seconds that pass FINER times faster after a start or a stop."""
+    changed = (np.diff(running, prepend=running[:1]) != 0) | runs.first
+    moment = (runs.time - runs.dt)[changed][np.cumsum(changed) - 1]
+    return np.cumsum(runs.dt * np.where(runs.time - moment <= LIVELY, FINER, 1.0))
+
+
+def _windows(runs: Runs, cycle: Indices, running: Array, length: float) -> tuple[Indices, Indices]:
+    """(rows, begins) of windows of `length` seconds of that clock, which end where a run or a cycle ends."""
+    rows = np.flatnonzero(np.isfinite(runs.reading))
+    new = np.diff(np.floor(_clock(runs, running) / length)[rows], prepend=-1) != 0
+    new |= np.diff(runs.run[rows], prepend=-1) != 0
+    new |= np.diff(cycle[rows], prepend=-1) != 0
+    return rows, np.flatnonzero(new)

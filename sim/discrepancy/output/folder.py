@@ -1,0 +1,79 @@
+"""The folder of a diagnosis: checked before the work, written beside and moved in, `diagnosis.json` last."""
+
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+from sim.artefacts.files import replace_durably, sync_directory
+from sim.artefacts.model_directory import write_model_directory
+from sim.discrepancy.diagnosis import Diagnosis
+from sim.discrepancy.output.document import FORMAT, document_text
+from sim.discrepancy.output.pictures import FILES, draw
+from sim.discrepancy.output.report import Occasion, report_html
+from sim.sha.model import Model
+
+DOCUMENT, REPORT, MODEL = "diagnosis.json", "report.html", "model"
+
+
+def check_folder(out: Path, model: Path) -> None:
+    """Raises ValueError, in one sentence, where a diagnosis of the model at `model` cannot be written to `out`.
+
+    A folder may hold other things, which are left alone, and an earlier diagnosis, which is replaced. Nothing is
+    touched here.
+    """
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"{out}: this is a file; give a folder for the diagnosis")
+    inside = (out / MODEL).resolve()
+    if model.resolve() == inside or inside in model.resolve().parents:
+        raise ValueError(f"{out}: the new model would replace the one that is diagnosed; give --out another folder")
+    if (out / MODEL).exists() and not _is_ours(out / DOCUMENT):
+        raise ValueError(f"{out / MODEL}: is not from a diagnosis; give --out a folder that has no {MODEL!r} in it")
+    there = next(path for path in (out.absolute(), *out.absolute().parents) if path.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise ValueError(f"{out}: no folder can be written there; give one that this user may write")
+
+
+def _is_ours(file: Path) -> bool:
+    try:
+        said = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(said, dict) and said.get("format") == FORMAT
+
+
+def write_diagnosis(diagnosis: Diagnosis, occasion: Occasion, model: Model | None, *, report: bool = True) -> Path:
+    """Write all of a diagnosis to `occasion.folder`; returns the path of its document.
+
+    `model` is the augmented one, which gets a directory of its own. Without `report` there are no page and no pictures.
+    Everything is made in a hidden folder first and
+    then moved in; the document is removed first and comes last, so that a folder that has it is whole. Raises
+    ArtefactError or OSError.
+    """
+    out = occasion.folder
+    out.mkdir(parents=True, exist_ok=True)
+    beside = Path(tempfile.mkdtemp(prefix=".diagnosis-", dir=out))
+    try:
+        if report:
+            pictures = draw(diagnosis, f"Diagnosis of {occasion.name}: {diagnosis.verdict}", beside)
+            replace_durably(beside / REPORT, report_html(diagnosis, occasion, pictures))
+        replace_durably(beside / DOCUMENT, document_text(diagnosis))
+        if model is not None:
+            write_model_directory(beside / MODEL, model)
+        _move_in(beside, out)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+    return out / DOCUMENT
+
+
+def _move_in(beside: Path, out: Path) -> None:
+    (out / DOCUMENT).unlink(missing_ok=True)
+    for name in (*FILES, REPORT):
+        (out / name).unlink(missing_ok=True)
+    if (out / MODEL).exists():
+        shutil.rmtree(out / MODEL)
+    for name in (MODEL, *FILES, REPORT, DOCUMENT):
+        if (beside / name).exists():
+            (beside / name).replace(out / name)
+    sync_directory(out)

@@ -1,0 +1,132 @@
+"""The report of a diagnosis: one HTML file without any external resource, its pictures inside it."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from shlex import quote
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from sim.discrepancy.diagnosis import Candidate, Diagnosis, NamedEffect, Place
+from sim.discrepancy.heat_map import span
+from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE
+
+MEANINGS: Mapping[str, str] = {
+    "agree": "On these cycles the model, with its parameters fitted anew, is as right as its own noise allows. "
+    "That no effect was found does not prove that there is none: see what these data could not show.",
+    "named": "One cause was found that the likelihood, the single cycles, the held-out cycles and the check on what is "
+    "left all agree on. It has been added to the model.",
+    "class": "The gap is real and its kind is known, but these data cannot tell the members of the class apart. The "
+    "model was given the first of them; the experiment named below would decide.",
+    "unexplained": "The gap is real, and nothing that is known here explains it well enough to be named. Where "
+    "it lies is described; no cause is claimed and nothing was added to the model.",
+    "too-little-data": "There are too few cycles to fit the model on some and judge it on others: nothing was tested.",
+}
+"""What each verdict says and does not say."""
+COLOURS: Mapping[str, str] = {
+    "agree": "good",
+    "named": "found",
+    "class": "found",
+    "unexplained": "failed",
+    "too-little-data": "review",
+}
+TOLD = 3
+"""Places that are told as sentences; the table has all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Occasion:
+    """What is said of a diagnosis beside its findings.
+
+    `name` is the model's, `temperature` the signal that it follows, `created` the time of the report, `facts` stand in
+    the header, `roles` (role -> signal) say what the effects' words mean in these data. `synthetic` says what of the
+    data no plant made, "" for nothing. `folder` is where the diagnosis is written. `verification` are the reasons why
+    the new model is not deployable: none for a deployable one, None where there is no new model.
+    """
+
+    name: str
+    temperature: str
+    created: str
+    facts: Mapping[str, str]
+    roles: Mapping[str, str]
+    folder: Path
+    synthetic: str = ""
+    verification: tuple[str, ...] | None = None
+
+    @property
+    def model(self) -> str:
+        """The new model's directory as a shell's word."""
+        return quote(str(self.folder / "model"))
+
+
+def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str, Path]) -> str:
+    """The whole report. Raises OSError when a picture cannot be read."""
+    data = {name: _embedded(path) for name, path in pictures.items() if name != SHEET}
+    best = max((one.gain for one in diagnosis.candidates if isfinite(one.gain)), default=0.0)
+    return (
+        _environment()
+        .get_template("diagnosis.html")
+        .render(
+            one=diagnosis,
+            occasion=occasion,
+            meaning=MEANINGS[diagnosis.verdict],
+            colour=COLOURS[diagnosis.verdict],
+            where=data.get(WHERE),
+            cycles=data.get(CYCLES),
+            errors=data.get(ERRORS),
+            places=[place_sentence(place) for place in diagnosis.places[:TOLD]],
+            unexplained=[place_sentence(place) for place in diagnosis.unexplained],
+            candidates=diagnosis.candidates,
+            best=max(best, 1e-9),
+            rivals={effect.name: rivals_of(effect, diagnosis.candidates) for effect in diagnosis.effects},
+        )
+    )
+
+
+def _embedded(path: Path) -> str:
+    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
+
+
+def place_sentence(place: Place) -> str:
+    """One sentence of where heat is: "62 % of the unexplained heat is in ON/200-300, 0-4 min after W_ON, ..."."""
+    after = f", {span(*place.seconds)} after {place.after}" if place.after else ""
+    after += f", with {place.when}" if place.when else ""
+    sign = "too little" if place.heat < 0 else "too much"
+    said = (
+        f"{place.share:.0%} of the unexplained heat is in {place.location}{after}: the plant makes "
+        f"{abs(place.heat):.2g} °C/h {sign} for the model there, in {place.cycles[0]} of {place.cycles[1]} cycles "
+        f"(p = {place.p:.2g})"
+    )
+    return said + (f"; it goes with {place.correlates}" if place.correlates and not place.when else "")
+
+
+def rivals_of(effect: NamedEffect, candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    """The names that look somewhat like a named effect in these data, outside its class."""
+    own = next((one for one in candidates if one.name == effect.name), None)
+    return () if own is None else tuple(name for name in own.rivals if name not in effect.members)
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("sim.discrepancy.output"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"number": _number, "share": _share, "span": lambda seconds: span(*seconds)}
+    return environment
+
+
+def _number(value: float | None, digits: int = 2, sign: bool = False) -> str:
+    if value is None or not isfinite(value):
+        return "–"
+    return f"{value:{'+' if sign else ''}.{digits}f}"
+
+
+def _share(value: float | None, digits: int = 0, sign: bool = False) -> str:
+    if value is None or not isfinite(value):
+        return "–"
+    return f"{100 * value:{'+' if sign else ''}.{digits}f} %"

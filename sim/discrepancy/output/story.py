@@ -1,0 +1,96 @@
+"""A diagnosis told: its sentence, its places without a cause, and the courses that the pictures show."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim.discrepancy.diagnosis import Course, HeldOut, NamedEffect, Place, Shift, Verdict
+from sim.discrepancy.fitting.fit import Fitted
+from sim.discrepancy.fitting.record import Record
+from sim.discrepancy.heat import HOUR, implied_heat, since_switch
+from sim.discrepancy.held_out import Trial
+from sim.sha.trace import Array
+
+
+def sentence_of(
+    verdict: Verdict,
+    effects: Sequence[NamedEffect],
+    unexplained: Sequence[Place],
+    shifts: Sequence[Shift],
+    held: HeldOut | None,
+    cycles: int,
+) -> str:
+    """The verdict in one or two sentences."""
+    if verdict == "too-little-data":
+        return f"Too little data: {cycles} cycle{'s' if cycles != 1 else ''} cannot tell an effect from chance."
+    moved = ""
+    if shifts:
+        one = shifts[0]
+        moved = (
+            f" Parameters have moved: {one.parameter} in {one.location} {one.change:+.0%}, {abs(one.sigma):.0f} sigma."
+        )
+    if verdict == "agree":
+        return "Model and data agree within noise." + moved
+    gain = ""
+    if held is not None and effects:
+        gain = (
+            f" On {held.cycles} cycles that were never fitted the error goes from {held.rmse_before:.2f} to "
+            f"{held.rmse_after:.2f} degC (noise alone: {held.noise_floor:.2f})."
+        )
+    if verdict == "named":
+        names = " and ".join(f"{one.name} ({one.plain})" for one in effects)
+        return f"Missing in the model: {names}.{gain}{moved}"
+    if verdict == "class":
+        names = "; ".join(" or ".join(one.members) for one in effects)
+        return f"Something is missing that these data cannot tell apart: {names}.{gain}{moved}"
+    return "Something is missing that has no honest name: " + _described(unexplained) + moved
+
+
+def _described(unexplained: Sequence[Place]) -> str:
+    if not unexplained:
+        return "the free run is further off than noise allows, in no particular place."
+    place = unexplained[0]
+    goes = f", and goes with {place.correlates}" if place.correlates else ""
+    goes = f", with {place.when}" if place.when else goes
+    return (
+        f"{place.share:.0%} of the unexplained heat is in {place.location}, {_seconds(place.seconds)} after "
+        f"{place.after or 'its beginning'}{goes} ({place.cycles[0]} of {place.cycles[1]} cycles)."
+    )
+
+
+def _seconds(span: tuple[float, float]) -> str:
+    low, high = span
+    return f"{low:.0f}-{high:.0f} s" if np.isfinite(high) else f"more than {low:.0f} s"
+
+
+def course_of(base: Fitted, after: Fitted, before_trial: Trial, after_trial: Trial) -> Course:
+    """Readings and free runs over the fitted and the held-out windows, with the heat that each model leaves."""
+    record, later = base.frame.record, before_trial.record
+    names = [location.name for location in record.model.sha.locations]
+
+    def both(first: Array, second: Array) -> Array:
+        return np.concatenate([first, second])
+
+    heat_before, heat_after = (
+        np.concatenate([implied_heat(one) * HOUR, np.full(later.times.size, np.nan)]) for one in (base, after)
+    )
+    return Course(
+        times=both(record.times, later.times),
+        reading=both(record.reading, later.reading),
+        before=both(record.windowed(base.state.mean), later.windowed(before_trial.state.mean)),
+        after=both(record.windowed(after.state.mean), later.windowed(after_trial.state.mean)),
+        held_out=both(np.zeros(record.times.size), np.ones(later.times.size)),
+        heat_before=heat_before,
+        heat_after=heat_after,
+        location=tuple(names[place] for place in np.concatenate([_places(record), _places(later)]).tolist()),
+        since_event=both(_since(record), _since(later)),
+        cycle=both(record.window_cycle.astype(float), later.window_cycle.astype(float)),
+    )
+
+
+def _places(record: Record) -> Array:
+    return np.asarray(record.runs.place[record.rows[record.begins]])
+
+
+def _since(record: Record) -> Array:
+    return record.windowed(since_switch(record))

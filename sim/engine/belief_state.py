@@ -1,0 +1,114 @@
+"""The belief itself, as a value: what is known of the plant at one moment."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import sqrt
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """A reading against its prediction: `value` = reading - prediction (degC), its predicted `variance`, its `square`.
+
+    `square` is value^2 / variance, chi-square with one degree of freedom when the model is right.
+    """
+
+    value: float
+    variance: float
+    square: float
+
+
+@dataclass(frozen=True, slots=True)
+class Pending:
+    """What has happened but is not felt before `due` (absolute s): an event's symbol, or new values of `signals`."""
+
+    due: float
+    symbol: str = ""
+    signals: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """What effects add to a belief (`sim.engine.plant` has the states).
+
+    `mean` (d + 1) and `covariance` (d + 1, d + 1) are those of the d states and of m, `opened` says whether the mean's
+    thermostat is open, `since` has for each start-up effect the time of its event (None before any), `pending` what a
+    dead time holds back, in the order in which it will be felt.
+    """
+
+    mean: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    opened: bool = False
+    since: tuple[float | None, ...] = ()
+    pending: tuple[Pending, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """The state of the plant as far as it is known at `time` (absolute seconds).
+
+    `location` was entered at `entered`; temperature and mode parameter are Gaussian with means `x` (degC), `m` and
+    covariance `xx`, `xm`, `mm`; `offset` (degC) is what the inputs `signals` add to the flow's target here. `last` is
+    the newest innovation, `recent` the squares of the newest ones (as many as the tracker's window), `evidence` the
+    log-likelihood of all readings so far. `samples` counts the readings used, `unmatched` the events that had no edge,
+    `late` the readings and events that came with a time before the belief's, `clamps` the steps that ended beyond the
+    automaton's range and were put back to its border. Until `seen`, no temperature was read.
+
+    With effects `x` and `xx` are those of what the sensor would read, its noise apart, and `hidden` has all the states;
+    under a dead time `location` and `signals` are those that are felt.
+    """
+
+    location: str
+    entered: float
+    time: float
+    x: float
+    m: float
+    xx: float
+    xm: float
+    mm: float
+    offset: float
+    signals: Mapping[str, float]
+    last: Innovation | None = None
+    recent: tuple[float, ...] = ()
+    evidence: float = 0.0
+    samples: int = 0
+    unmatched: int = 0
+    late: int = 0
+    seen: bool = False
+    clamps: int = 0
+    hidden: Hidden | None = None
+
+    @property
+    def age(self) -> float:
+        """Seconds since the location was entered."""
+        return self.time - self.entered
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the temperature, degC."""
+        return sqrt(self.xx)
+
+
+def belief_of(saved: Mapping[str, Any]) -> Belief:
+    """The belief that `dataclasses.asdict` and JSON have taken apart. Raises KeyError or TypeError."""
+    last = Innovation(**saved["last"]) if saved["last"] else None
+    hidden = saved.get("hidden")
+    return Belief(
+        **{
+            **saved,
+            "last": last,
+            "recent": tuple(saved["recent"]),
+            "signals": dict(saved["signals"]),
+            "hidden": _hidden_of(hidden) if hidden else None,
+        }
+    )
+
+
+def _hidden_of(saved: Mapping[str, Any]) -> Hidden:
+    return Hidden(
+        mean=tuple(saved["mean"]),
+        covariance=tuple(tuple(row) for row in saved["covariance"]),
+        opened=saved["opened"],
+        since=tuple(saved["since"]),
+        pending=tuple(Pending(**one) for one in saved["pending"]),
+    )

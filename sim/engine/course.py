@@ -1,0 +1,185 @@
+"""The mean course of an automaton with effects, and its covariance, along segments that are known beforehand.
+
+Where no thermostat switches and nothing meets a limit, the whole course is one linear recursion. Each switch, clamp and
+limited step is found in it, done singly, and the recursion goes on from there. Radiation is linearised about the course
+itself: course and linearisation are repeated until they agree (Newton's method on the whole course).
+"""
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+
+from sim.engine.kernel import move, switched
+from sim.engine.plant import Plant
+from sim.engine.recursion import matrix_recursion
+from sim.engine.tables import Half, Tables, chosen, tables
+from sim.engine.terms import Segments
+from sim.engine.valve import Valve, follow, rows_of
+from sim.sha.automaton import SHA, Effect
+from sim.sha.trace import Array, Mask
+
+AGREED = 1e-5
+"""degC by which the course about which radiation is linearised may differ from the course that follows."""
+
+_ROUNDS = 10
+_FEWEST = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What stays draw, for each of n steps: moments of m; whether X is drawn anew before the step, and its moments.
+
+    `entry` marks the steps that begin a stay, `checked` those that end where the temperature is held against the range.
+    """
+
+    mode: Array
+    spread: Array
+    resampled: Mask
+    fresh: Array
+    scatter: Array
+    entry: Mask
+    checked: Mask
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """The means after each step, `s` (n, d), with the `steps` that led there.
+
+    `opened` (n,) is the part of each step for which the thermostat was open, `valve` its state at the end. `clamps`
+    and `limited` count the steps that were cut to the range or met the rate limit.
+    """
+
+    s: Array
+    steps: Tables
+    opened: Array
+    clamps: int
+    limited: int
+    valve: bool
+
+
+def start_state(plant: Plant, temperature: Array | float, offset: float) -> Array:
+    """(..., d) the state that a first reading tells: X, housing and lags alike, less what the sensor reads too much."""
+    return np.repeat(np.asarray(temperature, dtype=float)[..., None] - offset, plant.size, axis=-1)
+
+
+def mean_course(plant: Plant, segments: Segments, drawn: Drawn, start: Array, *, valve: bool = False) -> Course:
+    """The course from the state `start` (d,), with the thermostat open if `valve`."""
+    if plant.radiation is None:
+        return _march(plant, tables(plant, segments), drawn, start, valve)
+    about = np.full(segments.dt.size, float(start[0]))
+    for _ in range(_ROUNDS):
+        course = _march(plant, tables(plant, segments, about), drawn, start, valve)
+        before = np.where(drawn.resampled, drawn.fresh, np.concatenate([start[:1], course.s[:-1, 0]]))
+        middle = 0.5 * (before + course.s[:, 0])
+        moved, about = float(np.abs(middle - about).max()), middle
+        if moved < AGREED:
+            break
+    return course
+
+
+def _march(plant: Plant, steps: Tables, drawn: Drawn, start: Array, first: bool) -> Course:
+    if plant.thermostat is not None and plant.size == 1 and steps.closed.terms.powers == 1:
+        return _followed(plant.sha, plant.thermostat.effect, steps, drawn, Valve(float(start[0]), first))
+    n = steps.dt.size
+    s, opened = np.empty((n, plant.size)), np.zeros(n)
+    clamps, limited, row, piece = 0, 0, 0, n
+    state, valve = start, np.array([first])
+    alone = _without_rest(steps)
+    while row < n:
+        rows = slice(row, min(row + piece, n))
+        run, before = _straight(steps, drawn, rows, state, bool(valve[0]))
+        odd = _odd(plant, steps, drawn, rows, before, run[:, 0], valve)
+        good = int(np.argmax(odd)) if odd.any() else len(run)
+        s[row : row + good], opened[row : row + good] = run[:good], valve[0]
+        row, state = row + good, run[good - 1] if good else state
+        piece = min(2 * piece, n) if good == len(run) else _FEWEST
+        if good == len(run):
+            continue
+        if drawn.resampled[row]:
+            state = np.concatenate([[drawn.fresh[row]], state[1:]])
+        moved = move(plant, alone, row, state[None, :], drawn.mode[row : row + 1], valve)
+        state, valve, opened[row] = moved.s[0], moved.opened, moved.share[0]
+        held = min(max(state[0], plant.sha.low), plant.sha.high) if drawn.checked[row] else state[0]
+        clamps, limited = clamps + (held != state[0]), limited + int(moved.met[0])
+        state[0] = held
+        s[row] = state
+        row += 1
+    return Course(s, steps, opened, int(clamps), limited, bool(valve[0]))
+
+
+def _followed(sha: SHA, effect: Effect, steps: Tables, drawn: Drawn, valve: Valve) -> Course:
+    fresh = np.where(drawn.resampled, drawn.fresh, np.nan)
+    x, parts = follow(sha, effect, rows_of(steps, drawn.mode, fresh, drawn.checked), valve, fresh.size)
+    return Course(x[:, None], steps, parts, valve.clamps, valve.limited, valve.opened)
+
+
+def _without_rest(steps: Tables) -> Tables:
+    """The steps for the mean itself, which the linearisation follows."""
+    return Tables(steps.closed, steps.open, steps.dt, steps.coupling, None, None)
+
+
+def _straight(steps: Tables, drawn: Drawn, rows: slice, state: Array, opened: bool) -> tuple[Array, Array]:
+    """(states after each of the rows, X before each) with the thermostat as it stands and nothing limited."""
+    half = steps.open if opened and steps.open is not None else steps.closed
+    phi, added = _renewed(half, drawn, rows)
+    run = matrix_recursion(phi, added + half.pull[rows] * drawn.mode[rows, None], state)
+    before = np.concatenate([state[:1], run[:-1, 0]])
+    return run, np.where(drawn.resampled[rows], drawn.fresh[rows], before)
+
+
+def _renewed(half: Half, drawn: Drawn, rows: slice) -> tuple[Array, Array]:
+    """(phi, added) in which steps before which X is drawn anew forget the old X and begin with the mean of the new."""
+    phi, added, new = half.phi[rows], half.added[rows], drawn.resampled[rows]
+    if not new.any():
+        return phi, added
+    phi, added = phi.copy(), added.copy()
+    added[new] += phi[new, :, 0] * drawn.fresh[rows][new, None]
+    phi[new, :, 0] = 0.0
+    return phi, added
+
+
+def _odd(plant: Plant, steps: Tables, drawn: Drawn, rows: slice, before: Array, after: Array, valve: Mask) -> Mask:
+    """The rows in which the thermostat would switch, the range is left or the rate limit is met."""
+    sha = plant.sha
+    odd = drawn.checked[rows] & ((after < sha.low) | (after > sha.high))
+    if sha.max_rate < inf:
+        odd |= np.abs(after - before) > sha.max_rate * steps.dt[rows] * (1.0 + 1e-12)
+    if plant.thermostat is not None:
+        odd |= (switched(plant, before, valve) != valve) | (switched(plant, after, valve) != valve)
+    return odd
+
+
+def covariance(plant: Plant, course: Course, drawn: Drawn, variance0: float) -> Array:
+    """(n,) the variance (degC^2) of what the sensor reads after each step, its own noise apart.
+
+    The thermostat switches as it does for the mean, and limits are not seen.
+    """
+    half = chosen(course.steps, course.opened)
+    n, d = half.pull.shape
+    phi, _ = _renewed(half, drawn, slice(0, n))
+    kept = np.where(drawn.entry[:, None, None], 0.0, phi)
+    shared = matrix_recursion(kept, half.pull * drawn.spread[:, None], np.zeros(d))
+    last = np.where(drawn.entry[:, None], 0.0, np.vstack([np.zeros(d), shared[:-1]]))
+    crossed = np.einsum("nij,nj,nk->nik", phi, last, half.pull)
+    fresh = np.where(drawn.resampled, drawn.scatter, 0.0)[:, None, None]
+    first = half.phi[:, :, 0]
+    added = crossed + crossed.transpose(0, 2, 1) + half.noise
+    added += drawn.spread[:, None, None] * np.einsum("ni,nj->nij", half.pull, half.pull)
+    added += fresh * np.einsum("ni,nj->nij", first, first)
+    return _squared(phi, added, np.full(d * d, variance0))[:, plant.sensed * (d + 1)]
+
+
+_CHUNK = 4096
+
+
+def _squared(phi: Array, added: Array, start: Array) -> Array:
+    """(n, d * d) the covariances P' = phi P phi^T + added, from `start` (d * d,), in pieces for their memory."""
+    n, d, _ = phi.shape
+    out = np.empty((n, d * d))
+    for first in range(0, n, _CHUNK):
+        rows = slice(first, min(first + _CHUNK, n))
+        twice = np.einsum("nij,nkl->nikjl", phi[rows], phi[rows]).reshape(-1, d * d, d * d)
+        out[rows] = matrix_recursion(twice, added[rows].reshape(-1, d * d), start)
+        start = out[rows][-1]
+    return out

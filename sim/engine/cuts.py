@@ -1,0 +1,116 @@
+"""Where stays must be cut into segments, besides events, outputs and changed signals, for the stated accuracy.
+
+Start-up heat is cut where its exponent reaches the values of `_EXPONENTS` (the rest after the last is below 1e-9 of its
+start), a logarithmic drive where it has fallen by a fifth, wear where it begins. Where thermostat or radiation act no
+segment is longer than a part of the fastest time constant of X there (`longest`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.effects.kinds import ABSOLUTE_ZERO, parameter
+from sim.engine.plant import Acting, Indices, Plant
+from sim.sha.automaton import Effect
+from sim.sha.trace import Array
+
+_EXPONENTS = np.array(
+    [0.05, 0.15, 0.3, 0.5, 0.75, 1, 1.3, 1.7, 2.1, 2.6, 3.2, 3.9, 4.7, 5.7, 7, 8.5, 10.5, 13, 16.5, 21]
+)
+_FALL = 1.25
+_SWITCHED, _RADIATING = 0.2, 0.1
+_WARM = 100.0 - ABSOLUTE_ZERO
+"""The temperature (K) at which radiation's speed is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stays:
+    """S stays one after the other: begin, end and entry in absolute s, location; each (S,).
+
+    `starts` has for each start-up effect the ascending times of its event.
+    """
+
+    begins: Array
+    ends: Array
+    entered: Array
+    location: Indices
+    starts: tuple[Array, ...]
+
+
+def cuts(plant: Plant, stays: Stays) -> Array:
+    """The times (s) inside the stays at which a segment must end; in no order, some perhaps twice."""
+    found = [np.empty(0)]
+    for acting, starts in zip(plant.startups, stays.starts, strict=True):
+        found.append(_within(_startup(acting.effect, starts), stays, acting))
+    for acting in plant.wears:
+        found.append(_within(np.array([acting.effect.params["since"]]), stays, acting))
+    if np.isfinite(plant.t0).any():
+        found.append(_logarithmic(plant, stays))
+    if not plant.linear:
+        found.append(_every(longest(plant)[stays.location], stays))
+    return np.concatenate(found)
+
+
+def _startup(effect: Effect, starts: Array) -> Array:
+    if not starts.size:
+        return starts
+    after = effect.params["tau"] * _EXPONENTS ** (1.0 / effect.params["shape"])
+    following = np.append(starts[1:], np.inf)
+    times = starts[:, None] + after
+    return np.asarray(times[times < following[:, None]])
+
+
+def _within(times: Array, stays: Stays, acting: Acting) -> Array:
+    """Those inside a stay in which the effect acts."""
+    place = np.searchsorted(stays.begins, times, side="right") - 1
+    inside = (place >= 0) & (times > stays.begins[place]) & (times < stays.ends[place])
+    return times[inside & acting.there[stays.location[place]]]
+
+
+def _logarithmic(plant: Plant, stays: Stays) -> Array:
+    t0 = plant.t0[stays.location]
+    rows = np.flatnonzero(np.isfinite(t0) & (stays.ends > stays.begins))
+    t0, begin, end = t0[rows], stays.begins[rows] - stays.entered[rows], stays.ends[rows] - stays.entered[rows]
+    first = np.floor(np.log1p(begin / t0) / np.log(_FALL)).astype(int) + 1
+    last = np.ceil(np.log1p(end / t0) / np.log(_FALL)).astype(int)
+    stay, power = _counted(first, last)
+    return np.asarray(stays.entered[rows][stay] + t0[stay] * (_FALL**power - 1.0))
+
+
+def _every(length: Array, stays: Stays) -> Array:
+    """Multiples of each stay's `length` from its begin on."""
+    count = np.ceil((stays.ends - stays.begins) / length).astype(int)
+    stay, times = _counted(np.ones_like(count), count)
+    return np.asarray(stays.begins[stay] + times * length[stay])
+
+
+def _counted(first: Indices, last: Indices) -> tuple[Indices, Indices]:
+    """For each row i the numbers first[i] <= number < last[i]: (row, number) one after the other."""
+    counts = np.maximum(last - first, 0)
+    row = np.repeat(np.arange(counts.size), counts)
+    number = np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts) + first[row]
+    return row, number
+
+
+def longest(plant: Plant) -> Array:
+    """(L,) the longest segment (s) by location; inf where neither thermostat nor radiation acts."""
+    speed, part = fastest(plant), np.full(plant.rate.size, np.inf)
+    if plant.radiation is not None:
+        part[plant.radiation.there] = _RADIATING
+    if plant.thermostat is not None:
+        part[plant.thermostat.there] = np.minimum(part, _SWITCHED)[plant.thermostat.there]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(speed > 0, part / speed, np.inf)
+
+
+def fastest(plant: Plant) -> Array:
+    """(L,) the greatest relaxation rate of X (1/s) by location, with every pump at 1 and every valve open."""
+    speed = plant.rate + plant.coupling
+    lossy = [*plant.steady, *([] if plant.thermostat is None else [plant.thermostat])]
+    for acting in lossy:
+        speed = speed + acting.there * acting.effect.params.get("loss", 0.0)
+    if plant.radiation is not None:
+        effect = plant.radiation.effect
+        warm = _WARM * parameter(effect, "scale")
+        speed = speed + plant.radiation.there * 4.0 * effect.params["gain"] * warm**3
+    return speed

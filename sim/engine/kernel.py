@@ -1,0 +1,183 @@
+"""One step of N runs with all that is not linear: thermostat, what radiation's tangent leaves out, the rate limit.
+
+A thermostat switches inside a step, where the run crosses its threshold. An excursion beyond it that begins and ends
+inside one step is not seen.
+"""
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+
+from sim.effects.kinds import parameter
+from sim.engine.plant import Indices, Plant
+from sim.engine.response import respond
+from sim.engine.tables import Half, Tables
+from sim.sha.trace import Array, Mask
+
+Rows = int | slice
+
+_SECANTS = 4
+_MOST_SWITCHES = 8
+
+
+def switched(plant: Plant, x: Array, opened: Mask) -> Mask:
+    """(N,) whether the thermostat is open at the temperatures `x`, given whether it was."""
+    if plant.thermostat is None:
+        return opened
+    p = plant.thermostat.effect.params
+    return np.asarray((opened & (x > p["closes"])) | (x >= p["opens"]))
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """N runs after a step: states `s` (N, d), thermostat `opened` (N,), whether the rate limit was `met` (N,).
+
+    `share` (N,) is the part of the step during which the thermostat was open.
+    """
+
+    s: Array
+    opened: Mask
+    met: Mask
+    share: Array
+
+
+def move(
+    plant: Plant, steps: Tables, row: Rows, s: Array, mode: Array, opened: Mask, push: Array | float = 0.0
+) -> Moved:
+    """The runs after the step `row` from the states `s` (N, d).
+
+    `row` is one step for all runs, or a slice of N steps, one for each. `mode` (N,) is m, `opened` (N,) the thermostat
+    after the last step, `push` (N, d) the step's noise.
+    """
+    opened = switched(plant, s[:, 0], opened)
+    rest = _left_out(plant, steps, row, s[:, 0])
+    after, met = _either(plant, steps, row, s, mode, opened, rest)
+    after = after + push
+    now = switched(plant, after[:, 0], opened)
+    at = np.flatnonzero(now != opened)
+    if steps.open is None or not at.size:
+        return Moved(after, opened, met, opened.astype(float))
+    which = np.arange(steps.dt.size)[row][at] if isinstance(row, slice) else np.full(at.size, row)
+    spread = push[at] if isinstance(push, np.ndarray) else np.zeros((at.size, plant.size))
+    rests = np.zeros(at.size) if rest is None else rest[at]
+    run = _Run(which, s[at], mode[at], rests, opened[at], spread, np.zeros(at.size))
+    share = opened.astype(float)
+    after[at], opened = _switching(plant, steps, run, after[at]), opened.copy()
+    opened[at], share[at] = run.opened, run.share
+    return Moved(after, opened, met, share)
+
+
+def _left_out(plant: Plant, steps: Tables, row: Rows, x: Array) -> Array | None:
+    """(N,) the heat that the tangent leaves out, taken at the step's start."""
+    if steps.about is None or steps.radiated is None or plant.radiation is None:
+        return None
+    away = steps.about[row] - parameter(plant.radiation.effect, "zero")
+    y = x - steps.about[row]
+    return np.asarray(-steps.radiated[row] * y * y * (6.0 * away * away + 4.0 * away * y + y * y))
+
+
+def _either(
+    plant: Plant, steps: Tables, row: Rows, s: Array, mode: Array, opened: Mask, rest: Array | None
+) -> tuple[Array, Mask]:
+    if steps.open is None or not opened.any():
+        after = _affine(steps.closed, row, s, mode, rest)
+    elif opened.all():
+        after = _affine(steps.open, row, s, mode, rest)
+    else:
+        both = (_affine(half, row, s, mode, rest) for half in (steps.open, steps.closed))
+        after = np.where(opened[:, None], *both)
+    return _limited(plant.sha.max_rate, steps.dt[row], s, after)
+
+
+def _affine(half: Half, row: Rows, s: Array, mode: Array, rest: Array | None) -> Array:
+    phi = half.phi[row]
+    after = _transported(phi, s) + half.pull[row] * mode[:, None] + half.added[row]
+    return after if rest is None else after + half.unit[row] * rest[:, None]
+
+
+def _transported(phi: Array, s: Array) -> Array:
+    """phi s, for one phi (d, d) or one for each run (N, d, d)."""
+    if s.shape[1] == 1:
+        return np.asarray(phi[..., 0] * s)
+    return np.asarray(s @ phi.T if phi.ndim == 2 else (phi @ s[:, :, None])[:, :, 0])
+
+
+def _limited(rate: float, dt: Array, s: Array, after: Array) -> tuple[Array, Mask]:
+    """X moved by no more than the greatest rate allows over the step."""
+    if rate == inf:
+        return after, np.zeros(len(s), dtype=np.bool_)
+    way = after[:, 0] - s[:, 0]
+    met = np.abs(way) > rate * dt * (1.0 + 1e-12)
+    if met.any():
+        after = after.copy()
+        after[:, 0] = s[:, 0] + np.clip(way, -rate * dt, rate * dt)
+    return after, met
+
+
+@dataclass(slots=True)
+class _Run:
+    """n runs, each in its step `which`: states (n, d), m, the heat that the tangent leaves out, thermostat, noise.
+
+    `share` is the part of the step for which the thermostat was open.
+    """
+
+    which: Indices
+    s: Array
+    mode: Array
+    rest: Array
+    opened: Mask
+    push: Array
+    share: Array
+
+
+def _switching(plant: Plant, steps: Tables, run: _Run, end: Array) -> Array:
+    """(n, d) the ends of runs that would come to `end` if none switched: to the threshold, and from there switched.
+
+    The thermostat of `run` is moved on. A run may switch several times in a step.
+    """
+    begin, end = np.zeros(len(end)), end.copy()
+    for _ in range(_MOST_SWITCHES):
+        now = switched(plant, end[:, 0], run.opened)
+        crossed = now != run.opened
+        if not crossed.any():
+            break
+        part, there = _met(plant, steps, run, begin, end)
+        run.s = np.where(crossed[:, None], there, run.s)
+        run.share += np.where(crossed & run.opened, part - begin, 0.0)
+        begin = np.where(crossed, part, begin)
+        run.opened = now
+        after = _piece(plant, steps, run, begin, np.ones_like(begin))
+        end = np.where(crossed[:, None], after, end)
+    run.share += np.where(run.opened, 1.0 - begin, 0.0)
+    return end
+
+
+def _met(plant: Plant, steps: Tables, run: _Run, begin: Array, end: Array) -> tuple[Array, Array]:
+    """(part of the step, state) at which each run meets its threshold, by the secant method on its exact course."""
+    p = plant.thermostat.effect.params if plant.thermostat is not None else {}
+    threshold = np.where(run.opened, p["closes"], p["opens"])
+    old, part, there = begin, np.ones_like(begin), end
+    old_error, error = run.s[:, 0] - threshold, end[:, 0] - threshold
+    for _ in range(_SECANTS):
+        way = np.where(error == old_error, 1.0, error - old_error)
+        old, part, old_error = part, np.clip(part - error * (part - old) / way, begin, 1.0), error
+        there = _piece(plant, steps, run, begin, part)
+        error = there[:, 0] - threshold
+    return part, there
+
+
+def _piece(plant: Plant, steps: Tables, run: _Run, begin: Array, until: Array) -> Array:
+    """(n, d) the states at `until` from the runs' at `begin`, both parts of their steps; noise is spread evenly."""
+    closed, other = steps.closed.terms, (steps.open or steps.closed).terms
+    which, opened, length = run.which, run.opened, until - begin
+    loss = np.where(opened, other.loss[which], closed.loss[which])
+    heat = np.where(opened[:, None], other.heat[which], closed.heat[which]) + run.mode[:, None] * closed.drive[which]
+    heat[:, 0] += run.rest
+    if closed.powers > 1:
+        first, second = heat[:, 1].copy(), heat[:, 2].copy()
+        heat[:, 0] += (first + second * begin) * begin
+        heat[:, 1], heat[:, 2] = (first + 2.0 * second * begin) * length, second * length * length
+    answer = respond(plant, loss, steps.coupling[which], steps.dt[which] * length, closed.powers)
+    after = np.einsum("nij,nj->ni", answer.phi, run.s) + np.einsum("niq,nq->ni", answer.poly, heat)
+    return np.asarray(after + length[:, None] * run.push)

@@ -1,0 +1,228 @@
+"""N runs of the temperature along given paths of locations, in exact steps, and their chance of touching a limit.
+
+Each run stops at its own jumps and at the marks of a common grid; arrays are (S, N), S steps of N runs, and a step that
+a run does not need has length 0.
+
+A noisy path may touch the limit b between two points x0 and x1 that are both below it. For an affine flow with a fixed
+target the chance of that is
+
+    exp(-2 (b - x0) (b - x1) / V),    V = variance / decay.
+
+It is the Brownian-bridge formula (V = s^2 dt without relaxation) carried through the change of time that makes a
+relaxing flow a Brownian motion (V = s^2 sinh(k dt) / k); what is left out is the curvature of the limit in that time,
+of second order in k dt. A step over several relaxation times is treated as one over one of them.
+"""
+
+from dataclasses import dataclass
+from math import exp, isfinite, sqrt
+
+import numpy as np
+
+from sim.engine.belief import Belief
+from sim.engine.tracker import Tracker
+from sim.sha import flows
+from sim.sha.automaton import SHA
+from sim.sha.semi_markov import Indices, Paths
+from sim.sha.trace import Array, Mask
+
+_LEAST_DECAY = exp(-1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """What the S steps of N runs do, before anything is known of X; every array is (S, N), times are seconds from now.
+
+    `target` is m + offset (degC for a flow that moves towards it), `noise` the step's own random part and `variance`
+    its variance; `drawn` is the temperature that a `resample` draws at the step's start, NaN elsewhere and None where
+    no location does. `marks` (G, N) are the rows that end at the grid's points.
+    """
+
+    location: Indices
+    begin: Array
+    dt: Array
+    age: Array
+    target: Array
+    decay: Array
+    pull: Array
+    variance: Array
+    noise: Array
+    drawn: Array | None
+    marks: Indices
+
+
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """The temperatures (degC) at both ends of each step, (S, N); `clamps` counts the ends cut to the range."""
+
+    start: Array
+    end: Array
+    clamps: int
+
+
+def lay_out(
+    tracker: Tracker, belief: Belief, paths: Paths, grid: Array, inputs: Array, rng: np.random.Generator
+) -> tuple[Steps, Array]:
+    """The steps along `paths` with all that is random in them drawn, and the N temperatures that the runs start from.
+
+    `grid` (G,) ascends from above 0 to the horizon; `inputs` (L, 2) are the moments of a stay's offset
+    (`semi_markov.input_moments`).
+    """
+    stay, begin, dt, first, marks = merge(paths, grid)
+    x0, m0 = _draw_belief(belief, paths.location.shape[1], rng)
+    target = _stay_targets(tracker, belief, paths, m0, inputs, rng)
+    cell = stay * paths.location.shape[1] + np.arange(paths.location.shape[1])
+    location = np.take(paths.location, cell)
+    age = np.maximum(begin - np.take(paths.entered, cell), 0.0) + np.where(stay == 0, paths.age, 0.0)
+    decay, pull, variance = _coefficients(tracker.model.sha, location, age, dt)
+    steps = Steps(
+        location=location,
+        begin=begin,
+        dt=dt,
+        age=age,
+        target=np.take(target, cell),
+        decay=decay,
+        pull=pull,
+        variance=variance,
+        noise=np.sqrt(variance) * rng.standard_normal(dt.shape),
+        drawn=drawn_temperatures(tracker, location, first, rng),
+        marks=marks,
+    )
+    return steps, x0
+
+
+def merge(paths: Paths, grid: Array) -> tuple[Indices, Array, Array, Mask, Indices]:
+    """(stay, begin, dt, whether a stay begins with the step) of each step, and the rows that end at the grid's points.
+
+    A jump's place among the steps is its own number plus that of the grid's points before it, so nothing is sorted. At
+    one instant the jump comes first; jumps beyond the horizon come after the last point, with length 0.
+    """
+    jumps = paths.entered[1:]
+    runs, columns = jumps.shape[1], np.arange(jumps.shape[1])
+    place = np.arange(jumps.shape[0])[:, None] + np.searchsorted(grid, jumps, side="left")
+    jumped = np.zeros((jumps.shape[0] + grid.size, runs), dtype=np.bool_)
+    jumped[place, columns] = True
+    marks = np.nonzero(~jumped.T)[1].reshape(runs, grid.size).T
+    ends = np.empty(jumped.shape)
+    ends[place, columns] = np.minimum(jumps, grid[-1])
+    ends[marks, columns] = grid[:, None]
+    begin = np.vstack([np.zeros(runs), ends[:-1]])
+    first = np.vstack([np.zeros(runs, dtype=np.bool_), jumped[:-1]])
+    return np.cumsum(first, axis=0), begin, ends - begin, first, marks
+
+
+def _coefficients(sha: SHA, location: Indices, age: Array, dt: Array) -> tuple[Array, Array, Array]:
+    """(decay, pull, variance) of each step; sorted by location once: a mask for each location costs twice that."""
+    order = np.argsort(location.ravel().astype(np.int16), kind="stable")
+    ages, steps = age.ravel()[order], dt.ravel()[order]
+    ends = np.cumsum(np.bincount(location.ravel(), minlength=len(sha.locations)))
+    parts = np.empty((3, steps.size))
+    for place, begin, end in zip(sha.locations, [0, *ends], ends, strict=False):
+        parts[:, begin:end] = flows.coefficients(place.flow, ages[begin:end], steps[begin:end])
+    back = np.empty_like(parts)
+    back[:, order] = parts
+    decay, pull, variance = back.reshape(3, *dt.shape)
+    return decay, pull, variance
+
+
+def _draw_belief(belief: Belief, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """N draws of (X, m) from the belief's joint normal law."""
+    z, w = rng.standard_normal((2, runs))
+    share = belief.xm / sqrt(belief.xx) if belief.xx > 0 else 0.0
+    own = sqrt(max(belief.mm - share * share, 0.0))
+    return belief.x + sqrt(belief.xx) * z, belief.m + share * z + own * w
+
+
+def _stay_targets(
+    tracker: Tracker, belief: Belief, paths: Paths, m0: Array, inputs: Array, rng: np.random.Generator
+) -> Array:
+    """(J, N) target (m + offset) of each stay: the belief's in the present one, drawn by its location's laws later."""
+    modes = [tracker.modes[location.name].parameter for location in tracker.model.sha.locations]
+    mean = np.array([mode[0] for mode in modes]) + inputs[:, 0]
+    sigma = np.sqrt(np.array([mode[1] for mode in modes]) + inputs[:, 1] ** 2)
+    target = mean[paths.location] + sigma[paths.location] * rng.standard_normal(paths.location.shape)
+    target[0] = m0 + belief.offset
+    return np.asarray(target)
+
+
+def drawn_temperatures(tracker: Tracker, location: Indices, first: Mask, rng: np.random.Generator) -> Array | None:
+    """(S, N) the temperature that each step's stay draws, NaN where none is drawn; None where no location draws any."""
+    laws = [tracker.modes[place.name].temperature for place in tracker.model.sha.locations]
+    if all(law is None for law in laws):
+        return None
+    mean = np.array([np.nan if law is None else law[0] for law in laws])
+    sigma = np.array([0.0 if law is None else sqrt(law[1]) for law in laws])
+    values = mean[location] + sigma[location] * rng.standard_normal(location.shape)
+    return np.where(first, values, np.nan)
+
+
+def run(sha: SHA, steps: Steps, x0: Array) -> Runs:
+    """The runs along `steps` from the temperatures `x0` (N,), by the limits of `sha`: its greatest rate and its range.
+
+    The affine recursion is exact as long as no run meets a limit; when one does, all are done again with them.
+    """
+    end = np.empty(steps.dt.shape)
+    start = np.empty(steps.dt.shape)
+    shift = steps.pull * steps.target + steps.noise
+    x = x0
+    for row in range(len(end)):
+        start[row] = x if steps.drawn is None else _entered(x, steps.drawn[row])
+        np.multiply(steps.decay[row], start[row], out=end[row])
+        end[row] += shift[row]
+        x = end[row]
+    outside = min(end.min(), start.min()) < sha.low or max(end.max(), start.max()) > sha.high
+    return _limited(sha, steps, x0) if outside or _too_fast(sha, steps, start) else Runs(start, end, 0)
+
+
+def _entered(x: Array, drawn: Array) -> Array:
+    return np.where(np.isnan(drawn), x, drawn)
+
+
+def _too_fast(sha: SHA, steps: Steps, start: Array) -> bool:
+    """Whether some step begins with a drift beyond the greatest rate (inside a step the drift only shrinks)."""
+    if not isfinite(sha.max_rate):
+        return False
+    for index in np.unique(steps.location):
+        rows = steps.location == index
+        drift = flows.drift(sha.locations[index].flow, start[rows], steps.target[rows], steps.age[rows])
+        if np.any(np.abs(drift) > sha.max_rate):
+            return True
+    return False
+
+
+def _limited(sha: SHA, steps: Steps, x0: Array) -> Runs:
+    start, end = np.empty(steps.dt.shape), np.empty(steps.dt.shape)
+    x: Array = np.clip(x0, sha.low, sha.high)
+    clamps = int(((x0 < sha.low) | (x0 > sha.high)).sum())
+    for row in range(len(end)):
+        begins = x if steps.drawn is None else np.clip(_entered(x, steps.drawn[row]), sha.low, sha.high)
+        start[row] = begins
+        free = _mean_step(sha, steps, row, begins) + steps.noise[row]
+        end[row] = x = np.asarray(np.clip(free, sha.low, sha.high))
+        clamps += int((x != free).sum())
+    return Runs(start, end, clamps)
+
+
+def _mean_step(sha: SHA, steps: Steps, row: int, begins: Array) -> Array:
+    """(N,) the mean ends of one row of steps; only a rate limit has to be looked at location by location."""
+    if not isfinite(sha.max_rate):
+        return np.asarray(steps.decay[row] * begins + steps.pull[row] * steps.target[row])
+    free = np.empty(begins.shape)
+    for index in np.unique(steps.location[row]):
+        there = steps.location[row] == index
+        flow, age, dt = sha.locations[index].flow, steps.age[row, there], steps.dt[row, there]
+        free[there] = flows.mean_step(flow, begins[there], steps.target[row, there], age, dt, sha.max_rate)
+    return free
+
+
+def survival(start: Array, end: Array, steps: Steps, limit: float, widening: Array | float = 1.0) -> Array:
+    """(S, N) the chance that a run has not reached `limit` by the end of each step, given its steps' two ends.
+
+    `widening` is the factor by which the noise in each step was scaled, with its ends.
+    """
+    bridge = steps.variance / np.maximum(steps.decay, _LEAST_DECAY) * np.square(widening)
+    before, after = limit - start, limit - end
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        touched = np.exp(-2.0 * before * after / bridge)
+    touched = np.where(bridge > 0, touched, 0.0)
+    touched[(before <= 0) | (after <= 0)] = 1.0
+    return np.asarray(np.cumprod(1.0 - touched, axis=0))

@@ -1,0 +1,145 @@
+"""What a linear segment does to the state: its transition, its answer to a heat, and its noise, exactly.
+
+A heat that varies inside a segment is taken as c0 + c1 v + c2 v^2, v from 0 at the start to 1 at the end, and the
+answer to each of the three is exact whatever the segment's length.
+"""
+
+from dataclasses import dataclass
+from math import factorial, inf
+
+import numpy as np
+
+from sim.engine.plant import Plant
+from sim.sha.trace import Array
+
+_TERMS = 14
+"""Terms of the Taylor series, of matrices whose norm is at most 1/2: the remainder is below 1e-16."""
+
+_DIGITS = 6
+"""Decimals of a length (s) by which segments count as alike where there are several states: clocks in absolute seconds
+have no more, and equal segments are worked out once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """For n segments of d states: `phi` (n, d, d), `poly` (n, d, q), `noise` (n, d, d).
+
+    `poly` are the states (degC) that heats of 1, v and v^2 degC/s leave behind (q = 1 for the first alone), `noise` the
+    covariance (degC^2) left by white heat of unit intensity.
+    """
+
+    phi: Array
+    poly: Array
+    noise: Array
+
+
+def respond(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) -> Response:
+    """The answers of segments with dX/dt = -`loss` X + `coupling` (H - X) + heat over `dt` seconds, each (n,)."""
+    if plant.size == 1:
+        return _scalar(loss, dt, powers)
+    same = np.column_stack([loss, coupling, np.round(dt, _DIGITS)])
+    keys, back = np.unique(same, axis=0, return_inverse=True)
+    back = back.reshape(-1)
+    phi, poly = _transition(plant, keys, powers)
+    return Response(phi[back], poly[back], _noise(plant, keys)[back])
+
+
+def _scalar(loss: Array, dt: Array, powers: int) -> Response:
+    z = loss * dt
+    poly = dt[:, None] * weights(z, powers)
+    noise = dt * weights(2.0 * z, 1)[:, 0]
+    return Response(np.exp(-z)[:, None, None], poly[:, None, :], noise[:, None, None])
+
+
+def weights(z: Array, powers: int) -> Array:
+    """(n, powers) the integrals of exp(-z (1 - v)) v^j over v from 0 to 1, for z >= 0."""
+    small = z < 0.5
+    if small.all():
+        return _series(z, powers)
+    large = np.maximum(z, 0.5)
+    value = -np.expm1(-large) / large
+    columns = [value]
+    for j in range(1, powers):
+        value = (1.0 - j * value) / large
+        columns.append(value)
+    out = np.stack(columns, axis=1)
+    if small.any():
+        out[small] = _series(z[small], powers)
+    return out
+
+
+_COEFFICIENTS = np.array(
+    [[(-1.0) ** i * factorial(j) / factorial(j + 1 + i) for j in range(3)] for i in range(_TERMS + 1)]
+)
+
+
+def _series(z: Array, powers: int) -> Array:
+    """The sums over i of (-z)^i j! / (j + 1 + i)!, for z < 1/2."""
+    return np.asarray(np.vander(z, _TERMS + 1, increasing=True) @ _COEFFICIENTS[:, :powers])
+
+
+def drift_matrix(plant: Plant, loss: Array, coupling: Array) -> Array:
+    """(n, d, d) the matrix A of ds/dt = A s."""
+    d = plant.size
+    a = np.zeros((loss.size, d, d))
+    a[:, 0, 0] = -loss
+    before = 0
+    if plant.housing_tau < inf:
+        a[:, 0, 0] -= coupling
+        a[:, 0, 1] = coupling
+        a[:, 1, 0], a[:, 1, 1] = 1.0 / plant.housing_tau, -1.0 / plant.housing_tau
+    for place in range(d - plant.lags, d):
+        a[:, place, before], a[:, place, place] = plant.lag_rate, -plant.lag_rate
+        before = place
+    return a
+
+
+def _transition(plant: Plant, keys: Array, powers: int) -> tuple[Array, Array]:
+    """(phi, poly) from one exponential: the heat and its derivatives by v are states of their own."""
+    loss, coupling, dt = keys.T
+    d = plant.size
+    a = np.zeros((len(keys), d + powers, d + powers))
+    a[:, :d, :d] = drift_matrix(plant, loss, coupling) * dt[:, None, None]
+    a[:, 0, d] = dt
+    for j in range(1, powers):
+        a[:, d + j - 1, d + j] = 1.0
+    halvings = _halvings(a)
+    a *= np.exp2(-halvings)[:, None, None]
+    total = term = np.broadcast_to(np.eye(d + powers), a.shape)
+    for i in range(1, _TERMS + 1):
+        term = a @ term / i
+        total = total + term
+    for i in range(int(halvings.max(initial=0))):
+        on = halvings > i
+        total[on] = total[on] @ total[on]
+    poly = total[:, :d, d:] * np.array([1.0, 1.0, 2.0])[:powers]
+    return total[:, :d, :d], poly
+
+
+def _noise(plant: Plant, keys: Array) -> Array:
+    """The covariance by its own Taylor series over a short piece, doubled: C(2h) = C(h) + phi(h) C(h) phi(h)^T."""
+    loss, coupling, dt = keys.T
+    a = drift_matrix(plant, loss, coupling) * dt[:, None, None]
+    halvings = _halvings(2.0 * a)
+    scale = np.exp2(-halvings)
+    a *= scale[:, None, None]
+    term = np.zeros_like(a)
+    term[:, 0, 0] = dt * scale
+    total, phi, power = term.copy(), np.broadcast_to(np.eye(plant.size), a.shape), np.eye(plant.size)
+    for i in range(1, 2 * _TERMS + 1):
+        push = a @ term
+        term = (push + push.transpose(0, 2, 1)) / (i + 1)
+        total += term
+        power = a @ power / i
+        phi = phi + power
+    for i in range(int(halvings.max(initial=0))):
+        on = halvings > i
+        total[on] += phi[on] @ total[on] @ phi[on].transpose(0, 2, 1)
+        phi[on] = phi[on] @ phi[on]
+    return np.asarray(total)
+
+
+def _halvings(a: Array) -> Array:
+    """(n,) how often each matrix must be halved until its norm is at most 1/2."""
+    norm: Array = np.abs(a).sum(axis=2).max(axis=1, initial=0.0)
+    return np.asarray(np.maximum(np.ceil(np.log2(np.maximum(norm, 1e-300) * 2.0)), 0.0))

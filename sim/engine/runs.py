@@ -1,0 +1,107 @@
+"""Stochastic runs of an automaton with effects: every run has its own m, noise, housing, lags and thermostat.
+
+Each step is exact in law where it is linear. Radiation is linearised about the mean course, the same for all runs; what
+that leaves out is taken for each run at its step's start.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.effects.kinds import sensor_offset, sensor_offsets
+from sim.engine.course import start_state
+from sim.engine.kernel import move
+from sim.engine.moments import augmented_course
+from sim.engine.plant import Indices, Plant
+from sim.engine.schedule import Schedule
+from sim.engine.tables import Half, Tables
+from sim.sha import distributions
+from sim.sha.automaton import Distribution
+from sim.sha.entry import drawn_parameter, drawn_temperature
+from sim.sha.trace import Array, Mask
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A schedule made ready for runs: the steps' tables, roots of their noise (n, d, d), laws by location."""
+
+    schedule: Schedule
+    plant: Plant
+    steps: Tables
+    closed: Array
+    open: Array
+    mode: Array
+    resampled: Mask
+    temperature_laws: Sequence[Distribution | None]
+    mode_laws: Sequence[Distribution | None]
+    read_offset: Array
+    first_offset: float
+
+
+def augmented_plan(steps: Schedule, x0: float) -> Plan:
+    """The plan of runs whose first reading has the mean `x0` (degC)."""
+    plant, drawn, course = augmented_course(steps, x0)
+    closed = root(course.steps.closed)
+    return Plan(
+        schedule=steps,
+        plant=plant,
+        steps=course.steps,
+        closed=closed,
+        open=closed if course.steps.open is None else root(course.steps.open),
+        mode=drawn.mode,
+        resampled=drawn.resampled,
+        temperature_laws=[drawn_temperature(place) for place in steps.sha.locations],
+        mode_laws=[drawn_parameter(place) for place in steps.sha.locations],
+        read_offset=sensor_offsets(steps.sha, steps.times),
+        first_offset=sensor_offset(steps.sha, steps.start),
+    )
+
+
+def root(half: Half) -> Array:
+    """(n, d, d) matrices R with R R^T = noise, also where that is singular."""
+    if half.noise.shape[1] == 1:
+        return np.sqrt(half.noise)
+    values, vectors = np.linalg.eigh(half.noise)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+
+
+def augmented_runs(
+    plan: Plan, x: Array, rng: np.random.Generator, out: Array, clamps: Indices, limited: Indices
+) -> None:
+    """Takes the first readings `x` (N,) along the plan: fills `out` (outputs, N), adds to the counts (N,)."""
+    schedule, plant = plan.schedule, plan.plant
+    s, mode = start_state(plant, x, plan.first_offset), np.zeros(x.size)
+    opened = np.zeros(x.size, dtype=np.bool_)
+    low, high = schedule.sha.low, schedule.sha.high
+    for row, place in enumerate(schedule.location.tolist()):
+        if schedule.entry[row]:
+            mode = _entered(plan, row, place, s, rng)
+        if schedule.dt[row] > 0:
+            push = _push(plan, row, opened, rng)
+            moved = move(plant, plan.steps, row, s, mode, opened, push)
+            s, opened = moved.s, moved.opened
+            limited += moved.met
+        if schedule.checked[row] and (s[:, 0].min() < low or s[:, 0].max() > high):
+            clamps += (s[:, 0] < low) | (s[:, 0] > high)
+            s[:, 0] = np.clip(s[:, 0], low, high)
+        if schedule.output[row] >= 0:
+            np.add(s[:, plant.sensed], plan.read_offset[schedule.output[row]], out=out[schedule.output[row]])
+
+
+def _entered(plan: Plan, row: int, place: int, s: Array, rng: np.random.Generator) -> Array:
+    """The mode parameters (N,) of the stay that begins; X is drawn in place where the location says so."""
+    fresh, law = plan.temperature_laws[place], plan.mode_laws[place]
+    if fresh is not None and plan.resampled[row]:
+        s[:, 0] = distributions.draw(fresh, len(s), rng)
+    if law is not None:
+        return distributions.draw(law, len(s), rng)
+    return np.full(len(s), plan.mode[row])
+
+
+def _push(plan: Plan, row: int, opened: Mask, rng: np.random.Generator) -> Array:
+    drawn = rng.standard_normal((opened.size, plan.plant.size))
+    push = drawn @ plan.closed[row].T
+    if opened.any():
+        push = np.where(opened[:, None], drawn @ plan.open[row].T, push)
+    return np.asarray(push)

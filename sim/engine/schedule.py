@@ -1,0 +1,330 @@
+"""From timed events and output times to exact steps: where the automaton is, for how long, and what drives it."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim.effects.kinds import check_effects, dead_time, refuse, signals_of
+from sim.engine.cuts import Stays, cuts
+from sim.engine.plant import Plant, compile_plant
+from sim.engine.terms import Segments
+from sim.sha import flows
+from sim.sha.automaton import SHA, Flow, transitions
+from sim.sha.correction import in_sensor_scale
+from sim.sha.flows import Coefficients
+from sim.sha.model import Model
+from sim.sha.trace import UNKNOWN, Array, Event, Mask, Trace
+
+Policy = Literal["reject", "ignore", "resync"]
+"""What an event without an edge does: ValueError; nothing; a jump to where its symbol leads most often."""
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """n exact steps through the locations of `sha`, from `start` (absolute s) to the last output time.
+
+    `times` (m,) are the output times in absolute seconds; all other arrays are (n,), one entry a step:
+    `location` the index into `sha.locations`; `entry` whether a stay begins with the step (`entry[0]` is always true:
+    the first stay has its own mode parameter, but X is given there and never resampled); `age` the seconds since the
+    location was entered, at the step's start; `dt` its length in seconds (0 for a stay or output at the same instant);
+    `offset` what the inputs add to the target, held over the step (degC); `output` the row of `times` at which the
+    step ends, or -1; `checked` whether it ends at an event or an output, where the temperature is held against the
+    model's range. Every output row ends exactly one step, after the events of that instant.
+
+    `unmatched` are the indices of the events that had no edge and were ignored or resynchronised. `segments` has what
+    the effects need of each step; None where the automaton has none, and only then are the steps exact by the flows
+    alone (`step_coefficients`).
+    """
+
+    sha: SHA
+    start: float
+    times: Array
+    location: Indices
+    entry: Mask
+    age: Array
+    dt: Array
+    offset: Array
+    output: Indices
+    checked: Mask
+    unmatched: tuple[int, ...] = ()
+    segments: Segments | None = None
+
+    @property
+    def output_location(self) -> Indices:
+        """(m,) the location index at each output time, after the events of that instant."""
+        return self.location[self.output >= 0]
+
+    @property
+    def stay(self) -> Indices:
+        """(n,) which stay each step belongs to, counted from 0."""
+        return np.cumsum(self.entry) - 1
+
+
+def schedule(
+    model: Model | SHA,
+    events: Sequence[Event],
+    outputs: ArrayLike,
+    *,
+    start: float | None = None,
+    inputs: Trace | None = None,
+    policy: Policy = "reject",
+) -> Schedule:
+    """The exact steps from `start` to the last of the `outputs` (m,), in absolute seconds.
+
+    `start` is the first output time unless given. Events before it only settle where the run starts, and with which
+    age; events after the last output are not looked at. At equal times events come first, in their order, each with a
+    stay of its own (of length 0), then the outputs.
+
+    `inputs` gives the signals that `driven` flows name: a reading holds until the next one, NaN is no reading, and
+    before its first reading a signal counts as at its reference (it adds nothing). Steps are cut at new readings only
+    where the location is driven by them, or an effect that acts there reads them. A dead time among the effects moves
+    all events and readings to later times; other effects may cut steps more finely (`sim.engine.cuts`).
+
+    UNKNOWN always leads to the initial location. An event that has no edge follows `policy`: `reject` raises
+    ValueError naming index, location, symbol and time; `ignore` leaves the stay as it is; `resync` enters the location
+    that most edges with its symbol lead to (the first in the model's order among equals; the initial location when no
+    edge has the symbol).
+
+    Raises ValueError on a model that is not deterministic or has guards, on output or event times that go back or are
+    no numbers, on an output before `start`, and on a missing input signal. A model's correction is worked into the
+    schedule's automaton: temperatures along it are the sensor's.
+    """
+    sha = in_sensor_scale(model).sha if isinstance(model, Model) else model
+    times = _checked_outputs(outputs, start)
+    begin = float(times[0]) if start is None else float(start)
+    given = inputs if inputs is not None else Trace("no inputs", np.empty(0), {})
+    if not sha.effects:
+        return _steps(sha, _walk(sha, events, begin, float(times[-1]), policy), times, given)
+    check_effects(sha)
+    delay = dead_time(sha)
+    felt = [Event(event.time + delay, event.symbol) for event in events]
+    later = Trace(given.name, given.times + delay, given.signals)
+    walk = _walk(sha, felt, begin, float(times[-1]), policy)
+    return _steps(sha, walk, times, later, _extra(compile_plant(sha), walk, float(times[-1]), felt))
+
+
+@dataclass(frozen=True, slots=True)
+class _Extra:
+    """What effects add to a schedule: `finer` cuts (s), and for each start-up effect the times of its event."""
+
+    finer: Array
+    starts: tuple[Array, ...]
+
+
+def _extra(plant: Plant, walk: "_Walk", end: float, events: Sequence[Event]) -> _Extra:
+    starts = tuple(
+        np.array([event.time for event in events if event.symbol == acting.effect.event], dtype=float)
+        for acting in plant.startups
+    )
+    ends = np.append(walk.begins[1:], end)
+    finer = np.unique(cuts(plant, Stays(walk.begins, ends, walk.entered, walk.location, starts)))
+    return _Extra(finer[(finer > walk.begins[0]) & (finer < end)], starts)
+
+
+def _segments(steps: Schedule, begin: Array, clock: Array, held: dict[str, Array], extra: _Extra) -> Segments:
+    row = np.searchsorted(clock, begin, side="right") - 1  # row -1, before the clock begins, meets a NaN
+    return Segments(
+        location=steps.location,
+        time=begin,
+        age=steps.age,
+        dt=steps.dt,
+        offset=steps.offset,
+        signals={name: np.append(column, np.nan)[row] for name, column in held.items()},
+        since=tuple(since_last(begin, starts) for starts in extra.starts),
+    )
+
+
+def since_last(times: Array, starts: Array) -> Array:
+    """Seconds since the last of `starts`; inf before the first."""
+    return np.asarray(times - np.append(starts, -np.inf)[np.searchsorted(starts, times, side="right") - 1])
+
+
+def _steps(sha: SHA, walk: "_Walk", times: Array, inputs: Trace, extra: _Extra | None = None) -> Schedule:
+    """Sorts the three kinds of boundaries; a step lies between each and the next."""
+    held = _readings(sha, walk.location, inputs)
+    inner = _input_cuts(sha, walk, inputs.times, held, times)
+    if extra is not None:
+        inner = np.union1d(inner, extra.finer[~(_among(extra.finer, times) | _among(extra.finer, walk.begins))])
+    marks = np.concatenate([walk.begins, inner, times])
+    rank = np.repeat(np.arange(3), [walk.begins.size, inner.size, times.size])
+    order = np.argsort(marks, kind="stable")  # at one instant: events, inputs, outputs
+    marks, rank = marks[order], rank[order]
+    entry, ends = rank[:-1] == 0, rank[1:]
+    stay = np.cumsum(entry) - 1
+    location = walk.location[stay]
+    output = np.full(ends.size, -1, dtype=np.intp)
+    output[ends == 2] = np.arange(times.size)
+    steps = Schedule(
+        sha=sha,
+        start=float(marks[0]),
+        times=times,
+        location=location,
+        entry=entry,
+        age=marks[:-1] - walk.entered[stay],
+        dt=np.diff(marks),
+        offset=_offsets(sha, location, marks[:-1], inputs.times, held),
+        output=output,
+        checked=ends != 1,
+        unmatched=walk.unmatched,
+    )
+    if extra is None:
+        return steps
+    return replace(steps, segments=_segments(steps, marks[:-1], inputs.times, held, extra))
+
+
+def step_coefficients(steps: Schedule) -> Coefficients:
+    """(decay, pull, variance) of every step without saturation, each (n,). Raises ValueError where effects act."""
+    refuse(steps.sha, "a calculation with the flows' closed forms")
+    parts = tuple(np.empty(steps.dt.size) for _ in range(3))
+    for index in np.unique(steps.location):
+        rows = steps.location == index
+        flow = steps.sha.locations[index].flow
+        for part, value in zip(parts, flows.coefficients(flow, steps.age[rows], steps.dt[rows]), strict=True):
+            part[rows] = value
+    return parts[0], parts[1], parts[2]
+
+
+def resync_targets(sha: SHA) -> dict[str, str]:
+    """symbol -> the location that most edges with it lead to; the first in the model's order among equals."""
+    order = {location.name: place for place, location in enumerate(sha.locations)}
+    votes = Counter((edge.symbol, edge.target) for edge in sha.edges)
+    targets: dict[str, str] = {}
+    for symbol, target in sorted(votes, key=lambda pair: (-votes[pair], order[pair[1]])):
+        targets.setdefault(symbol, target)
+    return targets
+
+
+@dataclass(frozen=True, slots=True)
+class _Walk:
+    """The stays: when each begins within the run, when its location was entered, and which location it is."""
+
+    begins: Array
+    entered: Array
+    location: Indices
+    unmatched: tuple[int, ...]
+
+
+def _walk(sha: SHA, events: Sequence[Event], start: float, end: float, policy: Policy) -> _Walk:
+    if policy not in ("reject", "ignore", "resync"):
+        raise ValueError(f"unknown policy {policy!r}: known are reject, ignore, resync")
+    moves, fallback = transitions(sha), resync_targets(sha)
+    index = {location.name: place for place, location in enumerate(sha.locations)}
+    _check_order(events)
+    here, stays, unmatched = sha.initial, [(start, start, index[sha.initial])], []
+    for number, event in enumerate(events):
+        if event.time > end:
+            break
+        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
+        if target is None:
+            if policy == "reject":
+                raise ValueError(
+                    f"event {number} ({event.symbol!r} at {event.time:.3f} s): location {here!r} of SHA {sha.name!r} "
+                    f"has no edge for it; the policies 'ignore' and 'resync' go on all the same"
+                )
+            unmatched.append(number)
+            if policy == "ignore":
+                continue
+            target = fallback.get(event.symbol, sha.initial)
+        here = target
+        stay = (max(event.time, start), event.time, index[here])
+        if event.time < start:
+            stays = [stay]
+        else:
+            stays.append(stay)
+    begins, entered, location = zip(*stays, strict=True)
+    return _Walk(np.array(begins), np.array(entered), np.array(location, dtype=np.intp), tuple(unmatched))
+
+
+def _check_order(events: Sequence[Event]) -> None:
+    times = np.array([event.time for event in events], dtype=float)
+    bad = ~np.isfinite(times)
+    bad[1:] |= np.diff(times) < 0
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise ValueError(
+            f"event {row} ({events[row].symbol!r} at {times[row]} s): times must be numbers, never going back"
+        )
+
+
+def _checked_outputs(outputs: ArrayLike, start: float | None) -> Array:
+    times = np.atleast_1d(np.asarray(outputs, dtype=float))
+    if times.ndim != 1 or times.size == 0:
+        raise ValueError(f"output times must be a non-empty list of seconds, got the shape {times.shape}")
+    if not np.all(np.isfinite(times)) or np.any(np.diff(times) < 0):
+        raise ValueError("output times must be numbers and never go back")
+    if start is not None and not start <= times[0]:
+        raise ValueError(f"the first output time {times[0]} lies before the start {start}")
+    return times
+
+
+def _readings(sha: SHA, location: Indices, inputs: Trace) -> dict[str, Array]:
+    """The signals that the visited flows name, each reading held until the next; NaN before the first."""
+    wanted = {name: sha.locations[index].name for index, names in _listening(sha, location) for name in names}
+    for signal, name in wanted.items():
+        if signal not in inputs.signals:
+            raise ValueError(f"location {name!r} is driven by the signal {signal!r}, which the inputs do not have")
+    return {signal: _hold(inputs.signals[signal]) for signal in wanted}
+
+
+def _hold(column: Array) -> Array:
+    empty = np.isnan(column)
+    if not empty.any():
+        return column
+    last = np.maximum.accumulate(np.where(empty, -1, np.arange(column.size)))
+    return np.where(last < 0, np.nan, column[last])
+
+
+def _changed(column: Array) -> Mask:
+    """Where a reading differs from the one before it; the first one differs from not knowing."""
+    before = np.concatenate([[np.nan], column[:-1]])[: column.size]
+    return np.asarray((before != column) & ~np.isnan(column))
+
+
+def _input_cuts(sha: SHA, walk: _Walk, clock: Array, held: dict[str, Array], outputs: Array) -> Array:
+    """The times of changed readings at which a step must be cut: inside driven stays, where no boundary is already."""
+    changed = {signal: _changed(column) for signal, column in held.items()}
+    within = (clock > walk.begins[0]) & (clock < outputs[-1])
+    found = [np.empty(0)]
+    for index, names in _listening(sha, walk.location):
+        times = clock[within & np.any([changed[name] for name in names], axis=0)]
+        found.append(times[walk.location[np.searchsorted(walk.begins, times, side="right") - 1] == index])
+    wanted = np.unique(np.concatenate(found))
+    return wanted[~(_among(wanted, outputs) | _among(wanted, walk.begins))]
+
+
+def _offsets(sha: SHA, location: Indices, begins: Array, clock: Array, held: dict[str, Array]) -> Array:
+    """What the readings held at `begins` add to the target of each step; a signal not read yet adds nothing."""
+    total = np.zeros(begins.size)
+    for index, flow in _driven(sha, location):
+        steps = np.flatnonzero(location == index)
+        row = np.searchsorted(clock, begins[steps], side="right") - 1
+        for given in flow.inputs:
+            reading = np.append(held[given.signal], np.nan)[row]  # row -1, before the clock begins, meets the NaN
+            total[steps] += np.where(np.isnan(reading), 0.0, given.gain * (reading - given.reference))
+    return total
+
+
+def _listening(sha: SHA, location: Indices) -> list[tuple[int, tuple[str, ...]]]:
+    """The visited locations in which something reads signals, and which."""
+    read = {}
+    for index in np.unique(location).tolist():
+        place = sha.locations[index]
+        names = dict.fromkeys(given.signal for given in place.flow.inputs)
+        read[index] = tuple(names | dict.fromkeys(signals_of(sha, place.name)))
+    return [(index, names) for index, names in read.items() if names]
+
+
+def _driven(sha: SHA, location: Indices) -> list[tuple[int, Flow]]:
+    visited = np.unique(location).tolist()
+    return [(index, sha.locations[index].flow) for index in visited if sha.locations[index].flow.inputs]
+
+
+def _among(values: Array, ascending: Array) -> Mask:
+    place = np.minimum(np.searchsorted(ascending, values), ascending.size - 1)
+    return np.asarray(ascending[place] == values)

@@ -1,0 +1,280 @@
+"""Many stochastic runs of a model along one schedule: exact draws, no time step to choose, vectorised over the runs.
+
+Each run has its own mode parameter in every stay and its own noise in every step. Without a rate limit a run is its
+deterministic mean plus a deviation y, and the deviation follows
+
+    y' = decay * y + pull * (m - mean of m) + noise
+
+so that offsets and means never enter the inner loop. Steps that end at neither an event nor an output are composed
+into one beforehand (the composition of affine Gaussian steps is one), and a normal m that only one step feels is drawn
+together with that step's noise. Both leave the joint law of the outputs as it is.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from math import inf, isfinite
+
+import numpy as np
+
+from sim.engine.moments import Affine, affine_steps, free_mean, run_flags
+from sim.engine.recursion import linear_recursion
+from sim.engine.runs import augmented_plan, augmented_runs
+from sim.engine.schedule import Indices, Schedule
+from sim.sha import distributions, flows
+from sim.sha.automaton import Distribution, Flow
+from sim.sha.entry import drawn_parameter, drawn_temperature
+from sim.sha.trace import Array, Mask
+
+CHUNK = 8192
+"""Runs that go through the steps together: few enough that their working rows stay in the cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """N runs at the output times `times` (m,), absolute seconds.
+
+    `temperatures` is (N, m) in degC, as the sensor reads them but without its noise (only lag and offset among the
+    effects tell the two apart); it lies in memory one output time after the other.
+    `location` (m,) is the location index at each output, the same for all runs since the events are given, and
+    `final_location` the last one. `clamps` and `limited` (N,) count, for each run, the events and outputs at which it
+    was put back to the border of the model's range, and the steps in which it met the maximum rate.
+    """
+
+    times: Array
+    temperatures: Array
+    location: Indices
+    clamps: Indices
+    limited: Indices
+    unmatched: tuple[int, ...] = ()
+
+    @property
+    def final_location(self) -> int:
+        """The location index after the last output time."""
+        return int(self.location[-1])
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """What keeps the runs from being the model's own free course, totals over all runs; empty when nothing does."""
+        return run_flags(int(self.clamps.sum()), int(self.limited.sum()), len(self.unmatched))
+
+
+def simulate(
+    steps: Schedule, x0: float | Distribution, runs: int, rng: np.random.Generator, *, out: Array | None = None
+) -> Runs:
+    """`runs` independent runs from `x0`, a temperature (degC) or the law of one, drawn from `rng`.
+
+    Exact in law: m per stay, Gaussian noise per step. Under a rate limit each step takes the limited flow's closed
+    form for the run's own X and m and adds the unlimited flow's noise. The temperature is clamped to the SHA's range
+    at every event and output time, and clamps are counted. Effects are as exact as docs/effects.md states; each run has
+    its own thermostat, housing and lags. Equal arguments and an equal state of `rng` give equal runs.
+
+    The temperatures need runs * m * 8 bytes; `out` (m, runs), one row an output time, takes them instead of fresh
+    memory when many simulations follow one another. Raises ValueError for no runs, an unusable start or model, and an
+    `out` of another shape.
+    """
+    if runs < 1:
+        raise ValueError(f"a simulation needs at least 1 run, got {runs}")
+    law = x0 if isinstance(x0, Distribution) else Distribution("normal", {"mu": float(x0), "sigma": 0.0})
+    distributions.check_distribution(law)
+    rows = np.empty((steps.times.size, runs)) if out is None else out
+    if rows.shape != (steps.times.size, runs):
+        raise ValueError(f"out must have the shape (outputs, runs) = {(steps.times.size, runs)}, got {rows.shape}")
+    go = _kernel(steps, distributions.mean(law))
+    clamps, limited = np.zeros(runs, dtype=np.intp), np.zeros(runs, dtype=np.intp)
+    for first in range(0, runs, CHUNK):
+        part = slice(first, min(first + CHUNK, runs))
+        start = distributions.draw(law, part.stop - part.start, rng)
+        go(start, rng, rows[:, part], clamps[part], limited[part])
+    return Runs(steps.times, rows.T, steps.output_location, clamps, limited, steps.unmatched)
+
+
+Kernel = Callable[[Array, np.random.Generator, Array, Indices, Indices], None]
+"""Takes start temperatures (runs,) along the steps: fills (outputs, runs), adds to the counts of clamps and limits."""
+
+
+def _kernel(steps: Schedule, x0: float) -> Kernel:
+    if steps.segments is not None:
+        return partial(augmented_runs, augmented_plan(steps, x0))
+    affine = affine_steps(steps)
+    if isfinite(steps.sha.max_rate):
+        return partial(_limited_runs, _limited_plan(steps, affine), steps.sha.max_rate)
+    return partial(_free_runs, _free_plan(steps, affine, x0), x0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Free:
+    """One step of the deviation y: draw y and m anew where a law is given, step, hold y in `low`..`high`, write out."""
+
+    fresh_law: Distribution | None
+    fresh_mean: float
+    mode_law: Distribution | None
+    mode_mean: float
+    decay: float
+    pull: float
+    sigma: float
+    low: float
+    high: float
+    mean: float
+    output: int
+
+
+def _free_plan(steps: Schedule, affine: Affine, x0: float) -> list[_Free]:
+    ends = steps.checked
+    begins = np.concatenate([[True], ends[:-1]])
+    decay, pull, variance = _composed(affine, begins, ends)
+    mean = free_mean(steps, affine, x0)[ends]
+    spread, scatter, renewed = affine.spread[begins], affine.scatter[begins], affine.resampled[begins]
+    location, entry = steps.location[begins], steps.entry[begins]
+    fresh, mode = _laws(steps)
+    normal_x, normal_m = (
+        np.array([law is None or law.kind == "normal" for law in laws])[location] for laws in (fresh, mode)
+    )
+    low, high = steps.sha.low - mean, steps.sha.high - mean
+    idle = (decay == 1) & (pull == 0) & (variance == 0) & ~renewed & (np.arange(mean.size) > 0)
+    low[idle], high[idle] = -inf, inf  # X has not moved since it was last checked
+
+    stay = np.cumsum(entry) - 1
+    felt = np.bincount(stay, weights=pull != 0)[stay]
+    alone, merged = normal_m & (felt <= 1), renewed & normal_x
+    variance += np.where(alone, pull**2 * spread, 0.0) + np.where(merged, decay**2 * scatter, 0.0)
+    pull[alone | (spread == 0)] = 0.0
+    decay[merged] = 0.0
+    draws_x, draws_m = renewed & ~normal_x, entry & ~alone & (felt > 0) & (spread > 0)
+    columns = (
+        draws_x,
+        draws_m,
+        location,
+        affine.fresh[begins],
+        affine.mode[begins],
+        decay,
+        pull,
+        np.sqrt(variance),
+        low,
+        high,
+        mean,
+        steps.output[ends],
+    )
+    return [
+        _Free(fresh[q] if new_x else None, mean_x, mode[q] if new_m else None, mean_m, *rest)
+        for new_x, new_m, q, mean_x, mean_m, *rest in zip(*(column.tolist() for column in columns), strict=True)
+    ]
+
+
+def _composed(affine: Affine, begins: Mask, ends: Mask) -> tuple[Array, Array, Array]:
+    """(decay, pull, variance) over each group of steps, from one that `begins` to one that `ends` it."""
+    going_on = np.where(begins, 0.0, affine.decay)
+    decay = linear_recursion(going_on, np.where(begins, affine.decay, 0.0), 0.0)
+    pull = linear_recursion(going_on, affine.pull, 0.0)
+    variance = linear_recursion(going_on**2, affine.noise, 0.0)
+    return decay[ends], pull[ends], variance[ends]
+
+
+def _laws(steps: Schedule) -> tuple[list[Distribution | None], list[Distribution | None]]:
+    """For each location the laws from which X and m are drawn on entry."""
+    locations = steps.sha.locations
+    return [drawn_temperature(each) for each in locations], [drawn_parameter(each) for each in locations]
+
+
+def _free_runs(
+    plan: list[_Free],
+    x0: float,
+    x: Array,
+    rng: np.random.Generator,
+    out: Array,
+    clamps: Indices,
+    _limited: Indices,
+) -> None:
+    y = x - x0
+    noise, pushed, mode = np.empty_like(y), np.empty_like(y), np.zeros_like(y)
+    for step in plan:
+        if step.fresh_law is not None:
+            np.subtract(distributions.draw(step.fresh_law, y.size, rng), step.fresh_mean, out=y)
+        if step.mode_law is not None:
+            np.subtract(distributions.draw(step.mode_law, y.size, rng), step.mode_mean, out=mode)
+        if step.decay != 1.0:
+            y *= step.decay
+        if step.pull:
+            y += np.multiply(mode, step.pull, out=pushed)
+        if step.sigma:
+            rng.standard_normal(out=noise)
+            noise *= step.sigma
+            y += noise
+        if y.min() < step.low or y.max() > step.high:
+            clamps += (y < step.low) | (y > step.high)
+            np.clip(y, step.low, step.high, out=y)
+        if step.output >= 0:
+            np.add(y, step.mean, out=out[step.output])
+
+
+@dataclass(frozen=True, slots=True)
+class _Limited:
+    """One step of X itself, under a rate limit that depends on the run's own X and m."""
+
+    fresh_law: Distribution | None
+    mode_law: Distribution | None
+    drawn: bool
+    mode: float
+    flow: Flow
+    age: float
+    dt: float
+    offset: float
+    sigma: float
+    low: float
+    high: float
+    output: int
+
+
+def _limited_plan(steps: Schedule, affine: Affine) -> list[_Limited]:
+    fresh, mode = _laws(steps)
+    low, high = np.where(steps.checked, steps.sha.low, -inf), np.where(steps.checked, steps.sha.high, inf)
+    columns = (
+        affine.resampled,
+        steps.entry,
+        steps.location,
+        affine.mode,
+        steps.age,
+        steps.dt,
+        steps.offset,
+        np.sqrt(affine.noise),
+        low,
+        high,
+        steps.output,
+    )
+    return [
+        _Limited(
+            fresh[q] if new_x else None,
+            mode[q] if entry else None,
+            mode[q] is not None,
+            mean_m,
+            steps.sha.locations[q].flow,
+            *rest,
+        )
+        for new_x, entry, q, mean_m, *rest in zip(*(column.tolist() for column in columns), strict=True)
+    ]
+
+
+def _limited_runs(
+    plan: list[_Limited],
+    max_rate: float,
+    x: Array,
+    rng: np.random.Generator,
+    out: Array,
+    clamps: Indices,
+    limited: Indices,
+) -> None:
+    mode = np.zeros_like(x)
+    for step in plan:
+        if step.fresh_law is not None:
+            x = distributions.draw(step.fresh_law, x.size, rng)
+        if step.mode_law is not None:
+            mode = distributions.draw(step.mode_law, x.size, rng)
+        if step.dt > 0:
+            target = (mode if step.drawn else step.mode) + step.offset
+            limited += np.abs(flows.drift(step.flow, x, target, step.age)) > max_rate
+            x = flows.mean_step(step.flow, x, target, step.age, step.dt, max_rate)
+            x = x + step.sigma * rng.standard_normal(x.size) if step.sigma else x
+        clamps += (x < step.low) | (x > step.high)
+        x = np.clip(x, step.low, step.high)
+        if step.output >= 0:
+            out[step.output] = x

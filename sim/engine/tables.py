@@ -1,0 +1,114 @@
+"""The segments as affine steps s' = phi s + pull m + added + noise, with the thermostat closed and open.
+
+Radiation is linearised about a course of X that is given for each segment; what the tangent leaves out is a heat of
+second order in the distance from it, which `kernel.move` adds for each run.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.effects.kinds import parameter
+from sim.engine.plant import Acting, Plant
+from sim.engine.response import respond
+from sim.engine.terms import Segments, Terms, temperature, terms
+from sim.sha.trace import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Half:
+    """n steps: `phi` and `noise` (n, d, d); `pull`, `added` and `unit` (n, d), the last left by a heat of 1 degC/s.
+
+    `terms` are what they come from.
+    """
+
+    phi: Array
+    pull: Array
+    added: Array
+    unit: Array
+    noise: Array
+    terms: Terms
+
+
+@dataclass(frozen=True, slots=True)
+class Tables:
+    """The steps with the thermostat `closed` and, where there is one, `open`; `dt` (n,) in s, `coupling` (n,) in 1/s.
+
+    `about` (n,) is the X that radiation was linearised about and `radiated` (n,) its gain; None without radiation.
+    """
+
+    closed: Half
+    open: Half | None
+    dt: Array
+    coupling: Array
+    about: Array | None
+    radiated: Array | None
+
+
+def tables(plant: Plant, segments: Segments, about: Array | None = None) -> Tables:
+    """The steps of the segments; `about` (n,) is needed where the plant radiates."""
+    found = terms(plant, segments)
+    gain = None
+    if plant.radiation is not None and about is not None:
+        gain, loss, heat = _radiation(plant.radiation, segments, about)
+        found = _more(found, loss, heat)
+    coupling = plant.coupling[segments.location]
+    closed = _half(plant, segments, found)
+    if plant.thermostat is None:
+        return Tables(closed, None, segments.dt, coupling, about, gain)
+    p, there = plant.thermostat.effect.params, plant.thermostat.there[segments.location].astype(float)
+    cooled = _more(found, there * p["loss"], there * p["loss"] * p["sink"])
+    return Tables(closed, _half(plant, segments, cooled), segments.dt, coupling, about, gain)
+
+
+def _more(found: Terms, loss: Array, heat: Array) -> Terms:
+    heats = found.heat.copy()
+    heats[:, 0] += heat
+    return Terms(found.loss + loss, heats, found.drive)
+
+
+def _half(plant: Plant, segments: Segments, found: Terms) -> Half:
+    coupling = plant.coupling[segments.location]
+    answer = respond(plant, found.loss, coupling, segments.dt, found.powers)
+    return Half(
+        phi=answer.phi,
+        pull=np.einsum("ndq,nq->nd", answer.poly, found.drive),
+        added=np.einsum("ndq,nq->nd", answer.poly, found.heat),
+        unit=answer.poly[:, :, 0],
+        noise=answer.noise * (plant.noise[segments.location] ** 2)[:, None, None],
+        terms=found,
+    )
+
+
+def _radiation(acting: Acting, segments: Segments, about: Array) -> tuple[Array, Array, Array]:
+    """(gain where it acts, loss, heat) of the tangent to the radiated heat at `about`."""
+    effect = acting.effect
+    zero = parameter(effect, "zero")
+    if "ambient" in effect.signals and acting.there[segments.location].any():
+        around = temperature(effect, "ambient", segments.signals)
+    else:
+        around = np.full(about.shape, effect.params.get("surroundings", np.nan))
+    there = acting.there[segments.location] & np.isfinite(around)
+    gain = np.where(there, effect.params["gain"], 0.0)
+    loss = 4.0 * gain * (about - zero) ** 3
+    radiated = gain * ((about - zero) ** 4 - (np.where(there, around, zero) - zero) ** 4)
+    return gain, loss, loss * about - radiated
+
+
+def chosen(steps: Tables, opened: Array) -> Half:
+    """Each step with the thermostat open for the part `opened` (n,) of it; without the terms of the open ones.
+
+    A step in which it switches is taken between its two halves, which is right to first order in its length.
+    """
+    if steps.open is None or not opened.any():
+        return steps.closed
+    a, b = steps.closed, steps.open
+    flat, square = opened[:, None], opened[:, None, None]
+    return Half(
+        a.phi + square * (b.phi - a.phi),
+        a.pull + flat * (b.pull - a.pull),
+        a.added + flat * (b.added - a.added),
+        a.unit + flat * (b.unit - a.unit),
+        a.noise + square * (b.noise - a.noise),
+        a.terms,
+    )

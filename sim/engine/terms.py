@@ -1,0 +1,167 @@
+"""What flows and effects do in each segment: its loss and its heat, from signals, ages and time.
+
+Inside a segment a varying heat (start-up, wear, the drive of a logarithmic flow) is the parabola through its values at
+the three Gauss points, which is exact to the sixth order of the segment's length where the loss is slow, and no worse
+than the parabola's own error where it is fast. `cuts` makes the segments short enough for that.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.effects.kinds import parameter
+from sim.engine.plant import Indices, Plant
+from sim.sha.automaton import Effect
+from sim.sha.trace import Array, Mask
+
+GAUSS = 0.5 + np.array([-1.0, 0.0, 1.0]) * np.sqrt(0.15)
+"""The three Gauss points of a segment, as parts of its length."""
+
+_TO_POWERS = np.linalg.inv(np.vander(GAUSS, increasing=True)).T
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """n pieces of time in which the location and all signals stay; every array is (n,).
+
+    `time` (absolute s) and `age` (s since the location was entered) are those at the start, `dt` the length in s,
+    `offset` what the flow's inputs add to its target (degC). `signals` are the values that effects read, NaN before the
+    first reading; `since` has for each start-up effect the seconds since its event at the start, inf before any.
+    """
+
+    location: Indices
+    time: Array
+    age: Array
+    dt: Array
+    offset: Array
+    signals: Mapping[str, Array]
+    since: tuple[Array, ...]
+
+    def rows(self, rows: slice | Indices | Mask) -> "Segments":
+        """Some of the segments."""
+        return Segments(
+            self.location[rows],
+            self.time[rows],
+            self.age[rows],
+            self.dt[rows],
+            self.offset[rows],
+            {name: column[rows] for name, column in self.signals.items()},
+            tuple(column[rows] for column in self.since),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """dX/dt = -`loss` X + drive m + heat: `loss` (n,) with the flow's own k, `heat` and `drive` (n, q) by powers of v.
+
+    Thermostat and radiation are not in here (`sim.engine.tables`).
+    """
+
+    loss: Array
+    heat: Array
+    drive: Array
+
+    @property
+    def powers(self) -> int:
+        """1 where nothing varies inside a segment, else 3."""
+        return int(self.heat.shape[1])
+
+
+def terms(plant: Plant, segments: Segments) -> Terms:
+    """Loss, heat and drive of every segment."""
+    place = segments.location
+    loss, heat = plant.rate[place], plant.rate[place] * segments.offset
+    for acting in plant.steady:
+        if not acting.there[place].any():
+            continue  # its signals were perhaps not asked for
+        gained, lost = steady(acting.effect, segments.signals)
+        there = acting.there[place] & np.isfinite(gained) & np.isfinite(lost)
+        loss = loss + np.where(there, lost, 0.0)
+        heat = heat + np.where(there, gained, 0.0)
+    if not (np.isfinite(plant.t0).any() or plant.startups or plant.wears):
+        return Terms(loss, heat[:, None], plant.drive[place][:, None])
+    v = segments.dt[:, None] * GAUSS
+    heats = np.repeat(heat[:, None], 3, axis=1)
+    for acting, since in zip(plant.startups, segments.since, strict=True):
+        heats += acting.there[place][:, None] * _startup(acting.effect, since[:, None] + v)
+    for acting in plant.wears:
+        heats += acting.there[place][:, None] * _wear(acting.effect, segments.time[:, None] + v)
+    t0 = plant.t0[place][:, None]
+    drives = np.where(np.isnan(t0), plant.drive[place][:, None], 1.0 / (t0 + segments.age[:, None] + v))
+    return Terms(loss, heats @ _TO_POWERS, drives @ _TO_POWERS)
+
+
+def steady(effect: Effect, signals: Mapping[str, Array]) -> "Steady":
+    """(heat, loss) of an effect that stays while its signals do: dX/dt = heat - loss X; NaN where one is not read."""
+    return _STEADY[effect.kind](effect, signals)
+
+
+def _startup(effect: Effect, u: Array) -> Array:
+    p = effect.params
+    return np.asarray(p["gain"] * np.exp(-((np.maximum(u, 0.0) / p["tau"]) ** p["shape"])))
+
+
+def _wear(effect: Effect, time: Array) -> Array:
+    return np.asarray(effect.params["gain"] * np.maximum(time - effect.params["since"], 0.0))
+
+
+Steady = tuple[Array, Array]
+"""(heat, loss); NaN where a signal was not read yet."""
+
+
+def _current(effect: Effect, signals: Mapping[str, Array]) -> Steady:
+    current = signals[effect.signals["current"]]
+    return effect.params["gain"] * (current - effect.params["reference"]), np.zeros_like(current)
+
+
+def _quadratic(effect: Effect, signals: Mapping[str, Array]) -> Steady:
+    current = signals[effect.signals["current"]]
+    return effect.params["gain"] * (current**2 - effect.params["reference"] ** 2), np.zeros_like(current)
+
+
+def _saturation(effect: Effect, signals: Mapping[str, Array]) -> Steady:
+    current = signals[effect.signals["current"]]
+    return -effect.params["gain"] * np.maximum(current - effect.params["knee"], 0.0), np.zeros_like(current)
+
+
+def _friction(effect: Effect, signals: Mapping[str, Array]) -> Steady:
+    p, signal = effect.params, signals[next(iter(effect.signals.values()))]
+    reference = max(p["reference"], 0.0) ** p["power"]
+    return p["gain"] * (np.maximum(signal, 0.0) ** p["power"] - reference), np.zeros_like(signal)
+
+
+def _ambient(effect: Effect, signals: Mapping[str, Array]) -> Steady:
+    ambient = signals[effect.signals["ambient"]]
+    return effect.params["gain"] * (ambient - effect.params["reference"]), np.zeros_like(ambient)
+
+
+def _feed(effect: Effect, signals: Mapping[str, Array]) -> Steady:
+    feed = temperature(effect, "feed", signals)
+    pump = signals[effect.signals["pump"]] if "pump" in effect.signals else np.ones_like(feed)
+    loss = effect.params["loss"] * np.maximum(pump, 0.0)
+    return loss * feed, loss
+
+
+def _pump(effect: Effect, signals: Mapping[str, Array]) -> Steady:
+    loss = effect.params["loss"] * np.maximum(signals[effect.signals["pump"]], 0.0)
+    sink = temperature(effect, "sink", signals) if "sink" in effect.signals else effect.params["sink"]
+    return loss * sink, loss
+
+
+def temperature(effect: Effect, role: str, signals: Mapping[str, Array]) -> Array:
+    """A temperature signal in the scale of X."""
+    return parameter(effect, "scale") * signals[effect.signals[role]] + parameter(effect, "shift")
+
+
+_STEADY = {
+    "current-heating": _current,
+    "quadratic-current-heating": _quadratic,
+    "current-saturation": _saturation,
+    "torque-friction": _friction,
+    "speed-friction": _friction,
+    "vibration-friction": _friction,
+    "ambient-coupling": _ambient,
+    "feed-temperature-coupling": _feed,
+    "pump-cooling": _pump,
+}

@@ -1,0 +1,175 @@
+"""A model made ready to be followed sample by sample: its locations' steps as plain functions of floats, its moves.
+
+The scalar steps here are those of `sim.sha.flows`, which stays the definition (a test holds them equal): making an
+array costs more than the whole of a filter's step.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import expm1, isfinite, log1p
+from typing import Literal
+
+from sim.effects.kinds import signals_of
+from sim.engine.plant import Plant, compile_plant
+from sim.engine.schedule import resync_targets
+from sim.sha import distributions
+from sim.sha.automaton import Location, transitions
+from sim.sha.correction import in_sensor_scale
+from sim.sha.entry import check_sha, drawn_temperature, mode_parameter
+from sim.sha.flows import mean_step
+from sim.sha.model import Model
+from sim.sha.trace import UNKNOWN
+
+OnlinePolicy = Literal["ignore", "resync"]
+"""What an event without an edge does, as in `sim.engine.schedule`;
+online nothing is refused, so there is no `reject`."""
+
+SENSOR_FLOOR = 1e-8
+"""Least variance of a reading, degC^2: a tenth of a millikelvin, so that a perfect sensor and two readings at one
+instant leave the arithmetic well posed."""
+
+Step = Callable[[float, float], tuple[float, float, float]]
+Speed = Callable[[float, float, float], float]
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A location made ready: `step(age, dt)` -> (decay, pull, variance), equal to `flows.coefficients`.
+
+    `speed(x, target, age)` is the greatest |drift| (degC/s) of a step that begins so. `parameter` is (mean, variance)
+    of the mode parameter of a stay (`entry.mode_parameter`), `temperature` of the X on entry, None where X goes on.
+    """
+
+    location: Location
+    step: Step
+    speed: Speed
+    parameter: tuple[float, float]
+    temperature: tuple[float, float] | None
+
+    def mean(self, x: float, target: float, age: float, dt: float, max_rate: float) -> float:
+        """The mean temperature (degC) after `dt` seconds, equal to `flows.mean_step`."""
+        if self.speed(x, target, age) > max_rate:
+            return float(mean_step(self.location.flow, x, target, age, dt, max_rate))
+        decay, pull, _ = self.step(age, dt)
+        return decay * x + pull * target
+
+    def offset(self, signals: Mapping[str, float]) -> float:
+        """What `signals` add to the target (degC); one that was never read counts as at its reference."""
+        total = 0.0
+        for given in self.location.flow.inputs:
+            if given.signal in signals:
+                total += given.gain * (signals[given.signal] - given.reference)
+        return total
+
+
+@dataclass(frozen=True, slots=True)
+class Tracker:
+    """A model made ready (`compile_model`): no state in here, it may be shared.
+
+    `model` is the one that was given, in the sensor's scale (`correction.in_sensor_scale`).
+    `moves` are the edges, `fallback` where a symbol leads under `resync`, `inputs` the signals that drive some flow,
+    `window` the number of innovations in the anomaly test, `sensor` the variance of a reading (degC^2). `inputs` are
+    also those that effects read. `plant` is there where the automaton has effects; the modes' steps know nothing of
+    those.
+    """
+
+    model: Model
+    modes: Mapping[str, Mode]
+    moves: Mapping[tuple[str, str], str]
+    fallback: Mapping[str, str]
+    inputs: frozenset[str]
+    policy: OnlinePolicy
+    window: int
+    sensor: float
+    plant: Plant | None = None
+
+
+def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 30) -> Tracker:
+    """The model made ready to be followed; `window` is the number of innovations that the anomaly test looks at.
+
+    Raises ValueError for a non-deterministic or guarded automaton, an unusable flow or law, a `sensor_sigma` that is
+    negative or no number, an unknown policy, and a window below 1.
+    """
+    check_sha(model.sha)
+    if not isfinite(model.sensor_sigma) or model.sensor_sigma < 0:
+        raise ValueError(f"model {model.sha.name!r}: sensor_sigma must be at least 0 degC, got {model.sensor_sigma}")
+    if policy not in ("ignore", "resync"):
+        raise ValueError(f"unknown policy {policy!r}: online the known ones are ignore and resync")
+    if window < 1:
+        raise ValueError(f"the anomaly test needs a window of at least 1 innovation, got {window}")
+    model = in_sensor_scale(model)
+    return Tracker(
+        model=model,
+        modes={location.name: _mode(location) for location in model.sha.locations},
+        moves=transitions(model.sha),
+        fallback=resync_targets(model.sha),
+        inputs=frozenset(given.signal for location in model.sha.locations for given in location.flow.inputs)
+        | frozenset(signals_of(model.sha)),
+        policy=policy,
+        window=window,
+        sensor=max(model.sensor_sigma**2, SENSOR_FLOOR),
+        plant=compile_plant(model.sha) if model.sha.effects else None,
+    )
+
+
+def compiled(model: Model | Tracker) -> Tracker:
+    """The tracker itself, or the one of a model (which costs far more than a sample: compile once where it counts)."""
+    return model if isinstance(model, Tracker) else compile_model(model)
+
+
+def next_location(tracker: Tracker, location: str, symbol: str) -> tuple[str | None, bool]:
+    """Where `symbol` leads from `location` (None: nowhere, the stay goes on) and whether an edge says so.
+
+    UNKNOWN always leads to the initial location; a symbol without an edge follows the tracker's policy.
+    """
+    if symbol == UNKNOWN:
+        return tracker.model.sha.initial, True
+    target = tracker.moves.get((location, symbol))
+    if target is not None or tracker.policy == "ignore":
+        return target, target is not None
+    return tracker.fallback.get(symbol, tracker.model.sha.initial), False
+
+
+def _mode(location: Location) -> Mode:
+    step, speed = _SCALAR[location.flow.kind](location.flow.params)
+    law = drawn_temperature(location)
+    drawn = None if law is None else (distributions.mean(law), distributions.variance(law))
+    return Mode(location, step, speed, mode_parameter(location), drawn)
+
+
+def _constant(p: Mapping[str, float]) -> tuple[Step, Speed]:
+    density = p["noise"] ** 2
+    return lambda age, dt: (1.0, 0.0, density * dt), lambda x, target, age: 0.0
+
+
+def _linear(p: Mapping[str, float]) -> tuple[Step, Speed]:
+    density = p["noise"] ** 2
+    return lambda age, dt: (1.0, dt, density * dt), lambda x, target, age: abs(target)
+
+
+def _relaxing(p: Mapping[str, float]) -> tuple[Step, Speed]:
+    k, settled = p["k"], p["noise"] ** 2 / (2.0 * p["k"])
+
+    def step(age: float, dt: float) -> tuple[float, float, float]:
+        lost = expm1(-k * dt)
+        return 1.0 + lost, -lost, -settled * lost * (2.0 + lost)
+
+    return step, lambda x, target, age: k * abs(target - x)
+
+
+def _logarithmic(p: Mapping[str, float]) -> tuple[Step, Speed]:
+    density, t0 = p["noise"] ** 2, p["t0"]
+
+    def step(age: float, dt: float) -> tuple[float, float, float]:
+        return 1.0, log1p(dt / (t0 + age)), density * dt
+
+    return step, lambda x, target, age: abs(target) / (t0 + age)
+
+
+_SCALAR: dict[str, Callable[[Mapping[str, float]], tuple[Step, Speed]]] = {
+    "constant": _constant,
+    "linear": _linear,
+    "exponential": _relaxing,
+    "driven": _relaxing,
+    "logarithmic": _logarithmic,
+}

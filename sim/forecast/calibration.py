@@ -1,0 +1,186 @@
+"""Keeping a forecast's band honest while it runs: a factor for each horizon, learned from forecasts that have matured.
+
+A matured forecast tells how far the reading came out, in units of the band: z = 1.645 |reading - median| / (edge of
+the 90 % band on that side - median), taken before any widening. The band that covers 90 % is the one widened by
+quantile_90(z) / 1.645. That quantile is taken from a histogram of z that forgets, so a state is small whatever its age.
+
+Forecasts made every second for 15 minutes ahead overlap and err together: the evidence counted is the time that they
+span over their horizon, not their number. It is weighed against the model's own factor, on the scale of logarithms.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import exp, inf, isfinite, log, nan
+
+import numpy as np
+
+from sim.forecast.forecast import LEVELS, Forecast
+
+LEAST_FACTOR, MOST_FACTOR = 0.2, 10.0
+"""Bounds of a factor: beyond them the model is wrong, and no widening makes it right."""
+
+_Z90 = 1.6448536269514722
+_EDGES = np.geomspace(0.01, 100.0, 65)
+_BINS = len(_EDGES) + 1
+
+
+@dataclass(frozen=True, slots=True)
+class Pending:
+    """A forecast for one horizon that waits for its reading at `due`; the band's edges (degC) are not widened."""
+
+    due: float
+    low: float
+    median: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Horizon:
+    """What one horizon has learned: forgetting counts of z by bins, the independent forecasts that they are worth.
+
+    `prior` is the model's own factor, `last` the due time of the newest matured forecast (-inf before any), `missed`
+    counts the forecasts whose reading never came, `matured` the others.
+    """
+
+    prior: float
+    counts: tuple[float, ...] = (0.0,) * _BINS
+    worth: float = 0.0
+    last: float = -inf
+    pending: tuple[Pending, ...] = ()
+    matured: int = 0
+    missed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """The state for all horizons (s), and how it learns.
+
+    `memory` is the number of independent forecasts after which evidence has faded to 1/e, `weight` the number that the
+    model's own factor counts for; a reading settles a forecast when it comes at most `tolerance` seconds after `due`.
+    """
+
+    horizons: Mapping[float, Horizon]
+    memory: float = 60.0
+    weight: float = 4.0
+    tolerance: float = 5.0
+
+
+def calibrate(
+    horizons: Mapping[float, float], memory: float = 60.0, weight: float = 4.0, tolerance: float = 5.0
+) -> Calibration:
+    """A fresh state for `horizons` (s -> the model's own factor, 1.0 where it has none).
+
+    Raises ValueError on factors, memory or tolerance that are not positive, and on a negative weight.
+    """
+    if not all(isfinite(factor) and factor > 0 for factor in horizons.values()) or not memory > 0 or not tolerance > 0:
+        raise ValueError(f"factors, memory and tolerance must be positive: {dict(horizons)}, {memory}, {tolerance}")
+    if not weight >= 0:
+        raise ValueError(f"the weight of the model's own factor must be at least 0, got {weight}")
+    return Calibration({h: Horizon(_bounded(f)) for h, f in sorted(horizons.items())}, memory, weight, tolerance)
+
+
+def _bounded(factor: float) -> float:
+    return min(max(factor, LEAST_FACTOR), MOST_FACTOR)
+
+
+def issue(state: Calibration, forecast: Forecast) -> Calibration:
+    """The state with `forecast` waiting to mature, at those of its horizons that are being calibrated.
+
+    Forecasts come in the order of their times; what is overdue by then is dropped, so what waits is bounded.
+    """
+    state = settle(state, forecast.time, nan)
+    low, median, high = (forecast.quantiles[LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
+    horizons = dict(state.horizons)
+    for column, horizon in enumerate(forecast.horizons.tolist()):
+        if horizon in horizons:
+            middle, factor = float(median[column]), float(forecast.factors[column])
+            down, up = (middle - float(low[column])) / factor, (float(high[column]) - middle) / factor
+            waiting = Pending(forecast.time + horizon, middle - down, middle, middle + up)
+            horizons[horizon] = replace(horizons[horizon], pending=(*horizons[horizon].pending, waiting))
+    return replace(state, horizons=horizons)
+
+
+def settle(state: Calibration, time: float, temperature: float) -> Calibration:
+    """The state after the reading `temperature` (degC) at `time`: what is due is scored, what is overdue is dropped.
+
+    A reading that is no number settles nothing, but time passes all the same.
+    """
+    horizons = {h: _settled(one, h, time, temperature, state) for h, one in state.horizons.items()}
+    return replace(state, horizons=horizons)
+
+
+def _settled(one: Horizon, horizon: float, time: float, temperature: float, state: Calibration) -> Horizon:
+    """Forecasts wait in the order of their due times, so only the head of the queue is looked at."""
+    if not one.pending or one.pending[0].due > time:
+        return one
+    overdue = bisect_left(one.pending, time - state.tolerance, key=_due)
+    reached = bisect_right(one.pending, time, key=_due)
+    taken = reached if isfinite(temperature) else overdue
+    settled = replace(one, pending=one.pending[taken:], missed=one.missed + overdue)
+    for waiting in one.pending[overdue:taken]:
+        settled = _learned(settled, horizon, waiting, temperature, state.memory)
+    return settled
+
+
+def _due(waiting: Pending) -> float:
+    return waiting.due
+
+
+def _learned(one: Horizon, horizon: float, matured: Pending, temperature: float, memory: float) -> Horizon:
+    """One matured forecast counted: it is worth the part of its horizon by which it is newer than the one before."""
+    worth = min(max(matured.due - one.last, 0.0) / horizon, 1.0)
+    fade = exp(-worth / memory)
+    z = deviation(matured, temperature)
+    place = int(np.searchsorted(_EDGES, z))
+    counts = [count * fade for count in one.counts]
+    counts[place] += worth
+    return replace(
+        one,
+        counts=tuple(counts),
+        worth=one.worth * fade + worth,
+        last=max(one.last, matured.due),
+        matured=one.matured + 1,
+    )
+
+
+def matured(one: Horizon, time: float, tolerance: float) -> tuple[Pending, ...]:
+    """The forecasts that a reading at `time` settles: due by now, and not longer ago than `tolerance` seconds."""
+    first, last = bisect_left(one.pending, time - tolerance, key=_due), bisect_right(one.pending, time, key=_due)
+    return one.pending[first:last]
+
+
+def deviation(matured: Pending, temperature: float) -> float:
+    """|reading - median| in standard deviations of the band on that side, before any widening."""
+    error = temperature - matured.median
+    side = matured.high - matured.median if error >= 0 else matured.median - matured.low
+    if side > 0:
+        return _Z90 * abs(error) / side
+    return 0.0 if error == 0 else inf
+
+
+def factor(state: Calibration, horizon: float) -> float:
+    """The factor for one of the state's horizons (s), between 0.2 and 10."""
+    one = state.horizons[horizon]
+    if one.worth <= 0:
+        return one.prior
+    seen = min(max(_quantile(one) / _Z90, LEAST_FACTOR), MOST_FACTOR)
+    share = one.worth / (one.worth + state.weight)
+    return _bounded(exp(share * log(seen) + (1.0 - share) * log(one.prior)))
+
+
+def factors(state: Calibration) -> dict[float, float]:
+    """The factor of each horizon (s): what `forecast(..., calibration=...)` takes."""
+    return {horizon: factor(state, horizon) for horizon in state.horizons}
+
+
+def _quantile(one: Horizon) -> float:
+    """The 90 % quantile of z, linear in log z inside a bin."""
+    counts = np.asarray(one.counts)
+    total = np.cumsum(counts)
+    wanted = 0.9 * total[-1]
+    row = int(np.searchsorted(total, wanted))
+    if row == 0 or row >= len(_EDGES):
+        return float(_EDGES[0] if row == 0 else _EDGES[-1])
+    part = (wanted - (total[row] - counts[row])) / counts[row]
+    return float(_EDGES[row - 1] * (_EDGES[row] / _EDGES[row - 1]) ** part)

@@ -1,0 +1,325 @@
+"""Several models followed together: one forecast from all of theirs, with weights from how right each was of late.
+
+The combined forecast is the mixture of the members' laws (a linear pool), not an average of their numbers: where
+members disagree it is wide, or has two humps. The weights are those under which the mixture itself would have given the
+readings the greatest density, followed online: each matured forecast credits a member with its share of the mixture's
+density (the E-step of EM for a mixture's weights; Raftery et al. 2005 fit the same on a sliding window), and credits
+fade with a stated half-life. Weights are kept for each context and drawn towards the overall ones where a context has
+little evidence; no weight falls below a floor, so that a member can come back.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import inf, isfinite, log
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sim.forecast.forecast import LEVELS, Forecast
+from sim.scores import Estimate
+from sim.sha.trace import Array
+
+DENSE = tuple(round(0.01 * percent, 2) for percent in range(1, 100))
+"""Levels of a member's fan in a mixture: a band of 90 % of the whole may lie in one member's tail."""
+
+HALF_LIFE = 30.0
+"""Independent forecasts (time over horizon) after which a credit counts half: 30 minutes at 60 s ahead."""
+FLOOR = 0.02
+STRENGTH = 4.0
+"""Independent forecasts that the weights drawn to (equal ones overall; the overall ones in a context) count for."""
+LEAST_WIDTH = 1e-3
+"""degC: no two neighbouring quantiles are taken to be closer, so that a density stays finite."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pool:
+    """What the members of an ensemble are worth at one horizon: fading credits overall and by context.
+
+    `half_life`, `strength` (both in independent forecasts) and `floor` are as in the module. `fixed` weights never
+    change. Credits are one number a member; their sum is the evidence that they stand on.
+    """
+
+    members: int
+    half_life: float = HALF_LIFE
+    floor: float = FLOOR
+    strength: float = STRENGTH
+    fixed: tuple[float, ...] | None = None
+    overall: tuple[float, ...] = ()
+    contexts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.members < 1 or not self.half_life > 0 or not self.strength > 0:
+            raise ValueError("a pool needs at least one member, and a half-life and a strength above 0")
+        if not 0 <= self.floor * self.members < 1:
+            raise ValueError(f"a floor of {self.floor:g} leaves {self.members} members nothing; give less")
+        if self.fixed is not None:
+            check_weights(self.fixed, self.members)
+
+
+def check_weights(weights: Sequence[float], members: int) -> None:
+    """Raises ValueError unless there is one weight a member, none negative, and they sum to 1."""
+    if len(weights) != members or not all(isfinite(one) and one >= 0 for one in weights):
+        raise ValueError(f"{members} members need {members} weights of at least 0, got {list(weights)}")
+    if abs(sum(weights) - 1.0) > 1e-6:
+        raise ValueError(f"the weights must sum to 1, and {list(weights)} sum to {sum(weights):g}")
+
+
+def weights(pool: Pool, context: str = "") -> tuple[float, ...]:
+    """The members' weights in a context; they sum to 1."""
+    if pool.fixed is not None:
+        return pool.fixed
+    equal = (1.0 / pool.members,) * pool.members
+    return _floored(pool, _drawn(pool, context, _drawn_to(pool, pool.overall, equal)))
+
+
+def _drawn(pool: Pool, context: str, overall: tuple[float, ...]) -> tuple[float, ...]:
+    own = pool.contexts.get(context)
+    return overall if own is None else _drawn_to(pool, own, overall)
+
+
+def _drawn_to(pool: Pool, credits: tuple[float, ...], towards: tuple[float, ...]) -> tuple[float, ...]:
+    if not credits:
+        return towards
+    total = sum(credits) + pool.strength
+    return tuple((one + pool.strength * prior) / total for one, prior in zip(credits, towards, strict=True))
+
+
+def _floored(pool: Pool, plain: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(pool.floor + (1.0 - pool.floor * pool.members) * one for one in plain)
+
+
+def learn(pool: Pool, context: str, log_densities: Sequence[float | None], worth: float = 1.0) -> Pool:
+    """The pool after a reading, of which each member's forecast had said the log density (nats; None: no forecast).
+
+    `worth` (0 to 1) is the part of an independent forecast that it is. Only members that had a forecast are compared:
+    the credit that is shared among them is what the weights already gave them, so an absent one loses nothing by it.
+    """
+    told = [place for place, one in enumerate(log_densities) if one is not None and one == one]
+    if pool.fixed is not None or len(told) < 2 or not worth > 0:
+        return pool
+    fade = 0.5 ** (worth / pool.half_life)
+    equal = (1.0 / pool.members,) * pool.members
+    plain = _drawn_to(pool, pool.overall, equal)
+    overall = _credited(pool.overall, plain, log_densities, told, worth, fade)
+    here = _floored(pool, _drawn(pool, context, plain))
+    contexts = dict(pool.contexts)
+    contexts[context] = _credited(contexts.get(context, ()), here, log_densities, told, worth, fade)
+    return replace(pool, overall=overall, contexts=contexts)
+
+
+def _credited(
+    credits: tuple[float, ...],
+    weights: tuple[float, ...],
+    log_densities: Sequence[float | None],
+    told: Sequence[int],
+    worth: float,
+    fade: float,
+) -> tuple[float, ...]:
+    """Credits faded, and `worth` shared by w_i p_i / sum w p; those who said nothing keep their weight's part."""
+    after = [fade * one for one in credits] or [0.0] * len(weights)
+    best = max(float(log_densities[place] or 0.0) for place in told)
+    shares = {place: weights[place] * float(np.exp(float(log_densities[place] or 0.0) - best)) for place in told}
+    total, room = sum(shares.values()), sum(weights[place] for place in told)
+    for place, weight in enumerate(weights):
+        after[place] += worth * (room * shares[place] / total if place in shares else weight)
+    return tuple(after)
+
+
+@dataclass(frozen=True, slots=True)
+class Awaited:
+    """The members' fans for one horizon (quantiles at `forecast.LEVELS`; None: no forecast), waiting for `due` (s)."""
+
+    due: float
+    context: str
+    fans: tuple[tuple[float, ...] | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """A pool with the forecasts that wait for their reading; `last` is the due time of the newest that had one."""
+
+    pool: Pool
+    last: float = -inf
+    pending: tuple[Awaited, ...] = ()
+
+
+def issue(evidence: Evidence, horizon: float, context: str, made: Sequence[Forecast | None]) -> Evidence:
+    """The evidence with the members' forecasts for `horizon` (s) waiting; a single one teaches nothing."""
+    told = [one for one in made if one is not None]
+    if evidence.pool.fixed is not None or len(told) < 2:
+        return evidence
+    column = told[0].horizons.tolist().index(horizon)
+    fans = tuple(None if one is None else _fan(one, column) for one in made)
+    waiting = Awaited(told[0].time + horizon, context, fans)
+    return replace(evidence, pending=(*evidence.pending, waiting))
+
+
+def _fan(made: Forecast, column: int) -> tuple[float, ...]:
+    return tuple(float(made.quantiles[made.levels.index(level), column]) for level in LEVELS)
+
+
+def settle(evidence: Evidence, horizon: float, time: float, temperature: float, tolerance: float) -> Evidence:
+    """The evidence after a reading (degC) at `time`: what is due is learned from, what is overdue is dropped.
+
+    Forecasts that overlap err together: one is worth the part of its horizon by which it is newer than the one before.
+    A reading that is no number settles nothing, but time passes all the same.
+    """
+    if not evidence.pending or evidence.pending[0].due > time:
+        return evidence
+    known, pool, last = isfinite(temperature), evidence.pool, evidence.last
+    waiting = [one for one in evidence.pending if one.due >= time - tolerance]
+    for one in waiting:
+        if known and one.due <= time:
+            worth = min(max(one.due - last, 0.0) / horizon, 1.0)
+            said = [None if fan is None else log_density(LEVELS, fan, temperature) for fan in one.fans]
+            pool, last = learn(pool, one.context, said, worth), max(last, one.due)
+    return Evidence(pool, last, tuple(one for one in waiting if one.due > time or not known))
+
+
+def log_density(levels: ArrayLike, quantiles: ArrayLike, outcome: float, least: float = LEAST_WIDTH) -> float:
+    """ln of the density (1/degC) of a fan at `outcome`: flat between its quantiles, exponential beyond the outermost.
+
+    The tails begin at the height of the outer bins, and hold the probability that lies beyond: a reading far outside
+    costs a member in proportion to its distance, not to its square, so one glitch of a sensor does not decide.
+    """
+    alpha = np.asarray(levels, dtype=float)
+    edges = np.asarray(quantiles, dtype=float)
+    widths = np.maximum(np.diff(edges), least)
+    if outcome < edges[0]:
+        return _tail(float(edges[0] - outcome), float(alpha[0]), _reach(alpha[1] / alpha[0], widths[0]))
+    if outcome > edges[-1]:
+        beyond = 1.0 - alpha
+        return _tail(float(outcome - edges[-1]), float(beyond[-1]), _reach(beyond[-2] / beyond[-1], widths[-1]))
+    row = min(max(int(np.searchsorted(edges, outcome)) - 1, 0), widths.size - 1)
+    return log(float((alpha[row + 1] - alpha[row]) / widths[row]))
+
+
+def _reach(ratio: float, width: float) -> float:
+    """The scale (degC) at which an exponential tail falls by `ratio` over `width`."""
+    return float(width) / log(float(ratio))
+
+
+def _tail(distance: float, mass: float, reach: float) -> float:
+    return log(mass / reach) - distance / reach
+
+
+def thinned(forecast: Forecast, levels: tuple[float, ...]) -> Forecast:
+    """The forecast with only some of its levels. Raises ValueError for one that it lacks."""
+    rows = [forecast.levels.index(level) for level in levels]
+    return replace(forecast, levels=levels, quantiles=forecast.quantiles[rows])
+
+
+def mixture(forecasts: Sequence[Forecast], weights: ArrayLike, levels: tuple[float, ...]) -> Forecast:
+    """The mixture of forecasts made at one time for the same horizons and limit; its fan is at `levels`.
+
+    `weights` are (members,), or (H, members) with a row a horizon; each row sums to 1. Quantiles are those of the
+    weighted sum of distribution functions, linear between the members' quantiles. The exceedance is the weighted mean,
+    and so are its interval's ends: half-widths are added as if all erred the same way, so the interval is too wide
+    rather than too narrow. `factors` are weighted means too, clamps and cut runs are added up.
+
+    Raises ValueError when the forecasts do not belong together.
+    """
+    first = forecasts[0]
+    for one in forecasts[1:]:
+        if one.limit != first.limit or not np.array_equal(one.horizons, first.horizons):
+            raise ValueError("only forecasts of the same horizons and limit can be mixed")
+    w = np.broadcast_to(np.asarray(weights, dtype=float), (first.horizons.size, len(forecasts)))
+    for row in w:
+        check_weights(row.tolist(), len(forecasts))
+    columns = [
+        _mixed_quantiles([(one.levels, one.quantiles[:, h]) for one in forecasts], w[h], levels)
+        for h in range(first.horizons.size)
+    ]
+    return Forecast(
+        time=first.time,
+        horizons=first.horizons,
+        levels=levels,
+        quantiles=np.array(columns).T,
+        locations=tuple(_shares([one.locations[h] for one in forecasts], w[h]) for h in range(first.horizons.size)),
+        limit=first.limit,
+        exceedance=_exceedance(forecasts, w),
+        minutes_to_limit=_minutes(forecasts, w),
+        runs=sum(one.runs for one in forecasts),
+        factors=np.array([w[h] @ [one.factors[h] for one in forecasts] for h in range(first.horizons.size)]),
+        clamps=sum(one.clamps for one in forecasts),
+        cut=sum(one.cut for one in forecasts),
+    )
+
+
+def _mixed_quantiles(fans: Sequence[tuple[tuple[float, ...], Array]], w: Array, levels: tuple[float, ...]) -> Array:
+    """The mixture's quantiles at one horizon; a member without weight has no say in where the grid lies."""
+    counted = [(fan, float(weight)) for fan, weight in zip(fans, w, strict=True) if weight > 0]
+    if len(counted) == 1 and set(levels) <= set(counted[0][0][0]):
+        own, quantiles = counted[0][0]
+        return np.array([quantiles[own.index(level)] for level in levels])
+    fences = [_with_ends(*fan) for fan, _ in counted]
+    grid = np.unique(np.concatenate([values for _, values in fences]))
+    total = np.zeros(grid.size)
+    for (alpha, values), (_, weight) in zip(fences, counted, strict=True):
+        total += weight * np.interp(grid, values, alpha, left=0.0, right=1.0)
+    return np.interp(levels, *_rising(total, grid))
+
+
+def _with_ends(levels: tuple[float, ...], quantiles: Array) -> tuple[Array, Array]:
+    """A fan closed at 0 and 1 by straight lines that go on as between its two outermost quantiles; values ascend."""
+    alpha, values = np.asarray(levels), np.maximum.accumulate(quantiles + LEAST_WIDTH * 1e-6 * np.arange(len(levels)))
+    low = values[0] - (values[1] - values[0]) * alpha[0] / (alpha[1] - alpha[0])
+    high = values[-1] + (values[-1] - values[-2]) * (1.0 - alpha[-1]) / (alpha[-1] - alpha[-2])
+    return np.concatenate([[0.0], alpha, [1.0]]), np.concatenate([[low], values, [high]])
+
+
+def _rising(total: Array, grid: Array) -> tuple[Array, Array]:
+    """The points at which the distribution function rises, so that it can be inverted."""
+    keep = np.concatenate([[True], np.diff(total) > 0])
+    return total[keep], grid[keep]
+
+
+def _shares(locations: Sequence[Mapping[str, float]], w: Array) -> dict[str, float]:
+    shares: dict[str, float] = {}
+    for weight, one in zip(w.tolist(), locations, strict=True):
+        for name, chance in one.items():
+            shares[name] = shares.get(name, 0.0) + weight * chance
+    return {name: chance for name, chance in shares.items() if chance > 0}
+
+
+def _exceedance(forecasts: Sequence[Forecast], w: Array) -> tuple[Estimate, ...]:
+    """(H,) weighted means; never falling with the horizon, though the weights may differ from one to the next."""
+    ends = np.array([[(e.probability, e.low, e.high) for e in one.exceedance] for one in forecasts])
+    mixed = np.maximum.accumulate(np.einsum("hm,mhe->he", w, ends), axis=0)
+    runs = sum(one.runs for one in forecasts)
+    return tuple(Estimate(float(p), float(low), float(high), runs) for p, low, high in np.clip(mixed, 0.0, 1.0))
+
+
+def _minutes(forecasts: Sequence[Forecast], w: Array) -> tuple[float, float, float]:
+    """The 5, 50 and 95 % quantiles of the time to the limit, from what the members say of it at horizons and minutes.
+
+    Each member's distribution function is linear between the points that it told; weights are linear between horizons.
+    """
+    horizons = forecasts[0].horizons / 60.0
+    points = [_reached(one) for one in forecasts]
+    clock = np.unique(np.concatenate([times for times, _ in points]))
+    total = np.zeros(clock.size)
+    for member, (times, chances) in enumerate(points):
+        total += np.interp(clock, horizons, w[:, member]) * np.interp(clock, times, chances)
+    total = np.maximum.accumulate(total)
+    return _until(clock, total, 0.05), _until(clock, total, 0.5), _until(clock, total, 0.95)
+
+
+def _reached(one: Forecast) -> tuple[Array, Array]:
+    """(minutes, chance of having reached the limit by then), both ascending."""
+    known = [(minutes, share) for minutes, share in zip(one.minutes_to_limit, (0.05, 0.5, 0.95), strict=True)]
+    known += [(h / 60.0, e.probability) for h, e in zip(one.horizons.tolist(), one.exceedance, strict=True)]
+    known = sorted((minutes, share) for minutes, share in known if minutes < inf)
+    start = 1.0 if one.minutes_to_limit[2] == 0.0 else 0.0
+    times, chances = np.array([(0.0, start), *known]).T
+    return times, np.maximum.accumulate(chances)
+
+
+def _until(clock: Array, total: Array, share: float) -> float:
+    if total[-1] < share:
+        return inf
+    row = int(np.searchsorted(total, share))
+    if row == 0:
+        return float(clock[0])
+    part = (share - total[row - 1]) / (total[row] - total[row - 1])
+    return float(clock[row - 1] + part * (clock[row] - clock[row - 1]))

@@ -1,0 +1,260 @@
+"""Method `bins`: the first model, one location for each combination of channel values, learned by its free runs.
+
+It is the baseline that a real learner has to beat. Everything is decided by the data in one pass: which locations exist
+in them, whether targets follow the inputs, and which locations share a rate (cross-validated, `held_out`); then the
+means (`free_run`), the noise (`noise`), how long stays last (`semi_markov`) and how far the bands must be widened
+(`calibrate`, on traces or times that a model of the same kind was not fitted to).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.learning.assemble import LocationFit, learned_sha, location_fits, stay_values, well_seen
+from sim.learning.bins.candidates import (
+    CANDIDATES,
+    Candidate,
+    Ground,
+    build,
+    distinct,
+    ground,
+    modelled_places,
+    process_groups,
+)
+from sim.learning.calibrate import Coverage, Scored, coverage_of, score_forecasts
+from sim.learning.data import in_order
+from sim.learning.free_run import Fit, fit_free_run
+from sim.learning.held_out import HeldOut, choose, cross_validate, folds, training_errors
+from sim.learning.noise import Noise, fit_noise
+from sim.learning.preparation import LEAST_READINGS, check_data, encoded, initial_law, splits, with_range
+from sim.learning.runs import Runs, first_switch, free_runs, sampled
+from sim.learning.semi_markov import fit_stays
+from sim.learning.structure import LearningError, bare_sha, level_signals
+from sim.sha.events import Alphabet, check_alphabet
+from sim.sha.model import Model, Provenance
+from sim.sha.trace import Array, Trace
+
+CHOICE_BUDGET, FIT_BUDGET, PART_BUDGET = 3_000, 40_000, 6_000
+"""Knots to which the runs are sampled for cross-validation, for the last fit and for the fits of the calibration."""
+CYCLE = 3600.0
+"""Seconds that a free run lasts at least before the next start-up begins a new one."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class CandidateScore:
+    """A row of the table of candidates: held-out figures are NaN when there were too few data to hold any out.
+
+    `likelihood` is the held-out log-likelihood per reading; errors are of free runs, in degC.
+    """
+
+    label: str
+    parameters: int
+    likelihood: float
+    held_out_rmse: float
+    held_out_mae: float
+    train_rmse: float
+    train_mae: float
+    chosen: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """A learned model, the m of each stay by location (for the histogram file) and how it came about."""
+
+    model: Model
+    values: Mapping[str, tuple[float, ...]]
+    candidates: tuple[CandidateScore, ...]
+    locations: tuple[LocationFit, ...]
+    noise: Noise
+    coverage: tuple[Coverage, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    """One candidate fitted to some traces: all that a model is made of but its calibration."""
+
+    model: Model
+    values: Mapping[str, tuple[float, ...]]
+    locations: tuple[LocationFit, ...]
+    fit: Fit
+    noise: Noise
+
+
+def learn_bins(
+    traces: Sequence[Trace],
+    alphabet: Alphabet,
+    temperature: str,
+    *,
+    seed: int,
+    name: str = "bins",
+    candidates: Sequence[Candidate] = CANDIDATES,
+    data_hash: str = "",
+    progress: Progress | None = None,
+) -> Learned:
+    """The model of greatest free-run likelihood over the product automaton of `alphabet`, for the signal `temperature`.
+
+    Traces without events are encoded by `alphabet`. The result depends on the traces' content and names, `seed` and the
+    settings, not on the order of the traces; copies count once. `data_hash` defaults to the SHA-256 over their content.
+    `progress` is told what is being done and the share that is done (0 to 1).
+
+    Raises LearningError (a ValueError), in one sentence, when the traces cannot teach a model.
+    """
+    told = progress or (lambda _stage, _share: None)
+    check_alphabet(alphabet)
+    given = [encoded(trace, alphabet) for trace in traces if trace.times.size]
+    ordered, digest = in_order(given)
+    told("reading the traces", 0.0)
+    runs, base = _ground(ordered, alphabet, temperature)
+    scores, chosen, begin = _select(runs, base, candidates, told)
+    told("fitting the chosen candidate", 0.6)
+    fitted = _fit(name, ordered, runs, base, chosen, begin, temperature, FIT_BUDGET)
+    told("calibrating the bands", 0.75)
+    coverage = coverage_of(_held_out_forecasts(ordered, alphabet, temperature, chosen, seed))
+    told("done", 1.0)
+    table = tuple(_row(*figures, figures[0] == chosen) for figures in scores)
+    provenance = Provenance(
+        method="bins",
+        data_hash=data_hash or digest,
+        traces=tuple(trace.name for trace in ordered),
+        synthetic=any(trace.synthetic for trace in ordered),
+        settings=_settings(seed, chosen, fitted, len(given) - len(ordered)),
+        scores=_scores(table, fitted, coverage),
+    )
+    factors = {one.horizon: one.factor for one in coverage}
+    model = replace(fitted.model, calibration=factors, provenance=provenance)
+    return Learned(model, fitted.values, table, fitted.locations, fitted.noise, coverage)
+
+
+def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tuple[Runs, Ground]:
+    """The free runs through the locations that the data can teach, and what candidates are built on."""
+    check_data(traces, temperature)
+    sha, signals = bare_sha(alphabet), level_signals(alphabet)
+    switch = first_switch(alphabet)
+    rising = switch.rising if switch else None
+    everywhere = free_runs(traces, sha, temperature, signals=signals, rising=rising, cycle=CYCLE)
+    modelled = modelled_places(everywhere, alphabet)
+    runs = free_runs(traces, sha, temperature, signals=signals, modelled=modelled, rising=rising, cycle=CYCLE)
+    count = int(np.isfinite(runs.reading).sum())
+    if count < LEAST_READINGS or not runs.dt.sum() > 0:
+        raise LearningError(
+            f"only {count} readings of {temperature!r} fall into known locations, over {runs.dt.sum():.0f} s; "
+            f"a model needs at least {LEAST_READINGS}, at different times"
+        )
+    return runs, ground(runs, alphabet)
+
+
+Scores = list[tuple[Candidate, HeldOut | None, int, tuple[float, float]]]
+
+
+def _select(
+    runs: Runs, base: Ground, candidates: Sequence[Candidate], told: Progress
+) -> tuple[Scores, Candidate, Array]:
+    """(every candidate's figures, the chosen one, its rates): the held-out likelihood decides."""
+    few = sampled(runs, CHOICE_BUDGET)
+    cut = folds(few)
+    rivals = distinct(candidates, base)
+    scores: Scores = []
+    rates = []
+    for number, candidate in enumerate(rivals):
+        told(f"trying: {candidate.label}", 0.1 + 0.5 * number / len(rivals))
+        _, shape, _ = build(candidate, base)
+        fit = fit_free_run(few, shape)
+        held = cross_validate(cut, shape, fit.rates) if cut is not None else None
+        scores.append((candidate, held, shape.centre.size + shape.rate_centre.size, training_errors(few, fit)))
+        rates.append(fit.rates)
+    held_out = [held for _, held, _, _ in scores if held is not None]
+    sizes = [size for _, _, size, _ in scores]
+    best = choose(held_out, sizes) if len(held_out) == len(scores) else sizes.index(min(sizes))
+    return scores, scores[best][0], rates[best]
+
+
+def _fit(
+    name: str,
+    traces: Sequence[Trace],
+    runs: Runs,
+    base: Ground,
+    candidate: Candidate,
+    begin: Array | None,
+    temperature: str,
+    budget: int,
+) -> _Fitted:
+    sha, shape, _ = build(candidate, base)
+    few = sampled(runs, budget)
+    fit = fit_free_run(few, shape, begin=begin)
+    noise = fit_noise(few, shape, fit, process_groups(base.alphabet))
+    told = well_seen(sha, shape, fit, base)
+    learned = learned_sha(name, sha, shape, fit, noise, few, told)
+    model = Model(
+        sha=with_range(learned, runs, 4.0 * noise.sensor),
+        alphabet=base.alphabet,
+        temperature=temperature,
+        sensor_sigma=noise.sensor,
+        initial=initial_law(traces, temperature),
+    )
+    return _Fitted(
+        replace(model, semi_markov=fit_stays(model, traces)),
+        stay_values(few, learned, shape, fit, noise, told),
+        location_fits(learned, shape, fit, runs, told),
+        fit,
+        noise,
+    )
+
+
+def _held_out_forecasts(
+    traces: Sequence[Trace], alphabet: Alphabet, temperature: str, candidate: Candidate, seed: int
+) -> list[Scored]:
+    """Forecasts by models of the same kind that did not see what came next.
+
+    With six traces or more, each third of them is forecast by the model of the others; with fewer, the third and the
+    last quarter of each trace's time by a model of the time before.
+    """
+    rng = np.random.default_rng(seed)
+    scored: list[Scored] = []
+    for known, asked, since in splits(traces):
+        try:
+            runs, base = _ground(known, alphabet, temperature)
+        except LearningError:
+            continue
+        model = _fit("part", known, runs, base, candidate, None, temperature, PART_BUDGET).model
+        scored += score_forecasts(model, asked, since, rng)
+    return scored
+
+
+def _row(
+    candidate: Candidate, held: HeldOut | None, size: int, errors: tuple[float, float], chosen: bool
+) -> CandidateScore:
+    nan = float("nan")
+    figures = (held.score, held.rmse, held.mae) if held is not None else (nan, nan, nan)
+    return CandidateScore(candidate.label, size, *figures, *errors, chosen)
+
+
+def _settings(seed: int, chosen: Candidate, fitted: _Fitted, copies: int) -> dict[str, str | float | int | bool]:
+    borrowed = [f"{one.name} {one.source}" for one in fitted.locations if one.source.startswith("borrowed")]
+    return {
+        "seed": seed,
+        "candidate": chosen.label,
+        "flow": chosen.flow,
+        "rates": chosen.rates,
+        "gains": chosen.gains,
+        "loss": "huber",
+        "cycle_s": CYCLE,
+        "copies_left_out": copies,
+        "borrowed": "; ".join(borrowed),
+    }
+
+
+def _scores(table: Sequence[CandidateScore], fitted: _Fitted, coverage: Sequence[Coverage]) -> dict[str, float]:
+    row = next(row for row in table if row.chosen)
+    figures = {
+        "held_out_log_likelihood": row.likelihood,
+        "held_out_rmse": row.held_out_rmse,
+        "held_out_mae": row.held_out_mae,
+        "train_rmse": row.train_rmse,
+        "train_mae": row.train_mae,
+        "residual_sigma": fitted.fit.sigma,
+    }
+    figures |= {f"coverage90_before_{one.horizon:.0f}s": one.covered for one in coverage}
+    return {name: value for name, value in figures.items() if np.isfinite(value)}

@@ -1,0 +1,153 @@
+"""The raw-frame CAN face: messages of a DBC file, cyclic and on change, and the write-back block in frames."""
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import can
+
+from sim.plc.can.bend import CanBend, bent
+from sim.plc.can.messages import BlockMemory, Messages, Sender, protected, read_messages
+from sim.plc.can.station import Station, record
+from sim.plc.faults import merged
+from sim.plc.image import Undefined
+from sim.plc.modbus.messages import Reply, Request
+from sim.plc.program import Plc
+from sim.plc.schedule import Line
+
+# Of the faults that strike requests, those that a frame and its echo can show.
+_BENDS = frozenset({"silent", "late", "duplicate", "garbage"})
+_LAST_FIELD = "sequence_copy"
+
+
+class CanFace:
+    """One node on one bus, `name` "can"."""
+
+    name = "can"
+
+    def __init__(self, plc: Plc, messages: Messages, where: tuple[str, str], complain: Callable[[str], None]) -> None:
+        self._plc, self._messages, self._complain = plc, messages, complain
+        # A repeatable bench, not a secret.
+        self._rng = Random(f"{plc.settings.seed}:can")  # noqa: S311
+        self._station = Station(where, self._heard, complain, self._rng)
+        self._counters = {sender.message.frame_id: 0 for sender in messages.senders}
+        self._bends: Sequence[CanBend] = ()
+        self._listens = True
+
+    # ---------------------------------------------------------------- Face
+
+    async def open(self) -> None:
+        """Join the bus. Raises OSError with a reason."""
+        self._station.open()
+
+    async def apply(self, line: Line) -> None:
+        """Once a cycle: what is due is sent, bent by the faults in force."""
+        now = self._plc.clock.monotonic()
+        self._listens = line.listen
+        self._bends = [effect.can for _, effect in line.standing if effect.can is not None]
+        if not self._station.there(now):
+            return
+        self._station.disturb(self._bends, tuple(self._counters), now)
+        if self._listens and not self._station.off:
+            served = self._plc.image.served
+            for sender in self._messages.senders:
+                self._tell(sender, sender.payload(served), now)
+
+    async def close(self) -> None:
+        """Leave the bus."""
+        self._station.close()
+
+    def ready(self) -> Mapping[str, object]:
+        """Where it is: the bus, and how many payload layouts it sends."""
+        station = self._station
+        return {"interface": station.interface, "channel": station.channel, "messages": len(self._messages.senders)}
+
+    # ---------------------------------------------------------------- what the PLC says
+
+    def _tell(self, sender: Sender, content: bytes, now: float) -> None:
+        """Send the message if it is due or has changed; a fault may keep it from the bus or bend it."""
+        if content == sender.content and now < sender.due:
+            return
+        sender.content, sender.due = content, now + sender.cycle
+        number = sender.message.frame_id
+        data = content
+        if sender.data_id is not None:
+            self._counters[number] = (self._counters[number] + 1) % 256
+            data = protected(sender.data_id, self._counters[number], content)
+        bends = [bend for bend in self._bends if bend.strikes(sender.message.name)]
+        bent_data = bent(bends, data, sender.wire, self._rng)
+        if not any(bend.stale for bend in bends):
+            sender.wire = data
+        record(self._plc, self.name, number, bent_data, sent=True)
+        if bent_data is not None:
+            self._station.put(_data_frame(number, bent_data, extended=sender.message.is_extended_frame))
+
+    # ---------------------------------------------------------------- what the PLC hears
+
+    def _heard(self, message: can.Message) -> None:
+        block = self._messages.block
+        if message.is_error_frame or message.is_remote_frame or block is None:
+            return
+        if not self._listens or self._station.off:
+            return
+        same = message.is_extended_id == block.message.is_extended_frame
+        if message.arbitration_id == block.message.frame_id and same and self._plc.running:
+            self._take(block, bytes(message.data))
+
+    def _take(self, block: BlockMemory, data: bytes) -> None:
+        """One frame of the block: stored, answered by its echo; the last one has the block judged."""
+        now = self._plc.clock.monotonic()
+        record(self._plc, self.name, block.message.frame_id, data, sent=False)
+        struck = list(self._plc.schedule.strike(0, now, self.name))
+        store = merged(effect for _, effect in struck).store
+        taken = block.put(data, store=store)
+        if taken is None:
+            return
+        words, echo = taken
+        request = Request("can", 0, self._plc.registers.unit, data, self.name)
+        reply = Reply(0, self._plc.registers.unit, echo)
+        for entry, effect in struck:
+            if effect.alter is not None and entry.fault.kind in _BENDS:
+                reply = effect.alter(request, reply, entry.rng)
+        if store and _LAST_FIELD in words:
+            self._judge(block, now)
+        if reply.sent:
+            self._answer(block, reply)
+
+    def _answer(self, block: BlockMemory, reply: Reply) -> None:
+        data = (reply.pdu if reply.raw is None else reply.raw)[:8]
+        number = block.echo.frame_id
+        frame = _data_frame(number, data, extended=block.echo.is_extended_frame)
+
+        def send() -> None:
+            for _ in range(reply.copies):
+                record(self._plc, self.name, number, data, sent=True)
+                self._station.put(frame)
+
+        if reply.delay_s > 0:
+            asyncio.get_running_loop().call_later(reply.delay_s, send)
+        else:
+            send()
+
+    def _judge(self, block: BlockMemory, now: float) -> None:
+        """The whole block as it now stands in the memory, by the same checks as over every other face."""
+        layout = self._plc.registers.block
+        if layout is None:
+            return
+        words = [block.words.get(field.name, 0) for field in layout.fields]
+        try:
+            self._plc.write("can", layout.place.table, layout.place.address, words, now)
+        except Undefined:
+            self._complain("the write-back block has no place in the register map")
+
+
+def make(plc: Plc, options: Mapping[str, Any], complain: Callable[[str], None]) -> CanFace:
+    """The face that the command line asks for. Raises InputError."""
+    messages = read_messages(Path(options["can"]), tuple(plc.registers.tags))
+    return CanFace(plc, messages, (options["can_interface"], options["can_channel"]), complain)
+
+
+def _data_frame(number: int, data: bytes, *, extended: bool = False) -> can.Message:
+    return can.Message(arbitration_id=number, is_extended_id=extended, data=data, is_fd=len(data) > 8)

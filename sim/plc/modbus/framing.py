@@ -1,0 +1,76 @@
+"""How requests lie in a stream of bytes: behind a header (TCP, TLS), or between a unit and a CRC (RTU)."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+from sim.plc.modbus.messages import HEADER, MAX_PDU, crc
+
+GAP_S = 0.05
+"""A pause in the middle of an RTU request that ends it. A serial line's own 3.5 characters are far less, but bytes come
+here through buffers of an operating system, which keeps no such times."""
+
+_WRITES_MANY = (15, 16)
+_FIXED = {43: 5}
+"""Bytes of a PDU with neither address and count nor a byte count."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One request, or, with `pdu` None, bytes that are none."""
+
+    transaction: int
+    unit: int
+    pdu: bytes | None
+    raw: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Framing:
+    """How frames are read. `closes`: what is no Modbus ends the connection, instead of being passed over."""
+
+    read: Callable[[asyncio.StreamReader], Awaitable[Frame]]
+    rtu: bool
+    closes: bool
+
+
+async def read_headed(reader: asyncio.StreamReader) -> Frame:
+    """The next request behind a header. Raises IncompleteReadError at the end of the stream."""
+    head = await reader.readexactly(HEADER.size)
+    transaction, protocol, length, unit = HEADER.unpack(head)
+    if protocol != 0 or not 2 <= length <= MAX_PDU + 1:
+        return Frame(transaction, unit, None, head)
+    return Frame(transaction, unit, await reader.readexactly(length - 1))
+
+
+async def read_rtu(reader: asyncio.StreamReader) -> Frame:
+    """The next RTU request: as many bytes as its function needs, or all up to a pause where that cannot be said."""
+    data = await reader.readexactly(1)
+    while len(data) < 256 and ((size := _rtu_size(data)) is None or len(data) < size):
+        try:
+            data += await asyncio.wait_for(reader.readexactly(1), GAP_S)
+        except TimeoutError:
+            break
+    if len(data) >= 4 and crc(data[:-2]) == data[-2:]:
+        return Frame(0, data[0], data[1:-2])
+    return Frame(0, data[0], None, data)
+
+
+def _rtu_size(data: bytes) -> int | None:
+    """The length of the request that begins like this, unit and CRC included; None: not known (yet)."""
+    if len(data) < 2:
+        return None
+    function = data[1]
+    if 1 <= function <= 6:
+        return 8
+    if function in _WRITES_MANY:
+        return data[6] + 9 if len(data) > 6 else None
+    if function == 22:
+        return 10
+    if function == 23:
+        return data[10] + 13 if len(data) > 10 else None
+    return _FIXED[function] + 2 if function in _FIXED else None
+
+
+HEADED = Framing(read_headed, rtu=False, closes=True)
+RTU = Framing(read_rtu, rtu=True, closes=False)

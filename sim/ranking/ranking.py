@@ -1,0 +1,280 @@
+"""Several models on the same traces: composite score, wins, paired tests between them, and fitness for deployment."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from math import isfinite, nan
+
+import numpy as np
+
+from sim.ranking.fitness import Facts, Finding, Limits, Seen, Verdict, judge, verdict
+from sim.ranking.paired import Paired, holm, paired
+from sim.validation.results import TraceResult
+
+LEVEL = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """Of the composite score S = mae * MAE + largest * max |error| + scatter * sigma(error), all in degC.
+
+    The defaults sum to 1, so that S is in degC too: half for the usual error, which a forecast lives on, three tenths
+    for the worst one, which an alarm lives on, two for the scatter, which no offset can repair. Raises ValueError.
+    """
+
+    mae: float = 0.5
+    largest: float = 0.3
+    scatter: float = 0.2
+
+    def __post_init__(self) -> None:
+        values = (self.mae, self.largest, self.scatter)
+        if not all(isfinite(value) and value >= 0 for value in values) or not any(values):
+            raise ValueError(f"the weights of the score must be numbers of at least 0, not all 0; got {values}")
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """One model's place. All figures are means over the `common` traces of the ranking but `traces` and `failed`.
+
+    `rank` is None and the figures are NaN without a common trace. `wins` counts the common traces on which its score
+    is the lowest (one shared by k models counts 1/k). `seen` are the traces that it was trained on.
+    """
+
+    entrant: str
+    rank: int | None
+    score: float
+    mae: float
+    largest: float
+    scatter: float
+    coverage: float
+    crps: float
+    persistence: float
+    wins: float
+    traces: int
+    failed: int
+    seen: Mapping[str, Seen] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether it is fit for deployment."""
+        return verdict(self.findings)
+
+    @property
+    def in_sample(self) -> str:
+        """The words to put beside its figures; empty when it saw none of the traces."""
+        if not self.seen:
+            return ""
+        doubt = "" if "content" in self.seen.values() else ", by name"
+        return f"in-sample ({len(self.seen)} of {self.traces} traces{doubt})"
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two models on the traces that both have: `difference` of the scores (one - other), degC, and what it tells.
+
+    `p` is corrected for all pairs (Holm). `better` is the model that is told to be better, or None; `wins` are the
+    traces on which each has the lower score (equal ones count a half for both).
+    """
+
+    one: str
+    other: str
+    difference: Paired
+    p: float
+    better: str | None
+    sentence: str
+    wins: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Ranking:
+    """The models, best first; those that could not be ranked come last. `scores` is entrant -> trace -> S (degC)."""
+
+    standings: tuple[Standing, ...]
+    pairs: tuple[Pair, ...]
+    common: tuple[str, ...]
+    scores: Mapping[str, Mapping[str, float]]
+    weights: Weights
+    notes: tuple[str, ...] = ()
+
+
+def rank(
+    results: Sequence[TraceResult],
+    facts: Mapping[str, Facts] | None = None,
+    *,
+    weights: Weights | None = None,
+    limits: Limits | None = None,
+    seed: int = 0,
+) -> Ranking:
+    """Ranks the models of a campaign by their mean score over the traces that all of them got through.
+
+    `facts` are by entrant (see `entrants`). A model without any figure is listed without a rank and takes no trace
+    from the others. Raises ValueError when there is no result, or two of one model on one trace.
+    """
+    by_entrant = entrants(results)
+    used, known = weights or Weights(), facts or {}
+    scores = {name: _scores(own, used) for name, own in by_entrant.items()}
+    common = _common(scores)
+    wins = _wins(scores, common)
+    standings = [
+        _standing(name, own, common, used, wins.get(name, 0.0), known.get(name, Facts()), limits or Limits())
+        for name, own in by_entrant.items()
+    ]
+    placed = _placed(standings)
+    return Ranking(
+        standings=placed,
+        pairs=_pairs([each.entrant for each in placed if scores[each.entrant]], scores, seed),
+        common=common,
+        scores=scores,
+        weights=used,
+        notes=_notes(by_entrant, scores, placed, common),
+    )
+
+
+def entrants(results: Sequence[TraceResult]) -> dict[str, dict[str, TraceResult]]:
+    """Entrant -> trace -> result. A model that ran under several semantics is one entrant for each, "model (thesis)".
+
+    Raises ValueError when there is no result, or two of one model on one trace.
+    """
+    if not results:
+        raise ValueError("there is no result to rank: give models and traces, or the results of a campaign")
+    kinds: dict[str, set[str]] = {}
+    for result in results:
+        kinds.setdefault(result.model, set()).add(result.semantics)
+    table: dict[str, dict[str, TraceResult]] = {}
+    for result in results:
+        several = len(kinds[result.model]) > 1 and result.semantics
+        name = f"{result.model} ({result.semantics})" if several else result.model
+        own = table.setdefault(name, {})
+        if result.trace in own:
+            raise ValueError(
+                f"model {name!r} has two results on the trace {result.trace!r}; give every model and every trace a "
+                "name of its own"
+            )
+        own[result.trace] = result
+    return table
+
+
+def score(result: TraceResult, weights: Weights) -> float:
+    """S of one trace, degC; NaN where a figure is missing."""
+    parts = (result.at_samples.mae, result.max_error, result.error_sigma)
+    return sum(
+        weight * part
+        for weight, part in zip((weights.mae, weights.largest, weights.scatter), parts, strict=True)
+        if weight
+    )
+
+
+def _scores(results: Mapping[str, TraceResult], weights: Weights) -> dict[str, float]:
+    known = {trace: score(result, weights) for trace, result in results.items() if not result.failure}
+    return {trace: value for trace, value in known.items() if isfinite(value)}
+
+
+def _common(scores: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
+    sets = [own for own in scores.values() if own]
+    return tuple(trace for trace in sets[0] if all(trace in own for own in sets)) if sets else ()
+
+
+def _wins(scores: Mapping[str, Mapping[str, float]], common: Sequence[str]) -> dict[str, float]:
+    wins = {name: 0.0 for name, own in scores.items() if own}
+    for trace in common:
+        least = min(scores[name][trace] for name in wins)
+        winners = [name for name in wins if scores[name][trace] == least]
+        for name in winners:
+            wins[name] += 1.0 / len(winners)
+    return wins
+
+
+def _standing(
+    name: str,
+    results: Mapping[str, TraceResult],
+    common: Sequence[str],
+    weights: Weights,
+    wins: float,
+    facts: Facts,
+    limits: Limits,
+) -> Standing:
+    ranked = [results[trace] for trace in common if trace in results and not results[trace].failure]
+    seen = {trace: reason for trace, reason in facts.seen.items() if trace in results}
+    return Standing(
+        entrant=name,
+        rank=None,
+        score=_mean([score(result, weights) for result in ranked]),
+        mae=_mean([result.at_samples.mae for result in ranked]),
+        largest=_mean([result.max_error for result in ranked]),
+        scatter=_mean([result.error_sigma for result in ranked]),
+        coverage=_mean([result.coverage for result in ranked]),
+        crps=_mean([result.crps for result in ranked]),
+        persistence=_mean([result.persistence for result in ranked]),
+        wins=wins,
+        traces=len(results),
+        failed=sum(bool(result.failure) for result in results.values()),
+        seen=seen,
+        findings=judge(list(results.values()), facts, limits),
+    )
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else nan
+
+
+def _placed(standings: Sequence[Standing]) -> tuple[Standing, ...]:
+    """Best first, with ranks; equal scores share one."""
+    ordered = sorted(standings, key=lambda each: (not isfinite(each.score), each.score, each.entrant))
+    return tuple(
+        replace(each, rank=1 + sum(rival.score < each.score for rival in ordered)) if isfinite(each.score) else each
+        for each in ordered
+    )
+
+
+def _pairs(names: Sequence[str], scores: Mapping[str, Mapping[str, float]], seed: int) -> tuple[Pair, ...]:
+    couples = list(combinations(names, 2))
+    rng = np.random.default_rng(seed)
+    differences = []
+    for one, other in couples:
+        shared = [trace for trace in scores[one] if trace in scores[other]]
+        differences.append(np.array([scores[one][trace] - scores[other][trace] for trace in shared]))
+    found = [paired(each, rng) for each in differences]
+    corrected = holm([1.0 if each.n == 0 else each.p for each in found])
+    return tuple(
+        _pair(one, other, values, told, p, len(couples))
+        for (one, other), values, told, p in zip(couples, differences, found, corrected, strict=True)
+    )
+
+
+def _pair(one: str, other: str, values: np.ndarray, told: Paired, p: float, pairs: int) -> Pair:
+    wins = (float((values < 0).sum() + (values == 0).sum() / 2), float((values > 0).sum() + (values == 0).sum() / 2))
+    better = None
+    if told.n and pairs * told.least > LEVEL:
+        sentence = (
+            f"nothing can be told from {told.n} trace{'' if told.n == 1 else 's'}: even if one were better on all, p "
+            f"would be {min(1.0, pairs * told.least):.2g} with {pairs} pair{'' if pairs == 1 else 's'}"
+        )
+    elif not told.n:
+        sentence = "nothing can be told: they have no trace in common"
+    elif p < LEVEL and told.excludes_zero:
+        better, worse = (one, other) if told.mean < 0 else (other, one)
+        sentence = f"{better} is better than {worse}"
+    else:
+        sentence = "not told apart"
+    return Pair(one, other, told, p, better, sentence, wins)
+
+
+def _notes(
+    by_entrant: Mapping[str, Mapping[str, TraceResult]],
+    scores: Mapping[str, Mapping[str, float]],
+    standings: Sequence[Standing],
+    common: Sequence[str],
+) -> tuple[str, ...]:
+    notes = [f"{name} has no figure on any trace, so it is not ranked" for name in by_entrant if not scores[name]]
+    left = sorted({trace for own in scores.values() for trace in own} - set(common))
+    if left:
+        lacking = {name for name, own in scores.items() if own for trace in left if trace not in own}
+        notes.append(f"not compared on {', '.join(left)}: without a figure of {', '.join(sorted(lacking))}")
+    if not common and any(scores.values()):
+        notes.append("there is no trace on which all models have a figure, so there is no order among them")
+    seeing = {each.entrant: {trace for trace in each.seen if trace in common} for each in standings if each.rank}
+    if len({frozenset(traces) for traces in seeing.values()}) > 1:
+        favoured = ", ".join(name for name, traces in seeing.items() if traces)
+        notes.append(f"in-sample: {favoured} saw some of these traces in training, which favours it against the others")
+    return tuple(notes)

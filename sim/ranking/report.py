@@ -1,0 +1,206 @@
+"""A ranking as pictures and as a page: pooled error distributions, the matrix of wins, and one self-contained HTML."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from sim.ranking.ranking import Ranking, entrants
+from sim.sha.trace import Array
+from sim.validation.metrics import QUANTILES
+from sim.validation.plots import ENDINGS, MEASURED
+from sim.validation.results import TraceResult
+
+COLOURS: Mapping[str, str] = {"fit": "#2a8c6a", "open": "#b08a2e", "unfit": "#b3261e"}
+SHOWN = (0.05, 0.25, 0.5, 0.75, 0.95)
+LONGEST_LABEL = 28
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """One model's errors (predicted - measured, degC) over all its readings on the common traces.
+
+    `levels` (5,) are the 5, 25, 50, 75 and 95 % quantiles, `low` and `high` the extremes, `medians` one a trace.
+    """
+
+    entrant: str
+    levels: Array
+    low: float
+    high: float
+    medians: Array
+
+
+def spreads(ranking: Ranking, results: Sequence[TraceResult]) -> list[Spread]:
+    """The pooled error distribution of each ranked model, best first."""
+    table = entrants(results)
+    found = []
+    for standing in ranking.standings:
+        own = [table[standing.entrant][trace] for trace in ranking.common if trace in table[standing.entrant]]
+        known = [result for result in own if len(result.error_quantiles) == len(QUANTILES)]
+        if standing.rank is not None and known:
+            found.append(_spread(standing.entrant, known))
+    return found
+
+
+def _spread(entrant: str, results: Sequence[TraceResult]) -> Spread:
+    """Quantiles of the mixture of the traces' laws, each linear between its quantiles, weighted by its readings."""
+    rows = np.array([result.error_quantiles for result in results])
+    weights = np.array([max(result.readings, 1) for result in results], dtype=float)
+    grid = np.unique(rows)
+    below = np.array([np.interp(grid, *_ascending(row)) for row in rows])
+    pooled = np.average(below, axis=0, weights=weights)
+    levels = np.interp(SHOWN, pooled, grid)
+    return Spread(entrant, levels, float(grid[0]), float(grid[-1]), rows[:, QUANTILES.index(0.5)])
+
+
+def _ascending(row: Array) -> tuple[Array, Array]:
+    """A trace's distribution function as (errors, shares): of equal quantiles the last share counts."""
+    errors, last = np.unique(row[::-1], return_index=True)
+    return errors, np.asarray(QUANTILES)[::-1][last]
+
+
+def figure(ranking: Ranking, results: Sequence[TraceResult]) -> Figure:
+    """Two panels: the errors of each model, and on how many traces each is better than each other one."""
+    shown = spreads(ranking, results)
+    rows = max(len(ranking.standings), 2)
+    canvas = Figure(figsize=(13, 2.2 + 0.55 * rows), layout="constrained")
+    FigureCanvasAgg(canvas)
+    left, right = canvas.subplots(1, 2, gridspec_kw={"width_ratios": [3, 2]})
+    _errors(left, shown, {each.entrant: each.verdict for each in ranking.standings})
+    _wins(right, ranking)
+    note = f"{len(ranking.common)} traces"
+    origins = {result.synthetic for result in results if result.trace in ranking.common and not result.failure}
+    if True in origins:
+        note += ", some of them SYNTHETIC" if False in origins else ", SYNTHETIC: not measured on a plant"
+    canvas.suptitle("Models compared, best first", fontsize=13, x=0.01, ha="left", parse_math=False)
+    canvas.supxlabel(note, fontsize=9, color=MEASURED, x=0.01, ha="left", parse_math=False)
+    return canvas
+
+
+def _errors(axis: Axes, shown: Sequence[Spread], verdicts: Mapping[str, str]) -> None:
+    for row, one in enumerate(shown):
+        colour = COLOURS[verdicts[one.entrant]]
+        stats = dict(zip(("whislo", "q1", "med", "q3", "whishi"), one.levels.tolist(), strict=True))
+        axis.bxp(
+            [{**stats, "fliers": []}],
+            positions=[row],
+            orientation="horizontal",
+            widths=0.5,
+            showfliers=False,
+            patch_artist=True,
+            boxprops={"facecolor": colour, "alpha": 0.35, "edgecolor": colour},
+            medianprops={"color": colour, "linewidth": 2},
+        )
+        axis.plot(one.medians, np.full(one.medians.size, row - 0.36), "|", color=colour, markersize=6)
+        axis.plot([one.low, one.high], [row, row], "x", color=colour, markersize=5)
+    axis.axvline(0.0, color=MEASURED, linewidth=0.8)
+    axis.set_yticks(range(len(shown)), [_label(one.entrant) for one in shown], parse_math=False)
+    axis.set_ylim(max(len(shown), 1) - 0.4, -0.6)
+    axis.set_xlabel("predicted - measured (°C): box 25-75 %, whiskers 5-95 %, x extremes, | medians of the traces")
+    axis.grid(alpha=0.25, axis="x")
+    axis.set_title("errors at the readings (colour: green fit, ochre open, red unfit)", fontsize=10, loc="left")
+
+
+def win_matrix(ranking: Ranking) -> tuple[tuple[str, ...], Array]:
+    """(entrants, (n, n) on how many traces the row's score is lower than the column's); NaN without a common trace."""
+    names = tuple(each.entrant for each in ranking.standings if ranking.scores[each.entrant])
+    place = {name: number for number, name in enumerate(names)}
+    matrix = np.full((len(names), len(names)), np.nan)
+    for pair in ranking.pairs:
+        if pair.difference.n:
+            one, other = place[pair.one], place[pair.other]
+            matrix[one, other], matrix[other, one] = pair.wins
+    return names, matrix
+
+
+def _wins(axis: Axes, ranking: Ranking) -> None:
+    names, matrix = win_matrix(ranking)
+    shares = matrix / np.where(np.isnan(matrix), 1.0, np.maximum(matrix + matrix.T, 1.0))
+    if names:
+        axis.imshow(shares, cmap="PiYG", vmin=-0.3, vmax=1.3, aspect="auto")
+    for (row, column), count in np.ndenumerate(matrix):
+        if np.isfinite(count):
+            axis.text(column, row, f"{count:g}", ha="center", va="center")
+    labels = [_label(name) for name in names]
+    axis.set_xticks(range(len(names)), labels, rotation=25, ha="right", fontsize=8, parse_math=False)
+    axis.set_yticks(range(len(names)), labels, fontsize=8, parse_math=False)
+    axis.set_title("traces on which the row beats the column", fontsize=10, loc="left")
+
+
+def _label(name: str) -> str:
+    return name if len(name) <= LONGEST_LABEL else f"…{name[1 - LONGEST_LABEL :]}"
+
+
+def check_picture(path: Path) -> None:
+    """Raises ValueError for another ending than those of pictures."""
+    if path.suffix.lower() not in ENDINGS:
+        raise ValueError(f"{path}: cannot be a picture; give a name that ends in {', '.join(ENDINGS)}")
+
+
+def draw_ranking(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> Path:
+    """Write the picture and return the path. Raises ValueError as `check_picture`, and OSError."""
+    check_picture(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _save(figure(ranking, results), path, path.suffix[1:].lower())
+    return path
+
+
+def _save(made: Figure, target: Path | StringIO, form: str) -> None:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
+        made.savefig(target, format=form, dpi=110, metadata={"Date": None} if form == "svg" else None)
+
+
+def write_page(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> Path:
+    """Write one HTML file that needs no other, and return its path. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(page(ranking, results), encoding="utf-8")
+    return path
+
+
+def page(ranking: Ranking, results: Sequence[TraceResult]) -> str:
+    """The page: pictures inside, every name escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    places = PackageLoader("sim.ranking")
+    environment = Environment(loader=places, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment.filters["figure"] = _figure
+    return environment.get_template("ranking.html").render(ranking=ranking, picture=_svg(ranking, results))
+
+
+def _svg(ranking: Ranking, results: Sequence[TraceResult]) -> str:
+    """The picture's <svg> element."""
+    text = StringIO()
+    _save(figure(ranking, results), text, "svg")
+    return text.getvalue().partition("<svg")[1] + text.getvalue().partition("<svg")[2]
+
+
+def _figure(value: float, digits: int = 3) -> str:
+    return f"{value:.{digits}g}" if np.isfinite(value) else "–"
+
+
+def as_plain(ranking: Ranking) -> dict[str, Any]:
+    """The ranking as plain values for JSON, nothing left out."""
+    from dataclasses import asdict
+
+    names, matrix = win_matrix(ranking)
+    models = []
+    for standing in ranking.standings:
+        row = asdict(standing)
+        models.append({**row, "verdict": standing.verdict, "in_sample": standing.in_sample})
+    return {
+        "weights": asdict(ranking.weights),
+        "common": list(ranking.common),
+        "models": models,
+        "pairs": [asdict(pair) for pair in ranking.pairs],
+        "scores": {name: dict(own) for name, own in ranking.scores.items()},
+        "win_matrix": {"models": list(names), "wins": matrix.tolist()},
+        "notes": list(ranking.notes),
+    }

@@ -1,0 +1,35 @@
+"""Our own CSV of a trace, one row a time, and the fingerprint by which a model names its training data."""
+
+from pathlib import Path
+
+import numpy as np
+
+from sim.sha.trace import Array, Mask, Trace
+from sim.traces.traces import SYNTHETIC
+
+
+def write_trace(trace: Trace, path: str | Path) -> None:
+    """Write a trace as CSV: comments that begin with `#`, a header, then `time` in seconds and a column a signal.
+
+    Doubles are written so that reading gives them back to the last bit. An empty cell is no new reading, `nan` one of
+    bad quality. `config/traces/decanter.toml` reads it, and the software PLC replays it. Raises ValueError for a signal
+    whose name cannot be a column, OSError when the file cannot be written.
+    """
+    for name in trace.signals:
+        if not name or name == "time" or name != name.strip() or any(mark in name for mark in ',"\n\r#'):
+            raise ValueError(f"trace {trace.name!r}: {name!r} cannot be a column's name; rename the signal")
+    columns = [_texts(values, trace.bad.get(name)) for name, values in trace.signals.items()]
+    rows = zip(map(repr, trace.times.tolist()), *columns, strict=True)
+    with Path(path).open("w", encoding="utf-8", newline="\n") as stream:
+        stream.write(f"# origin: {' '.join((trace.origin or trace.name).split())}\n")
+        if trace.synthetic:
+            stream.write(f"# {SYNTHETIC}: not measured on a plant\n")
+        stream.write(",".join(["time", *trace.signals]) + "\n")
+        stream.writelines(",".join(cells) + "\n" for cells in rows)
+
+
+def _texts(values: Array, bad: Mask | None) -> list[str]:
+    texts = ["" if value != value else repr(value) for value in values.tolist()]
+    for row in np.flatnonzero(bad).tolist() if bad is not None else ():
+        texts[row] = "nan"
+    return texts
