@@ -141,7 +141,7 @@ async def _stopped(gateway: Gateway) -> None:
     if complete:
         gateway.log.info("stopped", scans=gateway.tally.scans, events=gateway.tally.events)
     else:
-        failure = gateway.historian.failure or (gateway.store.audit.failure if gateway.store.audit else "")
+        failure = gateway.historian.failure or (gateway.audit.failure if gateway.audit else "")
         gateway.log.error("stopped, with records that could not be stored", reason=failure)
 
 
