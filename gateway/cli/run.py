@@ -17,8 +17,8 @@ from gateway.console.places import config_dir
 
 if TYPE_CHECKING:
     from drivers.tag import Sample, Tag
-    from gateway.machine.clock import PlantClock
     from gateway.machine.links import Link
+    from gateway.machine.reading.clock import PlantClock
     from gateway.plant.config import Config
 
 
@@ -116,7 +116,7 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
 def _plan(config: "Config") -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The requests by which a scan reads all tags, in the driver's own sentences, and its cautions; nothing is sent."""
     from drivers.driver import Cautions, Explains
-    from gateway.machine.clock import plant_clock
+    from gateway.machine.reading.clock import plant_clock
     from gateway.plant.startup import make_driver
 
     driver = make_driver(config, plant_clock())
@@ -146,7 +146,7 @@ def load(path: Path, host: str | None, port: int | None, speed: float | None) ->
 
 
 def _clock(text: str) -> "PlantClock":
-    from gateway.machine.clock import PlantClock
+    from gateway.machine.reading.clock import PlantClock
 
     try:
         epoch, start, speed = (float(part) for part in text.split(","))
@@ -163,7 +163,7 @@ def _read_once(config: "Config") -> list[dict[str, Any]]:
     """One reading of every tag over every link. Raises DriverError when no link has a connection."""
     import asyncio
 
-    from gateway.machine.clock import plant_clock
+    from gateway.machine.reading.clock import plant_clock
     from gateway.plant.startup import link_driver
 
     with sentences():

@@ -8,7 +8,7 @@ from drivers.errors import DriverError
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.plc_side.by_hand import gateway_runs, hand, layout_of
 from gateway.commission.through import running_gateway
-from gateway.machine.arming import ArmingError, arm_in_log, disarm_in_log, signed
+from gateway.machine.writing.arming import ArmingError, arm_in_log, disarm_in_log, signed
 from gateway.store.audit import head
 
 

@@ -55,7 +55,7 @@ def _make(given: Given, out: Path, site: str, remarks: tuple[str, ...], audit: P
     from gateway.commission.plc_perform import login
     from gateway.commission.report.data import gather
     from gateway.commission.report.files import write
-    from gateway.store.audit import Entry, open_audit
+    from gateway.store.audit import AuditEntry, open_audit
 
     now, by = time.time(), given.by or login()
     records = given.records.read_bytes()
@@ -64,7 +64,9 @@ def _make(given: Given, out: Path, site: str, remarks: tuple[str, ...], audit: P
     seal = write(out, data, records)
     if audit.exists():
         log = open_audit(audit)
-        stored = log.record(Entry(now, "acceptance report", by, data["verdict"], {"seal": seal, "folder": str(out)}))
+        stored = log.record(
+            AuditEntry(now, "acceptance report", by, data["verdict"], {"seal": seal, "folder": str(out)})
+        )
         log.close()
         if not stored:
             raise ValueError(f"the report is made, but its seal is not in the audit log: {log.failure}")

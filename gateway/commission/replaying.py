@@ -13,9 +13,9 @@ from typing import Any
 from drivers.driver import Driver, open_driver
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.recording import Recording
-from gateway.machine.core import Gateway
-from gateway.machine.quality import Rules
-from gateway.machine.scan import scans
+from gateway.machine.pipeline import Gateway
+from gateway.machine.reading.quality import QualityRules
+from gateway.machine.reading.scan import scans
 from gateway.plant.config import Config, HistorianSection, WritebackSection
 from gateway.plant.log import open_log
 
@@ -124,7 +124,7 @@ async def _through(config: Config, recording: Recording, progress: Progress) -> 
         gateway = Gateway(config, clock, log, _driver(recording, clock))
         try:
             await gateway.driver.open()
-            rules = Rules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period)
+            rules = QualityRules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period)
             async with aclosing(scans(gateway.driver, config.map.tags, clock, rules, stop)) as stream:
                 async for scan in stream:
                     await gateway.take(scan)

@@ -17,7 +17,7 @@ from gateway.commission.plc_side.by_hand import ACCOUNT_TAGS
 from gateway.commission.reading import read_raw
 from gateway.commission.recording import Recording, read_recording
 from gateway.commission.records import read_records
-from gateway.machine.core import ORDERS
+from gateway.machine.pipeline import ORDERS
 
 LOOK_S = 0.3
 _HOUR = 3600.0

@@ -13,7 +13,7 @@ import numpy as np
 from drivers.tag import Quality
 from gateway.demo.prepare import Setting
 from gateway.demo.processes import DemoError
-from gateway.machine.quality import STALE_PERIODS
+from gateway.machine.reading.quality import STALE_PERIODS
 from gateway.plant.devices import load_device
 from gateway.store.history import events, history, matured, samples, to_trace
 from gateway.store.score import Scorecard, scorecard

@@ -8,10 +8,10 @@ from struct import pack
 from typing import Any
 
 from drivers.tag import Sample, Tag
-from gateway.machine.alarms import Alarm
-from gateway.machine.predict import Prediction
-from gateway.machine.scan import Scan
-from gateway.machine.writeback import Attempt
+from gateway.machine.alarms.states import Alarm
+from gateway.machine.model.predict import ScanPrediction
+from gateway.machine.reading.scan import Scan
+from gateway.machine.writing.writeback import Attempt
 from gateway.plant.status import strict
 from gateway.store.historian import Row
 from sim.forecast.forecast import Forecast
@@ -58,7 +58,7 @@ def scan_row(scan: Scan) -> Row:
     return (scan.time, scan.duration, scan.missed)
 
 
-def prediction_row(p: Prediction) -> Row:
+def prediction_row(p: ScanPrediction) -> Row:
     """A row of `predictions`."""
     return (p.time, p.location, int(p.known), p.measured, p.mean, p.low, p.high, p.free_run, p.anomaly, p.zone)
 
@@ -80,7 +80,7 @@ def forecast_rows(made: Forecast, measured: float | None) -> list[Row]:
     ]
 
 
-def event_rows(prediction: Prediction) -> list[Row]:
+def event_rows(prediction: ScanPrediction) -> list[Row]:
     """The rows of `events`; the location is the one after all events of the scan."""
     return [(event.time, event.symbol, prediction.location) for event in prediction.events]
 

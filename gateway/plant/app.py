@@ -13,13 +13,13 @@ from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Cautions, Driver
 from drivers.errors import DriverError
-from gateway.machine.clock import Clock, PlantClock, plant_clock
-from gateway.machine.core import Gateway
-from gateway.machine.outlook import block_values
-from gateway.machine.quality import Rules
+from gateway.machine.model.outlook import block_values
+from gateway.machine.pipeline import Gateway
+from gateway.machine.reading.clock import Clock, PlantClock, plant_clock
+from gateway.machine.reading.quality import QualityRules
+from gateway.machine.reading.redundant import Redundant
+from gateway.machine.reading.scan import Scan, scans
 from gateway.machine.records import percentile
-from gateway.machine.redundant import Redundant
-from gateway.machine.scan import Scan, scans
 from gateway.plant.config import Config
 from gateway.plant.control import Control
 from gateway.plant.log import open_log
@@ -102,7 +102,7 @@ async def _supervised(gateway: Gateway, stop: asyncio.Event) -> None:
 
 async def _scanned(gateway: Gateway, stop: asyncio.Event) -> None:
     config, clock = gateway.config, gateway.clock
-    rules = Rules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period * clock.speed)
+    rules = QualityRules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period * clock.speed)
     gateway.phase = "running"
     urgent = gateway.urgent if scans_on_change(config) else None
     async with aclosing(scans(gateway.driver, config.map.tags, clock, rules, stop, urgent)) as stream:

@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.tag import DType, Order, Sample, Tag
-from gateway.machine.arming import ArmingError
-from gateway.machine.redundant import Redundant
+from gateway.machine.reading.redundant import Redundant
+from gateway.machine.writing.arming import ArmingError
 from gateway.plant.status import strict
 
 if TYPE_CHECKING:
-    from gateway.machine.core import Gateway
+    from gateway.machine.pipeline import Gateway
 
 MODE = 0o600
 LONGEST = 1 << 20

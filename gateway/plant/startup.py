@@ -12,12 +12,12 @@ from drivers.driver import Driver, open_driver
 from drivers.errors import AddressError, DriverError
 from drivers.tag import Tag
 from gateway.checked import ConfigError
-from gateway.machine.alarms import Alarm, Condition, from_plain, new_alarm
-from gateway.machine.clock import Clock
+from gateway.machine.alarms.states import Alarm, AlarmCondition, from_plain, new_alarm
 from gateway.machine.links import Link
-from gateway.machine.predict import Predictor
-from gateway.machine.quality import STALE_PERIODS
-from gateway.machine.redundant import Redundant, Rules, Way
+from gateway.machine.model.predict import Predictor
+from gateway.machine.reading.clock import Clock
+from gateway.machine.reading.quality import STALE_PERIODS
+from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath
 from gateway.plant.config import Config
 from gateway.store.historian import Historian
 from sim.artefacts.model_json import model_hash
@@ -121,9 +121,9 @@ def make_driver(config: Config, clock: Clock) -> Driver:
     """
     if len(config.links) == 1:
         return link_driver(config, config.links[0], clock)
-    ways = [Way(link.name, link_driver(config, link, clock), _addressed(link)) for link in config.links]
+    ways = [RedundantPath(link.name, link_driver(config, link, clock), _addressed(link)) for link in config.links]
     beat = max(config.scan.period, config.device.heartbeat_period * clock.speed)
-    rules = Rules(config.device.switch_after, config.device.return_after, config.map.heartbeat, beat)
+    rules = RedundancyRules(config.device.switch_after, config.device.return_after, config.map.heartbeat, beat)
     return Redundant(ways, rules, clock.now)
 
 
@@ -151,7 +151,7 @@ def _addressed(link: Link) -> dict[str, Tag]:
     return {tag.name: tag for tag in (*link.map.tags, *(block.words if block else ()))}
 
 
-def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool = False) -> dict[str, Condition]:
+def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool = False) -> dict[str, AlarmCondition]:
     """The alarms by name; their bits are those of the block's alarm word.
 
     A driver that `complains` has an alarm of its own for what its device says.
@@ -159,7 +159,7 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
     a, period = config.alarms, config.scan.period
     tags = config.map.by_name
     conditions = [
-        Condition(
+        AlarmCondition(
             f"over limit {name}",
             name,
             bit=0,
@@ -174,15 +174,19 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
     ]
     if config.model.path is not None:
         conditions += [
-            Condition("predicted over limit", config.model.temperature, 1, a.p_limit, a.p_limit / 2, 0.0, a.off_delay),
-            Condition("anomaly", config.model.temperature, 2, a.anomaly, a.anomaly / 3, 0.0, a.off_delay, 3),
-            Condition("review", config.model.temperature, 5, 0.5, 0.0, 0.0, a.off_delay, 3, REVIEW),
-            Condition("drift", config.model.temperature, 3, a.drift_cycles - 0.5, priority=3, response=_offer(config)),
+            AlarmCondition(
+                "predicted over limit", config.model.temperature, 1, a.p_limit, a.p_limit / 2, 0.0, a.off_delay
+            ),
+            AlarmCondition("anomaly", config.model.temperature, 2, a.anomaly, a.anomaly / 3, 0.0, a.off_delay, 3),
+            AlarmCondition("review", config.model.temperature, 5, 0.5, 0.0, 0.0, a.off_delay, 3, REVIEW),
+            AlarmCondition(
+                "drift", config.model.temperature, 3, a.drift_cycles - 0.5, priority=3, response=_offer(config)
+            ),
         ]
-    bad = Condition("inputs bad", ", ".join(inputs), 4, 0.5, 0.0, STALE_PERIODS * period, 0.0)
+    bad = AlarmCondition("inputs bad", ", ".join(inputs), 4, 0.5, 0.0, STALE_PERIODS * period, 0.0)
     if complains:
         response = "the device or its bus says that something is wrong: see complaints in the status"
-        conditions.append(Condition(DEVICE, config.map.name, 6, 0.5, off_delay=a.off_delay, response=response))
+        conditions.append(AlarmCondition(DEVICE, config.map.name, 6, 0.5, off_delay=a.off_delay, response=response))
     return {condition.name: condition for condition in (*conditions, bad)}
 
 
@@ -201,7 +205,10 @@ def _offer(config: Config) -> str:
 
 
 def restored_alarms(
-    conditions: Mapping[str, Condition], historian: Historian, now: float, log: structlog.typing.FilteringBoundLogger
+    conditions: Mapping[str, AlarmCondition],
+    historian: Historian,
+    now: float,
+    log: structlog.typing.FilteringBoundLogger,
 ) -> dict[str, Alarm]:
     """The alarms as they were when the gateway last ran; what cannot be read begins as normal, and is logged."""
     saved = loaded(historian, "alarms", log) or (now, {})

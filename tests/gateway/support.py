@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.driver import Driver, open_driver
 from drivers.tag import Quality, Sample, Value
-from gateway.machine.scan import Scan
+from gateway.machine.reading.scan import Scan
 from gateway.plant.config import Config, load_config
 from sim.artefacts.model_json import model_text
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from gateway.checked import ConfigError
-from gateway.machine.core import Gateway
-from gateway.machine.ensemble import Ensemble, Member
-from gateway.machine.predict import Predictor
-from gateway.machine.scan import Scan
+from gateway.machine.model.ensemble import Ensemble, Member
+from gateway.machine.model.predict import Predictor
+from gateway.machine.pipeline import Gateway
+from gateway.machine.reading.scan import Scan
 from gateway.plant.app import run
 from gateway.plant.config import Config, load_config
 from gateway.plant.log import open_log

@@ -6,8 +6,8 @@ import pytest
 
 from drivers.modbus.driver import ModbusDriver
 from gateway.checked import ConfigError
-from gateway.machine.clock import plant_clock
-from gateway.machine.redundant import Redundant
+from gateway.machine.reading.clock import plant_clock
+from gateway.machine.reading.redundant import Redundant
 from gateway.plant.config import Config, load_config
 from gateway.plant.devices import load_device
 from gateway.plant.startup import make_driver

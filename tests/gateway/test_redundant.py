@@ -11,8 +11,8 @@ import pytest
 from drivers.driver import Driver, Explains, Writes
 from drivers.errors import DeviceException, LinkDown, ReplyTimeout, WriteForbidden
 from drivers.tag import Quality, Sample, Tag, Value
-from gateway.machine.redundant import Redundant, Rules, Switch, Way
-from gateway.machine.same_plc import RING, Pulse, agree, heard, still
+from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath, SwitchOver
+from gateway.machine.reading.same_plc import RING, Pulse, agree, heard, still
 
 BEAT_S = 0.002
 """The device's heartbeat and its one signal count these."""
@@ -93,13 +93,13 @@ def now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def way(path: Path) -> Way:
+def way(path: Path) -> RedundantPath:
     tags = (*TAGS, Tag(WORD, "holding:3", writable=True))
-    return Way(path.name, path, {tag.name: Tag(tag.name, f"{path.name}:{tag.address}") for tag in tags})
+    return RedundantPath(path.name, path, {tag.name: Tag(tag.name, f"{path.name}:{tag.address}") for tag in tags})
 
 
 def redundant(*paths: Path, switch_after: float = 0.05, return_after: float = 0.1, beat: float = 0.05) -> Redundant:
-    return Redundant([way(path) for path in paths], Rules(switch_after, return_after, BEAT, beat), now)
+    return Redundant([way(path) for path in paths], RedundancyRules(switch_after, return_after, BEAT, beat), now)
 
 
 @dataclass
@@ -109,7 +109,7 @@ class Pair:
     first: Path
     second: Path
     both: Redundant
-    switches: list[Switch]
+    switches: list[SwitchOver]
 
 
 async def pair(**rules: Any) -> Pair:

@@ -4,9 +4,9 @@ import pytest
 
 from drivers.driver import open_driver
 from drivers.tag import Quality, Sample
-from gateway.machine.block import Validity
-from gateway.machine.scan import Scan
-from gateway.machine.writeback import Arming, Writer
+from gateway.machine.reading.scan import Scan
+from gateway.machine.writing.block import Validity
+from gateway.machine.writing.writeback import Arming, Writer
 from gateway.plant.devices import load_device
 from tests.gateway.support import EPOCH, MAP, JumpClock, scan_of
 

@@ -14,11 +14,11 @@ from drivers.errors import DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Sample
 from gateway.commission.outcome import Site
 from gateway.commission.plc_side.conformance import Account, Unable
-from gateway.machine.arming import arming_of
-from gateway.machine.block import Validity, build, next_heartbeat
-from gateway.machine.writeback import FAILED, REFUSED, WRITE, Arming
+from gateway.machine.writing.arming import arming_of
+from gateway.machine.writing.block import Validity, build, next_heartbeat
+from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
 from gateway.plant.devices import DeviceMap, WritebackLayout
-from gateway.store.audit import Audit, Entry, open_audit, standing
+from gateway.store.audit import Audit, AuditEntry, open_audit, standing
 
 SETTLE_S = 3.0
 """The longest wait for the PLC's program to have looked at what was written."""
@@ -123,7 +123,7 @@ class Hand:
 
     def _note(self, kind: str, words: Sequence[int], reason: str, offset: int = 0) -> None:
         detail = {"words": pack(f">{len(words)}H", *words).hex(), "offset": offset, "via": "command"}
-        self.audit.put(Entry(time.time(), kind, self.arming.by, reason, detail))
+        self.audit.put(AuditEntry(time.time(), kind, self.arming.by, reason, detail))
 
     # ---------------------------------------------------------------- reading
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from gateway.machine.block import NO_NUMBER, NO_TEMPERATURE
+from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE
 from gateway.plant.devices import BlockField, WritebackLayout
 
 MEANINGS: Mapping[str, tuple[str, str]] = {

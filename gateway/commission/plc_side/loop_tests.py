@@ -13,7 +13,7 @@ from gateway.commission.plc_side.by_hand import NOTHING, SETTLE_S, Hand
 from gateway.commission.plc_side.conformance import Account
 from gateway.commission.plc_side.fields import ALARM_BITS, ALARM_MEANINGS
 from gateway.commission.plc_side.structured_text import refusal_codes
-from gateway.machine.block import Validity
+from gateway.machine.writing.block import Validity
 
 Progress = Callable[[str, float], None]
 BLOCKS = 5

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from random import Random
 from typing import Any
 
-from gateway.machine.block import Validity, build, crc
+from gateway.machine.writing.block import Validity, build, crc
 from gateway.plant.devices import WritebackLayout
 
 FORMAT = 1

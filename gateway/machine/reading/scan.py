@@ -10,9 +10,9 @@ from math import floor
 
 from drivers.driver import Driver, Streams
 from drivers.tag import Sample, Tag
-from gateway.machine.clock import Clock
-from gateway.machine.news import News, Urgent
-from gateway.machine.quality import STALE_PERIODS, DeviceAge, Rules, judge
+from gateway.machine.reading.clock import Clock
+from gateway.machine.reading.device_stream import DeviceStream, Urgent
+from gateway.machine.reading.quality import STALE_PERIODS, DeviceAge, QualityRules, judge
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ async def scans(
     driver: Driver,
     tags: Sequence[Tag],
     clock: Clock,
-    rules: Rules,
+    rules: QualityRules,
     stop: asyncio.Event | None = None,
     urgent: Urgent | None = None,
 ) -> AsyncGenerator[Scan, None]:
@@ -59,7 +59,7 @@ async def scans(
     """
     begin, tick, missed, number, last = clock.now(), 0, 0, 0, 0.0
     age, stop = DeviceAge(), stop or asyncio.Event()
-    news = News(driver, tags, urgent) if urgent is not None and isinstance(driver, Streams) else None
+    news = DeviceStream(driver, tags, urgent) if urgent is not None and isinstance(driver, Streams) else None
     try:
         while (due := await _awaited(clock, begin + tick * rules.period, stop, news if number else None)) != "stop":
             sent = clock.now()
@@ -86,12 +86,12 @@ async def scans(
             await news.close()
 
 
-def _unproven(age: DeviceAge, rules: Rules, elapsed: float) -> bool:
+def _unproven(age: DeviceAge, rules: QualityRules, elapsed: float) -> bool:
     waiting = rules.heartbeat is not None and age.beat is not None and age.beat != 0 and age.beat_changed is None
     return waiting and elapsed < STALE_PERIODS * rules.beat_period
 
 
-async def _awaited(clock: Clock, moment: float, stop: asyncio.Event, news: News | None) -> str:
+async def _awaited(clock: Clock, moment: float, stop: asyncio.Event, news: DeviceStream | None) -> str:
     """Wait for the moment, the stop or something urgent; "tick", "stop" or "news", whichever comes first."""
     waits = {
         "stop": asyncio.ensure_future(stop.wait()),

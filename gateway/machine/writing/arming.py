@@ -8,11 +8,11 @@ from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Driver, Writes
 from gateway.checked import ConfigError
-from gateway.machine.clock import Clock
-from gateway.machine.writeback import Arming, Pace, Writer
+from gateway.machine.reading.clock import Clock
+from gateway.machine.writing.writeback import Arming, Pace, Writer
 from gateway.plant.config import MAX_ARMED_MINUTES, Config
 from gateway.plant.startup import loaded
-from gateway.store.audit import ARMED, DISARMED, Audit, Entry, Row, last_arming, open_audit, standing
+from gateway.store.audit import ARMED, DISARMED, Audit, AuditEntry, AuditRow, last_arming, open_audit, standing
 from gateway.store.historian import Historian
 
 LONGEST = 200
@@ -35,12 +35,12 @@ def signed(by: str, reason: str, minutes: float, now: float) -> Arming:
     return Arming(by, reason, now + 60.0 * minutes)
 
 
-def entry_of(arming: Arming, now: float, via: str) -> Entry:
+def entry_of(arming: Arming, now: float, via: str) -> AuditEntry:
     """The audit log's row of an arming."""
-    return Entry(now, ARMED, arming.by, arming.reason, {"until": arming.until, "via": via})
+    return AuditEntry(now, ARMED, arming.by, arming.reason, {"until": arming.until, "via": via})
 
 
-def arming_of(row: Row) -> Arming:
+def arming_of(row: AuditRow) -> Arming:
     """The arming in a row of the audit log."""
     return Arming(row.entry.who, row.entry.reason, float(row.entry.detail["until"]))
 
@@ -53,15 +53,15 @@ def arm_in_log(path: Path, arming: Arming, now: float) -> None:
     _store(path, entry_of(arming, now, "command"))
 
 
-def disarm_in_log(path: Path, by: str, reason: str, now: float) -> Row | None:
+def disarm_in_log(path: Path, by: str, reason: str, now: float) -> AuditRow | None:
     """Take back what `arm_in_log` armed; gives it, None if nothing was in force. Raises ArmingError or AuditError."""
     row = standing(path, now)
     if row is not None:
-        _store(path, Entry(now, DISARMED, by, reason))
+        _store(path, AuditEntry(now, DISARMED, by, reason))
     return row
 
 
-def _store(path: Path, entry: Entry) -> None:
+def _store(path: Path, entry: AuditEntry) -> None:
     audit = open_audit(path)
     try:
         if not audit.record(entry):

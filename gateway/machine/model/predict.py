@@ -6,7 +6,7 @@ from math import sqrt
 from typing import Any, Literal
 
 from drivers.tag import Quality
-from gateway.machine.scan import Scan
+from gateway.machine.reading.scan import Scan
 from sim.engine.belief import (
     Belief,
     advance,
@@ -37,7 +37,7 @@ anomaly score is -log10 of that test's p-value. Green below 2 (as bad once in 10
 
 
 @dataclass(frozen=True, slots=True)
-class Prediction:
+class ScanPrediction:
     """What the model says of one scan at `time`.
 
     `mean` and the 90 % band `low`..`high` (degC) are what a reading at this moment was expected to be by everything
@@ -100,7 +100,7 @@ class Predictor:
         """The inputs that a register map lacks."""
         return [name for name in self._inputs if name not in tags]
 
-    def step(self, scan: Scan) -> Prediction:
+    def step(self, scan: Scan) -> ScanPrediction:
         """Take one scan in. Only good readings count: anything else makes its channel unknown and corrects nothing."""
         events = self.encoder.feed(scan.time, {name: scan.good(name) for name in self._channels})
         measured = self._measured(scan)
@@ -114,7 +114,7 @@ class Predictor:
         usable = known and worst == 0
         sigma = sqrt(expected.xx + self.tracker.sensor)
         score = anomaly(self.belief) + 0.0
-        return Prediction(
+        return ScanPrediction(
             time=scan.time,
             location=self.belief.location,
             location_index=self._index[self.belief.location],

@@ -8,7 +8,7 @@ reading is lost as long as the other link is well. A link higher up in the list 
 
 What keeps events from being lost or doubled: a sample that may be older than the last one of the same tag from another
 link is not taken; the last one stands until a newer arrives. What keeps another PLC from being taken for this one: the
-heartbeats of two links must be the same count at the same time (`gateway.machine.same_plc`).
+heartbeats of two links must be the same count at the same time (`gateway.machine.reading.same_plc`).
 
 A block goes out over the active link only. If its fate is not known, it is read back over another link; it is never
 sent again.
@@ -22,8 +22,8 @@ from typing import Any
 from drivers.driver import Cautions, Complains, Driver, Explains, Writes
 from drivers.errors import AddressError, DeviceException, DriverError, EncodingError, LinkDown, WriteForbidden
 from drivers.tag import Quality, Sample, Tag, Value
-from gateway.machine.quality import LINK_FAULTS
-from gateway.machine.same_plc import Pulse, agree, heard, still
+from gateway.machine.reading.quality import LINK_FAULTS
+from gateway.machine.reading.same_plc import Pulse, agree, heard, still
 
 _KNOWN_FATE = (WriteForbidden, EncodingError, AddressError, DeviceException)
 _STRANGE_SCANS = 3
@@ -31,7 +31,7 @@ _STRANGE_SCANS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class RedundantPath:
     """One link: its driver, and the tags by name with this link's own addresses (those that may be written too)."""
 
     name: str
@@ -40,7 +40,7 @@ class Way:
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class RedundancyRules:
     """`switch_after`, `return_after` (real s); `heartbeat`, the tag; `beat_period`, the clock's seconds between two."""
 
     switch_after: float
@@ -50,7 +50,7 @@ class Rules:
 
 
 @dataclass(frozen=True, slots=True)
-class Switch:
+class SwitchOver:
     """One change of the active link at `time` (the clock's), why, and the real seconds that the scan waited for it."""
 
     time: float
@@ -61,14 +61,14 @@ class Switch:
 
 
 @dataclass(slots=True)
-class _State:
+class _PathState:
     """What is known of one link.
 
     `samples` are its last complete reading: `fresh` if that was completed in this scan, `news` if it was since the last
     judgement (a link slower than the active one is complete after the scan that asked for it).
     """
 
-    way: Way
+    way: RedundantPath
     task: "asyncio.Task[list[Sample]] | None" = None
     samples: Mapping[str, Sample] = field(default_factory=dict)
     fresh: bool = False
@@ -87,13 +87,13 @@ class _State:
 class Redundant:
     """A Driver that Writes, over several links; the first is the primary. `clock` gives the samples' time."""
 
-    def __init__(self, ways: Sequence[Way], rules: Rules, clock: Callable[[], float]) -> None:
-        self._states = [_State(way) for way in ways]
+    def __init__(self, ways: Sequence[RedundantPath], rules: RedundancyRules, clock: Callable[[], float]) -> None:
+        self._states = [_PathState(way) for way in ways]
         self._rules, self._clock = rules, clock
         self._active = 0
         self._last: dict[str, tuple[int, Sample]] = {}
         self._counts = dict.fromkeys(("switch_overs", "returns", "held_samples", "confirmed_elsewhere"), 0)
-        self.tell: Callable[[Switch], None] = lambda _: None
+        self.tell: Callable[[SwitchOver], None] = lambda _: None
 
     # ------------------------------------------------------------ Driver
 
@@ -177,7 +177,7 @@ class Redundant:
 
     # ------------------------------------------------------------ one scan
 
-    def _begin(self, state: _State, tags: Sequence[Tag]) -> None:
+    def _begin(self, state: _PathState, tags: Sequence[Tag]) -> None:
         """Start the link's reading for this scan, unless the last one still runs."""
         self._collect(state)
         state.fresh = False
@@ -185,7 +185,7 @@ class Redundant:
             own = [state.way.tags[tag.name] for tag in tags]
             state.task = asyncio.create_task(state.way.driver.read(own), name=f"read {state.way.name}")
 
-    def _collect(self, state: _State) -> None:
+    def _collect(self, state: _PathState) -> None:
         """Take over the link's reading if it is complete."""
         if state.task is not None and state.task.done():
             task, state.task = state.task, None
@@ -204,13 +204,13 @@ class Redundant:
         for state in self._states:
             self._collect(state)
 
-    def _due(self) -> _State | None:
+    def _due(self) -> _PathState | None:
         """The link above the active one that has been well long enough to be used again, if any."""
         moment, above = _now(), self._states[: self._active]
         well = (state for state in above if state.well_since is not None)
         return next((s for s in well if moment - (s.well_since or moment) >= self._rules.return_after), None)
 
-    async def _wait(self, states: Sequence[_State], until: float | None) -> bool:
+    async def _wait(self, states: Sequence[_PathState], until: float | None) -> bool:
         """Wait for the next of the links' readings, at most to the loop's time `until`; False if none runs."""
         running = {state.task for state in states if state.task is not None}
         left = None if until is None else until - _now()
@@ -220,7 +220,7 @@ class Redundant:
             self._collect(state)
         return bool(running)
 
-    def _is_well(self, state: _State) -> bool:
+    def _is_well(self, state: _PathState) -> bool:
         """True if all tags came through the link with its last reading, and it shows our PLC, which lives."""
         if not state.samples or state.faults or state.strange >= _STRANGE_SCANS:
             return False
@@ -265,7 +265,7 @@ class Redundant:
             self._counts["switch_overs"] += 1
             self._switch(others[0], f"{active.way.name}: {active.reason}", begun)
 
-    def _is_better(self, state: _State, active: _State) -> bool:
+    def _is_better(self, state: _PathState, active: _PathState) -> bool:
         if state is active or not state.fresh or state.strange >= _STRANGE_SCANS:
             return False
         if self._is_well(state):
@@ -275,7 +275,7 @@ class Redundant:
     def _switch(self, index: int, reason: str, begun: float) -> None:
         before, self._active = self._active, index
         names = self._states[before].way.name, self._states[index].way.name
-        self.tell(Switch(self._clock(), *names, reason, _now() - begun))
+        self.tell(SwitchOver(self._clock(), *names, reason, _now() - begun))
 
     def _delivered(self, name: str) -> Sample:
         """The active link's sample of a tag, or the last one of another link if that may be the newer."""
@@ -314,7 +314,7 @@ class Redundant:
             self._counts["confirmed_elsewhere"] += 1
             active.reason = str(error)
 
-    async def _stands(self, values: Sequence[tuple[Tag, Value]], active: _State) -> bool:
+    async def _stands(self, values: Sequence[tuple[Tag, Value]], active: _PathState) -> bool:
         """True if another link that is well shows the values in the device."""
         for state in self._states:
             if state is active or state.well_since is None:
@@ -333,7 +333,7 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def _complaint(state: _State, rules: Rules) -> str:
+def _complaint(state: _PathState, rules: RedundancyRules) -> str:
     """What is wrong with a link that is not well."""
     if state.faults:
         return next(sample.reason for sample in state.samples.values() if sample.quality in LINK_FAULTS)
@@ -347,7 +347,7 @@ def _earliest(sample: Sample) -> float:
     return sample.time if sample.sent is None else sample.sent
 
 
-def _own(state: _State, tag: Tag) -> Tag:
+def _own(state: _PathState, tag: Tag) -> Tag:
     own = state.way.tags.get(tag.name)
     if own is None:
         raise WriteForbidden(f"{tag.name} has no address on {state.way.name}; nothing was sent")

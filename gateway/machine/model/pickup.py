@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from math import inf
 
 from gateway.checked import ConfigError
-from gateway.machine.ensemble import FAULTS
-from gateway.machine.predict import Predictor
-from gateway.machine.scan import Scan
+from gateway.machine.model.ensemble import FAULTS
+from gateway.machine.model.predict import Predictor
+from gateway.machine.reading.scan import Scan
 from gateway.plant.config import Config
 from gateway.plant.startup import LoadedModel, load_model
 from sim.artefacts.files import ArtefactError
@@ -29,7 +29,7 @@ RECENT = 300
 
 
 @dataclass(frozen=True, slots=True)
-class Ready:
+class ReadyModel:
     """A model that may take over; its `predictor` has followed the scans up to the time `until` (plant s)."""
 
     loaded: LoadedModel
@@ -38,13 +38,13 @@ class Ready:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RefusedPromotion:
     """A promoted model that is not run, and the sentence why."""
 
     reason: str
 
 
-Found = Ready | Refused | None
+Found = ReadyModel | RefusedPromotion | None
 
 
 class Pickup:
@@ -56,7 +56,7 @@ class Pickup:
     def __init__(self, config: Config, running: LoadedModel | None) -> None:
         self.config = config
         self.running = running.version if running is not None else ""
-        self.ready: Ready | None = None
+        self.ready: ReadyModel | None = None
         self.refused = ""
         self._seen: object = None
         self._recent: deque[Scan] = deque(maxlen=RECENT)
@@ -84,11 +84,11 @@ class Pickup:
         before = self._seen
         self._seen, found = task.result()
         if self._seen != before:
-            self.refused = found.reason if isinstance(found, Refused) else ""
-        self.ready = found if isinstance(found, Ready) else None
-        return found.reason if isinstance(found, Refused) else ""
+            self.refused = found.reason if isinstance(found, RefusedPromotion) else ""
+        self.ready = found if isinstance(found, ReadyModel) else None
+        return found.reason if isinstance(found, RefusedPromotion) else ""
 
-    def taken(self) -> Ready | str | None:
+    def taken(self) -> ReadyModel | str | None:
         """The model that waits, brought to the newest scan; the sentence why it is refused; None where none waits."""
         found, self.ready = self.ready, None
         if found is None:
@@ -119,9 +119,9 @@ def _look(
     try:
         return stamp, None if current(store) == running else _made_ready(config, members, recent)
     except ConfigError as error:
-        return stamp, Refused("; ".join(error.problems))
+        return stamp, RefusedPromotion("; ".join(error.problems))
     except ArtefactError as error:
-        return stamp, Refused(str(error))
+        return stamp, RefusedPromotion(str(error))
 
 
 def _made_ready(config: Config, members: Sequence[str], recent: Sequence[Scan]) -> Found:
@@ -130,13 +130,15 @@ def _made_ready(config: Config, members: Sequence[str], recent: Sequence[Scan]) 
     if loaded is None:
         return None
     if loaded.hash in members:
-        return Refused(f"version {loaded.version} is the same model as one of ensemble.members; give each model once")
+        return RefusedPromotion(
+            f"version {loaded.version} is the same model as one of ensemble.members; give each model once"
+        )
     predictor = Predictor(loaded.model, config.model.temperature)
     try:
         _follow(predictor, recent)
     except FAULTS as error:
-        return Refused(_failed(loaded, error))
-    return Ready(loaded, predictor, recent[-1].time if recent else -inf)
+        return RefusedPromotion(_failed(loaded, error))
+    return ReadyModel(loaded, predictor, recent[-1].time if recent else -inf)
 
 
 def _follow(predictor: Predictor, scans: Sequence[Scan]) -> None:

@@ -5,18 +5,19 @@ from typing import Any
 from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Complains, Driver
-from gateway.machine import arming, records
-from gateway.machine.alarms import Alarm, acknowledge, step, to_plain, word
-from gateway.machine.block import Validity, validity
-from gateway.machine.clock import Clock
-from gateway.machine.ensemble import Ensemble
-from gateway.machine.guards import Guards
-from gateway.machine.outlook import Outlook, block_values
-from gateway.machine.pickup import Pickup, Ready
-from gateway.machine.predict import ZONES, Prediction, Predictor
-from gateway.machine.redundant import Redundant, Switch
-from gateway.machine.scan import Scan
-from gateway.machine.writeback import Arming, Attempt
+from gateway.machine import records
+from gateway.machine.alarms.states import Alarm, acknowledge, step, to_plain, word
+from gateway.machine.model.ensemble import Ensemble
+from gateway.machine.model.guards import Guards
+from gateway.machine.model.outlook import Outlook, block_values
+from gateway.machine.model.pickup import Pickup, ReadyModel
+from gateway.machine.model.predict import ZONES, Predictor, ScanPrediction
+from gateway.machine.reading.clock import Clock
+from gateway.machine.reading.redundant import Redundant, SwitchOver
+from gateway.machine.reading.scan import Scan
+from gateway.machine.writing import arming
+from gateway.machine.writing.block import Validity, validity
+from gateway.machine.writing.writeback import Arming, Attempt
 from gateway.plant.config import Config
 from gateway.plant.startup import (
     DEVICE,
@@ -86,7 +87,7 @@ class Gateway:
         self.link, self.tally = Link(), Tally()
         if isinstance(self.driver, Redundant):
             self.driver.tell = self._switched
-        self.prediction: Prediction | None = None
+        self.prediction: ScanPrediction | None = None
         self.last: Scan | None = None
         self.attempt: Attempt | None = None
         self.phase = "starting"
@@ -139,14 +140,14 @@ class Gateway:
         """Let a model that was promoted meanwhile take over, between two scans and two forecasts."""
         refused = self.pickup.collect()
         found = None if self.outlook is None or self.outlook.busy else self.pickup.taken()
-        if isinstance(found, Ready):
+        if isinstance(found, ReadyModel):
             self._take_over(found, now)
         elif found or refused:
             reason = found or refused
             self.log.error("the promoted model is refused and the former one goes on", reason=reason)
             self.historian.put("audit", [(now, "promoted model refused", self.pickup.running, reason)])
 
-    def _take_over(self, found: Ready, now: float) -> None:
+    def _take_over(self, found: ReadyModel, now: float) -> None:
         """The other models of an ensemble go on as they are; what their evidence was held against begins anew."""
         others = self.outlook.ensemble.members if self.outlook and self.outlook.ensemble else []
         former, self.loaded = self.loaded, found.loaded
@@ -180,7 +181,7 @@ class Gateway:
         elif change == "back":
             self.log.info("good readings arrive", time=scan.time, outages=self.link.count)
 
-    def _switched(self, switch: Switch) -> None:
+    def _switched(self, switch: SwitchOver) -> None:
         """Another link is used from now on: said, and kept."""
         change = {"before": switch.before, "after": switch.after, "reason": switch.reason}
         self.log.warning("another link is used", time=switch.time, waited=round(switch.waited, 4), **change)
@@ -334,7 +335,7 @@ class Gateway:
         self.log.warning("disarmed", by=by, reason=reason)
         return True
 
-    def _values(self, scan: Scan, p: Prediction | None, made: Forecast | None) -> dict[str, float | None]:
+    def _values(self, scan: Scan, p: ScanPrediction | None, made: Forecast | None) -> dict[str, float | None]:
         """The block's fields; a number that is not known is left out, and the block says so."""
         values: dict[str, float | None] = {"alarms": float(word(self.conditions, self.alarms)), "zone": 0.0}
         if p is None or self.loaded is None:

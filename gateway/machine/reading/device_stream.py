@@ -10,7 +10,7 @@ from drivers.tag import Sample, Tag
 Urgent = Callable[[], Collection[str]]
 
 
-class News:
+class DeviceStream:
     """One reader of a driver's stream, from its making (in a running loop) until `close`.
 
     `ripe` returns when an urgent tag has another value or quality than when it was last looked at, but no sooner than

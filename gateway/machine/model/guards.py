@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from gateway.machine.drift import Drift, follow_cycle, restored, rule_of
-from gateway.machine.predict import Prediction, Predictor
+from gateway.machine.model.drift import CycleDrift, follow_cycle, restored, rule_of
+from gateway.machine.model.predict import Predictor, ScanPrediction
 from sim.forecast.calibration import Calibration
 from sim.forecast.forecast import Forecast
 from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, share
@@ -23,14 +23,14 @@ class Guards:
 
     def __init__(self, model: Model, horizons: tuple[float, ...], limit: float | None = None) -> None:
         self.model = model
-        self.drift = Drift()
+        self.drift = CycleDrift()
         self._rule = rule_of(model, limit)
         self.reviews = {INNOVATIONS: Review()} | {f"{horizon:g} s": Review() for horizon in horizons}
         self.forecast_clamps = 0
         self.forecasts_clamped = 0
         self._horizons = horizons
 
-    def look(self, prediction: Prediction, calibration: Calibration) -> None:
+    def look(self, prediction: ScanPrediction, calibration: Calibration) -> None:
         """Take a scan's reading in, before `calibration` settles it. Without a good reading nothing is learned."""
         p = prediction
         if self._rule is not None:
