@@ -80,7 +80,7 @@ def run(
 def check(path: Path, host: str | None, port: int | None, connect: bool, as_json: bool) -> None:
     """Check a configuration, its register map and its model; with --connect the PLC too."""
     with sentences():
-        from gateway.plant.startup import load_model
+        from gateway.machine.model.loading import load_model
 
         config = load(path, host, port, None)
         loaded = load_model(config)

@@ -66,7 +66,7 @@ def _model(site: Site) -> list[Step]:
         return [warning("model", "only the device file was given (--device): the model is not checked")]
     if config.model.path is None:
         return [warning("model", "model.path is not set: the gateway watches the limit and predicts nothing")]
-    from gateway.plant.startup import load_model
+    from gateway.machine.model.loading import load_model
 
     try:
         loaded = load_model(config)

@@ -17,7 +17,7 @@ from gateway.commission.outcome import Outcome, Site
 from gateway.commission.planning import device_of, period_of, words_of
 from gateway.commission.recording import Recorder
 from gateway.commission.through import running_for
-from gateway.machine.records import percentile
+from gateway.store.score import percentile
 
 Progress = Callable[[str, float], None]
 PERIODS_S = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)

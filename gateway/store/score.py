@@ -1,7 +1,7 @@
 """How right the predictions were, from the historian alone: errors, forecasts against persistence, what was written."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
 from pathlib import Path
@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from gateway.machine.records import percentile
 from gateway.store.history import Aligned, Matured, history, matured, reading
 from sim.scores import coverage, crps_quantiles
 from sim.sha.trace import Array
@@ -87,6 +86,12 @@ def scorecard(path: Path) -> Scorecard:
         writes=WriteScore(verdicts, percentile(latencies, 0.5), percentile(latencies, 0.99)),
         guards=guards,
     )
+
+
+def percentile(values: Sequence[float], share: float) -> float:
+    """The value that `share` of the values do not exceed (nearest rank); NaN for none."""
+    ordered = sorted(values)
+    return ordered[min(int(share * len(ordered)), len(ordered) - 1)] if ordered else nan
 
 
 def _guards(connection: Connection) -> dict[str, Any]:

@@ -71,10 +71,10 @@ def test_a_rising_edge_acknowledges_and_a_standing_level_does_not() -> None:
     conditions = {"over limit T": HOT}
     raised = {"over limit T": step(HOT, new_alarm(HOT, 0.0), 90.0, 1.0)}
     for before in (None, 1, 3):
-        assert acknowledge(conditions, raised, before, 1, 2.0, "PLC") == raised
-    taken = acknowledge(conditions, raised, 0, 1, 2.0, "PLC")["over limit T"]
+        assert acknowledge(conditions, raised, before=before, bits=1, now=2.0, by="PLC") == raised
+    taken = acknowledge(conditions, raised, before=0, bits=1, now=2.0, by="PLC")["over limit T"]
     assert (taken.state, taken.acknowledged_by, taken.since) == (AlarmState.ACKNOWLEDGED, "PLC", 2.0)
-    assert acknowledge(conditions, raised, 0, 2, 2.0, "PLC") == raised, "another alarm's bit"
+    assert acknowledge(conditions, raised, before=0, bits=2, now=2.0, by="PLC") == raised, "another alarm's bit"
 
 
 def test_a_new_occurrence_forgets_who_acknowledged_the_last_one() -> None:

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gateway.machine.alarms.conditions import make_conditions
 from gateway.machine.alarms.states import AlarmState, new_alarm, step
 from gateway.machine.model.drift import LEAST, CycleDrift, follow_cycle, restored, rule_of
 from gateway.machine.model.predict import Predictor, ScanPrediction
-from gateway.machine.pipeline import Gateway
+from gateway.machine.pipeline import Machine
 from gateway.plant.app import run
 from gateway.plant.config import load_config
 from gateway.plant.log import open_log
-from gateway.plant.startup import make_conditions
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event
 from tests.gateway.support import CURRENT, EPOCH, RUNNING, TEMPERATURE, Bench, config_in, logged, plant_file, two_modes
@@ -163,6 +163,6 @@ async def test_a_running_gateway_raises_the_alarm_on_the_third_cycle_and_its_log
     (offer,) = [row for row in logged(tmp_path) if row["event"] == "alarm" and row["condition"] == "drift"]
     assert "decanter diagnose --model" in offer["response"]
     with open_log(None, "error") as log:
-        again = Gateway(config, bench.clock, log, bench)
-        assert again.guards is not None and again.guards.drift.running == 3, "the count outlives a restart"
-        again.historian.close()
+        again = Machine(config, driver=bench, clock=bench.clock, log=log)
+        assert again.model is not None and again.model.guards.drift.running == 3, "the count outlives a restart"
+        again.close()

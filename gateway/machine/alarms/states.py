@@ -114,6 +114,7 @@ def _wanted(condition: AlarmCondition, alarm: Alarm, value: float) -> Change | N
 def acknowledge(
     conditions: Mapping[str, AlarmCondition],
     alarms: Mapping[str, Alarm],
+    *,
     before: int | None,
     bits: int,
     now: float,

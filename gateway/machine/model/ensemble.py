@@ -125,6 +125,7 @@ class Ensemble:
         first: Predictor,
         hashes: Sequence[str],
         models: Sequence[Model],
+        *,
         section: EnsembleSection,
         forecasts: ForecastSection,
         scan_period: float,

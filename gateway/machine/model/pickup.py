@@ -1,10 +1,9 @@
 """A model that is promoted while the gateway runs: noticed, verified and made ready beside the scans, then taken over.
 
 Only where `model.path` is a store. Its promotion is looked at every few seconds in a thread. A new current version is
-judged as at a start (`gateway.plant.startup`), and followed over the recent scans, so that it knows the location
-and the stay
-when it takes over. One that is refused changes nothing: the former model goes on, and it is not tried again until
-something is promoted anew.
+judged as at a start (`gateway.machine.model.loading`), and followed over the recent scans, so that it knows the
+location and the stay when it takes over. One that is refused changes nothing: the former model goes on, and it is not
+tried again until something is promoted anew.
 """
 
 import asyncio
@@ -15,10 +14,10 @@ from math import inf
 
 from gateway.checked import ConfigError
 from gateway.machine.model.ensemble import FAULTS
+from gateway.machine.model.loading import LoadedModel, load_model
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading.scan import Scan
 from gateway.plant.config import Config
-from gateway.plant.startup import LoadedModel, load_model
 from sim.artefacts.files import ArtefactError
 from sim.artefacts.store import current, promotion
 
