@@ -22,11 +22,11 @@ from drivers.errors import (
 )
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.modbus.address import Span, locate
+from drivers.modbus.plan import Block, Limits, Quarantine, bisect, describe, fitting, plan_spans, refusal_of
 from drivers.modbus.quarantine import Refused
 from drivers.modbus.transport import AnyWire, checked, make_transport
 from drivers.modbus.verify import quality_of
 from drivers.modbus.wire import Reply, read_request, write_request
-from drivers.plan import Block, Limits, Quarantine, bisect, describe, fitting, plan_spans, refusal_of
 from drivers.tag import Quality, Sample, Tag, Value
 
 # A device exception that can be about one address of several. 5, 6, 10, 11 are about the moment or the way there.

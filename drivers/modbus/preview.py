@@ -7,8 +7,8 @@ from typing import Any
 from drivers.errors import AddressError
 from drivers.modbus import rtu
 from drivers.modbus.address import Span, locate
+from drivers.modbus.plan import Block, Limits, fitting, plan_spans
 from drivers.modbus.transport import checked
-from drivers.plan import Block, Limits, fitting, plan_spans
 from drivers.survey import ReadPlan, Request
 from drivers.tag import Tag
 

@@ -12,10 +12,10 @@ from drivers.codec import decode
 from drivers.driver import Clock
 from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area, Span, locate
+from drivers.modbus.plan import Block, Limits, fitting, plan_spans
 from drivers.modbus.transport import AnyWire, checked, make_transport
 from drivers.modbus.verify import quality_of
 from drivers.modbus.wire import Reply, read_request
-from drivers.plan import Block, Limits, fitting, plan_spans
 from drivers.survey import Raw, Words
 from drivers.tag import Quality, Sample, Tag
 
