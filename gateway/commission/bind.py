@@ -98,8 +98,6 @@ def _put_block(document: tomlkit.TOMLDocument, block: Block, template: Path) -> 
 def _room(document: tomlkit.TOMLDocument) -> int:
     """How many words the device takes in one write, by its settings."""
     device: Any = document.get("device", {})
-    if device.get("driver") != "modbus":
-        return _MOST_WORDS
     return int(device.get("max_write_registers", min(_MOST_WORDS, device.get("max_registers", _MOST_WORDS))))
 
 

@@ -25,7 +25,7 @@ class ScanSection(Section):
     on_change: bool | None = Field(
         None,
         description="true: a device that speaks by itself is scanned at once when a tag of the model or of an alarm "
-        "changes; false: at the period only; no key: true for canopen and can",
+        "changes; false: at the period only; no key: true for a device that speaks by itself",
     )
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from drivers.driver import DRIVERS
+from drivers.driver import DRIVERS, capabilities
 from drivers.tag import DType, Order, Tag
 from gateway.checked import ConfigError, Section, checked, read_toml
 
@@ -149,14 +149,11 @@ class _MapFile(Section):
     writeback: _Writeback | None = Field(None, description="a [writeback] table")
 
 
-PATH_SETTINGS = frozenset({"certificates", "dbc", "eds", "log"})
-"""Settings of drivers that name files or folders: relative ones are relative to the file in which they stand."""
-
-
-def complete_paths(settings: Mapping[str, Any], home: Path) -> dict[str, Any]:
-    """The settings with the paths among them made complete."""
+def complete_paths(driver: str, settings: Mapping[str, Any], home: Path) -> dict[str, Any]:
+    """The driver's settings with the paths among them made complete: they are relative to the file they stand in."""
+    files = capabilities(driver).files
     return {
-        key: str(home / value) if key in PATH_SETTINGS and isinstance(value, str) and value else value
+        key: str(home / value) if key in files and isinstance(value, str) and value else value
         for key, value in settings.items()
     }
 
@@ -171,7 +168,7 @@ def load_device(path: Path) -> DeviceMap:
         path=path,
         name=content.device.name,
         driver=content.device.driver,
-        settings=complete_paths(content.device.model_extra or {}, path.parent),
+        settings=complete_paths(content.device.driver, content.device.model_extra or {}, path.parent),
         heartbeat=content.device.heartbeat,
         tags=tuple(_tag(row) for row in content.tags),
         writeback=_layout(content.writeback) if content.writeback else None,

@@ -7,6 +7,7 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AoT, Comment, Table, Whitespace
 
+from drivers.driver import capabilities
 from gateway.checked import ConfigError, read_toml
 from gateway.commission.files.toml_edit import put
 from gateway.commission.plc_side.fields import described
@@ -35,7 +36,7 @@ def starter(name: str, driver: str) -> str:
     """A device file to begin with, without a tag."""
     document = tomlkit.document()
     document.add(tomlkit.comment(f"The device {name}: where each tag lies. `decanter plc check` says what is wrong."))
-    if driver == "modbus":
+    if capabilities(driver).registers:
         document.add(tomlkit.comment("Addresses are PDU addresses (0-based): holding:100 is 40101 counted from 40001."))
     document.add(tomlkit.nl())
     table = tomlkit.table()
