@@ -7,7 +7,7 @@ it can be read to its last byte. Requests are watched too, as a refusal (0x7F) d
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.can.frame import Found, Frame
+from drivers.can.frame import CanFrame, TagReading
 from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import Quality, Tag
@@ -110,7 +110,7 @@ class ObdListener:
             for unit in units:
                 self._wanted.setdefault((unit, one.service, one.parameter), []).append(one)
 
-    def take(self, frame: Frame) -> Sequence[Found]:
+    def take(self, frame: CanFrame) -> Sequence[TagReading]:
         """What the frame, or the answer that it completes, says of the tags."""
         if frame.fd:
             return ()
@@ -134,11 +134,11 @@ class ObdListener:
                 total[f"isotp_{name}"] = total.get(f"isotp_{name}", 0) + count
         return total
 
-    def _payload(self, frame: Frame, payload: bytes) -> Sequence[Found]:
+    def _payload(self, frame: CanFrame, payload: bytes) -> Sequence[TagReading]:
         service = payload[0] - ANSWER
         if payload[0] == REFUSAL:
             return self._refused(frame, payload)
-        found: Sequence[Found] | None = None
+        found: Sequence[TagReading] | None = None
         if service == CURRENT:
             found = self._current(frame.id, payload)
         elif service in (STORED, PENDING, PERMANENT):
@@ -148,7 +148,7 @@ class ObdListener:
         self._counts["unread" if found is None else "answers"] += 1
         return found or ()
 
-    def _current(self, unit: int, payload: bytes) -> list[Found] | None:
+    def _current(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """Service 01: one or several parameters, each number followed by its data; None if they do not add up."""
         parts, at = {}, 1
         while at < len(payload):
@@ -158,13 +158,13 @@ class ObdListener:
             parts[pid.number] = payload[at + 1 : at + 1 + pid.length]
             at += 1 + pid.length
         return [
-            Found(one.tag, _field(one, one.field, data))
+            TagReading(one.tag, _field(one, one.field, data))
             for number, data in parts.items()
             for one in self._wanted.get((unit, CURRENT, number), ())
             if one.field is not None
         ]
 
-    def _unreadable(self, unit: int, payload: bytes) -> list[Found] | None:
+    def _unreadable(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """An answer whose length is not that of its parameters: the first one is named, and is not good."""
         ones = self._wanted.get((unit, CURRENT, payload[1]), ()) if len(payload) > 1 else ()
         if not ones:
@@ -172,24 +172,24 @@ class ObdListener:
         self._counts["unread"] += 1
         self._counts["answers"] -= 1
         reason = f"the answer {payload.hex(' ')} is not as long as its parameters"
-        return [Found(one.tag, (None, Quality.DECODING_ERROR, reason)) for one in ones]
+        return [TagReading(one.tag, (None, Quality.DECODING_ERROR, reason)) for one in ones]
 
-    def _codes(self, unit: int, service: int, payload: bytes) -> list[Found] | None:
+    def _codes(self, unit: int, service: int, payload: bytes) -> list[TagReading] | None:
         """Services 03, 07, 0A: how many trouble codes, then two bytes each."""
         if len(payload) < 2 or len(payload) != 2 + 2 * payload[1]:
             return None
         codes = [trouble_code(payload[at], payload[at + 1]) for at in range(2, len(payload), 2)]
-        return [Found(one.tag, _listed(one, codes)) for one in self._wanted.get((unit, service, 0), ())]
+        return [TagReading(one.tag, _listed(one, codes)) for one in self._wanted.get((unit, service, 0), ())]
 
-    def _vehicle(self, unit: int, payload: bytes) -> list[Found] | None:
+    def _vehicle(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """Service 09: parameter, number of items, text."""
         if len(payload) < 4:
             return None
         words = payload[3:].strip(b"\0 ").decode("latin-1")
         ones = self._wanted.get((unit, VEHICLE, payload[1]), ())
-        return [Found(one.tag, address.text(one.tag, words)) for one in ones]
+        return [TagReading(one.tag, address.text(one.tag, words)) for one in ones]
 
-    def _note(self, frame: Frame) -> None:
+    def _note(self, frame: CanFrame) -> None:
         length = frame.data[0] if frame.data else 0
         if not 1 <= length <= 7 or len(frame.data) < length + 1:
             return
@@ -197,7 +197,7 @@ class ObdListener:
         request = _Request(frame.time, frame.data[1], bytes(frame.data[2 : length + 1]))
         self._requests[frame.channel, asked_unit(frame.id, frame.extended)] = request
 
-    def _refused(self, frame: Frame, payload: bytes) -> Sequence[Found]:
+    def _refused(self, frame: CanFrame, payload: bytes) -> Sequence[TagReading]:
         """A refusal makes the tags of the request that it answers bad; "response pending" changes nothing."""
         if len(payload) != 3:
             self._counts["unread"] += 1
@@ -214,9 +214,9 @@ class ObdListener:
         reason = f"unit {frame.id:X} refuses service {service:02X}: {name} (0x{code:02X})"
         parameters = request.parameters if service in (CURRENT, VEHICLE) else b"\0"
         ones = [one for number in parameters for one in self._wanted.get((frame.id, service, number), ())]
-        return [Found(one.tag, (None, quality, reason)) for one in ones]
+        return [TagReading(one.tag, (None, quality, reason)) for one in ones]
 
-    def _asked(self, frame: Frame, service: int) -> _Request | None:
+    def _asked(self, frame: CanFrame, service: int) -> _Request | None:
         """The latest request for the service, to this unit or to all."""
         requests = [self._requests.get((frame.channel, unit)) for unit in (frame.id, 0)]
         fitting = [

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.can.frame import Found
+from drivers.can.frame import TagReading
 from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import DType, Quality, Tag
@@ -27,7 +27,7 @@ def told(tags: Sequence[Tag], payload: bytes, identifier: int = 0x7E8) -> dict[s
 
 
 def last(listener: ObdListener, frames: Sequence[tuple[int, bytes]]) -> dict[str, Reading]:
-    found: list[Found] = []
+    found: list[TagReading] = []
     for frame in timed(frames):
         found += listener.take(frame)
     return {one.tag.name: one.reading for one in found}
