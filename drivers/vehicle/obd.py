@@ -14,7 +14,7 @@ from drivers.tag import Quality, Tag
 from drivers.vehicle import address
 from drivers.vehicle.address import Place
 from drivers.vehicle.isotp import Reassembler
-from drivers.vehicle.obd_pids import PIDS, Field
+from drivers.vehicle.obd_pids import PidField, pids, single_frame
 
 CURRENT, STORED, PENDING, VEHICLE, PERMANENT = 0x01, 0x03, 0x07, 0x09, 0x0A
 ANSWER, REFUSAL = 0x40, 0x7F
@@ -56,7 +56,7 @@ class Wanted:
     where: Place
     service: int
     parameter: int
-    field: Field | None
+    field: PidField | None
     count: bool = False
 
 
@@ -83,17 +83,16 @@ def wanted(tag: Tag) -> Wanted:
     except ValueError:
         known = ", ".join(_WORDS)
         raise AddressError(f"{tag.name}: {name!r} is neither a parameter such as 0C nor one of {known}") from None
-    pid = PIDS.get(number)
+    pid = pids().get(number)
     if pid is None or not pid.fields:
         raise AddressError(
-            f"{tag.name}: service 01 parameter {number:02X} is not in the table (drivers/vehicle/obd_pids.py)"
+            f"{tag.name}: service 01 parameter {number:02X} is not in the table (drivers/vehicle/obd.dbc)"
         )
-    names = [field.name for field in pid.fields]
+    names = tuple(pid.fields)
     if part not in (*names, "") or (not part and len(names) > 1):
         first = f"obd:{number:02X}.{names[0]}"
         raise AddressError(f"{tag.name}: parameter {number:02X} has {', '.join(names)}; give one, such as {first!r}")
-    field = pid.fields[names.index(part) if part else 0]
-    return Wanted(tag, where, CURRENT, number, field)
+    return Wanted(tag, where, CURRENT, number, pid.fields[part or names[0]])
 
 
 class ObdListener:
@@ -152,13 +151,13 @@ class ObdListener:
         """Service 01: one or several parameters, each number followed by its data; None if they do not add up."""
         parts, at = {}, 1
         while at < len(payload):
-            pid = PIDS.get(payload[at])
+            pid = pids().get(payload[at])
             if pid is None or pid.number in parts or at + 1 + pid.length > len(payload):
                 return self._unreadable(unit, payload)
             parts[pid.number] = payload[at + 1 : at + 1 + pid.length]
             at += 1 + pid.length
         return [
-            TagReading(one.tag, _field(one, one.field, data))
+            TagReading(one.tag, _field(one, one.field, single_frame(number, data)))
             for number, data in parts.items()
             for one in self._wanted.get((unit, CURRENT, number), ())
             if one.field is not None
@@ -249,15 +248,14 @@ def trouble_code(high: int, low: int) -> str:
     return f"{_CODE_SYSTEMS[high >> 6]}{high >> 4 & 3}{high & 15:X}{low:02X}"
 
 
-def _field(one: Wanted, field: Field, data: bytes) -> Reading:
-    whole = int.from_bytes(data, "big")
-    raw = whole >> 8 * len(data) - field.bit - field.bits & (1 << field.bits) - 1
-    if field.present is not None and not whole >> 8 * len(data) - 1 - field.present & 1:
+def _field(one: Wanted, field: PidField, frame: bytes) -> Reading:
+    if not all(condition.met(frame) for condition in field.conditions):
         return None, Quality.NO_DATA, f"{field.name} is not there in this vehicle"
-    if raw in (field.unused, one.tag.sentinel):
+    raw = field.bits.get(frame)
+    if raw in field.unused or raw == one.tag.sentinel:
         return None, Quality.NO_DATA, f'the unit says "not used" ({raw})'
-    if field.signed and raw >> field.bits - 1:
-        raw -= 1 << field.bits
+    if field.signed and raw >> field.bits.length - 1:
+        raw -= 1 << field.bits.length
     is_whole = field.scale.is_integer() and field.offset.is_integer()
     return address.number(one.tag, one.where, raw * field.scale + field.offset, whole=is_whole)
 
