@@ -14,8 +14,9 @@ from drivers.can.bus import open_bus
 from drivers.can.errors_on_bus import BusErrors, ControllerState
 from drivers.can.exchange import Exchange, put
 from drivers.can.fields import EXTENDED, frame_key, frame_name, layout_name, value_of
-from drivers.can.frame import Frame
+from drivers.can.frame import CanFrame
 from drivers.can.load import BusLoad
+from drivers.can.notations import is_message_tag, message_decoder
 from drivers.can.pump import Pump
 from drivers.can.reception import Channel, Reception, Slot
 from drivers.can.settings import SETTINGS
@@ -28,8 +29,6 @@ from drivers.errors import AddressError, DriverError, LinkDown
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.settings import check_settings
 from drivers.tag import Quality, Sample, Tag, Value
-from drivers.vehicle.decoding import is_vehicle
-from drivers.vehicle.live import LiveVehicle
 
 _LOOK = 0.1
 _PLACES_KEPT = 20_000
@@ -45,7 +44,7 @@ class _Heard:
     place: Place | None = None
     channel: Channel | None = None
     slot: Slot | None = None
-    frame: Frame | None = None
+    frame: CanFrame | None = None
     reading: Reading = (None, Quality.WAITING_FOR_INITIAL_DATA, "")
 
 
@@ -73,7 +72,7 @@ class CanDriver:
         self._signals = SignalMap(settings)
         self._write_map = WriteMap(write_map, self._signals, settings["echo"] or {}, settings["pad"])
         self._reception = Reception()
-        self._vehicle = LiveVehicle(settings, self._reception)
+        self._messages = message_decoder(settings, self._reception)
         self._errors = BusErrors()
         self._off = False
         self._load = BusLoad(settings["bitrate"])
@@ -108,7 +107,7 @@ class CanDriver:
         if watching is not None:
             watching.cancel()
             await asyncio.wait({watching})
-        self._vehicle.stop()
+        self._messages.stop()
         for stream in self._streams:
             stream.end()
         await self._link.close()
@@ -128,7 +127,7 @@ class CanDriver:
             **self._exchange.counts,
             **{f"frames_{name}": count for name, count in self._reception.counts.items()},
             **self._errors.counts,
-            **self._vehicle.counts(),
+            **self._messages.counts(),
             "bus_load_percent": self._load.percent(now),
             "bus_load_peak_percent": self._load.peak,
             "transmit_errors": self._errors.transmit_errors,
@@ -154,7 +153,7 @@ class CanDriver:
             for frame in self._write_map.frames
         ]
         plain = describe([one.place for one in heard if one.place is not None])
-        return (*left_out, *plain, *self._vehicle.describe(), *sent)
+        return (*left_out, *plain, *self._messages.describe(), *sent)
 
     # ------------------------------------------------------------ Streams
 
@@ -201,8 +200,8 @@ class CanDriver:
         return one
 
     def _listening(self, tag: Tag) -> _Heard:
-        if is_vehicle(tag):
-            return self._telling(tag)
+        if is_message_tag(tag):
+            return self._listening_for_messages(tag)
         try:
             place = self._write_map.echoes[tag.name] if self._write_map.holds(tag) else self._signals.place(tag)
         except AddressError as error:
@@ -213,10 +212,10 @@ class CanDriver:
             self._filter_anew()
         return _Heard(tag, "", place, channel, slot)
 
-    def _telling(self, tag: Tag) -> _Heard:
-        """A tag of OBD-II or J1939: no place in frames but a slot of its own, for which all frames are needed."""
+    def _listening_for_messages(self, tag: Tag) -> _Heard:
+        """A tag without a place in frames: it has a slot of its own, for which all frames are needed."""
         try:
-            channel, slot = self._vehicle.listen(tag, time.monotonic())
+            channel, slot = self._messages.listen(tag, time.monotonic())
         except AddressError as error:
             return _Heard(tag, problem=str(error))
         if (pump := self._link.connection) is not None and self._settings["only_mapped"]:
@@ -234,7 +233,7 @@ class CanDriver:
             quality, reason = missing or (Quality.WAITING_FOR_INITIAL_DATA, "")
             return self._no(one.tag, quality, f"{reason}; {_BUS_OFF}" if self._off else reason)
         if one.place is None:
-            one.reading = self._vehicle.reading(one.slot)
+            one.reading = self._messages.reading(one.slot)
         elif one.frame is not frame:
             one.frame, one.reading = frame, value_of(one.place.tag, one.place.field, frame.data)
         value, quality, reason = one.reading
@@ -259,7 +258,7 @@ class CanDriver:
         pumps: list[Pump] = []
         pump = Pump(bus, self._take, lambda reason: self._link.lost(pumps[0], reason))
         pumps.append(pump)
-        self._vehicle.start(partial(put, pump))
+        self._messages.start(partial(put, pump))
         return pump
 
     def _leave(self, pump: Pump) -> None:
@@ -273,7 +272,7 @@ class CanDriver:
             pump.bus.set_filters(filters)
 
     def _filters(self) -> list[can.typechecking.CanFilter] | None:
-        if not self._settings["only_mapped"] or self._vehicle.listens:
+        if not self._settings["only_mapped"] or self._messages.listens:
             return None
         return [
             {
@@ -296,9 +295,9 @@ class CanDriver:
         if message.is_remote_frame:
             return
         data, extended = bytes(message.data), message.is_extended_id
-        frame = Frame(self._clock(), message.arbitration_id, extended, data, str(message.channel or ""))
+        frame = CanFrame(self._clock(), message.arbitration_id, extended, data, str(message.channel or ""))
         key = frame_key(message.arbitration_id, extended=extended)
-        fresh = [*self._reception.take(key, frame, now), *self._vehicle.take(frame, now)]
+        fresh = [*self._reception.take(key, frame, now), *self._messages.take(frame, now)]
         if not fresh:
             return
         if (pump := self._link.connection) is not None:

@@ -1,8 +1,34 @@
 """The settings of the raw CAN driver: each with its type, its default and its range."""
 
 from drivers.settings import Setting
-from drivers.vehicle.decoding import DECODING, VEHICLE
-from drivers.vehicle.obd_poll import POLLING
+
+DECODING: dict[str, Setting] = {
+    "dbc": Setting(str, optional=True),
+    "exact_length": Setting(bool, True),
+    "timeouts": Setting(dict, optional=True),
+    "message_timeout": Setting(float, 2.0, 0.001, 86_400.0),
+    "timeout_cycles": Setting(float, 3.0, 1.0, 1000.0),
+    "least_timeout": Setting(float, 0.2, 0.001, 60.0),
+}
+"""How frames are read; a recorded log takes the same."""
+
+VEHICLE: dict[str, Setting] = {
+    "source": Setting(int, 0, 0, 0xFD),
+    "spn_conversion": Setting(int, None, 1, 3, optional=True),
+    "answer_timeout": Setting(float, 10.0, 0.001, 86_400.0),
+    "answer_timeouts": Setting(dict, optional=True),
+}
+"""For tags of the other notations: whose J1939 parameters (`source`, the engine by default), how old trouble codes
+write an SPN, and the longest age of an answer, for single tags and for all. A recorded log takes the same."""
+
+POLLING: dict[str, Setting] = {
+    "poll": Setting(bool, False),
+    "poll_period": Setting(float, 1.0, 0.01, 3600.0),
+    "poll_timeout": Setting(float, 0.2, 0.01, 5.0),
+    "poll_29bit": Setting(bool, False),
+}
+"""`poll`: ask at all for OBD-II parameters. Seconds from round to round, and for which an answer is waited for; 29-bit
+requests."""
 
 SETTINGS: dict[str, Setting] = {
     "interface": Setting(str, "socketcan"),

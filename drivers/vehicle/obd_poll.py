@@ -9,26 +9,15 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from drivers.can.frame import Frame
-from drivers.settings import Setting
+from drivers.can.frame import CanFrame
+from drivers.can.notations import Send
 from drivers.vehicle.isotp import CONSECUTIVE, FIRST
 from drivers.vehicle.obd import ANSWER, CURRENT, ENGINE, REFUSAL, RESPONSE_PENDING, VEHICLE, Wanted
-
-POLLING: dict[str, Setting] = {
-    "poll": Setting(bool, False),
-    "poll_period": Setting(float, 1.0, 0.01, 3600.0),
-    "poll_timeout": Setting(float, 0.2, 0.01, 5.0),
-    "poll_29bit": Setting(bool, False),
-}
-"""`poll`: ask at all. Seconds from round to round, and for which an answer is waited for; 29-bit requests."""
 
 _PADDING = b"\x55"
 _FLOW_CONTROL = b"\x30\x00\x00".ljust(8, _PADDING)
 # A unit that says "response pending" may take this much longer (P2*, ISO 15765-4).
 _PENDING = 5.0
-
-Send = Callable[[int, bool, bytes], None]
-"""Puts a frame on the bus: identifier, 29-bit, data. Raises DriverError if it cannot."""
 
 
 class Question(NamedTuple):
@@ -59,7 +48,7 @@ def questions(wanted: Sequence[Wanted], *, extended: bool) -> list[Question]:
 
 
 class Poller:
-    """Asks round by round; `take` is told of every frame of the bus. `settings` are those of POLLING, checked."""
+    """Asks round by round; `take` is told of every frame of the bus. `settings` are the driver's POLLING, checked."""
 
     def __init__(self, wanted: Callable[[], Sequence[Wanted]], settings: Mapping[str, Any]) -> None:
         self._wanted = wanted
@@ -71,7 +60,7 @@ class Poller:
         self._left = 0
         self.counts = dict.fromkeys(("polls", "polls_unanswered"), 0)
 
-    def take(self, frame: Frame) -> None:
+    def take(self, frame: CanFrame) -> None:
         """Notice the answer to what was asked, and let a unit go on that answers in several frames.
 
         Raises what `send` raises.

@@ -2,19 +2,19 @@
 
 import asyncio
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.can.frame import Frame
+from drivers.can.frame import CanFrame
+from drivers.can.settings import DECODING, VEHICLE
 from drivers.codec import Reading
 from drivers.driver import Clock
 from drivers.errors import LinkDown
 from drivers.settings import Setting, check_settings
 from drivers.tag import Quality, Sample, Tag
-from drivers.vehicle.decoding import DECODING, VEHICLE, Decoder
+from drivers.vehicle.decoding import Decoder
 from drivers.vehicle.log import Log, open_log, require_frames
-from drivers.vehicle.timeline import Timeline
 
 SETTINGS: dict[str, Setting] = {
     "log": Setting(str),
@@ -30,6 +30,44 @@ SETTINGS: dict[str, Setting] = {
 }
 # The event loop gets its turn after so many frames.
 _BURST = 500
+_JITTER = 1.0
+"""Seconds by which logged times may step back as buses are written in turn; more is a clock that was set back."""
+_AFTER_END = 1.0
+"""Seconds between the last frame of a log and its first one when it is played anew."""
+
+
+@dataclass(slots=True)
+class Timeline:
+    """When a recorded frame is played: seconds since the first frame, on a line that only goes forward (pure).
+
+    A pause longer than `max_gap` (s) is played as `max_gap` long. A clock that was set back goes on without a pause.
+    Counted: steps `back`, and pauses that were `shortened`.
+    """
+
+    max_gap: float
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("back", "shortened"), 0))
+    _shift: float | None = None
+    _played: float = 0.0
+
+    def at(self, logged: float) -> float:
+        """The frame's moment on the line: never before the one given last."""
+        if self._shift is None:
+            self._shift = self._played - logged
+        step = logged + self._shift - self._played
+        if step < 0.0:
+            self.counts["back"] += 1
+        if step < -_JITTER:
+            self._shift -= step
+        elif step > self.max_gap:
+            self.counts["shortened"] += 1
+            self._shift -= step - self.max_gap
+        self._played = max(self._played, logged + self._shift)
+        return self._played
+
+    def again(self) -> None:
+        """The log begins anew."""
+        self._shift = None
+        self._played += _AFTER_END
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +109,8 @@ class CanLogDriver:
         self._timeline = Timeline(settings["max_gap"])
         self._held: dict[str, _Held] = {}
         self._log = open_log(Path(settings["log"]), settings["format"])
-        self._frames: Iterator[Frame] = iter(())
-        self._next: tuple[Frame, float] | None = None
+        self._frames: Iterator[CanFrame] = iter(())
+        self._next: tuple[CanFrame, float] | None = None
         self._began: float | None = settings["start"]
         self._last = 0.0
         self._open = self._opened = False
@@ -150,7 +188,7 @@ class CanLogDriver:
             if burst % _BURST == 0:
                 await asyncio.sleep(0)
 
-    def _take(self, frame: Frame, played: float) -> None:
+    def _take(self, frame: CanFrame, played: float) -> None:
         self._last = played
         self._counts["frames"] += 1
         moment = (self._began or 0.0) + played / self._speed
@@ -159,7 +197,7 @@ class CanLogDriver:
             self._counts["readings"] += 1
             self._held[found.tag.name] = _Held(found.reading, moment, played)
 
-    def _following(self) -> tuple[Frame, float] | None:
+    def _following(self) -> tuple[CanFrame, float] | None:
         """The next frame of the bus and its moment on the line; with `loop` the log never ends."""
         for _ in range(2):
             for frame in self._frames:
