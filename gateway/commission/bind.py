@@ -7,7 +7,7 @@ from typing import Any
 
 import tomlkit
 
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.commission.files.device_file import ENCODING, encoding, fields_that_fit, set_block, set_device, set_tag
 from gateway.commission.files.io_list import IoList
 from gateway.commission.files.plan_files import Files, device_edit, plant_edit, save

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.driver import capabilities
-from gateway.checked import Section
+from drivers.settings import Section
 from gateway.plant.devices import DeviceMap, complete_paths, load_device
 
 FilePath = Annotated[Path, Field(strict=False)]

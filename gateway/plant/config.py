@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from gateway.checked import ConfigError, Section, checked, read_toml
+from drivers.settings import ConfigError, Section, checked, read_toml
 from gateway.machine.links import DeviceSection, FilePath, Link, link_problems, links_of
 from gateway.plant.devices import DeviceMap
 

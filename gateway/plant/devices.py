@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from drivers.driver import DRIVERS, capabilities
+from drivers.settings import ConfigError, Section, checked, read_toml
 from drivers.tag import DType, Order, Tag
-from gateway.checked import ConfigError, Section, checked, read_toml
 
 BLOCK_FIELDS = (
     "layout_version", "sequence", "heartbeat", "validity", "input_quality", "age", "location", "temperature_now",

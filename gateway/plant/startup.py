@@ -10,8 +10,8 @@ import structlog
 
 from drivers.driver import Driver, capabilities, open_driver
 from drivers.errors import AddressError, DriverError
+from drivers.settings import ConfigError
 from drivers.tag import Tag
-from gateway.checked import ConfigError
 from gateway.machine.alarms import Alarm, Condition, from_plain, new_alarm
 from gateway.machine.clock import Clock
 from gateway.machine.links import Link

@@ -8,7 +8,7 @@ import tomlkit
 from tomlkit.items import AoT, Comment, Table, Whitespace
 
 from drivers.driver import capabilities
-from gateway.checked import ConfigError, read_toml
+from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.toml_edit import put
 from gateway.commission.plc_side.fields import described
 from gateway.plant.devices import BLOCK_FIELDS

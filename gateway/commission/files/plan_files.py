@@ -8,7 +8,7 @@ from typing import Any
 import tomlkit
 
 from drivers.driver import DRIVERS, capabilities
-from gateway.checked import ConfigError, read_toml
+from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.device_file import PLACE_KEYS, set_device, starter
 from gateway.commission.files.toml_edit import Edit, commit, edited, put
 from gateway.commission.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
