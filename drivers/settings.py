@@ -7,7 +7,7 @@ import difflib
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
@@ -90,23 +90,26 @@ def sentences(section: type[BaseModel], error: ValidationError, place: str) -> l
 
 
 def _sentence(section: type[BaseModel], detail: ErrorDetails, place: str) -> str:
-    loc = detail["loc"]
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc).lstrip(".")
-    if detail["type"] == "extra_forbidden":
-        return f"{place}: {key}: there is no such key; {_nearest(_section_at(section, loc[:-1]), str(loc[-1]))}"
-    remedy = _remedy(section, loc)
-    if detail["type"] == "missing":
-        return f"{place}: {key}: is missing; {remedy or 'add it'}"
+    unknown = detail["type"] == "extra_forbidden"
+    key, models, field = _found(section, detail["loc"], unknown=unknown)
+    where = f"{place}: {key}" if key else place
+    if unknown:
+        return f"{where}: there is no such key; {_nearest(models, str(detail['loc'][-1]))}"
     if detail["type"] == "value_error":
-        reason = detail["msg"].removeprefix("Value error, ")
-        return f"{place}: {key}: {reason}" if key else f"{place}: {reason}"
-    return f"{place}: {key}: {_reason(detail)}, got {_short(detail['input'])}; {remedy or 'correct the value'}"
+        return f"{where}: {detail['msg'].removeprefix('Value error, ')}"
+    remedy = f"give {field.description}" if field and field.description else ""
+    if detail["type"] == "missing":
+        return f"{where}: is missing; {remedy or 'add it'}"
+    return f"{where}: {reason_of(detail)}, got {_short(detail['input'])}; {remedy or 'correct the value'}"
 
 
 _REASONS = {
     "int_type": "must be a whole number",
     "float_type": "must be a number",
     "string_type": "must be text",
+    "int_parsing": "must be a whole number",
+    "float_parsing": "must be a number",
+    "union_tag_invalid": "{discriminator} must be one of {expected_tags}",
     "bool_type": "must be true or false",
     "dict_type": "must be a table",
     "model_type": "must be a table",
@@ -123,7 +126,8 @@ _REASONS = {
 """pydantic's kinds of errors in words that need no Python; its own words serve for the rest."""
 
 
-def _reason(detail: ErrorDetails) -> str:
+def reason_of(detail: ErrorDetails) -> str:
+    """What is wrong with one value: "must be a whole number"."""
     if detail["input"] in ("", []) and detail["type"] in ("string_too_short", "too_short"):
         return "must not be empty"
     if detail["type"] in _REASONS:
@@ -138,34 +142,43 @@ def _short(value: object) -> str:
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def _nearest(section: type[BaseModel] | None, key: str) -> str:
-    known = list(section.model_fields) if section else []
+def _nearest(models: Sequence[type[BaseModel]], key: str) -> str:
+    known = list(dict.fromkeys(name for model in models for name in model.model_fields))
     close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
     return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
 
 
-def _field_at(section: type[BaseModel], place: Sequence[str | int]) -> FieldInfo | None:
-    parent = _section_at(section, place[:-1])
-    return parent.model_fields.get(str(place[-1])) if parent and place else None
+def _found(
+    section: type[BaseModel], loc: Sequence[str | int], *, unknown: bool
+) -> tuple[str, Sequence[type[BaseModel]], FieldInfo | None]:
+    """The key as the file has it, the models that may lie there, and the last field on the way.
+
+    pydantic puts the member of a union that it has tried into the path, too; no file has that. The last part of the
+    path of an `unknown` key is no field.
+    """
+    key, models, field, is_mapping = "", [section], None, False
+    for number, part in enumerate(loc, start=1):
+        if isinstance(part, int):
+            key += f"[{part}]"
+            continue
+        own = next((model.model_fields[part] for model in models if part in model.model_fields), None)
+        if own is not None and not is_mapping:
+            key, field = f"{key}.{part}", own
+            models, is_mapping = _models_in(own.annotation), get_origin(own.annotation) is dict
+        elif is_mapping or not models or (unknown and number == len(loc)):
+            key, is_mapping = f"{key}.{part}", False
+        else:
+            models = [model for model in models if _is_tagged(model, part)] or models
+    return key.lstrip("."), models, field
 
 
-def _section_at(section: type[BaseModel], place: Sequence[str | int]) -> type[BaseModel] | None:
-    """The model that lies at `place` below `section`, through lists and optional values."""
-    if not place:
-        return section
-    if isinstance(place[-1], int):
-        return _section_at(section, place[:-1])
-    field = _field_at(section, place)
-    return _model_in(field.annotation) if field else None
-
-
-def _model_in(annotation: object) -> type[BaseModel] | None:
+def _models_in(annotation: object) -> list[type[BaseModel]]:
+    """All models that the annotation names, through lists, unions and optional values."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((found for part in get_args(annotation) if (found := _model_in(part))), None)
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]
 
 
-def _remedy(section: type[BaseModel], place: Sequence[str | int]) -> str:
-    names = [part for part in place if isinstance(part, str)]
-    field = _field_at(section, names)
-    return f"give {field.description}" if field and field.description else ""
+def _is_tagged(model: type[BaseModel], tag: str) -> bool:
+    """True if one of the model's fields can only be this word: it is the union's member of that name."""
+    return any(get_args(field.annotation) == (tag,) for field in model.model_fields.values())

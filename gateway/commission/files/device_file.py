@@ -7,6 +7,7 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AoT, Comment, Table, Whitespace
 
+from drivers.device_file import NEEDED_FIELDS
 from drivers.driver import capabilities
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.toml_edit import put
@@ -22,8 +23,6 @@ ENCODING: Mapping[str, Any] = {
     **{"address": None, "dtype": "uint16", "order": "ABCD", "scale": 1.0, "offset": 0.0, "bit": None, "length": 0},
 }
 """The keys of a tag that say how its value lies in the device, with their defaults."""
-NEEDED = frozenset({"layout_version", "sequence", "heartbeat", "validity", "crc", "sequence_copy"})
-"""Fields that every block has."""
 LEAVE_OUT = (
     *("band_low", "band_high", "minutes_low", "minutes_high", "horizon_low", "model_hash", "anomaly", "location"),
     *("horizon_median", "horizon", "age", "minutes_median", "p_limit", "input_quality", "zone", "temperature_now"),
@@ -156,7 +155,7 @@ def _set_fields(table: Any, names: Sequence[str], template: Path) -> None:
         raise ConfigError(
             [f"--fields: {unknown[0]!r} is no field of the block; give some of {', '.join(BLOCK_FIELDS)}"]
         )
-    wanted = [name for name in BLOCK_FIELDS if name in (*names, *NEEDED)]
+    wanted = [name for name in BLOCK_FIELDS if name in (*names, *NEEDED_FIELDS)]
     present = {row["name"]: dict(row) for row in table.get("fields", ())}
     if list(present) == wanted:
         return
