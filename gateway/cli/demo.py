@@ -12,7 +12,7 @@ from gateway.console.options import finite, map_option, seed_option
 from gateway.console.output import Exit, emit, fail, progress, sentences, table
 from gateway.console.places import config_dir, shipped
 from gateway.console.traces import load
-from gateway.demo.links import LINKS
+from gateway.demo.links import DEFAULT_LINK, LINKS
 from gateway.lab.learn import learn_from, write
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 )
 @seed_option
 @click.option(
-    "--link", type=click.Choice(tuple(LINKS)), default="modbus", show_default=True, help="The way to the PLC."
+    "--link", type=click.Choice(tuple(LINKS)), default=DEFAULT_LINK, show_default=True, help="The way to the PLC."
 )
 @click.option("--discrepancy", is_flag=True, help="The other demonstration: a hidden effect is found, named and added.")
 @click.option("--out", type=click.Path(path_type=Path), help="[default: out/demo, out/demo-discrepancy]")
@@ -72,7 +72,7 @@ def demo(
     Where they disagree is found, the missing effect named and added, and the error on new days shown before and after.
     """
     if discrepancy:
-        if paths or limit is not None or seconds is not None or link != "modbus":
+        if paths or limit is not None or seconds is not None or link != DEFAULT_LINK:
             raise click.UsageError(
                 "--discrepancy simulates its own plant; leave --trace, --limit, --seconds, --link out"
             )

@@ -145,7 +145,7 @@ def _files(target: Target) -> list[Step]:
     if target.map is not None:
         names = ", ".join(map(str, target.files))
         steps.append(ok("files", f"{names}: {len(target.tags)} tags of driver {target.driver}"))
-    if target.driver == "modbus":
+    if target.driver and target.capabilities.certificates:
         driver: Any = target.make_driver()
         steps += [warning("certificates", said) for said in driver.cautions()] if isinstance(driver, Cautions) else []
     line = running_gateway(target)

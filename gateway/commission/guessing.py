@@ -77,7 +77,7 @@ async def _looked(site: Site, register: Register) -> tuple[int, list[int]]:
     """The registers around one: by the running gateway's connection where one runs, else by one of our own."""
     line = running_gateway(site.target)
     if line is None:
-        async with open_registers(site.target.settings, clock=time.time) as survey:
+        async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
             try:
                 return await around(survey, register)
             finally:

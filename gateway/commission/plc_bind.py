@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from drivers.driver import capabilities
 from gateway.commission.plc_options import Given, link_options
 from gateway.commission.plc_perform import perform_at
 from gateway.commission.plc_read import ORDERS, TYPES
@@ -126,10 +127,10 @@ def _binding(given: Given, files: "Files", options: Mapping[str, Any]) -> "Bindi
 
 
 def _address(files: "Files", text: str) -> str:
-    """A Modbus address as a PDU address, whichever way it is written; of any other link as it is. Raises ValueError."""
+    """A register as a PDU address, whichever way it is written; of any other device as it is. Raises ValueError."""
     from gateway.commission.survey.addresses import parse_register
 
-    return str(parse_register(text)) if files.driver == "modbus" else text
+    return str(parse_register(text)) if capabilities(files.driver).registers else text
 
 
 @click.command("import")
@@ -168,8 +169,8 @@ def import_list(given: Given, path: Path, **options: Any) -> None:
         from gateway.commission.files.plan_files import settings_of
 
         device, plant = settings_of(options["keep"])
-        modbus = files.driver == "modbus"
-        how = Reading(options["registers"], options["order"], options["shift"], modbus, options["rename"])
+        registers = capabilities(files.driver).registers
+        how = Reading(options["registers"], options["order"], options["shift"], registers, options["rename"])
         found = read_io_list(path, how, options["columns"], options["sheet"])
         if options["only"] or options["without"]:
             found = _chosen(found, options["only"], options["without"])

@@ -37,9 +37,10 @@ def guess(given: Given, address: str, reading: str | None, fresh: bool) -> None:
     with sentences():
         register = parse_register(address)
         target = make_target(given.plant, given.device, given.link, given.settings)
-        if target.driver != "modbus":
+        own = target.capabilities
+        if not own.registers:
             raise ValueError(
-                f"link {target.kind!r}: types and orders are in its EDS or DBC file; guess is for registers"
+                f"link {target.kind!r}: types and orders stand in {own.described_in}; guess is for registers"
             )
         check_writable(given.records)
         earlier = [] if fresh else earlier_readings(given.records, target.place, register, time.time())

@@ -1,16 +1,13 @@
 """Opening the device: one driver, or one for all links together; fails loudly and precisely."""
 
-from drivers.driver import Driver, open_driver
+from drivers.driver import Driver, capabilities, open_driver
 from drivers.errors import AddressError, DriverError
+from drivers.settings import ConfigError
 from drivers.tag import Tag
-from gateway.checked import ConfigError
 from gateway.machine.links import Link
 from gateway.machine.reading.clock import Clock
 from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath
 from gateway.plant.config import Config
-
-_SPEAKS = frozenset({"can", "canopen"})
-"""Drivers of devices that speak by themselves."""
 
 
 def make_driver(config: Config, clock: Clock) -> Driver:
@@ -53,4 +50,4 @@ def _addressed(link: Link) -> dict[str, Tag]:
 def scans_on_change(config: Config) -> bool:
     """Whether a change that a device tells by itself brings a scan of its own."""
     asked = config.scan.on_change
-    return any(link.map.driver in _SPEAKS for link in config.links) if asked is None else asked
+    return any(capabilities(link.map.driver).speaks for link in config.links) if asked is None else asked

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.machine.model.ensemble import Ensemble, Member
 from gateway.machine.model.loading import load_members, load_model
 from gateway.machine.model.predict import Predictor

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from struct import pack
 
-from drivers.driver import Driver, Writes
+from drivers.driver import Driver, Writes, capabilities
 from drivers.errors import DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Sample
 from gateway.commission.outcome import Site
@@ -174,7 +174,7 @@ class Hand:
         A link whose device acknowledges accepted blocks alone (CANopen) cannot confirm one that is to be refused: what
         became of it is for the PLC's account to say.
         """
-        if len(words) < len(self.layout.words) and self.device.driver != "modbus":
+        if len(words) < len(self.layout.words) and capabilities(self.device.driver).block == "frames":
             raise Unable("over this link a block is several frames, and a part of it is no write of its own")
         try:
             with suppress(WriteUnverified):

@@ -25,7 +25,7 @@ async def probe_bus(site: Site, steps: list[Step], facts: dict[str, Any]) -> Non
             try:
                 frames = await survey.listen(LISTEN_S)
                 steps.append(_traffic(site, frames, facts))
-                if site.target.driver == "canopen":
+                if site.target.capabilities.nodes:
                     await _node(survey, int(settings.get("node", 1)), frames, steps, facts)
             finally:
                 site.count(survey.statistics())
@@ -41,7 +41,7 @@ def _traffic(site: Site, frames: list[BusFrame], facts: dict[str, Any]) -> Step:
     if frames:
         return ok("traffic", f"{len(frames)} frames of {len(ids)} ids in {LISTEN_S:g} s")
     said = f"no frame in {LISTEN_S:g} s: another bit rate, no device on the bus, or one that speaks only when asked"
-    return warning("traffic", said) if site.target.driver == "canopen" else failed("traffic", said, ReplyTimeout(said))
+    return warning("traffic", said) if site.target.capabilities.nodes else failed("traffic", said, ReplyTimeout(said))
 
 
 async def _node(

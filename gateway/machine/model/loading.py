@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.machine.model.predict import Predictor
 from gateway.plant.config import Config
 from sim.artefacts.model_json import model_hash

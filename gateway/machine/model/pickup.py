@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.machine.model.ensemble import FAULTS
 from gateway.machine.model.loading import LoadedModel, load_model
 from gateway.machine.model.predict import Predictor
