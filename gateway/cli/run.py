@@ -17,9 +17,9 @@ from gateway.console.places import config_dir
 
 if TYPE_CHECKING:
     from drivers.tag import Sample, Tag
-    from gateway.machine.links import Link
+    from gateway.settings.links import Link
     from gateway.machine.reading.clock import PlantClock
-    from gateway.plant.config import Config
+    from gateway.settings.config import Config
 
 
 def _config_option(command: Any) -> Any:
@@ -117,7 +117,7 @@ def _plan(config: "Config") -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The requests by which a scan reads all tags, in the driver's own sentences, and its cautions; nothing is sent."""
     from drivers.driver import Cautions, Explains
     from gateway.machine.reading.clock import plant_clock
-    from gateway.plant.startup import make_driver
+    from gateway.plant.device import make_driver
 
     driver = make_driver(config, plant_clock())
     plan = driver.explain(config.map.tags) if isinstance(driver, Explains) else ()
@@ -139,7 +139,7 @@ def _stop_at_end() -> None:
 
 def load(path: Path, host: str | None, port: int | None, speed: float | None) -> "Config":
     """The configuration with what the command line replaces. Raises ConfigError (a ValueError)."""
-    from gateway.plant.config import load_config
+    from gateway.settings.config import load_config
 
     given = {"device.host": host, "device.port": port, "clock.speed": speed}
     return load_config(path, {key: value for key, value in given.items() if value is not None})
@@ -164,7 +164,7 @@ def _read_once(config: "Config") -> list[dict[str, Any]]:
     import asyncio
 
     from gateway.machine.reading.clock import plant_clock
-    from gateway.plant.startup import link_driver
+    from gateway.plant.device import link_driver
 
     with sentences():
         drivers = [link_driver(config, link, plant_clock()) for link in config.links]

@@ -40,7 +40,7 @@ def can_log(
     nan. Column maps of the format "long" read it, for OBD-II config/traces/can_obd2.toml.
     """
     from drivers.driver import open_recording
-    from gateway.plant.devices import load_device
+    from gateway.settings.devices import load_device
 
     given = {"format": format_, "bus": bus, "dbc": dbc and str(dbc)}
     with sentences(), progress(log.name) as report:

@@ -9,7 +9,7 @@ from drivers.survey import ReadPlan, read_plan
 from drivers.tag import Tag
 from gateway.commission.outcome import Outcome, Site
 from gateway.commission.survey.addresses import parse_register, reference_of
-from gateway.plant.devices import DeviceMap
+from gateway.settings.devices import DeviceMap
 
 PERIOD_S = 1.0
 """Without a plant file."""

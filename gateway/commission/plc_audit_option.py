@@ -32,7 +32,7 @@ def audit_path(audit: Path | None, given: Given, target: "Target | None" = None)
     if target is not None and target.config is not None:
         return target.config.audit
     if target is None and given.plant is not None:
-        from gateway.plant.config import load_config
+        from gateway.settings.config import load_config
 
         return load_config(given.plant).audit
     return given.records.with_name(AUDIT)

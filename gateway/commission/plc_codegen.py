@@ -41,7 +41,7 @@ def codegen(
     """
     with sentences():
         from gateway.commission.plc_side.structured_text import Program, generate
-        from gateway.plant.devices import load_device
+        from gateway.settings.devices import load_device
 
         made = load_device(device)
         text = generate(made, name, Program(location, permit_at, cycle) if program else None)
@@ -61,7 +61,7 @@ def write_suite(device: Path, out: Path) -> None:
 
     from gateway.commission.plc_side.structured_text import refusal_codes
     from gateway.commission.plc_side.vectors import plain, vectors
-    from gateway.plant.devices import load_device
+    from gateway.settings.devices import load_device
 
     made = load_device(device)
     if made.writeback is None:

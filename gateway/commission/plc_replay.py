@@ -27,7 +27,7 @@ def replay(given: Given, recording: Path) -> None:
     with sentences():
         from gateway.commission.records import check_writable
         from gateway.commission.target import Target
-        from gateway.plant.config import load_config
+        from gateway.settings.config import load_config
 
         if given.plant is None:
             raise ValueError("which gateway? Give its plant file (--config FILE)")

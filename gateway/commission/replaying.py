@@ -16,7 +16,7 @@ from gateway.commission.recording import Recording
 from gateway.machine.pipeline import Machine
 from gateway.machine.reading.quality import QualityRules
 from gateway.machine.reading.scan import scans
-from gateway.plant.config import Config, HistorianSection, WritebackSection
+from gateway.settings.config import Config, HistorianSection, WritebackSection
 from gateway.plant.log import open_log
 
 Progress = Callable[[str, float], None]

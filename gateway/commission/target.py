@@ -13,9 +13,9 @@ from drivers.tag import Tag
 from drivers.tap import Medium
 
 if TYPE_CHECKING:
-    from gateway.machine.links import Link
-    from gateway.plant.config import Config
-    from gateway.plant.devices import DeviceMap
+    from gateway.settings.links import Link
+    from gateway.settings.config import Config
+    from gateway.settings.devices import DeviceMap
 
 
 OPTION_OF: dict[str, str] = {"certificates": "--tls"}
@@ -113,7 +113,7 @@ def make_target(
 
 
 def _of_plant(path: Path, name: str | None, settings: Mapping[str, Any]) -> Target:
-    from gateway.plant.config import load_config
+    from gateway.settings.config import load_config
 
     config = load_config(path)
     link = _chosen(config.links, name)
@@ -134,7 +134,7 @@ def _chosen(links: "Sequence[Link]", name: str | None) -> "Link":
 
 
 def _of_device(path: Path, link: str | None, settings: Mapping[str, Any]) -> Target:
-    from gateway.plant.devices import load_device
+    from gateway.settings.devices import load_device
 
     device = load_device(path)
     merged = {**device.settings, **settings}

@@ -11,8 +11,8 @@ from gateway.commission.outcome import Outcome, Site
 from gateway.commission.plc_side.by_hand import ACCOUNT_TAGS, layout_of
 from gateway.commission.plc_side.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
 from gateway.commission.survey.addresses import reference_of
-from gateway.plant.config import LEAST_BLOCKS
-from gateway.plant.devices import DeviceMap, WritebackLayout
+from gateway.settings.config import LEAST_BLOCKS
+from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.store.audit import standing
 
 LEAST_BLOCKS_IN_TIMER = 3.0

@@ -14,7 +14,7 @@ from drivers.tag import Quality
 from gateway.demo.prepare import Setting
 from gateway.demo.processes import DemoError
 from gateway.machine.reading.quality import STALE_PERIODS
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from gateway.store.history import events, history, matured, samples, to_trace
 from gateway.store.score import Scorecard, scorecard
 from sim.sha.trace import Array, Mask

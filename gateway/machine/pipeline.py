@@ -22,7 +22,7 @@ from gateway.machine.records import Keeper, Records
 from gateway.machine.writing.arming import ArmingError
 from gateway.machine.writing.block_stage import BlockStage
 from gateway.machine.writing.writeback import Arming
-from gateway.plant.config import Config
+from gateway.settings.config import Config
 from gateway.store.historian import open_historian
 
 SAVE_SECONDS = 10.0

@@ -14,7 +14,7 @@ import pytest
 from gateway.commission.target import make_target
 from gateway.commission.through import running_gateway
 from gateway.plant.app import run
-from gateway.plant.config import load_config
+from gateway.settings.config import load_config
 from gateway.plant.control import ControlError, connect, listening_socket
 from tests.commission.bench import force, plc
 from tests.gateway.support import MAP

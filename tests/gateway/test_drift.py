@@ -15,7 +15,7 @@ from gateway.machine.model.drift import LEAST, CycleDrift, follow_cycle, restore
 from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.pipeline import Machine
 from gateway.plant.app import run
-from gateway.plant.config import load_config
+from gateway.settings.config import load_config
 from gateway.plant.log import open_log
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event

@@ -18,7 +18,7 @@ from gateway.machine.model.predict import Predictor
 from gateway.machine.pipeline import Machine
 from gateway.machine.reading.scan import Scan
 from gateway.plant.app import run
-from gateway.plant.config import Config, load_config
+from gateway.settings.config import Config, load_config
 from gateway.plant.log import open_log
 from gateway.store.historian import open_historian
 from gateway.store.score import scorecard

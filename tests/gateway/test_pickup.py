@@ -11,7 +11,7 @@ import pytest
 from gateway.machine.model.loading import load_model
 from gateway.machine.model.pickup import Pickup
 from gateway.plant.app import run
-from gateway.plant.config import Config
+from gateway.settings.config import Config
 from sim.artefacts.model_directory import write_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import CURRENT as CURRENT_FILE

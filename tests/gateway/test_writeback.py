@@ -7,7 +7,7 @@ from drivers.tag import Quality, Sample
 from gateway.machine.reading.scan import Scan
 from gateway.machine.writing.block import Validity
 from gateway.machine.writing.writeback import Arming, Writer
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from tests.gateway.support import EPOCH, MAP, JumpClock, scan_of
 
 _DEVICE = load_device(MAP)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gateway.commission.plc_side.conformance import Account
 from gateway.commission.plc_side.structured_text import Program, generate
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from sim.plc.clock import PlantClock
 from sim.plc.program import Plc
 from sim.plc.registers import read_map

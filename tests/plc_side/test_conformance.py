@@ -23,7 +23,7 @@ from gateway.commission.target import make_target
 from gateway.demo.can_bus import can_hub
 from gateway.demo.links import LINKS
 from gateway.machine.writing.arming import arm_in_log, signed
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from gateway.store.audit import DISARMED, AuditEntry, open_audit, read
 from sim.plc.record.recording import read_recording
 from tests.plc.bench import Process, running

@@ -185,8 +185,8 @@ def save(device: Edit, plant: Edit | None) -> list[Path]:
 
     Raises ConfigError (for the plant file: the device file stands then) or OSError.
     """
-    from gateway.plant.config import load_config
-    from gateway.plant.devices import load_device
+    from gateway.settings.config import load_config
+    from gateway.settings.devices import load_device
 
     backups = [commit(device, load_device)] if device.changed else []
     if plant is not None and plant.changed:

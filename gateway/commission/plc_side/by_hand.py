@@ -17,7 +17,7 @@ from gateway.commission.plc_side.conformance import Account, Unable
 from gateway.machine.writing.arming import arming_of
 from gateway.machine.writing.block import Validity, build, next_heartbeat
 from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
-from gateway.plant.devices import DeviceMap, WritebackLayout
+from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.store.audit import Audit, AuditEntry, open_audit, standing
 
 SETTLE_S = 3.0

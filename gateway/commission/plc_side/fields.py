@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE
-from gateway.plant.devices import BlockField, WritebackLayout
+from gateway.settings.devices import BlockField, WritebackLayout
 
 MEANINGS: Mapping[str, tuple[str, str]] = {
     "layout_version": ("", "the layout of this block"),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.tag import DType, Order, Tag
 from gateway.commission.plc_side.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, FRAME, described, unknown_word
-from gateway.plant.devices import BlockField, DeviceMap, WritebackLayout
+from gateway.settings.devices import BlockField, DeviceMap, WritebackLayout
 
 if TYPE_CHECKING:
     from jinja2 import Template

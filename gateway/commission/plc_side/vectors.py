@@ -12,7 +12,7 @@ from random import Random
 from typing import Any
 
 from gateway.machine.writing.block import Validity, build, crc
-from gateway.plant.devices import WritebackLayout
+from gateway.settings.devices import WritebackLayout
 
 FORMAT = 1
 FLIPS = 24

@@ -4,7 +4,7 @@ from shlex import join
 
 from gateway.machine.alarms.states import AlarmCondition
 from gateway.machine.reading.quality import STALE_PERIODS
-from gateway.plant.config import Config
+from gateway.settings.config import Config
 
 DEVICE = "device"
 """The alarm for what the device itself says is wrong with it."""

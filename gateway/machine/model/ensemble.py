@@ -13,7 +13,7 @@ import numpy as np
 
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading.scan import Scan
-from gateway.plant.config import EnsembleSection, ForecastSection
+from gateway.settings.config import EnsembleSection, ForecastSection
 from sim.engine.belief import Belief
 from sim.engine.tracker import Tracker
 from sim.forecast.calibration import Calibration, calibrate, factors

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from drivers.settings import ConfigError
 from gateway.machine.model.predict import Predictor
-from gateway.plant.config import Config
+from gateway.settings.config import Config
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import current, forced, is_store, load, read_model
 from sim.checking.proof.verify import verify

@@ -12,7 +12,7 @@ import numpy as np
 from gateway.machine.model.ensemble import Ensemble, ForecastJob, MixedForecast, bands, foresee, run_job
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading.scan import Scan
-from gateway.plant.config import ForecastSection
+from gateway.settings.config import ForecastSection
 from sim.forecast.calibration import Calibration, Horizon, Pending, factors, issue, settle
 from sim.forecast.ensemble import thinned
 from sim.forecast.forecast import LEVELS, Forecast

@@ -17,7 +17,7 @@ from gateway.machine.model.ensemble import FAULTS
 from gateway.machine.model.loading import LoadedModel, load_model
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading.scan import Scan
-from gateway.plant.config import Config
+from gateway.settings.config import Config
 from sim.artefacts.files import ArtefactError
 from sim.artefacts.store import current, promotion
 

@@ -11,7 +11,7 @@ from gateway.machine.model.outlook import FinishedForecast, Outlook, block_value
 from gateway.machine.model.pickup import Pickup, ReadyModel
 from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.reading.scan import Scan
-from gateway.plant.config import Config
+from gateway.settings.config import Config
 from gateway.store.historian import Historian, saved_state
 from sim.forecast.forecast import Forecast
 

@@ -10,8 +10,8 @@ from drivers.driver import Driver, Writes
 from drivers.settings import ConfigError
 from gateway.machine.reading.clock import Clock
 from gateway.machine.writing.writeback import Arming, Pace, Writer
-from gateway.plant.config import MAX_ARMED_MINUTES, Config
-from gateway.plant.devices import WritebackLayout
+from gateway.settings.config import MAX_ARMED_MINUTES, Config
+from gateway.settings.devices import WritebackLayout
 from gateway.store.audit import ARMED, DISARMED, Audit, AuditEntry, AuditRow, last_arming, open_audit, standing
 from gateway.store.historian import Historian, saved_state
 

@@ -7,7 +7,7 @@ from enum import IntFlag
 from math import isfinite
 from struct import pack
 
-from gateway.plant.devices import BlockField, WritebackLayout
+from gateway.settings.devices import BlockField, WritebackLayout
 
 NO_TEMPERATURE = 0x8000
 """The int16 word of a number that is not known (-32768): no real number saturates to it."""

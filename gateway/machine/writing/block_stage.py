@@ -14,8 +14,8 @@ from gateway.machine.reading.scan import Scan
 from gateway.machine.writing.arming import ArmingError, arm, open_writer
 from gateway.machine.writing.block import Validity, validity
 from gateway.machine.writing.writeback import Arming, Attempt
-from gateway.plant.config import Config
-from gateway.plant.devices import WritebackLayout
+from gateway.settings.config import Config
+from gateway.settings.devices import WritebackLayout
 from gateway.store.audit import open_audit
 from gateway.store.historian import Historian
 from sim.forecast.forecast import Forecast

@@ -14,7 +14,7 @@ from drivers.errors import DriverError
 from gateway.machine.reading.clock import Clock
 from gateway.machine.reading.scan import Scan
 from gateway.machine.writing.block import Validity, WritebackBlock, build, next_heartbeat
-from gateway.plant.devices import WritebackLayout
+from gateway.settings.devices import WritebackLayout
 from gateway.store.audit import DISARMED, EXPIRED, Audit, AuditEntry
 
 Mode = Literal["off", "shadow", "armed"]
