@@ -17,9 +17,9 @@ from gateway.console.places import config_dir
 
 if TYPE_CHECKING:
     from drivers.tag import Sample, Tag
-    from gateway.settings.links import Link
     from gateway.machine.reading.clock import PlantClock
     from gateway.settings.config import Config
+    from gateway.settings.links import Link
 
 
 def _config_option(command: Any) -> Any:

@@ -16,8 +16,8 @@ from gateway.commission.recording import Recording
 from gateway.machine.pipeline import Machine
 from gateway.machine.reading.quality import QualityRules
 from gateway.machine.reading.scan import scans
-from gateway.settings.config import Config, HistorianSection, WritebackSection
 from gateway.plant.log import open_log
+from gateway.settings.config import Config, HistorianSection, WritebackSection
 
 Progress = Callable[[str, float], None]
 GAP_S = 60.0

@@ -13,9 +13,9 @@ from drivers.tag import Tag
 from drivers.tap import Medium
 
 if TYPE_CHECKING:
-    from gateway.settings.links import Link
     from gateway.settings.config import Config
     from gateway.settings.devices import DeviceMap
+    from gateway.settings.links import Link
 
 
 OPTION_OF: dict[str, str] = {"certificates": "--tls"}

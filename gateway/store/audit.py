@@ -1,13 +1,12 @@
 """The audit log: every write, every refusal, every arming; only ever appended, each row bound to the one before.
 
-A row's hash is the SHA-256 of the hash before it and of the row itself, so that a row that was changed, put in or taken
-out shows (`verify`); triggers of the database refuse to change or to delete one. What is bound by nothing is the end:
-keep the newest hash (`head`) apart from the file, as the acceptance report does, and give it to `verify`.
+Its rows are a chain (`gateway.store.chain`), so that one that was changed, put in or taken out shows (`verify`);
+triggers of the database refuse to change or to delete one. What is bound by nothing is the end: keep the newest hash
+(`head`) apart from the file, as the acceptance report does, and give it to `verify`.
 
 Every row is on the disk (synchronous FULL) before it counts as stored. Several processes may append; they take turns.
 """
 
-import hashlib
 import json
 import sqlite3
 import threading
@@ -18,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gateway.store.chain import BEGIN, digest
 from sim.strict_json import json_text
 
 APPLICATION_ID = 0x6465_6175
@@ -29,7 +29,6 @@ BACKLOG = 1_000
 ARMED, DISARMED, EXPIRED = "armed", "disarmed", "arming over"
 _ARMINGS = (ARMED, DISARMED, EXPIRED)
 _RETRY_SECONDS = 1.0
-_FIRST = bytes(32)
 _COLUMNS = "id, time, kind, who, reason, detail, hash"
 
 _TABLES = """
@@ -160,7 +159,7 @@ def append(connection: sqlite3.Connection, entries: Sequence[AuditEntry]) -> str
     with connection:
         connection.execute("BEGIN IMMEDIATE")
         last = connection.execute("SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
-        number, before = (int(last[0]), bytes(last[1])) if last else (0, _FIRST)
+        number, before = (int(last[0]), bytes(last[1])) if last else (0, BEGIN)
         for entry in entries:
             number += 1
             plain = (float(entry.time), entry.kind, entry.who, entry.reason, _detail(entry))
@@ -196,7 +195,7 @@ def standing(path: Path, now: float) -> AuditRow | None:
 
 def verify(path: Path, head: str = "") -> ChainVerdict:
     """Recompute the chain; with `head`, a hash kept from before must be in it. Raises AuditError for no audit log."""
-    count, before, seen = 0, _FIRST, not head
+    count, before, seen = 0, BEGIN, not head
     with closing(_reader(path)) as connection:
         for row, stored in _rows(connection, path):
             if row.id != count + 1:
@@ -214,7 +213,7 @@ def head(path: Path) -> str:
     """The newest hash; that of an empty log is zeros. Raises AuditError."""
     with closing(_reader(path)) as connection:
         found = connection.execute("SELECT hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
-    return bytes(found[0]).hex() if found else _FIRST.hex()
+    return bytes(found[0]).hex() if found else BEGIN.hex()
 
 
 # ---------------------------------------------------------------- the file
@@ -225,8 +224,7 @@ def _detail(entry: AuditEntry) -> str:
 
 
 def _hash(before: bytes, *plain: object) -> bytes:
-    text = json.dumps(plain, ensure_ascii=False, allow_nan=False)
-    return hashlib.sha256(before + text.encode()).digest()
+    return digest(before, json.dumps(plain, ensure_ascii=False, allow_nan=False).encode())
 
 
 def _row(found: Sequence[Any]) -> AuditRow:

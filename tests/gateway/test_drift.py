@@ -15,8 +15,8 @@ from gateway.machine.model.drift import LEAST, CycleDrift, follow_cycle, restore
 from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.pipeline import Machine
 from gateway.plant.app import run
-from gateway.settings.config import load_config
 from gateway.plant.log import open_log
+from gateway.settings.config import load_config
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event
 from tests.gateway.support import CURRENT, EPOCH, RUNNING, TEMPERATURE, Bench, config_in, logged, plant_file, two_modes

@@ -18,8 +18,8 @@ from gateway.machine.model.predict import Predictor
 from gateway.machine.pipeline import Machine
 from gateway.machine.reading.scan import Scan
 from gateway.plant.app import run
-from gateway.settings.config import Config, load_config
 from gateway.plant.log import open_log
+from gateway.settings.config import Config, load_config
 from gateway.store.historian import open_historian
 from gateway.store.score import scorecard
 from sim.artefacts.model_json import model_text

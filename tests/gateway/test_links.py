@@ -8,9 +8,9 @@ from drivers.modbus.driver import ModbusDriver
 from drivers.settings import ConfigError
 from gateway.machine.reading.clock import plant_clock
 from gateway.machine.reading.redundant import Redundant
+from gateway.plant.device import make_driver
 from gateway.settings.config import Config, load_config
 from gateway.settings.devices import load_device
-from gateway.plant.device import make_driver
 from tests.drivers import certified
 from tests.gateway.support import MAP
 

@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gateway.commission.records import hash_of
 from gateway.commission.report.blocks import blocks
 from gateway.commission.report.page import page
 from gateway.commission.report.paper import paper
+from gateway.store.chain import hash_of
 from sim.strict_json import json_text
 
 JSON, HTML, PDF, RECORDS, LIST = "report.json", "report.html", "report.pdf", "records.jsonl", "report.sha256"
