@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from drivers.tag import Sample, Tag
     from gateway.machine.reading.clock import PlantClock
     from gateway.settings.config import Config
-    from gateway.settings.links import Link
+    from gateway.settings.links import DeviceLink
 
 
 def _config_option(command: Any) -> Any:
@@ -190,7 +190,7 @@ def _read_once(config: "Config") -> list[dict[str, Any]]:
     return asyncio.run(read())
 
 
-def _row(link: "Link", tag: "Tag", sample: "Sample") -> dict[str, Any]:
+def _row(link: "DeviceLink", tag: "Tag", sample: "Sample") -> dict[str, Any]:
     seen = {"value": sample.value, "unit": tag.unit, "quality": sample.quality.name, "reason": sample.reason}
     return {"link": link.name, "tag": sample.tag, **seen}
 

@@ -127,7 +127,7 @@ async def _through(config: Config, recording: Recording, progress: Progress) -> 
         try:
             await machine.driver.open()
             rules = QualityRules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period)
-            async with aclosing(scans(machine.driver, config.map.tags, clock, rules, stop)) as stream:
+            async with aclosing(scans(machine.driver, config.map.tags, clock, rules, stop=stop)) as stream:
                 async for scan in stream:
                     await machine.take(scan)
                     if machine.model is not None:

@@ -15,7 +15,7 @@ from drivers.tap import Medium
 if TYPE_CHECKING:
     from gateway.settings.config import Config
     from gateway.settings.devices import DeviceMap
-    from gateway.settings.links import Link
+    from gateway.settings.links import DeviceLink
 
 
 OPTION_OF: dict[str, str] = {"certificates": "--tls"}
@@ -122,7 +122,7 @@ def _of_plant(path: Path, name: str | None, settings: Mapping[str, Any]) -> Targ
     return _complete(Target(kind, link.map.driver, {**link.settings, **settings}, link.map, config, files))
 
 
-def _chosen(links: "Sequence[Link]", name: str | None) -> "Link":
+def _chosen(links: "Sequence[DeviceLink]", name: str | None) -> "DeviceLink":
     if name is None:
         return links[0]
     known = {link.name: link for link in reversed(links)}

@@ -82,7 +82,7 @@ class Machine:
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
             self.records = Records(store, Keeper(config.map.by_name, numbers, config.historian.max_interval, left_out))
             if isinstance(driver, Redundant):
-                driver.tell = self._note_switch_over
+                driver.on_switch = self._note_switch_over
             self.last: Scan | None = None
             self.phase = "starting"
             self._saved = self._cleaned = now

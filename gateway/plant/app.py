@@ -100,7 +100,7 @@ async def _scanned(machine: Machine, stop: asyncio.Event) -> None:
     rules = QualityRules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period * clock.speed)
     machine.phase = "running"
     urgent = machine.urgent if scans_on_change(config) else None
-    async with aclosing(scans(machine.driver, config.map.tags, clock, rules, stop, urgent)) as stream:
+    async with aclosing(scans(machine.driver, config.map.tags, clock, rules, stop=stop, urgent=urgent)) as stream:
         async for scan in stream:
             await machine.take(scan)
 
@@ -113,7 +113,7 @@ async def _withdrawn(machine: Machine, why: str) -> None:
         machine.log.warning("validity 0 could not be written", reason=str(error))
 
 
-async def _heard(machine: Machine) -> None:
+async def _last_counts(machine: Machine) -> None:
     """What the PLC says of the last blocks, once its program has had a cycle's time to count them."""
     config, block = machine.config, machine.block
     if block is None or not block.writer.armed or not machine.link.alive:
@@ -121,12 +121,12 @@ async def _heard(machine: Machine) -> None:
     await asyncio.sleep(max(LAST_WORD_SECONDS, config.device.heartbeat_period))
     now = machine.clock.now()
     samples = {sample.tag: sample for sample in await machine.driver.read(config.map.tags)}
-    block.hear(Scan(number=machine.counters.scans, time=now, samples=samples, missed=0, duration=0.0))
+    block.take_counts(Scan(number=machine.counters.scans, time=now, samples=samples, missed=0, duration=0.0))
 
 
 async def _stopped(machine: Machine) -> None:
     await _withdrawn(machine, "stop")
-    await _heard(machine)
+    await _last_counts(machine)
     if machine.model is not None:
         await machine.model.close()
     machine.save(machine.clock.now())

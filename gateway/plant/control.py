@@ -53,19 +53,19 @@ def short(path: Path) -> Iterator[str]:
 def listening_socket(path: Path) -> socket.socket:
     """A socket at `path` that only this user may join. Raises OSError, also where a living gateway has it already."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    found = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         with short(path) as name:
             if path.is_socket() and not _is_alive(name):
                 path.unlink()
-            found.bind(name)
+            listener.bind(name)
         path.chmod(MODE)
-        found.listen(8)
-        found.setblocking(False)
+        listener.listen(8)
+        listener.setblocking(False)
     except OSError as error:
-        found.close()
+        listener.close()
         raise OSError(error.errno, f"no control socket at {path}: {error.strerror or error}") from None
-    return found
+    return listener
 
 
 def _is_alive(name: str) -> bool:

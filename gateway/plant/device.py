@@ -7,7 +7,7 @@ from drivers.tag import Tag
 from gateway.machine.reading.clock import Clock
 from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath
 from gateway.settings.config import Config
-from gateway.settings.links import Link
+from gateway.settings.links import DeviceLink
 
 
 def make_driver(config: Config, clock: Clock) -> Driver:
@@ -17,13 +17,13 @@ def make_driver(config: Config, clock: Clock) -> Driver:
     """
     if len(config.links) == 1:
         return link_driver(config, config.links[0], clock)
-    ways = [RedundantPath(link.name, link_driver(config, link, clock), _addressed(link)) for link in config.links]
+    paths = [RedundantPath(link.name, link_driver(config, link, clock), _addressed(link)) for link in config.links]
     beat = max(config.scan.period, config.device.heartbeat_period * clock.speed)
     rules = RedundancyRules(config.device.switch_after, config.device.return_after, config.map.heartbeat, beat)
-    return Redundant(ways, rules, clock.now)
+    return Redundant(paths, rules, clock.now)
 
 
-def link_driver(config: Config, link: Link, clock: Clock) -> Driver:
+def link_driver(config: Config, link: DeviceLink, clock: Clock) -> Driver:
     """The driver of one link, with the closed write map unless the mode is off. Raises ConfigError.
 
     In shadow it may be armed later; a link that cannot write is one that reads then.
@@ -41,7 +41,7 @@ def link_driver(config: Config, link: Link, clock: Clock) -> Driver:
         raise ConfigError([f"{link.map.path}: device: {error}"]) from None
 
 
-def _addressed(link: Link) -> dict[str, Tag]:
+def _addressed(link: DeviceLink) -> dict[str, Tag]:
     """All tags of a link by name, the words of its block too."""
     block = link.map.writeback
     return {tag.name: tag for tag in (*link.map.tags, *(block.words if block else ()))}
@@ -49,5 +49,5 @@ def _addressed(link: Link) -> dict[str, Tag]:
 
 def scans_on_change(config: Config) -> bool:
     """Whether a change that a device tells by itself brings a scan of its own."""
-    asked = config.scan.on_change
-    return any(capabilities(link.map.driver).speaks for link in config.links) if asked is None else asked
+    configured = config.scan.on_change
+    return any(capabilities(link.map.driver).speaks for link in config.links) if configured is None else configured

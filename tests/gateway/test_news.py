@@ -33,7 +33,7 @@ class Watch:
         self.slow = 0.0
         self._stop = asyncio.Event()
         names = None if urgent is None else (lambda: frozenset(urgent))
-        self._scans = scans(driver, TAGS, clock, QualityRules(period), self._stop, names)  # type: ignore[arg-type]
+        self._scans = scans(driver, TAGS, clock, QualityRules(period), stop=self._stop, urgent=names)  # type: ignore[arg-type]
         self._task = asyncio.create_task(self._take())
 
     async def _take(self) -> None:

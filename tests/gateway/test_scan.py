@@ -47,7 +47,7 @@ class Slow:
 
 async def collect(device: Slow, count: int, consume: Sequence[float] = ()) -> list[Scan]:
     stop, found = asyncio.Event(), []
-    async for scan in scans(device, [TAG], device.clock, QualityRules(1.0), stop):
+    async for scan in scans(device, [TAG], device.clock, QualityRules(1.0), stop=stop):
         found.append(scan)
         device.clock.time += consume[len(found) - 1] if len(found) <= len(consume) else 0.0
         if len(found) == count:
@@ -81,7 +81,7 @@ async def test_the_stop_ends_a_long_wait_at_once() -> None:
     stop = asyncio.Event()
     clock = plant_clock()
     device = Slow(JumpClock(clock.now()))
-    stream = scans(device, [TAG], clock, QualityRules(3600.0), stop)
+    stream = scans(device, [TAG], clock, QualityRules(3600.0), stop=stop)
     await anext(stream)
     waiting = asyncio.ensure_future(anext(stream, None))
     await asyncio.sleep(0)

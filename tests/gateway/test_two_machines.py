@@ -44,7 +44,7 @@ async def through(folder: Path, model: Model, *, hot: bool) -> tuple[Rows, Block
         machine = Machine(config, driver=bench, clock=bench.clock, log=log)
         try:
             await bench.open()
-            async with aclosing(scans(bench, config.map.tags, bench.clock, rules, bench.stop)) as stream:
+            async with aclosing(scans(bench, config.map.tags, bench.clock, rules, stop=bench.stop)) as stream:
                 async for scan in stream:
                     await machine.take(scan)
                     assert machine.model is not None

@@ -54,5 +54,5 @@ def _offer(config: Config) -> str:
     """What an operator is told when the model drifts: the command that diagnoses the historian's recent cycles."""
     command = ["decanter", "diagnose", "--model", str(config.model.path), "--historian", str(config.historian.path)]
     command += ["--since", DRIFT_SINCE, "--out", str(config.historian.path.parent / "diagnosis")]
-    said = f"the model's free run is beyond its limit on {config.alarms.drift_cycles} cycles running"
-    return f"{said}; find out what has changed with: {join(command)}"
+    sentence = f"the model's free run is beyond its limit on {config.alarms.drift_cycles} cycles running"
+    return f"{sentence}; find out what has changed with: {join(command)}"

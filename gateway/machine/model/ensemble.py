@@ -91,6 +91,7 @@ def run_job(job: ForecastJob, section: ForecastSection, limit: float, levels: tu
 def foresee(
     first: ForecastJob,
     others: Sequence[ForecastJob | None],
+    *,
     shares: Array,
     context: str,
     section: ForecastSection,
@@ -106,11 +107,12 @@ def foresee(
             made.append(None if job is None else run_job(job, section, limit, DENSE))
         except FAULTS as error:
             made.append(repr(error))
-    there = [place for place, one in enumerate(made) if isinstance(one, Forecast)]
-    mine = shares[:, there]
-    total = mine.sum(axis=1, keepdims=True)
-    mine = np.where(total > 0, mine / np.where(total > 0, total, 1.0), 1.0 / len(there))
-    mixed = mixture([one for one in made if isinstance(one, Forecast)], mine, LEVELS)
+    forecasts = [forecast for forecast in made if isinstance(forecast, Forecast)]
+    weight = shares[:, [place for place, forecast in enumerate(made) if isinstance(forecast, Forecast)]]
+    # The weights of the members that have no forecast go to the others; where none of these had any, all count alike.
+    total = weight.sum(axis=1, keepdims=True)
+    weight = np.where(total > 0, weight / np.where(total > 0, total, 1.0), 1.0 / len(forecasts))
+    mixed = mixture(forecasts, weight, LEVELS)
     return MixedForecast(mixed, tuple(made), context)
 
 
@@ -148,10 +150,10 @@ class Ensemble:
         if self.section.context == "none":
             return ""
         channels = self.first.model.alphabet.channels
-        told = self.first.encoder.state.announced
+        symbols = self.first.encoder.state.announced
         wanted = [
             symbol
-            for channel, symbol in zip(channels, told, strict=False)
+            for channel, symbol in zip(channels, symbols, strict=False)
             if self.section.context == "symbols" or isinstance(channel, Switch)
         ]
         return " ".join(symbol or "unknown" for symbol in wanted)
@@ -175,8 +177,8 @@ class Ensemble:
                 return
             member.predictor, member.failure = Predictor(member.predictor.model, self.first.temperature), ""
         try:
-            found = member.predictor.step(scan)
-            member.known = found.known and found.inputs_good
+            prediction = member.predictor.step(scan)
+            member.known = prediction.known and prediction.inputs_good
         except FAULTS as error:
             self._fail(member, scan.time, repr(error))
 
@@ -202,9 +204,9 @@ class Ensemble:
                 self._fail(member, now, one)
             elif one is not None:
                 member.calibration = issue_bands(member.calibration, thinned(one, LEVELS))
-        told = [one if isinstance(one, Forecast) else None for one in made.members]
+        forecasts = [entry if isinstance(entry, Forecast) else None for entry in made.members]
         for horizon, state in self.evidence.items():
-            self.evidence[horizon] = issue(state, horizon, made.context, told)
+            self.evidence[horizon] = issue(state, horizon, made.context, forecasts)
 
     def plain(self) -> dict[str, Any]:
         """Members, their weights by horizon in the present context, and who has failed, as plain values."""

@@ -42,9 +42,9 @@ def load_members(config: Config, first: LoadedModel | None) -> tuple[LoadedModel
     paths = config.ensemble.members
     loaded = tuple(_load(config, path, f"ensemble.members[{place}]") for place, path in enumerate(paths))
     known = {} if first is None else {first.hash: "model.path"}
-    for place, one in enumerate(loaded):
+    for place, member in enumerate(loaded):
         key = f"ensemble.members[{place}]"
-        other = known.setdefault(one.hash, key)
+        other = known.setdefault(member.hash, key)
         if other != key:
             raise ConfigError([f"{config.path}: {key}: is the same model as {other}; give each model once"])
     return loaded
@@ -86,7 +86,10 @@ def _unverified(config: Config, model: Model, path: Path, key: str, version: str
     if force is None:
         remedy = f"see `decanter model verify {path}`, give another model, or leave {key} out to run without it"
         return f"{key}: the model at {path} is not run, as it does not verify: {reason}; {remedy}", ""
-    said = f"the model at {path} does not verify ({reason}); {force.by} promoted it by force: {force.reason}"
+    sentence = f"the model at {path} does not verify ({reason}); {force.by} promoted it by force: {force.reason}"
     if config.writeback.mode == "armed":
-        return f"writeback.mode: is 'armed', and {said}; set it to 'shadow', or promote a model that verifies", said
-    return "", said
+        return (
+            f"writeback.mode: is 'armed', and {sentence}; set it to 'shadow', or promote a model that verifies",
+            sentence,
+        )
+    return "", sentence

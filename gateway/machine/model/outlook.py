@@ -108,14 +108,21 @@ class Outlook:
         self._due, self._measured = now + self.section.period, measured
         seed = (self.section.seed, int(belief.time * 1000.0))
         job = ForecastJob(self.predictor.tracker, belief, factors(self.calibration), seed)
-        self._task = asyncio.create_task(asyncio.to_thread(self._work(job)), name="forecast")
-
-    def _work(self, job: ForecastJob) -> Callable[[], Forecast | MixedForecast]:
-        ensemble = self.ensemble
-        if ensemble is None:
-            return partial(run_job, job, self.section, self.limit, LEVELS)
-        context = ensemble.context
-        return partial(foresee, job, ensemble.jobs(), ensemble.shares(context), context, self.section, self.limit)
+        # What the thread computes with is bound here, in the loop: beliefs and weights move on with the next scan.
+        work: Callable[[], Forecast | MixedForecast]
+        if (ensemble := self.ensemble) is None:
+            work = partial(run_job, job, self.section, self.limit, LEVELS)
+        else:
+            work = partial(
+                foresee,
+                job,
+                ensemble.jobs(),
+                shares=ensemble.shares(ensemble.context),
+                context=ensemble.context,
+                section=self.section,
+                limit=self.limit,
+            )
+        self._task = asyncio.create_task(asyncio.to_thread(work), name="forecast")
 
     async def finished(self) -> None:
         """Wait for the forecast being made, if any; the next `collect` gives it. For a clock that is not the wall's."""

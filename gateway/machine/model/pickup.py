@@ -10,6 +10,7 @@ import asyncio
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 
 from drivers.settings import ConfigError
@@ -43,7 +44,7 @@ class RefusedPromotion:
     reason: str
 
 
-Found = ReadyModel | RefusedPromotion | None
+LookResult = ReadyModel | RefusedPromotion | None
 
 
 class Pickup:
@@ -59,7 +60,7 @@ class Pickup:
         self.refused = ""
         self._seen: object = None
         self._recent: deque[Scan] = deque(maxlen=RECENT)
-        self._task: asyncio.Task[tuple[object, Found]] | None = None
+        self._task: asyncio.Task[tuple[object, LookResult]] | None = None
         self._due = -inf
 
     def keep(self, scan: Scan) -> None:
@@ -72,8 +73,9 @@ class Pickup:
         if not self.running or self._task is not None or self.ready is not None or now < self._due:
             return
         self._due = now + POLL_SECONDS
-        work = asyncio.to_thread(_look, self.config, self._seen, self.running, tuple(members), tuple(self._recent))
-        self._task = asyncio.create_task(work, name="pickup")
+        # Copies, since the scans of the meantime go into the originals while the thread looks.
+        work = partial(_look, self.config, self._seen, self.running, members=tuple(members), recent=tuple(self._recent))
+        self._task = asyncio.create_task(asyncio.to_thread(work), name="pickup")
 
     def collect(self) -> str:
         """Take in a finished look: it may set `ready`. The sentence of a refusal is given back, once; "" else."""
@@ -81,24 +83,24 @@ class Pickup:
             return ""
         task, self._task = self._task, None
         before = self._seen
-        self._seen, found = task.result()
+        self._seen, result = task.result()
         if self._seen != before:
-            self.refused = found.reason if isinstance(found, RefusedPromotion) else ""
-        self.ready = found if isinstance(found, ReadyModel) else None
-        return found.reason if isinstance(found, RefusedPromotion) else ""
+            self.refused = result.reason if isinstance(result, RefusedPromotion) else ""
+        self.ready = result if isinstance(result, ReadyModel) else None
+        return result.reason if isinstance(result, RefusedPromotion) else ""
 
     def taken(self) -> ReadyModel | str | None:
         """The model that waits, brought to the newest scan; the sentence why it is refused; None where none waits."""
-        found, self.ready = self.ready, None
-        if found is None:
+        ready, self.ready = self.ready, None
+        if ready is None:
             return None
         try:
-            _follow(found.predictor, [scan for scan in self._recent if scan.time > found.until])
+            _follow(ready.predictor, [scan for scan in self._recent if scan.time > ready.until])
         except FAULTS as error:
-            self.refused = _failed(found.loaded, error)
+            self.refused = _failed(ready.loaded, error)
             return self.refused
-        self.running = found.loaded.version
-        return found
+        self.running = ready.loaded.version
+        return ready
 
     async def close(self) -> None:
         """Wait for the look that goes on; what it finds is dropped."""
@@ -108,8 +110,8 @@ class Pickup:
 
 
 def _look(
-    config: Config, seen: object, running: str, members: Sequence[str], recent: Sequence[Scan]
-) -> tuple[object, Found]:
+    config: Config, seen: object, running: str, *, members: Sequence[str], recent: Sequence[Scan]
+) -> tuple[object, LookResult]:
     """(the promotion that was looked at, what is to be done about it: nothing where it was `seen` or is `running`)."""
     store = config.model.path
     stamp = None if store is None else promotion(store)
@@ -123,7 +125,7 @@ def _look(
         return stamp, RefusedPromotion(str(error))
 
 
-def _made_ready(config: Config, members: Sequence[str], recent: Sequence[Scan]) -> Found:
+def _made_ready(config: Config, members: Sequence[str], recent: Sequence[Scan]) -> LookResult:
     """The configured model as at a start, and following the recent scans. Raises ConfigError."""
     loaded = load_model(config)
     if loaded is None:

@@ -77,7 +77,7 @@ def judge(
 ) -> tuple[DeviceAge, dict[str, Sample]]:
     """What a scan's readings `read` (in the order of `tags`) are worth at `now`, and what to remember for the next."""
     by_name = {sample.tag: sample for sample in read}
-    age = _heard(age, by_name.get(rules.heartbeat or ""), now)
+    age = _with_heartbeat(age, by_name.get(rules.heartbeat or ""), now)
     image = _image(age, now, rules) if rules.heartbeat else None
     histories = dict(age.tags)
     judged: dict[str, Sample] = {}
@@ -87,7 +87,7 @@ def judge(
     return replace(age, tags=histories), judged
 
 
-def _heard(age: DeviceAge, sample: Sample | None, now: float) -> DeviceAge:
+def _with_heartbeat(age: DeviceAge, sample: Sample | None, now: float) -> DeviceAge:
     if sample is None or not sample.quality.is_good or not isinstance(sample.value, int):
         return age
     beat = int(sample.value)
@@ -110,7 +110,7 @@ def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, st
 
 def _demoted(sample: Sample, quality: Quality, reason: str, now: float) -> Sample:
     if quality.is_bad:
-        return Sample(sample.tag, None, quality, now, sample.sent, reason)
+        return Sample(sample.tag, None, quality, now, sent=sample.sent, reason=reason)
     return replace(sample, quality=quality, reason=reason) if sample.quality.is_good else sample
 
 
@@ -139,7 +139,7 @@ def _held(sample: Sample, known: TagHistory | None, now: float, period: float) -
     """The last good value instead of no value, as long as it is usable."""
     if known is None or _periods(known.good, now, period) > DEAD_PERIODS:
         quality = Quality.NO_DATA if sample.quality.is_good else sample.quality
-        return Sample(sample.tag, None, quality, now, sample.sent, sample.reason or "too old")
+        return Sample(sample.tag, None, quality, now, sent=sample.sent, reason=sample.reason or "too old")
     reason = f"last reading {now - known.good.time:.1f} s old" + (f": {sample.reason}" if sample.reason else "")
     return replace(known.good, quality=Quality.LAST_USABLE, reason=reason)
 

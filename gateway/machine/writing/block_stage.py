@@ -57,9 +57,9 @@ class BlockStage:
             if not opened:
                 self.audit.close()
 
-    def hear(self, scan: Scan) -> None:
+    def take_counts(self, scan: Scan) -> None:
         """Take over what the PLC says of the blocks before this one."""
-        self.writer.heard(scan, self._refusals)
+        self.writer.take_counts(scan, self._refusals)
 
     async def take(
         self,
@@ -75,7 +75,7 @@ class BlockStage:
 
         `unverified` says why the model must not write ("" if it may): one that does not verify is never armed.
         """
-        self.hear(scan)
+        self.take_counts(scan)
         # Taking back comes first: no block of an arming that is over may follow it.
         if over := self._disarming(scan.time, unverified):
             await self.withdraw(over, scan, alarms)
@@ -159,5 +159,5 @@ class BlockStage:
         if attempt.latency_ms is not None:
             self.latencies.append(attempt.latency_ms)
         if before is None or (before.verdict, before.reason) != (attempt.verdict, attempt.reason):
-            say = self._log.info if attempt.verdict in ("written", "shadow") else self._log.warning
-            say("write-back", verdict=attempt.verdict, reason=attempt.reason, sequence=block.sequence)
+            write_line = self._log.info if attempt.verdict in ("written", "shadow") else self._log.warning
+            write_line("write-back", verdict=attempt.verdict, reason=attempt.reason, sequence=block.sequence)

@@ -144,7 +144,7 @@ class Writer:
         values = {"alarms": float(alarms), "zone": 0.0, "input_quality": 2.0}
         return await self._counted(values, Validity.NONE, scan, last=True) if self.armed else None
 
-    def heard(self, scan: Scan, refusals: Mapping[int, str]) -> None:
+    def take_counts(self, scan: Scan, refusals: Mapping[int, str]) -> None:
         """Take over what the PLC says of the blocks, as far as this scan read it well."""
         counts, c = (scan.good("BlocksAccepted"), scan.good("BlocksRefused")), self.counters
         if counts[0] is None or counts[1] is None:
