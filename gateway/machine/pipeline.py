@@ -112,7 +112,7 @@ class Machine:
                     self._begin_with_promoted(self.model, scan.time)
                 prediction = self.model.follow(scan)
                 self.counters.take_events(prediction)
-                if (finished := self.model.collect()) is not None:
+                if (finished := self.model.settle(prediction)) is not None:
                     guards = self.model.guard_report()
                 forecast = self.model.usable(prediction)
 

@@ -103,7 +103,7 @@ async def test_model_follows_forecasts_and_finds_without_a_machine_around_it(tmp
             scan = scan_of({RUNNING: True, CURRENT: 150.0, TEMPERATURE: 30.0}, EPOCH + second)
             assert not unit.pick_up(scan.time)
             prediction = unit.follow(scan)
-            collected.append(unit.collect())
+            collected.append(unit.settle(prediction))
             unit.foresee(scan, prediction)
             await unit.outlook.finished()
         forecast = unit.usable(prediction)

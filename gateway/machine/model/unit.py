@@ -19,9 +19,9 @@ from sim.forecast.forecast import Forecast
 class ModelUnit:
     """What a machine has that has a model: all of it is there, or (`ModelUnit | None`) none of it.
 
-    A scan comes by three times, in this order: `pick_up` before anything is computed with the model, `follow` for the
-    prediction, `foresee` once the block is on its way. `loaded` is the model that runs, `members` those of an ensemble
-    beside it, `prediction` what was said of the newest scan.
+    In a scan its methods are called in their order here: `pick_up` before anything is computed with the model, `follow`
+    for the prediction, `settle` for what its reading teaches, `foresee` once the block is on its way. `loaded` is the
+    model that runs, `members` those of an ensemble beside it, `prediction` what was said of the newest scan.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class ModelUnit:
         self._warn(self.loaded)
 
     def follow(self, scan: Scan) -> ScanPrediction:
-        """Move the model on by a scan, and let the guards and the forecast's bands learn from its reading."""
+        """Move the model on by a scan: its events, and what it expected of its reading."""
         prediction = self.prediction = self.predictor.step(scan)
         for event in prediction.events:
             self._log.debug("event", symbol=event.symbol, time=event.time, location=prediction.location)
@@ -108,15 +108,18 @@ class ModelUnit:
             message = "the model left its range and was put back to its border"
             self._log.warning(message, time=scan.time, clamps=clamps)
         self._clamped = clamps > 0
-        # The guards look first: they judge by the bands as they were when the forecast was made.
-        self.guards.look(prediction, self.outlook.calibration)
-        self.outlook.settle(scan.time, prediction.measured)
-        if prediction.reset:
-            self.outlook.void()
         return prediction
 
-    def collect(self) -> FinishedForecast | None:
-        """The forecast that was finished since the scan before, once. Raises what the computation raised."""
+    def settle(self, prediction: ScanPrediction) -> FinishedForecast | None:
+        """Let the guards and the forecast's bands learn from the reading; the forecast finished since, once.
+
+        Raises what the computation of that forecast raised.
+        """
+        # The guards look first: they judge by the bands as they were when the forecast was made.
+        self.guards.look(prediction, self.outlook.calibration)
+        self.outlook.settle(prediction.time, prediction.measured)
+        if prediction.reset:
+            self.outlook.void()  # before it is collected: it began from what is no longer known
         finished = self.outlook.collect()
         if finished is not None:
             self.guards.made(finished.forecast)
