@@ -1,4 +1,4 @@
-"""Is the device there, does it speak, and who is it? Each step has its sentence; the first failure ends it."""
+"""`decanter plc probe`: is the device there, does it speak, and who is it? The first step that fails ends it."""
 
 import time
 from collections.abc import Mapping
@@ -6,11 +6,17 @@ from contextlib import AsyncExitStack, suppress
 from statistics import median
 from typing import Any
 
+import click
+
 from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, open_registers
-from gateway.commission.outcome import Outcome, Site
-from gateway.commission.steps import Step, failed, ok, verdict, warning
-from gateway.commission.survey.addresses import Register, parse_register
+from gateway.commission.session.gateway_line import mention_gateway
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
+from gateway.commission.session.target import CONNECT_S, Target
+from gateway.commission.survey.addresses import Register
 from gateway.commission.survey.bus_probe import probe_bus
 from gateway.commission.survey.network import (
     addresses_of,
@@ -20,8 +26,7 @@ from gateway.commission.survey.network import (
     looks_like,
     not_modbus,
 )
-from gateway.commission.target import CONNECT_S, Target
-from gateway.commission.through import mention_gateway
+from gateway.commission.survey.registers import first_register
 
 ROUND_TRIPS = 10
 OTHER_UNITS = (1, 255, 0, 2, 247)
@@ -31,9 +36,9 @@ _ILLEGAL_FUNCTION = 1
 _TABLES = ("coil", "discrete", "input", "holding")
 
 
-async def probe(site: Site) -> Outcome:
+async def probe_device(site: Site) -> CommandResult:
     """Every step to the device, who it is, and which tables it offers. Sends reads only."""
-    steps: list[Step] = []
+    steps: list[CheckStep] = []
     facts: dict[str, Any] = {}
     mention_gateway(site)
     if site.target.driver == "modbus":
@@ -41,10 +46,10 @@ async def probe(site: Site) -> Outcome:
     else:
         await probe_bus(site, steps, facts)
     code, complaint = verdict(steps)
-    return Outcome({"steps": [step.plain() for step in steps], **facts}, code, complaint)
+    return CommandResult({"steps": [step.plain() for step in steps], **facts}, code, complaint)
 
 
-async def _probe_modbus(site: Site, steps: list[Step], facts: dict[str, Any]) -> None:
+async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -> None:
     settings = site.target.settings
     if "host" in settings and not await _way(str(settings["host"]), steps, facts):
         return
@@ -66,7 +71,7 @@ async def _probe_modbus(site: Site, steps: list[Step], facts: dict[str, Any]) ->
             site.count(survey.statistics())
 
 
-async def _way(host: str, steps: list[Step], facts: dict[str, Any]) -> bool:
+async def _way(host: str, steps: list[CheckStep], facts: dict[str, Any]) -> bool:
     """Name and route; False ends the probe."""
     try:
         facts["addresses"] = await addresses_of(host)
@@ -100,7 +105,7 @@ def port_of(settings: Mapping[str, Any]) -> int:
 # ---------------------------------------------------------------- does it speak Modbus
 
 
-async def _speaks(site: Site, survey: AsksRegisters, steps: list[Step]) -> Register | None:
+async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> Register | None:
     """Whether the unit answers; the register that was asked."""
     register = first_register(site.target)
     unit = int(site.target.settings.get("unit", 1))
@@ -180,7 +185,7 @@ async def _with_others(survey: AsksRegisters, unit: int, said: str) -> str:
 # ---------------------------------------------------------------- who is it
 
 
-async def _facts(survey: AsksRegisters, register: Register, steps: list[Step], facts: dict[str, Any]) -> None:
+async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckStep], facts: dict[str, Any]) -> None:
     try:
         facts["identity"] = dict(await survey.identity())
         steps.append(ok("identity", ", ".join(f"{name} {text}" for name, text in facts["identity"].items()) or "empty"))
@@ -214,10 +219,16 @@ async def _tables(survey: AsksRegisters) -> dict[str, str]:
     return found
 
 
-def first_register(target: Target) -> Register:
-    """The address of the first tag, or holding:0 without a map."""
-    return parse_register(target.tags[0].address) if target.tags else Register("holding", 0)
-
-
 def _ms(begun: float) -> str:
     return f"{1e3 * (time.monotonic() - begun):.1f} ms"
+
+
+@click.command()
+@link_options
+def probe(given: SharedOptions) -> None:
+    """Is the device there, does it speak, and who is it?
+
+    Name, route, connection, first reply, identity, tables and round trip; for CAN the bus, its traffic and the node.
+    Each step that fails has its own sentence. Nothing but reads is sent.
+    """
+    perform(given, "probe", {}, probe_device, show_steps)

@@ -10,10 +10,11 @@ from typing import Any
 from rich.console import Console, RenderableType
 from rich.live import Live
 
+from gateway.demo.child import DemoError, last_words
 from gateway.demo.links import LINKS
 from gateway.demo.live import live_table, read_status
-from gateway.demo.prepare import Setting, write_plant
-from gateway.demo.processes import READY_S, DemoError, Plc, gateway, last_words, software_plc
+from gateway.demo.prepare import DemoRun, write_plant
+from gateway.demo.processes import READY_S, PlcProcess, gateway, software_plc
 
 OUTAGE_AT = 0.45
 """Where in the replay the PLC refuses its connections, as a share of its duration."""
@@ -21,7 +22,7 @@ OUTAGE_S = 2.0
 REFRESH_S = 0.25
 
 
-def play(setting: Setting, console: Console, *, quiet: bool) -> tuple[Path, Path]:
+def play(setting: DemoRun, console: Console, *, quiet: bool) -> tuple[Path, Path]:
     """Run it; returns the PLC's recording and the gateway's historian. Raises DemoError.
 
     The folder has no recording and no historian of an earlier run.
@@ -44,7 +45,7 @@ def play(setting: Setting, console: Console, *, quiet: bool) -> tuple[Path, Path
     return recording, historian
 
 
-def _wait_for_readings(status: Path, process: "subprocess.Popen[bytes]", folder: Path) -> None:
+def _wait_for_readings(status: Path, process: subprocess.Popen[bytes], folder: Path) -> None:
     deadline = time.monotonic() + READY_S
     while time.monotonic() < deadline:
         seen = read_status(status)
@@ -63,7 +64,7 @@ def _phase(account: Mapping[str, Any], status: Mapping[str, Any]) -> str:
 
 
 def _states(
-    setting: Setting, plc: Plc, process: "subprocess.Popen[bytes]", status: Path
+    setting: DemoRun, plc: PlcProcess, process: subprocess.Popen[bytes], status: Path
 ) -> Iterator[tuple[str, RenderableType]]:
     """(phase, table) four times a second, the last at the end of the trace. Raises DemoError."""
     ended = False

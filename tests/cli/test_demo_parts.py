@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from gateway.demo.child import last_words, stop
 from gateway.demo.folder import MARKER, WRITTEN, clear, held
 from gateway.demo.live import live_table
 from gateway.demo.prepare import limit_for, pace, split, suits, write_device
-from gateway.demo.processes import last_words, stop
 from gateway.demo.summary import outage
 from gateway.plant.devices import load_device
 from sim.sha.events import DECANTER

@@ -9,7 +9,7 @@ from tomlkit.items import AoT, Comment, Table, Whitespace
 
 from gateway.checked import ConfigError, read_toml
 from gateway.commission.files.toml_edit import put
-from gateway.commission.plc_side.fields import described
+from gateway.commission.writeback.fields import described
 from gateway.plant.devices import BLOCK_FIELDS
 
 PLACE_KEYS = (

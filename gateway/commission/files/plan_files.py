@@ -10,7 +10,9 @@ import tomlkit
 from gateway.checked import ConfigError, read_toml
 from gateway.commission.files.device_file import PLACE_KEYS, set_device, starter
 from gateway.commission.files.toml_edit import Edit, commit, edited, put
-from gateway.commission.target import CONNECT_S, Target, TargetError, make_target
+from gateway.commission.session.target import CONNECT_S, Target, TargetError, make_target
+from gateway.plant.config import load_config
+from gateway.plant.devices import load_device
 
 _PLANT = """\
 # The gateway's configuration. Relative paths are relative to this file. `decanter check` says what is wrong with it.
@@ -34,7 +36,7 @@ limit = 80.0                 # degC
 path = "out/historian.sqlite"
 
 [log]
-path = "out/gateway.plant.log.jsonl"
+path = "out/gateway.log.jsonl"
 """
 _SHORT_FORM = frozenset({"host", "port", "timeout"})
 
@@ -181,9 +183,6 @@ def save(device: Edit, plant: Edit | None) -> list[Path]:
 
     Raises ConfigError (for the plant file: the device file stands then) or OSError.
     """
-    from gateway.plant.config import load_config
-    from gateway.plant.devices import load_device
-
     backups = [commit(device, load_device)] if device.changed else []
     if plant is not None and plant.changed:
         try:
