@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import Clock
-from drivers.errors import DeviceException, DriverError
+from drivers.errors import DeviceException, DriverError, LinkFault
 from drivers.modbus.wire import Reply, Secured, Wire
 from drivers.settings import Setting, check_settings
 
@@ -61,6 +61,7 @@ class AnyWire(Protocol):
 
     foreign: int
     last: bytes
+    fault: LinkFault
 
     async def connect(self) -> None: ...
 

@@ -47,7 +47,7 @@ class HmiReading:
     where: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
     """One comparison. `tolerance` is by how much the two may differ; `definition` says which place the tag had."""
 
@@ -159,7 +159,16 @@ def compare(tag: Tag, shown: HmiReading, values: Sequence[Value], now: float, sl
     """
     wanted, tolerance = _meaning(tag, shown, slack)
     ok, read, reason = _agreement(wanted, values, tolerance, tag)
-    return Point(tag.name, shown.text, read, ok, reason, tolerance, definition_of(tag), now)
+    return Point(
+        tag=tag.name,
+        shown=shown.text,
+        read=read,
+        ok=ok,
+        reason=reason,
+        tolerance=tolerance,
+        definition=definition_of(tag),
+        time=now,
+    )
 
 
 def _meaning(tag: Tag, shown: HmiReading, slack: float) -> tuple[Value, float]:

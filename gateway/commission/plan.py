@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from drivers.driver import Explains
+from drivers.driver import Explains, PlanKind
 from drivers.survey import ReadPlan, read_plan
 from gateway.commission.session.options import SharedOptions, link_options
 from gateway.commission.session.perform import perform
@@ -71,15 +71,13 @@ def _reference(place: str, count: int) -> str:
 def _by_sentences(site: Site, device: DeviceMap, period: float) -> CommandResult:
     """A device that speaks by itself: what its driver says of the plan."""
     driver = site.target.make_driver()
-    said = list(driver.explain(device.tags)) if isinstance(driver, Explains) else []
-    names = tuple(f"{tag.name}: " for tag in device.tags)
-    problems = [line for line in said if line.startswith(names)]
-    if not said:
-        said = [f"the driver {site.target.driver!r} has no plan to show"]
+    lines = driver.explain(device.tags) if isinstance(driver, Explains) else ()
+    problems = [line for line in lines if line.kind is PlanKind.PROBLEM]
+    sentences: list[str] = [*lines] or [f"the driver {site.target.driver!r} has no plan to show"]
     site.notes.append(
         "this device speaks by itself: a scan takes what it has said, and asks only for what is listed so"
     )
-    data = {"sentences": said, "tags": len(device.tags), "period_s": period, "problems": problems}
+    data = {"sentences": sentences, "tags": len(device.tags), "period_s": period, "problems": problems}
     complaint = f"{len(problems)} tags cannot be read, the first: {problems[0]}" if problems else ""
     return CommandResult(data, int(bool(problems)), complaint)
 

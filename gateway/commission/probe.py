@@ -1,14 +1,14 @@
 """`decanter plc probe`: is the device there, does it speak, and who is it? The first step that fails ends it."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
 from statistics import median
 from typing import Any
 
 import click
 
-from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, open_registers
 from gateway.commission.session.gateway_line import mention_gateway
 from gateway.commission.session.options import SharedOptions, link_options
@@ -115,7 +115,8 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
     except DeviceException as error:
         if error.code in _BEHIND_GATEWAY:
             said = f"a gateway answers for unit {unit} that it cannot reach it (exception {error.code})"
-            steps.append(failed("modbus", await _with_others(survey, unit, said), error))
+            said += _hint(await _other_units(survey, unit))
+            steps.append(failed("modbus", said, error))
             return None
         steps.append(ok("modbus", f"unit {unit} answers in {_ms(begun)}, with a refusal: {error}"))
     except ReplyTimeout as error:
@@ -136,7 +137,7 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
 def _strange(site: Site, error: LinkDown) -> str:
     """The peer was there and broke off: another protocol, or busy."""
     received = site.evidence.greeting
-    if received and ("not Modbus TCP" in str(error) or looks_like(received)):
+    if received and (error.fault is LinkFault.FOREIGN or looks_like(received)):
         return not_modbus(port_of(site.target.settings), received)
     return str(error)
 
@@ -146,8 +147,9 @@ async def _silent(
 ) -> tuple[str, ReplyTimeout | LinkDown]:
     """Connected and no reply: another unit, another protocol, or nothing at all. The sentence, and its kind."""
     settings = site.target.settings
-    said = await _with_others(survey, unit, f"unit {unit} does not answer")
-    if "give --unit" in said or site.target.kind not in ("modbus", "modbus-rtu-tcp"):
+    others = await _other_units(survey, unit)
+    said = f"unit {unit} does not answer{_hint(others)}"
+    if others or site.target.kind not in ("modbus", "modbus-rtu-tcp"):
         return said, error
     received = site.evidence.greeting or await greeting_of(str(settings["host"]), port_of(settings))
     if looks_like(received):
@@ -161,8 +163,8 @@ async def _silent(
     return sentence, error
 
 
-async def _with_others(survey: AsksRegisters, unit: int, said: str) -> str:
-    """The sentence with the units that do answer, where some do."""
+async def _other_units(survey: AsksRegisters, unit: int) -> list[int]:
+    """The units that do answer, of those that devices have where nothing was set."""
     found = []
     for other in OTHER_UNITS:
         if other == unit:
@@ -177,9 +179,12 @@ async def _with_others(survey: AsksRegisters, unit: int, said: str) -> str:
             break
         else:
             found.append(other)
-    if not found:
-        return said
-    return f"{said}, and unit {' and '.join(map(str, found))} does: give --unit {found[0]}"
+    return found
+
+
+def _hint(others: Sequence[int]) -> str:
+    """What goes on the sentence of a silent unit; "" where no other one answers."""
+    return f", and unit {' and '.join(map(str, others))} does: give --unit {others[0]}" if others else ""
 
 
 # ---------------------------------------------------------------- who is it

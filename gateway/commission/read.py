@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from drivers.codec import registers_needed
-from drivers.driver import Explains
+from drivers.driver import Explains, PlanKind
 from drivers.survey import Raw, open_bus_survey, open_registers
 from drivers.tag import DType, Order, Quality, Sample, Tag
 from gateway.commission.session.gateway_line import read_through, running_gateway
@@ -58,7 +58,7 @@ def tags_of(site: Site, wanted: Sequence[str], how: How) -> list[Tag]:
 
 def _addressed(site: Site, text: str, how: How, known: Sequence[str]) -> list[Tag]:
     dtype = how.dtype or DType.UINT16
-    plain = Tag("", "", dtype, how.order, how.scale, how.offset, bit=how.bit, length=how.length)
+    plain = Tag("", "", dtype, order=how.order, scale=how.scale, offset=how.offset, bit=how.bit, length=how.length)
     if site.target.driver != "modbus":
         return [replace(plain, name=text, address=text)]
     try:
@@ -134,7 +134,7 @@ async def _driven(site: Site, tags: Sequence[Tag]) -> list[Raw]:
                 await asyncio.sleep(_LOOK_S)
                 samples = await driver.read(tags)
             if isinstance(driver, Explains):
-                site.notes.extend(line for line in driver.explain(tags) if "late after" in line or "bad after" in line)
+                site.notes.extend(line for line in driver.explain(tags) if line.kind is PlanKind.HEARD)
         finally:
             site.count(driver.statistics())
     return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
@@ -221,7 +221,15 @@ def read(
     Without WHAT all tags are read.
     """
     kind = DType(dtype) if dtype else None
-    how = How(kind, Order(order), scale, offset, bit, length if kind is DType.STRING else 0, count)
+    how = How(
+        dtype=kind,
+        order=Order(order),
+        scale=scale,
+        offset=offset,
+        bit=bit,
+        length=length if kind is DType.STRING else 0,
+        count=count,
+    )
     arguments = {"what": list(what), "type": dtype, "order": order, "scale": scale, "offset": offset, "count": count}
     perform(given, "read", arguments, lambda site: read_tags(site, what, how), show_readings)
 

@@ -198,7 +198,14 @@ def replay(given: SharedOptions, recording: Path) -> None:
             raise ValueError("which gateway? Give its plant file (--config FILE)")
         config = load_config(given.plant)
         check_writable(given.records)
-        target = Target("", "soft", {}, config.map, config, (given.plant, config.map.path, recording))
+        target = Target(
+            kind="",
+            driver="soft",
+            settings={},
+            map=config.map,
+            config=config,
+            files=(given.plant, config.map.path, recording),
+        )
 
     async def work(site: Site) -> CommandResult:
         with progress("replay") as report:

@@ -71,7 +71,7 @@ async def soak_device(
             try:
                 await _first(driver, site)
                 before = dict(driver.statistics())
-                await _scans(driver, site, tally, (duration, period), recorder, progress)
+                await _scans(driver, site, tally, times=(duration, period), recorder=recorder, progress=progress)
             except asyncio.CancelledError:  # Ctrl-C: asyncio.run cancels the task, and what was counted is shown
                 site.notes.append("stopped before its time")
             finally:

@@ -136,7 +136,7 @@ async def by_questions(
             if answer.lower() == "q":
                 return outcome(tags, points, before, complete=complete)
             if answer:
-                await _answered(site, tag, answer, points, tell, slack)
+                await _answered(site, tag, answer, points=points, tell=tell, slack=slack)
         rest = any(left_to_do(tag, [*before, *points]) for tag in left)
         question = "bring the plant into another state, then press Enter (q ends)"
         if rest and (await asyncio.to_thread(ask, question)).strip().lower() == "q":

@@ -114,7 +114,9 @@ def perform(seed: int, out: Path) -> dict[str, Any]:
     with progress("learning before the change") as report:
         learned = learn_from(plant.before, column_map, name="bearing", seed=seed, report=report)
     write(before, learned)
-    request = DiagnosisRequest(str(before), folder, str(out / "after"), seed, MOST, time.time())
+    request = DiagnosisRequest(
+        where=str(before), out=folder, source=str(out / "after"), seed=seed, most=MOST, created=time.time()
+    )
     with progress("diagnosing after it") as report:
         told = run(request, learned.model, plant.after, roles_of(column_map), report)
     return figures(document(told.diagnosis), folder)

@@ -12,7 +12,7 @@ from rich.live import Live
 
 from gateway.demo.child import DemoError, last_words
 from gateway.demo.links import LINKS
-from gateway.demo.live import live_table, read_status
+from gateway.demo.live import DemoPhase, live_table, read_status
 from gateway.demo.prepare import DemoRun, write_plant
 from gateway.demo.processes import READY_S, PlcProcess, gateway, software_plc
 
@@ -57,15 +57,17 @@ def _wait_for_readings(status: Path, process: subprocess.Popen[bytes], folder: P
     raise DemoError(f"the gateway did not get a good reading: {last_words(folder / 'gateway.out')}")
 
 
-def _phase(account: Mapping[str, Any], status: Mapping[str, Any]) -> str:
+def _phase(account: Mapping[str, Any], status: Mapping[str, Any]) -> DemoPhase:
+    if account["ended"]:
+        return DemoPhase.ENDED
     if any(fault["in_force"] for fault in account["faults"]):
-        return "OUTAGE: the PLC refuses its connections"
-    return "running" if status["link"]["alive"] else "recovering"
+        return DemoPhase.OUTAGE
+    return DemoPhase.RUNNING if status["link"]["alive"] else DemoPhase.RECOVERING
 
 
 def _states(
     setting: DemoRun, plc: PlcProcess, process: subprocess.Popen[bytes], status: Path
-) -> Iterator[tuple[str, RenderableType]]:
+) -> Iterator[tuple[DemoPhase, RenderableType]]:
     """(phase, table) four times a second, the last at the end of the trace. Raises DemoError."""
     ended = False
     while not ended:
@@ -75,20 +77,20 @@ def _states(
         account, seen = plc.command("status"), read_status(status)
         ended = bool(account["ended"])
         if seen is not None and seen["prediction"]:
-            phase = "end of the trace" if ended else _phase(account, seen)
+            phase = _phase(account, seen)
             yield phase, live_table(seen, account, setting.model.temperature, phase)
         time.sleep(0.0 if ended else REFRESH_S)
 
 
-def _watch_live(states: Iterator[tuple[str, RenderableType]], console: Console) -> None:
+def _watch_live(states: Iterator[tuple[DemoPhase, RenderableType]], console: Console) -> None:
     with Live(console=console, refresh_per_second=8) as screen:
         for _, table in states:
             screen.update(table)
 
 
-def _watch_plainly(states: Iterator[tuple[str, RenderableType]], console: Console) -> None:
+def _watch_plainly(states: Iterator[tuple[DemoPhase, RenderableType]], console: Console) -> None:
     """Off a terminal: the table once for each phase."""
-    shown = ""
+    shown: DemoPhase | None = None
     for phase, table in states:
         if phase != shown:
             console.print(table)

@@ -32,7 +32,7 @@ PLANT_LIMIT = 80.0
 Report = Callable[[str, float], None]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DemoRun:
     """All files of one demonstration in `folder`, and the figures that its processes need.
 

@@ -36,7 +36,7 @@ from sim.traces.column_map import ColumnMap, load_map
 Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DiagnosisRequest:
     """What is to be diagnosed, and where the result goes. `created` is the time for the report, in seconds UTC.
 
@@ -198,7 +198,14 @@ def diagnose(
         raise click.UsageError("--since belongs to --historian")
     with sentences(), progress("diagnosing") as report:
         request = DiagnosisRequest(
-            where, out, _source(sources, historian), seed, most, time.time(), temperature, not no_report
+            where=where,
+            out=out,
+            source=_source(sources, historian),
+            seed=seed,
+            most=most,
+            created=time.time(),
+            temperature=temperature,
+            report=not no_report,
         )
         report("reading", 0.0)
         model, traces, column_map = _read(request, sources, historian, since, map_name)

@@ -36,7 +36,7 @@ class EngineOptions:
     seed: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ExportOptions:
     """What is to be written, and where; `engine` None does not run anything."""
 
@@ -126,12 +126,12 @@ def _run(
     """Both files answered by the engine: the comparison's rows, and a sentence for each file that failed."""
     chosen = order.engine or EngineOptions(None, 600.0, 0)
     rng = np.random.default_rng(chosen.seed)
-    native = native_runs(model, trace, exported.replay, order.policy, order.tick, rng)
+    native = native_runs(model, trace, exported.replay, policy=order.policy, tick=order.tick, rng=rng)
     rows, failures = [], []
     for document in (exported.minimal, exported.main):
         path = _path(order.out, document)
         wanted = len(document.questions)
-        ran = run_engine(engine, path, path.with_suffix(".q"), wanted, chosen.timeout, chosen.seed)
+        ran = run_engine(engine, path, path.with_suffix(".q"), wanted=wanted, timeout=chosen.timeout, seed=chosen.seed)
         rows += compare(document.questions, ran.output.answers, native, model)
         if ran.failure:
             failures.append(f"{document.name}: {ran.failure}")
@@ -203,7 +203,7 @@ def export(
         if uppaal:
             traces, column_map = load(paths, map_name)
             engine = EngineOptions(verifyta, timeout, seed) if wanted or verifyta else None
-            order = ExportOptions(out, tuple(queries), policy, start, tick, engine)
+            order = ExportOptions(out=out, queries=tuple(queries), policy=policy, start=start, tick=tick, engine=engine)
             data["traces"] = export_uppaal(model, traces, column_map, order, report)
     emit(data, lambda: _show(data), as_json_line=as_json)
     failed = [str(row["error"]) for row in data["traces"] if "error" in row]

@@ -68,7 +68,7 @@ def learn(
             raise ValueError(f"--{_option(settings)} belongs to --method lsha; leave it out, or choose that method")
         traces, column_map = load(paths, map_name)
         if method == "lsha":
-            data, show = _lsha(traces, column_map, name, seed, settings, report, out)
+            data, show = _lsha(traces, column_map, name, seed=seed, settings=settings, report=report, out=out)
         else:
             learned = learn_from(traces, column_map, name=name, seed=seed, report=report)
             written = write(out, learned)

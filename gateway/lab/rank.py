@@ -40,7 +40,7 @@ class RankingInput:
     facts: dict[str, Facts]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RankingRequest:
     """What to compare: `models` along the traces of `paths`, or the results in `folders` (with models at hand)."""
 
@@ -70,7 +70,7 @@ def _fresh(wish: RankingRequest, progress: Progress) -> RankingInput:
     prepared = _prepared(wish, training)
     run = run_here(wish.jobs or len(os.sched_getaffinity(0)))
     settings = Settings(wish.runs, seed=wish.seed)
-    told = outcomes_by_model(prepared, traces, unread(report, traces), settings, run, progress)
+    told = outcomes_by_model(prepared, traces, unread(report, traces), settings=settings, run=run, progress=progress)
     results = [outcome.result for _, outcomes in told for outcome in outcomes]
     return RankingInput(results, _by_entrant(results, {one.label: _facts(one, traces) for one in prepared}))
 
@@ -267,7 +267,15 @@ def rank(
                 check_picture(picture)
             used, bounds = Weights(*weights), limits_of(limits, synthetic=allow_synthetic)
             wish = RankingRequest(
-                models, paths, folders, shipped("traces", map_name), wanted, training, runs, jobs, seed
+                models=models,
+                paths=paths,
+                folders=folders,
+                map_file=shipped("traces", map_name),
+                wanted=wanted,
+                training=training,
+                runs=runs,
+                jobs=jobs,
+                seed=seed,
             )
             seen = compared(wish, report)
             found = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed)

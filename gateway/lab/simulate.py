@@ -42,7 +42,17 @@ def simulate_traces(
         report(trace.name, index / len(traces))
         wanted = picture if index == 0 else None
         try:
-            rows.append(_simulate_one(model, trace, runs, policy, start, np.random.default_rng([seed, index]), wanted))
+            rows.append(
+                _simulate_one(
+                    model,
+                    trace,
+                    runs,
+                    policy=policy,
+                    start=start,
+                    rng=np.random.default_rng([seed, index]),
+                    picture=wanted,
+                )
+            )
         except ValueError as error:
             rows.append({"trace": trace.name, "error": str(error)})
     return rows

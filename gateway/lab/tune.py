@@ -87,7 +87,7 @@ def tune(
         written = None
         if out is not None and not found.stopped:
             report("learning with the best settings", 1.0)
-            written = _write(found, traces, column_map, plan, name, out)
+            written = _write(found, traces, column_map, plan=plan, name=name, out=out)
     _tell(found, plan, study, written, as_json=as_json)
 
 
@@ -101,7 +101,7 @@ def _traces(paths: Sequence[str], map_name: str, *, cycles: bool) -> tuple[list[
 def _write(found: Tuning, traces: Sequence[Trace], column_map: ColumnMap, plan: Plan, name: str, out: Path) -> Path:
     if found.best is None:
         raise ValueError(f"{found.sentence}; nothing is written to {out}")
-    taught = final_model(traces, column_map.alphabet, column_map.temperature, plan, found.best, name)
+    taught = final_model(traces, column_map.alphabet, column_map.temperature, plan=plan, trial=found.best, name=name)
     write_model_directory(out, taught.model, taught.values)
     return out
 

@@ -35,7 +35,7 @@ from sim.validation.trace_run import Settings
 from sim.validation.verdicts import gain, summaries, verdict
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ValidationRequest:
     """The options of `decanter model validate`. `created` is the time for the report, in seconds UTC."""
 
@@ -73,7 +73,14 @@ def campaign(
         loading = load_stage(report, perf_counter() - begin)
         facts = _facts(request, traces)
         created = datetime.fromtimestamp(request.created, UTC).strftime("%Y-%m-%d %H:%M UTC")
-        plan = Plan(request.settings, run, workers, request.pictures, units(column_map), Campaign(created, facts))
+        plan = Plan(
+            settings=request.settings,
+            run=run,
+            workers=workers,
+            pictures=request.pictures,
+            units=units(column_map),
+            campaign=Campaign(created, facts),
+        )
         with held(request.out):
             stale = check_folder(request.out, overwrite=request.overwrite)  # again: nobody else can write there now
             folder = claim_folder(request.out, stale, (), {"created": created, **facts})
@@ -81,7 +88,16 @@ def campaign(
             made = [one or _taught(where, request, column_map, known, progress) for where, one in ready]
             prepared = relabelled(made)
             folder.assign([one.label for one in prepared])
-            return prepared, conduct(prepared, traces, unread(report, traces), loading, plan, folder, tell, progress)
+            return prepared, conduct(
+                prepared,
+                traces,
+                unread(report, traces),
+                loading=loading,
+                plan=plan,
+                folder=folder,
+                tell=tell,
+                progress=progress,
+            )
 
 
 @contextmanager
@@ -220,7 +236,18 @@ def validate(
         with sentences(), progress("validating") as bar, interruptible(bar) as report:
             place, settings = shipped("traces", map_name), Settings(runs, policy, seed)
             request = ValidationRequest(
-                models, paths, place, out, overwrite, wanted, training, settings, jobs, address, pictures, time.time()
+                models=models,
+                paths=paths,
+                map_file=place,
+                out=out,
+                overwrite=overwrite,
+                wanted=wanted,
+                training=training,
+                settings=settings,
+                jobs=jobs,
+                address=address,
+                pictures=pictures,
+                created=time.time(),
             )
             _, results = campaign(request, _quiet if as_json else click.echo, report)
     except KeyboardInterrupt:

@@ -115,7 +115,15 @@ def verify(
             found = find_model(model)
         else:
             found = find_model(model, alphabet=column_map.alphabet, temperature=column_map.temperature)
-        assumptions = Assumptions(z, sojourn, inputs, start, policy, not known, None if wear is None else wear * DAY)
+        assumptions = Assumptions(
+            z=z,
+            sojourn=sojourn,
+            inputs=inputs,
+            start=start,
+            policy=policy,
+            unknown=not known,
+            horizon=None if wear is None else wear * DAY,
+        )
         result = _verified(found, traces, bounds, assumptions)
         worst = _counterexample(result)
         if out is not None and worst is not None:

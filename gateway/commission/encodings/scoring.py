@@ -47,7 +47,7 @@ class Observation:
     shown: ShownNumber
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EncodingCandidate:
     """One encoding, its `weight` (log), its share of belief among all (0..1), and its values at the observations."""
 
@@ -62,7 +62,9 @@ class EncodingCandidate:
 
     def tag(self, table: str = "holding") -> Tag:
         """The encoding as a tag."""
-        return Tag("guess", f"{table}:{self.address}", self.dtype, self.order, self.scale, self.offset)
+        return Tag(
+            "guess", f"{table}:{self.address}", self.dtype, order=self.order, scale=self.scale, offset=self.offset
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +104,14 @@ def _shared(
     total = sum(math.exp(one[0] - best) for one in found) + math.exp(chance - best)
     return [
         EncodingCandidate(
-            at.address, at.dtype, at.order, scale, offset, weight, math.exp(weight - best) / total, values
+            address=at.address,
+            dtype=at.dtype,
+            order=at.order,
+            scale=scale,
+            offset=offset,
+            weight=weight,
+            share=math.exp(weight - best) / total,
+            values=values,
         )
         for weight, at, scale, offset, values in found[:KEPT]
     ]

@@ -41,7 +41,7 @@ path = "out/gateway.log.jsonl"
 _SHORT_FORM = frozenset({"host", "port", "timeout"})
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Files:
     """What is to be changed. `plant` is None where only a device file is given; `link` names one of the plant's.
 
@@ -76,7 +76,7 @@ def find_files(plant: Path | None, device: Path | None, link: str | None, given:
     driver, found = _driver_of(path, plant, link, given)
     place = {key: value for key, value in found.items() if key in PLACE_KEYS}
     settings = {key: value for key, value in found.items() if key not in PLACE_KEYS}
-    return Files(plant, path, driver, link, place, settings)
+    return Files(plant=plant, device=path, driver=driver, link=link, place=place, settings=settings)
 
 
 def _driver_of(
@@ -185,13 +185,8 @@ def save(device: Edit, plant: Edit | None) -> list[Path]:
     """
     backups = [commit(device, load_device)] if device.changed else []
     if plant is not None and plant.changed:
-        try:
-            backups.append(commit(plant, load_config))
-        except ConfigError as error:
-            if not device.changed:
-                raise
-            said = [problem.replace("nothing was written", f"{device.path} is written") for problem in error.problems]
-            raise ConfigError(said) from None
+        so_far = f"{device.path} is written" if device.changed else "nothing was written"
+        backups.append(commit(plant, load_config, so_far=so_far))
     return [path for path in backups if path is not None]
 
 

@@ -58,4 +58,11 @@ def as_request(tag: Tag) -> dict[str, Any]:
 def sample_of(given: dict[str, Any]) -> Sample:
     """A sample from its JSON."""
     quality = Quality[given["quality"]]
-    return Sample(given["tag"], given["value"], quality, given["time"], given["sent"], given["reason"])
+    return Sample(
+        tag=given["tag"],
+        value=given["value"],
+        quality=quality,
+        time=given["time"],
+        sent=given["sent"],
+        reason=given["reason"],
+    )

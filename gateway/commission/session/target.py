@@ -125,7 +125,16 @@ def _of_plant(path: Path, name: str | None, settings: Mapping[str, Any]) -> Targ
     link = _chosen(config.links, name)
     kind = _kind_of(link.map.driver, link.settings)
     files = (path, *(one.map.path for one in config.links))
-    return _complete(Target(kind, link.map.driver, {**link.settings, **settings}, link.map, config, files))
+    return _complete(
+        Target(
+            kind=kind,
+            driver=link.map.driver,
+            settings={**link.settings, **settings},
+            map=link.map,
+            config=config,
+            files=files,
+        )
+    )
 
 
 def _chosen(links: Sequence[Link], name: str | None) -> Link:
@@ -145,7 +154,7 @@ def _of_device(path: Path, link: str | None, settings: Mapping[str, Any]) -> Tar
     kind = link or _kind_of(device.driver, merged)
     if kind in KINDS and KINDS[kind].driver != device.driver:
         raise TargetError(f"--link: {kind!r} is of driver {KINDS[kind].driver!r}, and {path} of {device.driver!r}")
-    return _complete(Target(kind, device.driver, merged, device, None, (path,)))
+    return _complete(Target(kind=kind, driver=device.driver, settings=merged, map=device, config=None, files=(path,)))
 
 
 def _kind_of(driver: str, settings: Mapping[str, Any]) -> str:

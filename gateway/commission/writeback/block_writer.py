@@ -222,7 +222,15 @@ async def open_block_writer(site: Site, audit_path: Path, ask: Ask | None = None
                 raise WriteForbidden("this driver cannot write")
             begun = int(time.time()) & 0xFFFF  # where the last command left off is not known
             writer = BlockWriter(
-                device, layout, driver, driver, audit, arming, ask, sequence=begun, heartbeat=begun or 1
+                device=device,
+                layout=layout,
+                driver=driver,
+                writes=driver,
+                audit=audit,
+                arming=arming,
+                ask=ask,
+                sequence=begun,
+                heartbeat=begun or 1,
             )
             try:
                 yield writer
