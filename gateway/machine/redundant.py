@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.driver import Cautions, Complains, Driver, Explains, Writes
+from drivers.driver import Cautions, Complains, Driver, Explains, PlanLine, Writes
 from drivers.errors import AddressError, DeviceException, DriverError, EncodingError, LinkDown, WriteForbidden
 from drivers.tag import Quality, Sample, Tag, Value
 from gateway.machine.quality import LINK_FAULTS
@@ -133,13 +133,13 @@ class Redundant:
             own |= {f"{state.way.name}: {key}": value for key, value in state.way.driver.statistics().items()}
         return own
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """The plan of each link in sentences."""
-        said: list[str] = []
+        said: list[PlanLine] = []
         for state in self._states:
             driver = state.way.driver
             plan = driver.explain([state.way.tags[tag.name] for tag in tags]) if isinstance(driver, Explains) else ()
-            said += [f"{state.way.name}: {line}" for line in plan]
+            said += [PlanLine(f"{state.way.name}: {line}", line.kind) for line in plan]
         return tuple(said)
 
     def cautions(self) -> tuple[str, ...]:

@@ -25,8 +25,9 @@ from drivers.settings import ConfigError
 from gateway.cli.main import COMMANDS, main
 from gateway.cli.model import COMMANDS as MODEL_COMMANDS
 from gateway.cli.trace import trace
+from gateway.console.exits import Exit, exit_code, sentence, sentences
 from gateway.console.lazy import LazyGroup
-from gateway.console.output import Exit, as_json, exit_code, sentence, sentences
+from gateway.console.output import as_json
 from gateway.store.historian import HistorianError
 from sim.artefacts.files import ArtefactError
 from sim.traces.load_report import TraceError
