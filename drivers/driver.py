@@ -5,9 +5,10 @@ A driver speaks one device. Polled and pushed inputs are two verbs: `Driver.read
 
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from enum import Enum
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 from drivers.capabilities import Capabilities, LinkKind
 from drivers.errors import DriverError
@@ -91,11 +92,31 @@ class Recorded(Protocol):
         ...
 
 
+class PlanKind(Enum):
+    """What a line of a plan is about."""
+
+    PROBLEM = "problem"  # a tag that cannot be read, and why
+    HEARD = "heard"  # what comes by itself, and after how long without it it is late
+    OTHER = "other"  # a request, a cost, a source
+
+
+class PlanLine(str):
+    """One sentence of a plan for people, and its kind for those who decide by it."""
+
+    __slots__ = ("kind",)
+    kind: PlanKind
+
+    def __new__(cls, sentence: str, kind: PlanKind = PlanKind.OTHER) -> Self:
+        line = super().__new__(cls, sentence)
+        line.kind = kind
+        return line
+
+
 @runtime_checkable
 class Explains(Protocol):
     """A driver that can say beforehand how it would read."""
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """The plan in sentences: tags that cannot be read and why, each request, the worst-case cycle time."""
         ...
 

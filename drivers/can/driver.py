@@ -24,7 +24,7 @@ from drivers.can.signals import Place, SignalMap, describe
 from drivers.can.streaming import Stream
 from drivers.can.writing import WriteMap
 from drivers.codec import Reading
-from drivers.driver import Clock
+from drivers.driver import Clock, PlanKind, PlanLine
 from drivers.errors import AddressError, DriverError, LinkDown
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.settings import check_settings
@@ -142,18 +142,19 @@ class CanDriver:
         now = time.monotonic()
         return [self._sample(self._hearing(tag), now) for tag in tags]
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """In sentences: what cannot be read and why, each message with its timeout and signals, what may be sent."""
         heard = [self._hearing(tag) for tag in tags]
-        left_out = [f"{one.tag.name}: {one.problem}" for one in heard if one.problem]
+        left_out = [PlanLine(f"{one.tag.name}: {one.problem}", PlanKind.PROBLEM) for one in heard if one.problem]
         sent = [
             f"{frame_name(frame.key)}{layout_name(frame.conditions)} may be sent, {frame.length} bytes, echo "
             f"{frame_name(frame.echo)}: "
             f"{', '.join(frame.places)}"
             for frame in self._write_map.frames
         ]
-        plain = describe([one.place for one in heard if one.place is not None])
-        return (*left_out, *plain, *self._messages.describe(), *sent)
+        places = [one.place for one in heard if one.place is not None]
+        plain = [PlanLine(line, PlanKind.HEARD) for line in describe(places)]
+        return (*left_out, *plain, *self._messages.describe(), *map(PlanLine, sent))
 
     # ------------------------------------------------------------ Streams
 

@@ -13,6 +13,7 @@ from drivers.can.frame import CanFrame
 from drivers.can.reception import Channel, Reception, Slot
 from drivers.can.settings import CanSettings
 from drivers.codec import Reading
+from drivers.driver import PlanLine
 from drivers.tag import Tag
 
 PREFIXES = ("obd:", "spn:", "pgn:", "j1939:", "dm1:")
@@ -44,7 +45,7 @@ class MessageDecoder(Protocol):
         """What was read last for the slot's tag."""
         ...
 
-    def describe(self) -> list[str]:
+    def describe(self) -> list[PlanLine]:
         """In sentences: the tags that are listened for with their timeouts, and what is asked for."""
         ...
 

@@ -9,7 +9,7 @@ from typing import Any
 from pymodbus.pdu import ModbusPDU
 
 from drivers.codec import decode, encode
-from drivers.driver import Clock
+from drivers.driver import Clock, PlanKind, PlanLine
 from drivers.errors import (
     AddressError,
     DeviceException,
@@ -155,13 +155,14 @@ class ModbusDriver:
                 samples[id(span.tag)] = self._no(span.tag, *self._refused.verdict(span, now))
         return [samples[id(tag)] for tag in tags]
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """The block plan in sentences: what cannot be read and why, each request, the worst-case cycle time."""
         layout = self._layout(tags)
         refused = [(span, refusal_of(span, layout.quarantine)) for span in layout.spans]
         left_out = [reason for _, reason in layout.misplaced]
         left_out += [f"{span.tag.name}: in quarantine: {refusal.reason}" for span, refusal in refused if refusal]
-        return (*left_out, *describe(layout.blocks, self._limits, self._settings.timeout))
+        problems = [PlanLine(line, PlanKind.PROBLEM) for line in left_out]
+        return (*problems, *map(PlanLine, describe(layout.blocks, self._limits, self._settings.timeout)))
 
     def cautions(self) -> tuple[str, ...]:
         """What works and should not stay as it is, in sentences: a key that others may read, a certificate's end."""

@@ -15,7 +15,7 @@ import serial
 from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import Clock
-from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus import rtu
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.verify import Asked, check_reply
@@ -59,6 +59,7 @@ class LineWire:
         self._tap = current()
         self.foreign = 0
         self.last = b""
+        self.fault = LinkFault.OTHER
 
     async def connect(self) -> None:
         """Open the line; the caller sets the deadline by cancelling. Raises LinkDown with the system's own reason."""
@@ -215,10 +216,11 @@ class LineWire:
             place, local = self._port.ends
             self._tap(moved("tcp" if local else "serial", place, data, sent=sent, local=local))
 
-    def broken(self, reason: str) -> None:
+    def broken(self, reason: str, fault: LinkFault = LinkFault.OTHER) -> None:
         """The line is gone."""
         if self._port is not None:
             self.abandon()
+            self.fault = fault
             self._on_lost(f"{self._settings.place}: {reason}")
 
 
@@ -285,7 +287,7 @@ class _Dialled(asyncio.Protocol):
         self._wire.heard(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._wire.broken("the peer closed the connection")
+        self._wire.broken("the peer closed the connection", LinkFault.CLOSED)
 
     @property
     def ends(self) -> tuple[str, str]:

@@ -10,7 +10,7 @@ from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 
 from drivers.codec import decode
 from drivers.driver import Clock
-from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area, Span, locate
 from drivers.modbus.plan import Block, Limits, fitting, plan_spans
 from drivers.modbus.settings import ModbusSettings, read_settings
@@ -45,7 +45,7 @@ class ModbusSurvey:
         self._transport = make_transport(settings, clock)
         self._limits = Limits(settings.max_registers, settings.max_bits, settings.max_gap)
         self._wire: AnyWire | None = None
-        self._lost = ""
+        self._lost, self._fault = "", LinkFault.OTHER
         self._answered = False
         self._last_exchange = float("-inf")
         self._foreign = 0
@@ -59,7 +59,8 @@ class ModbusSurvey:
             async with asyncio.timeout(deadline):
                 await wire.connect()
         except TimeoutError:
-            raise LinkDown(f"no connection within {deadline:g} s: nobody answers there at all") from None
+            said = f"no connection within {deadline:g} s: nobody answers there at all"
+            raise LinkDown(said, fault=LinkFault.SILENT) from None
         self._wire, self._lost = wire, ""
         self._counts["connects"] += 1
 
@@ -172,8 +173,8 @@ class ModbusSurvey:
             raise
         except LinkDown as error:
             self.close()
-            self._lost = str(error)
-            raise self._turned_away() if not self._answered else LinkDown(self._lost) from None
+            self._lost, self._fault = str(error), error.fault
+            raise self._turned_away() if not self._answered else LinkDown(self._lost, fault=self._fault) from None
         finally:
             self._last_exchange = _now()
         self._answered = True
@@ -181,16 +182,18 @@ class ModbusSurvey:
 
     def _turned_away(self) -> LinkDown:
         """The connection was made and ended before any answer: what that means."""
-        if "closed the connection" in self._lost and "TLS" not in self._lost:
+        if self._fault is LinkFault.CLOSED:
             return LinkDown(
                 f"{self._lost} before it answered anything: it may be busy with another client (some devices serve "
-                "one at a time), or it does not accept this machine's address"
+                "one at a time), or it does not accept this machine's address",
+                fault=self._fault,
             )
-        return LinkDown(self._lost)
+        return LinkDown(self._lost, fault=self._fault)
 
     def _on_lost(self, reason: str) -> None:
         wire, self._wire, self._lost = self._wire, None, reason
         if wire is not None:
+            self._fault = wire.fault
             self._foreign += wire.foreign
 
 

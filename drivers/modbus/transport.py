@@ -9,7 +9,7 @@ from typing import Protocol
 from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import Clock
-from drivers.errors import DeviceException
+from drivers.errors import DeviceException, LinkFault
 from drivers.modbus.serial_line import LineWire, Quiet
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.wire import Reply, Secured, Wire
@@ -22,6 +22,7 @@ class AnyWire(Protocol):
 
     foreign: int
     last: bytes
+    fault: LinkFault
 
     async def connect(self) -> None: ...
 

@@ -9,6 +9,7 @@ from drivers.can.notations import Send
 from drivers.can.reception import Channel, Reception, Rules, Slot
 from drivers.can.settings import CanSettings
 from drivers.codec import Reading
+from drivers.driver import PlanKind, PlanLine
 from drivers.errors import AddressError, DriverError
 from drivers.tag import Quality, Tag
 from drivers.vehicle.decoding import Vehicle
@@ -67,10 +68,13 @@ class LiveVehicle:
         """What was told last for the slot's tag."""
         return self._readings.get(id(slot), (None, Quality.WAITING_FOR_INITIAL_DATA, ""))
 
-    def describe(self) -> list[str]:
+    def describe(self) -> list[PlanLine]:
         """In sentences: the tags that are listened for with their timeouts, and what is asked for."""
-        told = [f"{slot.name}, bad after {slot.timeout:.3g} s: {name}" for name, (_, slot) in self._places.items()]
-        return told + ([] if self._poller is None else self._poller.describe())
+        heard = [
+            PlanLine(f"{slot.name}, bad after {slot.timeout:.3g} s: {name}", PlanKind.HEARD)
+            for name, (_, slot) in self._places.items()
+        ]
+        return heard + ([] if self._poller is None else [PlanLine(line) for line in self._poller.describe()])
 
     def counts(self) -> Mapping[str, int]:
         """What became of messages, and requests that were sent."""

@@ -11,7 +11,7 @@ from pydantic import Field
 from drivers.can.frame import CanFrame
 from drivers.can.settings import DecodingSettings
 from drivers.codec import Reading
-from drivers.driver import Clock
+from drivers.driver import Clock, PlanKind, PlanLine
 from drivers.errors import LinkDown
 from drivers.settings import check_settings
 from drivers.tag import Quality, Sample, Tag
@@ -165,17 +165,18 @@ class CanLogDriver:
         now = self._now()
         return [self._sample(tag, now) for tag in tags]
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """In sentences: what cannot be read and why, the log, and each tag with its timeout."""
         self._decoder.listen(tags)
         problems = self._decoder.problems
         speed = "" if self._speed == 1.0 else f" at {self._speed:g} times its speed"
-        told = [
-            f"{tag.address}, bad after {self._decoder.timeout(tag):.3g} s: {tag.name}"
+        heard = [
+            PlanLine(f"{tag.address}, bad after {self._decoder.timeout(tag):.3g} s: {tag.name}", PlanKind.HEARD)
             for tag in tags
             if tag.name not in problems
         ]
-        return (*problems.values(), f"{self._log.path} is replayed{speed}", *told)
+        refused = [PlanLine(line, PlanKind.PROBLEM) for line in problems.values()]
+        return (*refused, PlanLine(f"{self._log.path} is replayed{speed}"), *heard)
 
     # ------------------------------------------------------------ inside
 

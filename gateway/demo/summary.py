@@ -11,19 +11,20 @@ from typing import Any
 import numpy as np
 
 from drivers.tag import Quality
-from gateway.demo.prepare import Setting
-from gateway.demo.processes import DemoError
+from gateway.demo.child import DemoError
+from gateway.demo.prepare import DemoRun
 from gateway.machine.reading.quality import STALE_PERIODS
 from gateway.settings.devices import load_device
 from gateway.store.history import events, history, matured, samples, to_trace
 from gateway.store.score import Scorecard, scorecard
 from sim.sha.trace import Array, Mask
+from sim.validation.plots import Curve, Picture, draw
 
 AHEAD_S = 300.0
 """The horizon (s) that the picture shows."""
 
 
-def judge(setting: Setting, recording: Path, historian: Path) -> dict[str, Any]:
+def judge(setting: DemoRun, recording: Path, historian: Path) -> dict[str, Any]:
     """The verdict of the PLC's recording on every reading that the gateway held for good. Raises DemoError.
 
     A good value may be as old as the gateway's rule allows (three periods), and no older.
@@ -94,7 +95,7 @@ def _first(times: Array, after: float) -> float:
     return float(later[0]) if later.size else inf
 
 
-def result(setting: Setting, recording: Path, historian: Path, picture: Path) -> dict[str, Any]:
+def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) -> dict[str, Any]:
     """The demonstration's figures as one object; errors in degC."""
     card = scorecard(historian)
     said, seen = judge(setting, recording, historian), history(historian)
@@ -123,7 +124,7 @@ def result(setting: Setting, recording: Path, historian: Path, picture: Path) ->
         "judged": said["judged"],
         "notes": list(setting.notes),
         "picture": str(picture),
-        "log": str(setting.folder / "gateway.plant.log.jsonl"),
+        "log": str(setting.folder / "gateway.log.jsonl"),
     }
 
 
@@ -142,7 +143,7 @@ def _forecasts(card: Scorecard) -> dict[str, dict[str, float]]:
     }
 
 
-def sentences(data: Mapping[str, Any]) -> list[str]:
+def findings(data: Mapping[str, Any]) -> list[str]:
     """What the figures say, honestly: where persistence wins, it is said."""
     said = []
     for horizon, one in data["forecast"].items():
@@ -170,10 +171,8 @@ def _guarded(guards: Mapping[str, Any]) -> list[str]:
     return said
 
 
-def draw_result(setting: Setting, historian: Path, path: Path) -> Path:
+def draw_result(setting: DemoRun, historian: Path, path: Path) -> Path:
     """The picture of the run: measured, predicted with band, free run, forecast made five minutes before, events."""
-    from sim.validation.plots import Curve, Picture, draw
-
     seen, temperature = history(historian), setting.model.temperature
     measured, known = np.isfinite(seen.measured), np.isfinite(seen.mean)
     free = np.isfinite(seen.free_run)

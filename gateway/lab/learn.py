@@ -1,22 +1,25 @@
 """`decanter model learn`: a model from traces, written with all its artefacts."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from gateway.console.exits import sentences
 from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import emit, progress, sentences, table
-from gateway.console.traces import load
+from gateway.console.output import emit, progress, table
 from gateway.lab.show import show_model, summary
+from gateway.lab.traces.load import load
+from sim.artefacts.model_directory import write_model_directory
+from sim.learning.bins.learn import Learned, learn_bins
+from sim.learning.lsha.learn import LearnedLsha, learn_lsha
+from sim.learning.lsha.report import report_document, report_text
+from sim.learning.lsha.settings import LshaSettings
+from sim.sha.trace import Trace
 from sim.strict_json import json_text
-
-if TYPE_CHECKING:
-    from sim.learning.bins.learn import Learned
-    from sim.learning.lsha.learn import LearnedLsha
-    from sim.sha.trace import Trace
-    from sim.traces.column_map import ColumnMap
+from sim.traces.column_map import ColumnMap
 
 FLOWS = ("constant", "linear", "logarithmic", "exponential", "driven")
 REPORT = "learning_report"
@@ -65,7 +68,7 @@ def learn(
             raise ValueError(f"--{_option(settings)} belongs to --method lsha; leave it out, or choose that method")
         traces, column_map = load(paths, map_name)
         if method == "lsha":
-            data, show = _lsha(traces, column_map, name, seed, settings, report, out)
+            data, show = _lsha(traces, column_map, name, seed=seed, settings=settings, report=report, out=out)
         else:
             learned = learn_from(traces, column_map, name=name, seed=seed, report=report)
             written = write(out, learned)
@@ -84,10 +87,8 @@ def _option(settings: Mapping[str, Any]) -> str:
     return {"complete": "observed-edges"}.get(first, first.replace("_", "-"))
 
 
-def learn_from(traces: "Sequence[Trace]", column_map: "ColumnMap", *, name: str, seed: int, report: Any) -> "Learned":
+def learn_from(traces: Sequence[Trace], column_map: ColumnMap, *, name: str, seed: int, report: Any) -> Learned:
     """A model of the traces by the map's alphabet and temperature."""
-    from sim.learning.bins.learn import learn_bins
-
     return learn_bins(
         traces,
         column_map.alphabet,
@@ -98,16 +99,14 @@ def learn_from(traces: "Sequence[Trace]", column_map: "ColumnMap", *, name: str,
     )
 
 
-def write(out: Path, learned: "Learned") -> Path:
+def write(out: Path, learned: Learned) -> Path:
     """Write the model directory; returns the path of its model.json."""
-    from sim.artefacts.model_directory import write_model_directory
-
     return write_model_directory(out, learned.model, learned.values)
 
 
 def _lsha(
-    traces: "Sequence[Trace]",
-    column_map: "ColumnMap",
+    traces: Sequence[Trace],
+    column_map: ColumnMap,
     name: str,
     seed: int,
     settings: Mapping[str, Any],
@@ -115,11 +114,6 @@ def _lsha(
     out: Path,
 ) -> tuple[dict[str, Any], Callable[[], None]]:
     """(what the command says in JSON, what it shows to people), once the model directory is written."""
-    from sim.artefacts.model_directory import write_model_directory
-    from sim.learning.lsha.learn import learn_lsha
-    from sim.learning.lsha.report import report_document, report_text
-    from sim.learning.lsha.settings import LshaSettings
-
     learned = learn_lsha(
         traces,
         column_map.alphabet,
@@ -149,10 +143,8 @@ def _lsha(
     return data, show
 
 
-def diagnostics(learned: "Learned") -> dict[str, list[dict[str, Any]]]:
+def diagnostics(learned: Learned) -> dict[str, list[dict[str, Any]]]:
     """How the model came about, as plain values: the candidates' held-out scores, the fits, the bands' coverage."""
-    from dataclasses import asdict
-
     fits = [asdict(one) for one in learned.locations if one.source != "unknown"]
     wanted = ("name", "source", "readings", "stays", "mu", "mu_error", "sigma", "k", "gains")
     return {
@@ -162,10 +154,8 @@ def diagnostics(learned: "Learned") -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def lsha_diagnostics(learned: "LearnedLsha") -> dict[str, list[dict[str, Any]]]:
+def lsha_diagnostics(learned: LearnedLsha) -> dict[str, list[dict[str, Any]]]:
     """How the model came about, in short: the rivals, the locations, the edges and the check, the bands' coverage."""
-    from dataclasses import asdict
-
     report = learned.report
     wanted = ("name", "flow", "entry", "segments", "readings", "seconds", "mu", "mu_error", "scatter", "rate")
     fits = [asdict(one) for one in report.locations]

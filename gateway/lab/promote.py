@@ -5,8 +5,11 @@ from pathlib import Path
 
 import click
 
+from gateway.console.exits import sentences
 from gateway.console.options import json_option
-from gateway.console.output import emit, sentences
+from gateway.console.output import emit
+from sim.artefacts import store as shelf
+from sim.artefacts.find import find_model
 
 
 @click.command(short_help="Make a version of a store current, if its model verifies.")
@@ -29,9 +32,6 @@ def promote(
         raise click.UsageError("name a VERSION of the store, or --add a model; one of the two")
     if (reason is None) != (by is None) or (reason is not None and not (reason.strip() and str(by).strip())):
         raise click.UsageError("--force REASON and --by NAME belong together, and neither is empty")
-    from sim.artefacts import store as shelf
-    from sim.artefacts.find import find_model
-
     with sentences():
         now = time.time()
         if model is not None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.tag import Quality, Sample, Tag
-from gateway.lab.diagnosing import roles_of
+from gateway.lab.diagnose import roles_of
 from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
 from gateway.store.historian import open_historian

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from gateway.commission.target import make_target
-from gateway.commission.through import running_gateway
+from gateway.commission.session.gateway_line import running_gateway
+from gateway.commission.session.target import make_target
 from gateway.plant.app import run
 from gateway.plant.control import ControlError, connect, listening_socket
 from gateway.settings.config import load_config

@@ -18,7 +18,7 @@ from drivers.driver import Writes, open_driver
 from drivers.errors import DriverError
 from drivers.settings import ConfigError
 from gateway.cli.main import main
-from gateway.commission.plc_side.vectors import vectors
+from gateway.commission.writeback.vectors import vectors
 from gateway.demo.can_bus import can_hub
 from gateway.demo.links import LINKS
 from gateway.plant.app import run

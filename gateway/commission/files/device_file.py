@@ -11,7 +11,7 @@ from drivers.device_file import NEEDED_FIELDS
 from drivers.driver import capabilities
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.toml_edit import put
-from gateway.commission.plc_side.fields import described
+from gateway.commission.writeback.fields import described
 from gateway.settings.devices import BLOCK_FIELDS
 
 PLACE_KEYS = (

@@ -11,7 +11,9 @@ from drivers.driver import DRIVERS, capabilities
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.device_file import PLACE_KEYS, set_device, starter
 from gateway.commission.files.toml_edit import Edit, commit, edited, put
-from gateway.commission.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
+from gateway.commission.session.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
+from gateway.settings.config import load_config
+from gateway.settings.devices import load_device
 
 _PLANT = """\
 # The gateway's configuration. Relative paths are relative to this file. `decanter check` says what is wrong with it.
@@ -35,12 +37,12 @@ limit = 80.0                 # degC
 path = "out/historian.sqlite"
 
 [log]
-path = "out/gateway.plant.log.jsonl"
+path = "out/gateway.log.jsonl"
 """
 _SHORT_FORM = frozenset({"host", "port", "timeout"})
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Files:
     """What is to be changed. `plant` is None where only a device file is given; `link` names one of the plant's.
 
@@ -75,7 +77,7 @@ def find_files(plant: Path | None, device: Path | None, link: str | None, given:
     driver, found = _driver_of(path, plant, link, given)
     place = {key: value for key, value in found.items() if key in PLACE_KEYS}
     settings = {key: value for key, value in found.items() if key not in PLACE_KEYS}
-    return Files(plant, path, driver, link, place, settings)
+    return Files(plant=plant, device=path, driver=driver, link=link, place=place, settings=settings)
 
 
 def _driver_of(
@@ -185,18 +187,10 @@ def save(device: Edit, plant: Edit | None) -> list[Path]:
 
     Raises ConfigError (for the plant file: the device file stands then) or OSError.
     """
-    from gateway.settings.config import load_config
-    from gateway.settings.devices import load_device
-
     backups = [commit(device, load_device)] if device.changed else []
     if plant is not None and plant.changed:
-        try:
-            backups.append(commit(plant, load_config))
-        except ConfigError as error:
-            if not device.changed:
-                raise
-            said = [problem.replace("nothing was written", f"{device.path} is written") for problem in error.problems]
-            raise ConfigError(said) from None
+        so_far = f"{device.path} is written" if device.changed else "nothing was written"
+        backups.append(commit(plant, load_config, so_far=so_far))
     return [path for path in backups if path is not None]
 
 

@@ -7,11 +7,11 @@ from typing import Any
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, ListensToBus, open_bus_survey, open_registers
-from gateway.commission.outcome import Outcome, Site
-from gateway.commission.probe import first_register
+from gateway.commission.session.gateway_line import mention_gateway
+from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.survey.bus_probe import HEARTBEAT, STATES, identity_of
-from gateway.commission.through import mention_gateway
-from gateway.console.output import Exit
+from gateway.commission.survey.registers import first_register
+from gateway.console.exits import Exit
 
 Progress = Callable[[str, float], None]
 UNIT_S = 0.25
@@ -20,7 +20,7 @@ NODE_S = 0.06
 _BEHIND_GATEWAY = frozenset({10, 11})
 
 
-async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> Outcome:
+async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> CommandResult:
     """Every unit asked once, and once more if silent; a refusal is an answer too, except a gateway's own."""
     mention_gateway(site)
     given = site.target.settings
@@ -40,8 +40,8 @@ async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> Ou
             site.count(survey.statistics())
     if not rows:
         said = f"none of {len(units)} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
-        return Outcome({"units": rows, "asked": len(units)}, Exit.TIMEOUT, said)
-    return Outcome({"units": rows, "asked": len(units)})
+        return CommandResult({"units": rows, "asked": len(units)}, Exit.TIMEOUT, said)
+    return CommandResult({"units": rows, "asked": len(units)})
 
 
 async def _unit(survey: AsksRegisters, unit: int, place: tuple[str, int]) -> dict[str, Any] | None:
@@ -73,7 +73,7 @@ async def _identity(survey: AsksRegisters, unit: int) -> dict[str, str]:
     return {"identity": " ".join(identity.values())}
 
 
-async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, listen_only: bool) -> Outcome:
+async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, listen_only: bool) -> CommandResult:
     """The CANopen nodes of a bus: by their heartbeats, and unless `listen_only` by their answers to SDO requests."""
     async with open_bus_survey(site.target.driver, site.target.settings, clock=time.time) as survey:
         try:
@@ -97,8 +97,8 @@ async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, li
             site.count(survey.statistics())
     if not rows:
         said = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
-        return Outcome({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, said)
-    return Outcome({"nodes": rows, "asked": len(nodes)})
+        return CommandResult({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, said)
+    return CommandResult({"nodes": rows, "asked": len(nodes)})
 
 
 async def _answers(survey: ListensToBus, node: int) -> bool:

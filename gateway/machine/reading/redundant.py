@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.driver import Cautions, Complains, Driver, Explains, Writes
+from drivers.driver import Cautions, Complains, Driver, Explains, PlanLine, Writes
 from drivers.errors import AddressError, DeviceException, DriverError, EncodingError, LinkDown, WriteForbidden
 from drivers.tag import Quality, Sample, Tag, Value
 from gateway.machine.reading.quality import LINK_FAULTS
@@ -133,13 +133,13 @@ class Redundant:
             own |= {f"{state.path.name}: {key}": value for key, value in state.path.driver.statistics().items()}
         return own
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """The plan of each link in sentences."""
-        lines: list[str] = []
+        lines: list[PlanLine] = []
         for state in self._states:
             driver = state.path.driver
             plan = driver.explain([state.path.tags[tag.name] for tag in tags]) if isinstance(driver, Explains) else ()
-            lines += [f"{state.path.name}: {line}" for line in plan]
+            lines += [PlanLine(f"{state.path.name}: {line}", line.kind) for line in plan]
         return tuple(lines)
 
     def cautions(self) -> tuple[str, ...]:
