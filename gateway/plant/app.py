@@ -125,6 +125,7 @@ async def _last_counts(machine: Machine) -> None:
 
 
 async def _stopped(machine: Machine) -> None:
+    # First the PLC, while the link stands; then what is computed; then what is kept, so that all of it is in there.
     await _withdrawn(machine, "stop")
     await _last_counts(machine)
     if machine.model is not None:

@@ -132,17 +132,15 @@ class Historian:
         if not self._commit(batch, durable=durable > 0):
             return False
         with self._wake:
-            self._done(bulk, durable)
+            for _ in range(bulk):
+                self._rows.popleft()
+            # Of a full queue the oldest have gone by themselves while the batch was under way.
+            for _ in range(min(durable, len(self._urgent))):
+                self._urgent.popleft()
+            self._flush = False
+            self.failure = ""
             self._wake.notify_all()
         return True
-
-    def _done(self, bulk: int, durable: int) -> None:
-        for _ in range(bulk):
-            self._rows.popleft()
-        for _ in range(min(durable, len(self._urgent))):
-            self._urgent.popleft()
-        self._flush = False
-        self.failure = ""
 
     def _commit(self, batch: list[tuple[str, Row]], *, durable: bool) -> bool:
         if not batch:

@@ -93,6 +93,7 @@ def _allowed(rule: DriftRule, age: float, sigma: float) -> float:
 
 def _closed(drift: CycleDrift, now: float) -> CycleDrift:
     """The end of a cycle and the beginning of the next; one with too few readings neither counts nor breaks a run."""
+    # A cycle that was too short is forgotten and not judged: one that was begun by mistake must not clear the alarm.
     fresh = replace(drift, begun=now, readings=0, missed=0.0, allowed=0.0)
     if drift.begun is None or drift.readings < LEAST:
         return fresh

@@ -5,13 +5,12 @@ from dataclasses import asdict
 from typing import Any
 
 from gateway.machine.model.drift import CycleDrift, follow_cycle, restored, rule_of
-from gateway.machine.model.predict import Predictor, ScanPrediction
+from gateway.machine.model.predict import Z90, Predictor, ScanPrediction
 from sim.forecast.calibration import Calibration
 from sim.forecast.forecast import Forecast
 from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, share
 from sim.sha.model import Model
 
-_Z90 = 1.6448536269514722
 INNOVATIONS, DRIFT = "one step", "drift"
 
 
@@ -38,7 +37,8 @@ class Guards:
         if p.measured is None:
             return
         if p.mean is not None and p.high is not None and p.high > p.mean:
-            z = _Z90 * (p.measured - p.mean) / (p.high - p.mean)
+            # The band is Z90 standard deviations to either side: this is the standardised error.
+            z = Z90 * (p.measured - p.mean) / (p.high - p.mean)
             self.reviews[INNOVATIONS] = follow(ONE_STEP, self.reviews[INNOVATIONS], p.time, z)
         for horizon in self._horizons:
             name = f"{horizon:g} s"

@@ -81,19 +81,17 @@ class Outlook:
         if void:
             return None
         if isinstance(made, MixedForecast):
-            made = self._together(made)
+            # The first model's bands learn from its own forecast, as those of the others do from theirs: a band that
+            # learned from the mixture would take the others' errors for its own.
+            own = made.members[0]
+            if self.ensemble is not None and isinstance(own, Forecast):
+                self.calibration = issue(self.calibration, thinned(own, LEVELS))
+                self.ensemble.take(made, made.mixed.time)
+            made = made.mixed
         else:
             self.calibration = issue(self.calibration, made)
         self.latest, self.made = made, self.made + 1
         return FinishedForecast(made, self._measured)
-
-    def _together(self, made: MixedForecast) -> Forecast:
-        """The mixture; the first model's bands learn from its own forecast, as those of the others from theirs."""
-        own = made.members[0]
-        if self.ensemble is not None and isinstance(own, Forecast):
-            self.calibration = issue(self.calibration, thinned(own, LEVELS))
-            self.ensemble.take(made, made.mixed.time)
-        return made.mixed
 
     def follow(self, scan: Scan, measured: float | None) -> None:
         """Move the other models of an ensemble on; nothing without one."""

@@ -287,6 +287,8 @@ class Redundant:
         before = self._last.get(name)
         if sample.value is None:
             return sample
+        # Two links see the device at different moments: one that looked before the other's last reading would take an
+        # event back and bring it again.
         if before is not None and before[0] != self._active and _earliest(sample) < before[1].time:
             self._counts["held_samples"] += 1
             return before[1]

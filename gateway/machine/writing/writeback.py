@@ -188,6 +188,7 @@ class Writer:
         refused = self._refusal(scan, last=last)
         if refused is not None:
             return Attempt(scan.time, block, self.mode, refused[0], reason=refused[1])
+        # Its row is under way to the disk before the block is on the wire; one that fails gets a second row.
         self._note(AuditEntry(scan.time, WRITE, self._by, "", _plain(block)))
         try:
             await self.driver.write(list(zip(self.layout.words, block.words, strict=True)))
@@ -236,4 +237,5 @@ def _increase(before: int | None, now: int) -> int:
         return 0
     if now >= before:
         return now - before
+    # It fell: near its end a 16-bit counter has wrapped, anywhere else the PLC began anew and counts from 0.
     return now + 0x10000 - before if before > 0xF000 and now < 0x1000 else now
