@@ -1,6 +1,5 @@
 """`decanter plc import`: the tags of an I/O list into the device file, each bad row with its own sentence."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -87,7 +86,10 @@ def import_outcome(
         "header_line": found.sheet.header_line,
         "columns": dict(found.sheet.columns),
         "ignored_columns": list(found.sheet.ignored),
-        "tags": [{"name": tag.name, "line": tag.line, **_said(tag.keys)} for tag in found.tags],
+        "tags": [
+            {"name": tag.name, "line": tag.line, **{key: value for key, value in tag.keys.items() if value is not None}}
+            for tag in found.tags
+        ],
         "problems": list(found.problems),
     }
     if found.problems and not skip:
@@ -97,7 +99,3 @@ def import_outcome(
     done = carry_out(files, wanted, template, dry_run=dry_run)
     left = [f"import: a row was left out: {problem}" for problem in found.problems]
     return CommandResult({**data, **done, "open_points": left})
-
-
-def _said(keys: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in keys.items() if value is not None}

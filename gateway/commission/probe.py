@@ -118,7 +118,8 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
             said += _hint(await _other_units(survey, unit))
             steps.append(failed("modbus", said, error))
             return None
-        steps.append(ok("modbus", f"unit {unit} answers in {_ms(begun)}, with a refusal: {error}"))
+        took = 1e3 * (time.monotonic() - begun)
+        steps.append(ok("modbus", f"unit {unit} answers in {took:.1f} ms, with a refusal: {error}"))
     except ReplyTimeout as error:
         sentence, kind = await _silent(site, survey, unit, error)
         steps.append(failed("modbus", sentence, kind))
@@ -222,10 +223,6 @@ async def _tables(survey: AsksRegisters) -> dict[str, str]:
         else:
             found[table] = "offered"
     return found
-
-
-def _ms(begun: float) -> str:
-    return f"{1e3 * (time.monotonic() - begun):.1f} ms"
 
 
 @click.command()

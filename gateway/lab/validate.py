@@ -2,8 +2,8 @@
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -24,7 +24,7 @@ from sim.ranking.tuning_methods import METHODS, Task
 from sim.sha.trace import Trace
 from sim.traces.column_map import ColumnMap, load_map
 from sim.traces.traces import load_traces, units
-from sim.validation.campaign import Progress, Runner, cluster, run_here, unread
+from sim.validation.campaign import Progress, cluster, run_here, unread
 from sim.validation.conduct import Plan, conduct
 from sim.validation.output_folder import LEARNED, check_folder, claim_folder, held
 from sim.validation.report import Campaign, natural
@@ -64,7 +64,7 @@ def campaign(
     check_folder(request.out, overwrite=request.overwrite)
     column_map = load_map(request.map_file)
     workers = request.jobs or len(os.sched_getaffinity(0))
-    with _runner(request.address, workers) as run:
+    with nullcontext(run_here(workers)) if request.address is None else cluster(request.address) as run:
         training = _training(request, column_map)
         ready = _ready(request, column_map, training, progress)
         progress("reading traces", 0.0)
@@ -98,15 +98,6 @@ def campaign(
                 tell=tell,
                 progress=progress,
             )
-
-
-@contextmanager
-def _runner(address: str | None, workers: int) -> Iterator[Runner]:
-    if address is None:
-        yield run_here(workers)
-        return
-    with cluster(address) as run:
-        yield run
 
 
 def to_learn(models: Sequence[str]) -> list[str]:
