@@ -77,8 +77,8 @@ def _model(site: Site) -> list[CheckStep]:
         return [failed("model", str(error))]
     if loaded is None:
         return []
-    said = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {config.model.temperature}"
-    return [warning("model", f"{said}; {loaded.warning}") if loaded.warning else ok("model", said)]
+    sentence = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {config.model.temperature}"
+    return [warning("model", f"{sentence}; {loaded.warning}") if loaded.warning else ok("model", sentence)]
 
 
 def _contract(site: Site) -> list[CheckStep]:
@@ -121,10 +121,10 @@ async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:
     """Whether the PLC's program counts, within the time that the configuration gives it."""
     device, config = device_of(site), site.target.config
     if device.heartbeat is None:
-        said = (
+        sentence = (
             "no heartbeat is named: a program that stands still cannot be told from one at rest (bind --heartbeat TAG)"
         )
-        return [warning("heartbeat", said)]
+        return [warning("heartbeat", sentence)]
     first = next(sample.value for sample in before if sample.tag == device.heartbeat)
     if first == 0:
         return [failed("heartbeat", f"{device.heartbeat} is 0: the PLC's program does not run")]

@@ -88,8 +88,8 @@ async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResul
     bad = [raw.sample for raw in raws if not raw.sample.quality.is_good]
     if not bad:
         return CommandResult({"readings": rows})
-    said = f"{len(bad)} of {len(raws)} readings are not good, {bad[0].tag} the first: {bad[0].reason}"
-    return CommandResult({"readings": rows}, _code(raws), said)
+    sentence = f"{len(bad)} of {len(raws)} readings are not good, {bad[0].tag} the first: {bad[0].reason}"
+    return CommandResult({"readings": rows}, _code(raws), sentence)
 
 
 async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:

@@ -62,8 +62,8 @@ async def soak_device(
 ) -> CommandResult:
     """Scan for `duration` seconds. A failed check where scans were lost or do not fit. Ctrl-C gives what there is."""
     device, period = device_of(site), period_of(site, given_period)
-    if said := running_for(site.target):
-        site.notes.append(said)
+    if sentence := running_for(site.target):
+        site.notes.append(sentence)
     recorder = ScanRecorder(record, device.tags) if record is not None else None
     tally, before = SoakTally(), {}
     try:
@@ -123,10 +123,10 @@ async def _opened(site: Site) -> AsyncIterator[Driver]:
 
 def _with_complaints(error: DriverError, driver: Driver) -> DriverError:
     """What the device says of itself, where it is heard and cannot be used (a node that no master has started)."""
-    said = driver.complaints() if isinstance(driver, Complains) else ()
-    if not said or str(error) in said:
+    complaints = driver.complaints() if isinstance(driver, Complains) else ()
+    if not complaints or str(error) in complaints:
         return error
-    return LinkDown(f"{said[0]}: start it at its master, or let this program do it (--set configure=true)")
+    return LinkDown(f"{complaints[0]}: start it at its master, or let this program do it (--set configure=true)")
 
 
 def _summary(

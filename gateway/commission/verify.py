@@ -169,10 +169,10 @@ def outcome(tags: Sequence[Tag], points: Sequence[Point], before: Sequence[Point
     }
     if wrong:
         first = wrong[0]
-        said = (
+        sentence = (
             f"{len(wrong)} of {len(points)} readings do not agree, the first: {first.tag}: the HMI shows {first.shown}"
         )
-        return CommandResult(data, 1, f"{said}, {first.reason}")
+        return CommandResult(data, 1, f"{sentence}, {first.reason}")
     if complete and left:
         name, todo = next(iter(left.items()))
         return CommandResult(data, 1, f"{len(left)} of {len(tags)} tags are not proved, the first: {name}: {todo}")

@@ -211,8 +211,8 @@ def diagnose(
         model, traces, column_map = _read(request, sources, historian, since, map_name)
         if found := overlapping(traces):
             click.echo(f"{found}: the traces are taken one after the other, as given (a folder by names)", err=True)
-        told = run(request, model, traces, roles_of(column_map), report)
-    emit(_data(told, out), lambda: show(told, out), as_json_line=as_json)
+        result = run(request, model, traces, roles_of(column_map), report)
+    emit(_data(result, out), lambda: show(result, out), as_json_line=as_json)
 
 
 def _read(
@@ -226,18 +226,18 @@ def _read(
     return model, [recent(historian, since or RECENT)], None
 
 
-def _data(told: DiagnosisResult, out: Path) -> dict[str, Any]:
-    verification = told.verification
+def _data(result: DiagnosisResult, out: Path) -> dict[str, Any]:
+    verification = result.verification
     page = out / "report.html"
     more: dict[str, Any] = {"out": str(out), "report": str(page) if page.exists() else None}
     if verification is not None:
         more |= {"verified": not verification, "refused": list(verification)}
-    return document(told.diagnosis) | more
+    return document(result.diagnosis) | more
 
 
-def show(told: DiagnosisResult, out: Path) -> None:
+def show(result: DiagnosisResult, out: Path) -> None:
     """Print the verdict with its evidence."""
-    one = told.diagnosis
+    one = result.diagnosis
     click.echo(f"{one.verdict}: {one.sentence}")
     for reason in one.reasons:
         click.echo(f"  {reason}")
@@ -281,5 +281,5 @@ def show(told: DiagnosisResult, out: Path) -> None:
     if (out / "report.html").exists():
         click.echo(f"report: {out / 'report.html'}")
     if one.model_after is not None:
-        verdict = f"it DOES NOT VERIFY: {'; '.join(told.verification)}" if told.verification else "it verifies"
+        verdict = f"it DOES NOT VERIFY: {'; '.join(result.verification)}" if result.verification else "it verifies"
         click.echo(f"new model: {one.model_after}; {verdict}")

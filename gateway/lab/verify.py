@@ -193,8 +193,8 @@ def _show(result: Verification, found: Found, model: str, out: Path | None) -> N
     if worst is not None:
         _show_word(*worst, model, out)
     against = [one.name for one in result.checks if one.blocking and one.verdict != "proven"]
-    said = f"NOT deployable: {'; '.join(against)}" if against else "deployable"
-    click.secho(said, fg="red" if against else "green", bold=True)
+    sentence = f"NOT deployable: {'; '.join(against)}" if against else "deployable"
+    click.secho(sentence, fg="red" if against else "green", bold=True)
     if "growth" in against and result.executable:
         click.echo(GROWS)
 

@@ -38,8 +38,10 @@ async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> Co
         finally:
             site.count(survey.statistics())
     if not rows:
-        said = f"none of {len(units)} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
-        return CommandResult({"units": rows, "asked": len(units)}, Exit.TIMEOUT, said)
+        sentence = (
+            f"none of {len(units)} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
+        )
+        return CommandResult({"units": rows, "asked": len(units)}, Exit.TIMEOUT, sentence)
     return CommandResult({"units": rows, "asked": len(units)})
 
 
@@ -90,13 +92,13 @@ async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, li
                 identity = await identity_of(survey, node) if answers else None
                 if identity is not None or node in beats:
                     state = beats.get(node)
-                    said = "no heartbeat" if state is None else STATES.get(state, f"state {state}")
-                    rows.append({"node": node, "heartbeat": said, "sdo": identity is not None, **(identity or {})})
+                    sentence = "no heartbeat" if state is None else STATES.get(state, f"state {state}")
+                    rows.append({"node": node, "heartbeat": sentence, "sdo": identity is not None, **(identity or {})})
         finally:
             site.count(survey.statistics())
     if not rows:
-        said = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
-        return CommandResult({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, said)
+        sentence = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
+        return CommandResult({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, sentence)
     return CommandResult({"nodes": rows, "asked": len(nodes)})
 
 

@@ -46,8 +46,8 @@ def show(paths: Sequence[str], map_name: str, picture: Path | None, as_json: boo
 
 def _draw(first: Trace, temperature: str, units: Mapping[str, str], picture: Path) -> None:
     def curve(name: str) -> Curve:
-        there = ~np.isnan(first.signals[name])
-        return Curve(name, first.times[there], first.signals[name][there])
+        present = ~np.isnan(first.signals[name])
+        return Curve(name, first.times[present], first.signals[name][present])
 
     others = [
         name for name in first.signals if name != temperature and not set(np.unique(first.signals[name])) <= {0.0, 1.0}
