@@ -6,7 +6,8 @@ from typing import Any
 
 import click
 
-from gateway.checked import ConfigError
+from drivers.driver import capabilities
+from drivers.settings import ConfigError
 from gateway.commission.files.change import Binding, BlockPlace, FileChange, carry_out
 from gateway.commission.files.device_file import ENCODING
 from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit_files, pairs, template
@@ -82,8 +83,8 @@ def _binding(given: SharedOptions, files: Files, options: Mapping[str, Any]) -> 
 
 
 def _address(files: Files, text: str) -> str:
-    """A Modbus address as a PDU address, whichever way it is written; of any other link as it is. Raises ValueError."""
-    return str(parse_register(text)) if files.driver == "modbus" else text
+    """A register as a PDU address, whichever way it is written; of any other device as it is. Raises ValueError."""
+    return str(parse_register(text)) if capabilities(files.driver).registers else text
 
 
 def guessed(records: Path, rank: int) -> dict[str, Any]:

@@ -153,7 +153,7 @@ def _files(target: Target) -> list[CheckStep]:
     if target.map is not None:
         names = ", ".join(map(str, target.files))
         steps.append(ok("files", f"{names}: {len(target.tags)} tags of driver {target.driver}"))
-    if target.driver == "modbus":
+    if target.driver and target.capabilities.certificates:
         driver: Any = target.make_driver()
         steps += (
             [warning("certificates", sentence) for sentence in driver.cautions()]

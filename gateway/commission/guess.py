@@ -84,7 +84,7 @@ async def _registers_around(site: Site, register: Register) -> tuple[int, list[i
     """The registers around one: by the running gateway's connection where one runs, else by one of our own."""
     line = running_gateway(site.target)
     if line is None:
-        async with open_registers(site.target.settings, clock=time.time) as survey:
+        async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
             try:
                 return await around(survey, register)
             finally:
@@ -220,9 +220,10 @@ def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) 
     with sentences():
         register = parse_register(address)
         target = make_target(given.plant, given.device, given.link, given.settings)
-        if target.driver != "modbus":
+        own = target.capabilities
+        if not own.registers:
             raise ValueError(
-                f"link {target.kind!r}: types and orders are in its EDS or DBC file; guess is for registers"
+                f"link {target.kind!r}: types and orders stand in {own.described_in}; guess is for registers"
             )
         check_writable(given.records)
         earlier = [] if fresh else earlier_readings(given.records, target.place, register, time.time())

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from drivers.driver import capabilities
 from gateway.commission.files.change import Binding, FileChange, carry_out
 from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit_files, pairs, template
 from gateway.commission.files.io_list import IoList, Reading, read_io_list
@@ -47,8 +48,8 @@ def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
 
     def work(files: Files) -> CommandResult:
         device, plant = settings_of(options["keep"])
-        modbus = files.driver == "modbus"
-        how = Reading(options["registers"], options["order"], options["shift"], modbus, options["rename"])
+        registers = capabilities(files.driver).registers
+        how = Reading(options["registers"], options["order"], options["shift"], registers, options["rename"])
         found = read_io_list(path, how, options["columns"], options["sheet"])
         if options["only"] or options["without"]:
             found = _chosen(found, options["only"], options["without"])

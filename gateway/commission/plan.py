@@ -66,14 +66,15 @@ def _reference(place: str, count: int) -> str:
 
 
 def _by_sentences(site: Site, device: DeviceMap, period: float) -> CommandResult:
-    """A device that speaks by itself: what its driver says of the plan."""
+    """A device that is not read in requests of its own: what its driver says of the plan."""
     driver = site.target.make_driver()
     lines = driver.explain(device.tags) if isinstance(driver, Explains) else ()
     problems = [line for line in lines if line.kind is PlanKind.PROBLEM]
     sentences: list[str] = [*lines] or [f"the driver {site.target.driver!r} has no plan to show"]
-    site.notes.append(
-        "this device speaks by itself: a scan takes what it has said, and asks only for what is listed so"
-    )
+    if site.target.capabilities.speaks:
+        site.notes.append(
+            "this device speaks by itself: a scan takes what it has said, and asks only for what is listed so"
+        )
     data = {"sentences": sentences, "tags": len(device.tags), "period_s": period, "problems": problems}
     complaint = f"{len(problems)} tags cannot be read, the first: {problems[0]}" if problems else ""
     return CommandResult(data, int(bool(problems)), complaint)

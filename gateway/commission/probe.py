@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from drivers.driver import LINKS
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, open_registers
 from gateway.commission.session.gateway_line import mention_gateway
@@ -41,10 +42,13 @@ async def probe_device(site: Site) -> CommandResult:
     steps: list[CheckStep] = []
     facts: dict[str, Any] = {}
     mention_gateway(site)
-    if site.target.driver == "modbus":
+    own = site.target.capabilities
+    if own.registers:
         await _probe_modbus(site, steps, facts)
-    else:
+    elif own.bus:
         await probe_bus(site, steps, facts)
+    else:
+        await _probe_driver(site, steps)
     code, complaint = verdict(steps)
     return CommandResult({"steps": [step.plain() for step in steps], **facts}, code, complaint)
 
@@ -58,7 +62,8 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
         target = target.with_settings(connect_timeout=CONNECT_S)
     async with AsyncExitStack() as stack:
         try:
-            survey = await stack.enter_async_context(open_registers(target.settings, clock=time.time))
+            opening = open_registers(target.driver, target.settings, clock=time.time)
+            survey = await stack.enter_async_context(opening)
         except LinkDown as error:
             steps.append(failed("connection", _no_connection(target, error), error))
             return
@@ -69,6 +74,16 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
                 await _facts(survey, first, steps, facts)
         finally:
             site.count(survey.statistics())
+
+
+async def _probe_driver(site: Site, steps: list[CheckStep]) -> None:
+    """A device that cannot be asked by hand: whether its driver finds it."""
+    try:
+        async with site.target.opened() as driver:
+            steps.append(ok("connection", f"the driver {site.target.driver!r} has its device"))
+            site.count(driver.statistics())
+    except DriverError as error:
+        steps.append(failed("connection", str(error), error))
 
 
 async def _way(host: str, steps: list[CheckStep], facts: dict[str, Any]) -> bool:
@@ -150,13 +165,13 @@ async def _silent(
     settings = site.target.settings
     others = await _other_units(survey, unit)
     text = f"unit {unit} does not answer{_hint(others)}"
-    if others or site.target.kind not in ("modbus", "modbus-rtu-tcp"):
+    other = LINKS[site.target.kind].mistaken_for if site.target.kind in LINKS else ""
+    if others or not other:
         return text, error
     received = site.evidence.greeting or await greeting_of(str(settings["host"]), port_of(settings))
     if looks_like(received):
         sentence = not_modbus(port_of(settings), received)
         return sentence, LinkDown(sentence)
-    other = "modbus-rtu-tcp" if site.target.kind == "modbus" else "modbus"
     sentence = (
         f"{text}: the port takes connections and answers no request; is it a Modbus port, is the device busy with "
         f"another client, or does it want other frames (--link {other})? `decanter plc scan units` tries all units"

@@ -60,7 +60,7 @@ def tags_of(site: Site, wanted: Sequence[str], how: How) -> list[Tag]:
 def _addressed(site: Site, text: str, how: How, known: Sequence[str]) -> list[Tag]:
     dtype = how.dtype or DType.UINT16
     plain = Tag("", "", dtype, order=how.order, scale=how.scale, offset=how.offset, bit=how.bit, length=how.length)
-    if site.target.driver != "modbus":
+    if not site.target.capabilities.registers:
         return [replace(plain, name=text, address=text)]
     try:
         first, count = parse_stretch(text)
@@ -82,7 +82,7 @@ async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResul
     tags = tags_of(site, wanted, how)
     raws = await read_raw(site, tags)
     plainly = how.dtype is None and how.bit is None
-    if plainly and site.target.driver == "canopen":
+    if plainly and site.target.capabilities.nodes:
         raws = [raw if raw.tag in site.target.tags else _by_its_length(raw) for raw in raws]
     rows = [_row(raw, plainly=plainly and raw.tag not in site.target.tags) for raw in raws]
     bad = [raw.sample for raw in raws if not raw.sample.quality.is_good]
@@ -103,11 +103,11 @@ async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
         site.notes.append(f"read through the running gateway (pid {reply['pid']}), which shows values and no raw words")
         by_name = {tag.name: tag for tag in tags}
         return [Raw(by_name[sample.tag], sample, by_name[sample.tag].address, 1) for sample in samples]
-    if site.target.driver == "canopen":
+    if site.target.capabilities.nodes:
         return await _by_sdo(site, tags)
-    if site.target.driver != "modbus":
+    if not site.target.capabilities.registers:
         return await _driven(site, tags)
-    async with open_registers(site.target.settings, clock=time.time) as survey:
+    async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
         try:
             return await survey.tags(tags)
         finally:
@@ -118,7 +118,7 @@ async def _by_sdo(site: Site, tags: Sequence[Tag]) -> list[Raw]:
     """The node's objects as they stand, whatever its state; the gateway takes them from PDOs where it can."""
     settings = site.target.settings
     site.notes.append("asked by SDO; the gateway itself takes what TPDOs carry from those (decanter plc watch)")
-    async with open_bus_survey("canopen", settings, clock=time.time) as survey:
+    async with open_bus_survey(site.target.driver, settings, clock=time.time) as survey:
         try:
             return await survey.tags(tags, int(settings.get("node", 1)), float(settings.get("timeout", SDO_S)))
         finally:

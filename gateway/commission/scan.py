@@ -57,7 +57,7 @@ def units(given: SharedOptions, numbers: list[int]) -> None:
     def work(site: Site) -> Awaitable[CommandResult]:
         return _with_bar("units", lambda report: scan_units(site, numbers, report))
 
-    _only(given, "modbus", "units are Modbus's; on a CAN bus look for nodes (decanter plc scan nodes)")
+    _only(given, "units", "units are Modbus's")
     perform(given, "scan units", {"units": numbers}, work, show)
 
 
@@ -76,7 +76,7 @@ def nodes(given: SharedOptions, numbers: list[int], listen_only: bool) -> None:
     def work(site: Site) -> Awaitable[CommandResult]:
         return _with_bar("nodes", lambda report: scan_nodes(site, numbers, report, listen_only=listen_only))
 
-    _only(given, "canopen", "nodes are CANopen's; on Modbus look for units (decanter plc scan units)")
+    _only(given, "nodes", "nodes are CANopen's")
     perform(given, "scan nodes", {"nodes": numbers, "listen_only": listen_only}, work, show)
 
 
@@ -95,7 +95,7 @@ def can(given: SharedOptions, seconds: float) -> None:
     def work(site: Site) -> Awaitable[CommandResult]:
         return _with_bar("listening", lambda report: scan_can(site, seconds))
 
-    _only(given, "can", "frames by identifier are a CAN bus's: give --link can and --channel")
+    _only(given, "can", "frames by identifier are a CAN bus's")
     perform(given, "scan can", {"seconds": seconds}, work, show)
 
 
@@ -115,7 +115,7 @@ def registers(given: SharedOptions, stretch: str, requests: int) -> None:
     def work(site: Site) -> Awaitable[CommandResult]:
         return _with_bar("registers", lambda report: scan_registers(site, first, count, requests, report))
 
-    _only(given, "modbus", "registers are Modbus's; a CANopen node's objects stand in its EDS file")
+    _only(given, "registers", "registers are Modbus's")
     perform(given, "scan registers", {"stretch": stretch, "requests": requests}, work, _show_registers)
 
 
@@ -135,10 +135,13 @@ def _show_registers(data: Mapping[str, Any]) -> None:
         click.echo("refusals: " + ", ".join(f"{count} {reason}" for reason, count in data["refusals"].items()))
 
 
-def _only(given: SharedOptions, driver: str, sentence: str) -> None:
-    """Refuse a link that does not have the notion; what cannot be found is said by `perform`."""
+def _only(given: SharedOptions, command: str, sentence: str) -> None:
+    """Refuse a link that does not have the notion, with what its device has; what is not found `perform` says."""
     with sentences():
         target = make_target(given.plant, given.device, given.link, given.settings)
-        wanted = ("can", "canopen") if driver == "can" else (driver,)
-        if target.driver not in wanted:
-            raise ValueError(f"link {target.kind!r}: {sentence}")
+        own = target.capabilities
+        offers = {"units": own.units, "nodes": own.nodes, "can": own.bus, "registers": own.registers}
+        if not offers[command]:
+            others = [f"decanter plc scan {other}" for other, offered in offers.items() if offered]
+            remedy = f"here try {' or '.join(others)}" if others else f"what there is stands in {own.described_in}"
+            raise ValueError(f"link {target.kind!r}: {sentence}; {remedy}")

@@ -30,7 +30,6 @@ PERIODS_S = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 SPARE = 2.0
 """A recommended period is so many times what 95 % of the scans take, and longer than every single one."""
 FIRST_S = 3.0
-_STREAMS = frozenset({"can", "canopen"})
 _WAITING = Quality.WAITING_FOR_INITIAL_DATA
 
 
@@ -71,7 +70,7 @@ async def soak_device(
             try:
                 # A device that speaks by itself is heard out once before anything is counted.
                 until = time.monotonic() + FIRST_S
-                while site.target.driver in _STREAMS and time.monotonic() < until:
+                while site.target.capabilities.speaks and time.monotonic() < until:
                     if all(sample.quality is not _WAITING for sample in await driver.read(device.tags)):
                         break
                     await asyncio.sleep(0.02)
@@ -112,7 +111,7 @@ async def _opened(site: Site) -> AsyncIterator[Driver]:
             await driver.open()
         except DriverError as error:
             until = time.monotonic() + FIRST_S
-            while site.target.driver in _STREAMS and not driver.connected and time.monotonic() < until:
+            while site.target.capabilities.speaks and not driver.connected and time.monotonic() < until:
                 await asyncio.sleep(0.02)
             if not driver.connected:
                 raise _with_complaints(error, driver) from None
@@ -149,7 +148,7 @@ def _summary(
         "recommended_period_s": recommended(seconds, _with_writes(site)),
         "recording": str(record) if record is not None else None,
     }
-    if site.target.driver in _STREAMS:
+    if site.target.capabilities.speaks:
         ages = {name: 1e3 * percentile(tally.ages, share) for name, share in _SHARES.items()} if tally.ages else None
         found["age_ms"], found["recommended_period_s"] = ages, None
         site.notes.append("this device speaks by itself: a scan takes what it has said, so that what counts is its age")

@@ -127,8 +127,8 @@ async def looking(site: Site, tags: Sequence[Tag]) -> AsyncIterator[Look]:
             yield through
         finally:
             line.close()
-    elif site.target.driver == "modbus":
-        async with open_registers(site.target.settings, clock=time.time) as survey:
+    elif site.target.capabilities.registers:
+        async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
             try:
                 yield lambda: survey.tags(tags)
             finally:

@@ -18,7 +18,7 @@ from gateway.console.places import config_dir, shipped
 from gateway.demo.child import DemoError
 from gateway.demo.folder import clear, held
 from gateway.demo.gap import demonstrate
-from gateway.demo.links import LINKS
+from gateway.demo.links import DEFAULT_LINK, LINKS
 from gateway.demo.play import play
 from gateway.demo.prepare import DemoRun, limit_for, pace, split, suits, write_device
 from gateway.demo.summary import draw_result, findings, result
@@ -54,7 +54,7 @@ from sim.traces.trace_file import write_trace
 )
 @seed_option
 @click.option(
-    "--link", type=click.Choice(tuple(LINKS)), default="modbus", show_default=True, help="The way to the PLC."
+    "--link", type=click.Choice(tuple(LINKS)), default=DEFAULT_LINK, show_default=True, help="The way to the PLC."
 )
 @click.option("--discrepancy", is_flag=True, help="The other demonstration: a hidden effect is found, named and added.")
 @click.option("--out", type=click.Path(path_type=Path), help="[default: out/demo, out/demo-discrepancy]")
@@ -80,7 +80,7 @@ def demo(
     Where they disagree is found, the missing effect named and added, and the error on new days shown before and after.
     """
     if discrepancy:
-        if paths or limit is not None or seconds is not None or link != "modbus":
+        if paths or limit is not None or seconds is not None or link != DEFAULT_LINK:
             raise click.UsageError(
                 "--discrepancy simulates its own plant; leave --trace, --limit, --seconds, --link out"
             )

@@ -89,6 +89,8 @@ def _hub(folder: Path) -> AbstractContextManager[object]:
     return can_hub(folder)
 
 
+DEFAULT_LINK = "modbus"
+
 LINKS: dict[str, DemoLink] = {
     "modbus": DemoLink(lambda folder: (), _tcp),
     "modbus-tls": DemoLink(lambda folder: ("--tls", certificates(folder)), _tls),

@@ -7,7 +7,7 @@ from pathlib import Path
 from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Driver, Writes
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.machine.clock import Clock
 from gateway.machine.writeback import Arming, Pace, Writer
 from gateway.plant.config import MAX_ARMED_MINUTES, Config

@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from gateway.checked import Section
+from drivers.driver import capabilities
+from drivers.settings import Section
 from gateway.plant.devices import DeviceMap, complete_paths, load_device
 
 FilePath = Annotated[Path, Field(strict=False)]
@@ -73,13 +74,15 @@ def links_of(section: DeviceSection, home: Path) -> tuple[Link, ...]:
     made = []
     for row in section.links:
         device = load_device(home / row.file)
-        made.append(Link(row.name, device, dict(device.settings) | complete_paths(row.model_extra or {}, home)))
+        made.append(
+            Link(row.name, device, dict(device.settings) | complete_paths(device.driver, row.model_extra or {}, home))
+        )
     return tuple(made)
 
 
 def _addressed(section: DeviceSection, device: DeviceMap) -> dict[str, Any]:
-    """The keys of [device] as settings: what is written there, and for Modbus over a network their defaults too."""
-    networked = device.driver == "modbus" and "serial" not in device.settings
+    """The keys of [device] as settings: what is written there, and for a device on a network their defaults too."""
+    networked = capabilities(device.driver).networked and "serial" not in device.settings
     wanted = {"host", "timeout"} if networked else set()
     given = section.model_dump(include={"host", "port", "timeout"} & (section.model_fields_set | wanted))
     return given

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.machine.ensemble import FAULTS
 from gateway.machine.predict import Predictor
 from gateway.machine.scan import Scan

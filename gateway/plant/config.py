@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from gateway.checked import ConfigError, Section, checked, read_toml
+from drivers.settings import ConfigError, Section, checked, read_toml
 from gateway.machine.links import DeviceSection, FilePath, Link, link_problems, links_of
 from gateway.plant.devices import DeviceMap
 
@@ -25,7 +25,7 @@ class ScanSection(Section):
     on_change: bool | None = Field(
         None,
         description="true: a device that speaks by itself is scanned at once when a tag of the model or of an alarm "
-        "changes; false: at the period only; no key: true for canopen and can",
+        "changes; false: at the period only; no key: true for a device that speaks by itself",
     )
 
 

@@ -6,7 +6,6 @@ here writes to the device: `arm` lets the gateway write its block, `disarm` take
 """
 
 import asyncio
-import json
 import os
 import socket
 import struct
@@ -16,6 +15,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from drivers import json_lines
+from drivers.json_lines import NoObject
 from drivers.tag import DType, Order, Sample, Tag
 from gateway.machine.arming import ArmingError
 from gateway.machine.redundant import Redundant
@@ -107,15 +108,12 @@ class Control:
         if task is not None:
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
-        try:
-            while _is_ours(writer) and (line := await reader.readline()):
-                reply = await answer(self._gateway, line, self._snapshot)
-                writer.write(json.dumps(strict(reply), ensure_ascii=False, allow_nan=False).encode() + b"\n")
-                await writer.drain()
-        except (OSError, ValueError, asyncio.CancelledError):
-            pass  # the client has gone, sends without end, or the gateway stops: nobody waits for an answer
-        finally:
-            writer.close()
+
+        async def reply(line: bytes) -> dict[str, Any]:
+            plain: dict[str, Any] = strict(await answer(self._gateway, line, self._snapshot))
+            return plain
+
+        await json_lines.serve(reader, writer, reply, admitted=lambda: _is_ours(writer))
 
 
 def _is_ours(writer: asyncio.StreamWriter) -> bool:
@@ -128,16 +126,14 @@ def _is_ours(writer: asyncio.StreamWriter) -> bool:
 async def answer(gateway: "Gateway", line: bytes, snapshot: Snapshot) -> dict[str, Any]:
     """The reply to one request."""
     try:
-        request = json.loads(line)
-        if not isinstance(request, dict) or not isinstance(request.get("command"), str):
+        request = json_lines.parsed(line)
+        if not isinstance(request.get("command"), str):
             raise ControlError('a request is a JSON object such as {"command": "status"}')
         act = COMMANDS.get(request["command"])
         if act is None:
             raise ControlError(f"there is no command {request['command']!r}; known are {', '.join(COMMANDS)}")
         return {"ok": True, **await act(gateway, request, snapshot)}
-    except json.JSONDecodeError as error:
-        return {"ok": False, "reason": f"the request is not JSON: {error}"}
-    except ControlError as error:
+    except (NoObject, ControlError) as error:
         return {"ok": False, "reason": str(error)}
 
 
@@ -238,11 +234,11 @@ class GatewayLine:
 
     def ask(self, command: str, **keys: Any) -> dict[str, Any]:
         """One request; gives the reply. Raises ControlError with the gateway's reason, OSError if it is gone."""
-        self._sock.sendall(json.dumps({"command": command, **keys}).encode() + b"\n")
+        self._sock.sendall(json_lines.packed({"command": command, **keys}))
         line = self._file.readline()
         if not line:
             raise ConnectionResetError("the gateway has closed its control socket")
-        reply: dict[str, Any] = json.loads(line)
+        reply = json_lines.parsed(line)
         if not reply.pop("ok", False):
             raise ControlError(str(reply.get("reason", "the gateway refused without a reason")))
         return reply

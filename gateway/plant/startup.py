@@ -8,10 +8,10 @@ from typing import Any
 
 import structlog
 
-from drivers.driver import Driver, open_driver
+from drivers.driver import Driver, capabilities, open_driver
 from drivers.errors import AddressError, DriverError
+from drivers.settings import ConfigError
 from drivers.tag import Tag
-from gateway.checked import ConfigError
 from gateway.machine.alarms import Alarm, Condition, from_plain, new_alarm
 from gateway.machine.clock import Clock
 from gateway.machine.links import Link
@@ -25,8 +25,6 @@ from sim.artefacts.store import current, forced, is_store, load, read_model
 from sim.checking.proof.verify import verify
 from sim.sha.model import Model
 
-_SPEAKS = frozenset({"can", "canopen"})
-"""Drivers of devices that speak by themselves."""
 DEVICE = "device"
 """The alarm for what the device itself says is wrong with it."""
 DRIFT_SINCE = "14d"
@@ -189,7 +187,7 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
 def scans_on_change(config: Config) -> bool:
     """Whether a change that a device tells by itself brings a scan of its own."""
     asked = config.scan.on_change
-    return any(link.map.driver in _SPEAKS for link in config.links) if asked is None else asked
+    return any(capabilities(link.map.driver).speaks for link in config.links) if asked is None else asked
 
 
 def _offer(config: Config) -> str:

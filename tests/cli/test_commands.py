@@ -21,7 +21,7 @@ from drivers.errors import (
     WriteForbidden,
     WriteUnverified,
 )
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.cli.main import COMMANDS, main
 from gateway.cli.model import COMMANDS as MODEL_COMMANDS
 from gateway.cli.trace import trace

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.plant.startup import load_model
 from sim.artefacts.files import ArtefactError
 from sim.artefacts.model_directory import write_model_directory

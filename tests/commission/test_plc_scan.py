@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from drivers.can.hub import Hub
 from drivers.errors import ReplyTimeout
+from drivers.modbus.settings import read_settings
 from drivers.modbus.survey import ModbusSurvey
-from drivers.modbus.transport import checked
 from drivers.survey import Words
 from gateway.commission.survey.register_map import ReadableMap, search
 from gateway.commission.survey.registers import _Asking
@@ -115,7 +115,7 @@ async def test_silence_at_one_address_is_a_refusal_while_the_device_still_answer
                 raise ReplyTimeout("no reply")
             return Words((0,) * count, 0.001)
 
-    asking = _Asking(Mute(checked({"host": "127.0.0.1"}), time.time), "holding")
+    asking = _Asking(Mute(read_settings({"host": "127.0.0.1"}), time.time), "holding")
     assert await asking.answers(0, 5)
     assert not await asking.answers(4, 3)
     assert asking.reasons == {"no reply": 1}

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from drivers.errors import ReplyTimeout
+from drivers.settings import ConfigError
 from drivers.tag import Value
-from gateway.checked import ConfigError
 from gateway.machine.predict import Predictor
 from gateway.machine.scan import Scan
 from gateway.plant.app import run

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.machine.core import Gateway
 from gateway.machine.ensemble import Ensemble, Member
 from gateway.machine.predict import Predictor

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from drivers.can.bus import open_bus
 from drivers.driver import Writes, open_driver
 from drivers.errors import DriverError
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.cli.main import main
 from gateway.commission.writeback.vectors import vectors
 from gateway.demo.can_bus import can_hub

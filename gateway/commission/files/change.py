@@ -7,7 +7,7 @@ from typing import Any
 
 import tomlkit
 
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.commission.files.device_file import encoding, fields_that_fit, set_block, set_device, set_tag
 from gateway.commission.files.plan_files import Files, device_edit, plant_edit, save
 
@@ -95,6 +95,4 @@ def _put_block(document: tomlkit.TOMLDocument, block: BlockPlace, template: Path
 def _room(document: tomlkit.TOMLDocument) -> int:
     """How many words the device takes in one write, by its settings."""
     device: Any = document.get("device", {})
-    if device.get("driver") != "modbus":
-        return _MOST_WORDS
     return int(device.get("max_write_registers", min(_MOST_WORDS, device.get("max_registers", _MOST_WORDS))))

@@ -35,14 +35,14 @@ class _RowError(ValueError):
 class Reading:
     """How a list is read where it does not say itself.
 
-    `table` of bare numbers, `order` of values wider than a register, `shift` added to every address, `modbus` False
+    `table` of bare numbers, `order` of values wider than a register, `shift` added to every address, `registers` False
     for other drivers' addresses, which are left as they are.
     """
 
     table: str = "holding"
     order: str = "ABCD"
     shift: int = 0
-    modbus: bool = True
+    registers: bool = True
     rename: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -201,7 +201,7 @@ def _address(sheet: ListSheet, line: ListRow, how: Reading) -> tuple[str, int | 
     text = line.get("address")
     if not text:
         raise _RowError("address", "is empty; give the address, or take the row out")
-    if not how.modbus:
+    if not how.registers:
         return text, _bit(line)
     plain, bit = text.lower().replace(" ", ""), _bit(line)
     match = _BIT.fullmatch(plain)

@@ -7,10 +7,11 @@ from typing import Any
 
 import tomlkit
 
-from gateway.checked import ConfigError, read_toml
+from drivers.driver import DRIVERS, capabilities
+from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.device_file import PLACE_KEYS, set_device, starter
 from gateway.commission.files.toml_edit import Edit, commit, edited, put
-from gateway.commission.session.target import CONNECT_S, Target, TargetError, make_target
+from gateway.commission.session.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
 from gateway.plant.config import load_config
 from gateway.plant.devices import load_device
 
@@ -86,10 +87,13 @@ def _driver_of(
     if path.exists():
         driver = read_toml(path).get("device", {}).get("driver")
         if not isinstance(driver, str):
-            raise ConfigError([f"{path}: device.driver: is missing; give the name of a driver such as 'modbus'"])
+            raise ConfigError([f"{path}: device.driver: is missing; give one of {', '.join(sorted(DRIVERS))}"])
+        if driver not in DRIVERS:
+            known = ", ".join(sorted(DRIVERS))
+            raise ConfigError([f"{path}: device.driver: {driver!r} is no driver; give one of {known}"])
         return driver, given
     if plant is None and link is None and not set(given) & {"host", "serial", "channel"}:
-        return "modbus", given
+        return DEFAULT_DRIVER, given
     target: Target = make_target(None, None, link, given)
     ours = {"transport": "tcp", "connect_timeout": CONNECT_S}  # what the commands fill in is no setting of the plant
     plain = {key: value for key, value in target.settings.items() if key in given or ours.get(key) != value}
@@ -156,7 +160,7 @@ def _place(document: tomlkit.TOMLDocument, files: Files, *, new: bool) -> None:
     folder = (files.plant or Path()).parent
     place = {key: _complete(key, value) for key, value in files.place.items()}
     file = _relative(files.device, folder)
-    if files.driver == "modbus" and set(place) <= _SHORT_FORM:
+    if capabilities(files.driver).networked and set(place) <= _SHORT_FORM:
         table.update({"file": file, **place})
         return
     rows = tomlkit.aot()

@@ -14,7 +14,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from gateway.checked import ConfigError, read_toml
+from drivers.settings import ConfigError, read_toml
 
 _CROWDED = re.compile(r"^([^\n#\[ \t][^\n]*|[\])}][^\n]*)\n(?=\[)", re.MULTILINE)
 _WIDE = re.compile(r"\n{3,}(?=\[)")

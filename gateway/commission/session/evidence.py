@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from drivers.driver import capabilities
 from drivers.tap import Frame, Medium
 from gateway.commission.session.pcap import PcapWriter
 
@@ -71,8 +72,8 @@ class Exchanges:
     dropped: int = 0
 
     def add(self, statistics: Mapping[str, float], driver: str) -> None:
-        """Take over a driver's counters since it was made; each driver has its own names for them."""
-        for name, keys in (_COUNTERS | _ITS_OWN.get(driver, {})).items():
+        """Take over a driver's counters since it was made; which of them are requests is the driver's to say."""
+        for name, keys in (_COUNTERS | {"asked": capabilities(driver).requests}).items():
             setattr(self, name, getattr(self, name) + int(sum(statistics.get(key, 0) for key in keys)))
 
     def line(self) -> str:
@@ -101,5 +102,3 @@ _COUNTERS: dict[str, tuple[str, ...]] = {
     "heard": ("frames",),
     "dropped": ("dropped", "dropped_frames", "overruns"),
 }
-_ITS_OWN: dict[str, dict[str, tuple[str, ...]]] = {"can": {"asked": ("sent", "obd_requests")}}
-"""The raw CAN driver counts as a request each look at what it has heard; on the bus it asks nothing."""

@@ -9,8 +9,9 @@ from typing import Any
 
 import click
 
+from drivers.driver import LINKS
+
 _FILE = click.Path(path_type=Path)
-LINKS = ("modbus", "modbus-tls", "modbus-rtu", "modbus-rtu-tcp", "canopen", "can")
 RECORDS = Path("out/commissioning.jsonl")
 
 

@@ -7,34 +7,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from drivers.driver import Driver, open_driver
+from drivers.capabilities import Capabilities
+from drivers.driver import LINKS, Driver, capabilities, link_of, open_driver
 from drivers.tag import Tag
 from drivers.tap import Medium
 from gateway.machine.links import Link
 from gateway.plant.config import Config, load_config
 from gateway.plant.devices import DeviceMap, load_device
 
-
-@dataclass(frozen=True, slots=True)
-class LinkKind:
-    """A link that `--link` names: its driver, and the settings that make it this one."""
-
-    driver: str
-    settings: Mapping[str, Any]
-    medium: Medium
-    needs: tuple[str, ...]
-
-
-KINDS: dict[str, LinkKind] = {
-    "modbus": LinkKind("modbus", {"transport": "tcp"}, "tcp", ("host",)),
-    "modbus-tls": LinkKind("modbus", {"transport": "tls"}, "tcp", ("host", "certificates")),
-    "modbus-rtu": LinkKind("modbus", {"transport": "rtu"}, "serial", ("serial",)),
-    "modbus-rtu-tcp": LinkKind("modbus", {"transport": "rtu-tcp"}, "tcp", ("host", "port")),
-    "canopen": LinkKind("canopen", {}, "can", ("channel",)),
-    "can": LinkKind("can", {}, "can", ("channel",)),
-}
 OPTION_OF: dict[str, str] = {"certificates": "--tls"}
 """Where a setting is given by an option of another name."""
+DEFAULT_DRIVER = "modbus"
+"""Meant where neither a file nor --link says which."""
 CONNECT_S = 3.0
 """Seconds for a connection where no plant file says otherwise: a laptop may be far away, over a VPN for one."""
 
@@ -65,9 +49,14 @@ class Target:
         return f"{self.kind}, {sentence}" if sentence else self.kind
 
     @property
+    def capabilities(self) -> Capabilities:
+        """What its device is like. Raises DriverError for a driver that is not known."""
+        return capabilities(self.driver)
+
+    @property
     def medium(self) -> Medium:
         """What its frames are, for the evidence."""
-        return KINDS[self.kind].medium if self.kind in KINDS else "tcp"
+        return LINKS[self.kind].medium if self.kind in LINKS else "tcp"
 
     @property
     def tags(self) -> tuple[Tag, ...]:
@@ -117,13 +106,13 @@ def make_target(
         )
     if link is None and "channel" in settings:
         raise TargetError("--channel is a CAN bus: say --link canopen or --link can")
-    return _complete(Target(link or _kind_of("modbus", settings), "", settings))
+    return _complete(Target(link or link_of(DEFAULT_DRIVER, settings), "", settings))
 
 
 def _of_plant(path: Path, name: str | None, settings: Mapping[str, Any]) -> Target:
     config = load_config(path)
     link = _chosen(config.links, name)
-    kind = _kind_of(link.map.driver, link.settings)
+    kind = link_of(link.map.driver, link.settings)
     files = (path, *(one.map.path for one in config.links))
     return _complete(
         Target(
@@ -141,7 +130,7 @@ def _chosen(links: Sequence[Link], name: str | None) -> Link:
     if name is None:
         return links[0]
     known = {link.name: link for link in reversed(links)}
-    kinds = {_kind_of(link.map.driver, link.settings): link for link in reversed(links)}
+    kinds = {link_of(link.map.driver, link.settings): link for link in reversed(links)}
     found = known.get(name) or kinds.get(name)
     if found is None:
         raise TargetError(f"--link: the plant file has no link {name!r}; it has {', '.join(dict.fromkeys(known))}")
@@ -151,33 +140,25 @@ def _chosen(links: Sequence[Link], name: str | None) -> Link:
 def _of_device(path: Path, link: str | None, settings: Mapping[str, Any]) -> Target:
     device = load_device(path)
     merged = {**device.settings, **settings}
-    kind = link or _kind_of(device.driver, merged)
-    if kind in KINDS and KINDS[kind].driver != device.driver:
-        raise TargetError(f"--link: {kind!r} is of driver {KINDS[kind].driver!r}, and {path} of {device.driver!r}")
+    kind = link or link_of(device.driver, merged)
+    if kind in LINKS and LINKS[kind].driver != device.driver:
+        raise TargetError(f"--link: {kind!r} is of driver {LINKS[kind].driver!r}, and {path} of {device.driver!r}")
     return _complete(Target(kind=kind, driver=device.driver, settings=merged, map=device, config=None, files=(path,)))
-
-
-def _kind_of(driver: str, settings: Mapping[str, Any]) -> str:
-    """The name that --link would give it."""
-    if driver != "modbus":
-        return driver
-    transport = settings.get("transport", "rtu" if "serial" in settings else "tcp")
-    return "modbus" if transport == "tcp" else f"modbus-{transport}"
 
 
 def _complete(target: Target) -> Target:
     """With what the link's kind says, and everything that it needs. Raises TargetError."""
-    kind = KINDS.get(target.kind)
+    kind = LINKS.get(target.kind)
     if kind is None:
         if target.map is not None:
             return target
-        raise TargetError(f"--link: {target.kind!r} is no link; give one of {', '.join(KINDS)}")
+        raise TargetError(f"--link: {target.kind!r} is no link; give one of {', '.join(LINKS)}")
     settings = {**kind.settings, **target.settings}
     if target.config is None and settings.get("host"):
         settings.setdefault("connect_timeout", CONNECT_S)
     missing = [OPTION_OF.get(key, f"--{key}") for key in kind.needs if settings.get(key) in (None, "")]
     if missing:
         raise TargetError(f"link {target.kind!r} needs {' and '.join(missing)}")
-    if kind.driver == "canopen" and target.map is None:
-        settings.setdefault("node", 1)
+    if target.map is None:
+        settings = {**kind.defaults, **settings}
     return replace(target, driver=kind.driver, settings=settings)

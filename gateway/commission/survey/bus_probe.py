@@ -25,7 +25,7 @@ async def probe_bus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -
             try:
                 frames = await survey.listen(LISTEN_S)
                 steps.append(_traffic(site, frames, facts))
-                if site.target.driver == "canopen":
+                if site.target.capabilities.nodes:
                     await _node(survey, int(settings.get("node", 1)), frames, steps, facts)
             finally:
                 site.count(survey.statistics())
@@ -43,7 +43,7 @@ def _traffic(site: Site, frames: list[BusFrame], facts: dict[str, Any]) -> Check
     sentence = f"no frame in {LISTEN_S:g} s: another bit rate, no device on the bus, or one that speaks only when asked"
     return (
         warning("traffic", sentence)
-        if site.target.driver == "canopen"
+        if site.target.capabilities.nodes
         else failed("traffic", sentence, ReplyTimeout(sentence))
     )
 

@@ -89,7 +89,7 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
     """
     mention_gateway(site)
     most = min(MOST_BITS if first.is_bit else MOST_REGISTERS, int(site.target.settings.get("max_registers", 2000)))
-    async with open_registers(site.target.settings, clock=time.time) as survey:
+    async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
         asking = _Asking(survey, first.table)
         try:
             steps = search(first.number, count, most=most, budget=budget)

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from drivers.driver import LINKS
 from drivers.errors import DeviceException, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, ListensToBus, open_bus_survey, open_registers
 from gateway.commission.session.gateway_line import mention_gateway
@@ -25,11 +26,12 @@ async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> Co
     mention_gateway(site)
     given = site.target.settings
     hurried = {"timeout": given.get("timeout", UNIT_S)}
-    if site.target.kind.startswith("modbus-rtu"):
+    if site.target.kind in LINKS and LINKS[site.target.kind].line:
         hurried["longest_reply"] = given.get("longest_reply", hurried["timeout"])
     register = first_register(site.target)
     rows: list[dict[str, Any]] = []
-    async with open_registers(site.target.with_settings(**hurried).settings, clock=time.time) as survey:
+    settings = site.target.with_settings(**hurried).settings
+    async with open_registers(site.target.driver, settings, clock=time.time) as survey:
         try:
             for place, unit in enumerate(units):
                 progress(f"unit {unit}", place / len(units))

@@ -11,7 +11,7 @@ from struct import pack
 
 import click
 
-from drivers.driver import Driver, Writes
+from drivers.driver import Driver, Writes, capabilities
 from drivers.errors import DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Sample
 from gateway.commission.session.audit_log import audit_path, questions
@@ -181,7 +181,7 @@ class BlockWriter:
         A link whose device acknowledges accepted blocks alone (CANopen) cannot confirm one that is to be refused: what
         became of it is for the PLC's account to say.
         """
-        if len(words) < len(self.layout.words) and self.device.driver != "modbus":
+        if len(words) < len(self.layout.words) and capabilities(self.device.driver).block == "frames":
             raise Unable("over this link a block is several frames, and a part of it is no write of its own")
         try:
             with suppress(WriteUnverified):
