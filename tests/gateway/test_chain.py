@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from gateway.commission.records import Record, append, broken_at
+
 from gateway.store.audit import AuditEntry, head, open_audit, verify
 from gateway.store.chain import BEGIN, digest, first_break, hash_of
 
