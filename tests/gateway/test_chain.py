@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from gateway.commission.records import Record, append, broken_at
-
+from gateway.commission.session.records import CommandRecord, append, broken_at
 from gateway.store.audit import AuditEntry, head, open_audit, verify
 from gateway.store.chain import BEGIN, digest, first_break, hash_of
 
@@ -25,7 +24,7 @@ def test_the_audit_logs_rows_are_bound_as_they_always_were(tmp_path: Path) -> No
 def test_the_records_lines_are_bound_as_they_always_were(tmp_path: Path) -> None:
     path, newest = tmp_path / "records.jsonl", ""
     for number in range(3):
-        record = Record(
+        record = CommandRecord(
             time=1.7e9 + number,
             seconds=0.5,
             command="check",
