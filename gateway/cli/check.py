@@ -14,7 +14,7 @@ from gateway.console.exits import Exit, exit_code, fail, sentences
 from gateway.console.options import json_option
 from gateway.console.output import emit, table
 from gateway.machine.clock import plant_clock
-from gateway.machine.links import Link
+from gateway.machine.links import DeviceLink
 from gateway.plant.config import Config
 from gateway.plant.startup import link_driver, load_model, make_driver
 
@@ -98,7 +98,7 @@ def _read_once(config: Config) -> list[dict[str, Any]]:
     return asyncio.run(read())
 
 
-def _row(link: Link, tag: Tag, sample: Sample) -> dict[str, Any]:
+def _row(link: DeviceLink, tag: Tag, sample: Sample) -> dict[str, Any]:
     seen = {"value": sample.value, "unit": tag.unit, "quality": sample.quality.name, "reason": sample.reason}
     return {"link": link.name, "tag": sample.tag, **seen}
 

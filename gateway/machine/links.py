@@ -52,7 +52,7 @@ class DeviceSection(Section):
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class DeviceLink:
     """One way to the device: its name, its own addresses, and all settings of its driver."""
 
     name: str
@@ -66,16 +66,18 @@ class Link:
         return " ".join(f"{key} {self.settings[key]}" for key in keys if key in self.settings) or "in this process"
 
 
-def links_of(section: DeviceSection, home: Path) -> tuple[Link, ...]:
+def links_of(section: DeviceSection, home: Path) -> tuple[DeviceLink, ...]:
     """The links in their order, with their device files. Raises ConfigError for a file that cannot be used."""
     if section.file is not None:
         device = load_device(home / section.file)
-        return (Link(device.driver, device, dict(device.settings) | _addressed(section, device)),)
+        return (DeviceLink(device.driver, device, dict(device.settings) | _addressed(section, device)),)
     made = []
     for row in section.links:
         device = load_device(home / row.file)
         made.append(
-            Link(row.name, device, dict(device.settings) | complete_paths(device.driver, row.model_extra or {}, home))
+            DeviceLink(
+                row.name, device, dict(device.settings) | complete_paths(device.driver, row.model_extra or {}, home)
+            )
         )
     return tuple(made)
 
@@ -88,7 +90,7 @@ def _addressed(section: DeviceSection, device: DeviceMap) -> dict[str, Any]:
     return given
 
 
-def link_problems(links: Sequence[Link], speed: float) -> list[str]:
+def link_problems(links: Sequence[DeviceLink], speed: float) -> list[str]:
     """What keeps links from standing in for one another, and a replay's speed at what may be a real plant."""
     names = [link.name for link in links]
     problems = [

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from drivers.settings import ConfigError, Section, checked, read_toml
-from gateway.machine.links import DeviceSection, FilePath, Link, link_problems, links_of
+from gateway.machine.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
 from gateway.plant.devices import DeviceMap
 
 Names = Annotated[tuple[str, ...], Field(strict=False)]
@@ -184,7 +184,7 @@ class Config:
     ensemble: EnsembleSection
     control: ControlSection
     clock: ClockSection
-    links: tuple[Link, ...]
+    links: tuple[DeviceLink, ...]
 
     @property
     def map(self) -> DeviceMap:
@@ -265,7 +265,7 @@ def _overridden(data: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str,
     return merged
 
 
-def _problems(content: _PlantFile, links: tuple[Link, ...], home: Path) -> list[str]:
+def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) -> list[str]:
     """What no single key shows: tags that the map lacks, a model that is not there, a speed for a real plant."""
     device = links[0].map
     tags = {tag.name for tag in device.tags}

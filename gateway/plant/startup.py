@@ -14,7 +14,7 @@ from drivers.settings import ConfigError
 from drivers.tag import Tag
 from gateway.machine.alarms import Alarm, Condition, from_plain, new_alarm
 from gateway.machine.clock import Clock
-from gateway.machine.links import Link
+from gateway.machine.links import DeviceLink
 from gateway.machine.predict import Predictor
 from gateway.machine.quality import STALE_PERIODS
 from gateway.machine.redundant import Redundant, Rules, Way
@@ -125,7 +125,7 @@ def make_driver(config: Config, clock: Clock) -> Driver:
     return Redundant(ways, rules, clock.now)
 
 
-def link_driver(config: Config, link: Link, clock: Clock) -> Driver:
+def link_driver(config: Config, link: DeviceLink, clock: Clock) -> Driver:
     """The driver of one link, with the closed write map unless the mode is off. Raises ConfigError.
 
     In shadow it may be armed later; a link that cannot write is one that reads then.
@@ -143,7 +143,7 @@ def link_driver(config: Config, link: Link, clock: Clock) -> Driver:
         raise ConfigError([f"{link.map.path}: device: {error}"]) from None
 
 
-def _addressed(link: Link) -> dict[str, Tag]:
+def _addressed(link: DeviceLink) -> dict[str, Tag]:
     """All tags of a link by name, the words of its block too."""
     block = link.map.writeback
     return {tag.name: tag for tag in (*link.map.tags, *(block.words if block else ()))}

@@ -11,7 +11,7 @@ from drivers.capabilities import Capabilities
 from drivers.driver import LINKS, Driver, capabilities, link_of, open_driver
 from drivers.tag import Tag
 from drivers.tap import Medium
-from gateway.machine.links import Link
+from gateway.machine.links import DeviceLink
 from gateway.plant.config import Config, load_config
 from gateway.plant.devices import DeviceMap, load_device
 
@@ -126,7 +126,7 @@ def _of_plant(path: Path, name: str | None, settings: Mapping[str, Any]) -> Targ
     )
 
 
-def _chosen(links: Sequence[Link], name: str | None) -> Link:
+def _chosen(links: Sequence[DeviceLink], name: str | None) -> DeviceLink:
     if name is None:
         return links[0]
     known = {link.name: link for link in reversed(links)}
