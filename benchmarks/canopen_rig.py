@@ -16,6 +16,7 @@ import click
 from benchmarks.fault_matrix import PERIOD, TOLERANCE_S, Matrix, suffered, table
 from benchmarks.rig import ROOT, Rig, make_rig, restless_trace
 from gateway.demo.can_bus import can_hub
+from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.recording import Recording
 from sim.sha.trace import Trace
 
@@ -27,7 +28,7 @@ BLOCK = 0x2100
 WRITES = (1, 6)
 """Command specifiers of an SDO client's first frame that writes (download, block download)."""
 
-FAULTS: Mapping[str, Mapping[str, Any]] = {
+_ROWS: Mapping[str, Mapping[str, Any]] = {
     "missing heartbeat": {"kind": "missing_heartbeat", "duration": 1.0},
     "short PDO": {"kind": "short_pdo", "duration": 1.0},
     "long PDO": {"kind": "long_pdo", "pdo": 2, "duration": 1.0},
@@ -45,7 +46,16 @@ FAULTS: Mapping[str, Mapping[str, Any]] = {
     "babbling node, our identifiers": {"kind": "babbling_node", "rate": 500.0, "known": True, "duration": 1.5},
     "write ignored": {"kind": "write_ignored", "duration": 1.0},
 }
-"""What is ordered from the PLC, by the row's name."""
+_NAMED = {row["kind"] for row in _ROWS.values()}
+FAULTS: Mapping[str, Mapping[str, Any]] = {
+    **_ROWS,
+    **{
+        kind: {"kind": kind, "duration": 1.0}
+        for kind, faces in ONLY_AT.items()
+        if kind not in _NAMED and "canopen" in faces
+    },
+}
+"""What is ordered from the PLC, by the row's name: also each fault of a node without a row above, at its defaults."""
 TOLERATED = ("SDO abort", "SDO late", "SDO silent")
 """While the PDOs come, nothing is lost to these."""
 

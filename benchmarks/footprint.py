@@ -40,8 +40,8 @@ from benchmarks.processes import (
     software_plc,
     until_usable,
 )
+from sim.plc.program.registers import read_map
 from sim.plc.record.recording import Recording, read_recording
-from sim.plc.registers import read_map
 
 
 @contextmanager

@@ -51,9 +51,9 @@ from benchmarks.processes import (
     software_plc,
     until_usable,
 )
-from sim.plc.encode import encode
+from sim.plc.program.encode import encode
+from sim.plc.program.registers import RegisterMap, read_map
 from sim.plc.record.recording import BlockRow, Recording, RequestRow, TruthRow, read_recording
-from sim.plc.registers import RegisterMap, read_map
 
 CURRENTS = (150.0, 250.0)
 STEP, STEPS = 0.02, 10

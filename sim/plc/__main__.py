@@ -13,18 +13,18 @@ from typing import Any
 
 import click
 
-from sim.plc.checks import InputError, read_text, read_toml
-from sim.plc.clock import PlantClock
 from sim.plc.control import describe as commands_table
 from sim.plc.control import listen_on_loopback, listen_to_stdin, say
 from sim.plc.faces import Face, face_options, make_faces, with_faces
-from sim.plc.faults import Fault, parse_fault
-from sim.plc.faults import describe as faults_table
 from sim.plc.modbus.server import ModbusServer
-from sim.plc.program import Plc, Settings
-from sim.plc.record.recorder import Recorder, record_nothing
-from sim.plc.registers import Place, parse_address, read_map
-from sim.plc.replay import Replay, read_trace
+from sim.plc.program.checks import InputError, read_text, read_toml
+from sim.plc.program.clock import PlantClock
+from sim.plc.program.faults import Fault, parse_fault
+from sim.plc.program.faults import describe as faults_table
+from sim.plc.program.plc import Plc, Settings, record_nothing
+from sim.plc.program.registers import Place, parse_address, read_map
+from sim.plc.program.replay import Replay, read_trace
+from sim.plc.record.recorder import Recorder
 
 UNUSABLE_INPUT = 2
 CANNOT_LISTEN = 3

@@ -13,8 +13,8 @@ from typing import Any, Protocol
 
 import click
 
-from sim.plc.program import Plc
-from sim.plc.schedule import Line
+from sim.plc.program.plc import Plc
+from sim.plc.program.schedule import Line
 
 Complain = Callable[[str], None]
 _FILE = click.Path(path_type=Path)

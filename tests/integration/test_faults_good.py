@@ -7,11 +7,11 @@ import pytest
 
 from benchmarks.fault_matrix import FAULTS, OUTAGES, TOLERATED, Matrix, Row, measure, outside, repeated
 from benchmarks.rig import MAP
-from sim.plc.faults import FAULTS as KINDS
-from sim.plc.faults import ONLY_AT
+from sim.plc.program.faults import FAULTS as KINDS
+from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.recording import Recording, RequestRow
 
-GROUPS = {
+GROUPS: dict[str, tuple[str, ...]] = {
     "absence": ("refuse", "silent", "half_open", "restart", "reset in mid-frame", "frozen image", "illegal register"),
     "replies": (
         "late reply",
@@ -32,6 +32,9 @@ GROUPS = {
         "write ignored",
     ),
 }
+_GROUPED = {name for names in GROUPS.values() for name in names}
+if others := tuple(name for name in FAULTS if name not in _GROUPED):
+    GROUPS["others"] = others
 BY_CHANCE = ("late reply, now and then",)
 ONLY_WRITES = ("write ignored",)
 MOMENTS = ("half_open",)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from sim.plc.faces import FACES
-from sim.plc.faults import FAULTS, ONLY_AT
+from sim.plc.program.faults import FAULTS, ONLY_AT
 from sim.plc.record.recording import read_recording
 from tests.drivers import certified
 from tests.drivers.scripted_line import rtu

@@ -6,11 +6,11 @@ from random import Random
 import pytest
 
 from sim.plc.__main__ import parse_stretch, read_faults
-from sim.plc.checks import InputError
-from sim.plc.faults import FAULTS, describe, parse_fault
-from sim.plc.modbus.messages import Reply, Request
-from sim.plc.registers import Place
-from sim.plc.schedule import Schedule
+from sim.plc.program.checks import InputError
+from sim.plc.program.faults import FAULTS, describe, parse_fault
+from sim.plc.program.pdu import Reply, Request
+from sim.plc.program.registers import Place
+from sim.plc.program.schedule import Schedule
 
 REQUEST = Request("test", 5, 1, bytes.fromhex("03 0064 0002"))
 REPLY = Reply(5, 1, bytes.fromhex("03 04 0001 0002"))
@@ -18,8 +18,9 @@ REPLY = Reply(5, 1, bytes.fromhex("03 04 0001 0002"))
 
 def bent(kind: str, **parameters: object) -> Reply:
     effect = parse_fault({"kind": kind, **parameters}, "test").effect(0.0)
-    assert effect.alter is not None
-    return effect.alter(REQUEST, REPLY, Random(0))
+    alter = effect.alter or effect.answer
+    assert alter is not None
+    return alter(REQUEST, REPLY, Random(0))
 
 
 @pytest.mark.parametrize(

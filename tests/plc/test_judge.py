@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.tag import Quality, Sample
-from sim.plc.checks import InputError
-from sim.plc.clock import PlantClock
+from sim.plc.program.checks import InputError
+from sim.plc.program.clock import PlantClock
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recorder import Recorder
 from sim.plc.record.recording import Recording, Run, TruthRow, read_recording

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.plc.clock import PlantClock
-from sim.plc.modbus.messages import Reply, Request
-from sim.plc.program import Plc, Settings
-from sim.plc.registers import Place, read_map
+from sim.plc.program.clock import PlantClock
+from sim.plc.program.pdu import Reply, Request
+from sim.plc.program.plc import Plc, Settings
+from sim.plc.program.registers import Place, read_map
 from tests.plc.bench import DECANTER
 
 COILS = """

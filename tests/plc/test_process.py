@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 
 from drivers.tag import Quality, Sample
-from sim.plc.clock import PlantClock
 from sim.plc.control import obey
-from sim.plc.program import Plc
+from sim.plc.program.clock import PlantClock
+from sim.plc.program.plc import Plc
+from sim.plc.program.registers import read_map
+from sim.plc.program.replay import Replay, read_trace
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import read_recording
-from sim.plc.registers import read_map
-from sim.plc.replay import Replay, read_trace
 from tests.plc.bench import (
     ACCEPTED,
     ACKNOWLEDGE,

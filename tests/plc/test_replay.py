@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.plc.checks import InputError
-from sim.plc.replay import Replay, TraceTable, read_trace
+from sim.plc.program.checks import InputError
+from sim.plc.program.replay import Replay, TraceTable, read_trace
 from tests.plc.bench import trace_file
 
 ROWS = ["10,0,,1.5", "10.5,1,100,", "10.5,1,110,nan", "12,True,,2.5", "13,false,90,2.5"]

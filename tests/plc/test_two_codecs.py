@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 
 from drivers import codec
 from drivers.tag import DType, Order, Quality, Tag
-from sim.plc.clock import PlantClock
-from sim.plc.encode import FLOATS, decode, encode, encode_absent, limits, value_at_rest, words_of_type
-from sim.plc.program import Plc
-from sim.plc.registers import Place, RegisterMap
+from sim.plc.program.clock import PlantClock
+from sim.plc.program.encode import FLOATS, decode, encode, encode_absent, limits, value_at_rest, words_of_type
+from sim.plc.program.plc import Plc
+from sim.plc.program.registers import Place, RegisterMap
 
 floats = st.floats(width=32, allow_nan=False, allow_infinity=False)
 NUMBERS = [dtype for dtype in DType if dtype not in (DType.BOOL, DType.STRING)]

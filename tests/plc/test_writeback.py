@@ -2,11 +2,11 @@
 
 import pytest
 
-from sim.plc import writeback
-from sim.plc.clock import PlantClock
-from sim.plc.modbus.messages import Request
-from sim.plc.program import Plc
-from sim.plc.registers import read_map
+from sim.plc.program import writeback
+from sim.plc.program.clock import PlantClock
+from sim.plc.program.pdu import Request
+from sim.plc.program.plc import Plc
+from sim.plc.program.registers import read_map
 from tests.plc.bench import BLOCK, DECANTER, block, crc
 
 REGISTERS = read_map(DECANTER)

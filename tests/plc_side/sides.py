@@ -6,9 +6,9 @@ from pathlib import Path
 from gateway.commission.plc_side.conformance import Account
 from gateway.commission.plc_side.structured_text import Program, generate
 from gateway.plant.devices import load_device
-from sim.plc.clock import PlantClock
-from sim.plc.program import Plc
-from sim.plc.registers import read_map
+from sim.plc.program.clock import PlantClock
+from sim.plc.program.plc import Plc
+from sim.plc.program.registers import read_map
 from tests.plc_side.structured_text import Instance, Text
 
 CYCLE_MS = 20

@@ -14,11 +14,11 @@ from typing import Any
 
 import serial
 
-from sim.plc.checks import InputError
 from sim.plc.modbus.framing import RTU
-from sim.plc.modbus.messages import Reply, Request
-from sim.plc.program import Plc
-from sim.plc.schedule import Line
+from sim.plc.program.checks import InputError
+from sim.plc.program.pdu import Reply, Request
+from sim.plc.program.plc import Plc
+from sim.plc.program.schedule import Line
 
 OWN_PAIR = "pty"
 _LARGEST = 4096

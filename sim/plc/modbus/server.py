@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from sim.plc.modbus.framing import HEADED, RTU, Framing
-from sim.plc.modbus.messages import Reply, Request
-from sim.plc.program import Plc
-from sim.plc.schedule import Line
+from sim.plc.program.pdu import Reply, Request
+from sim.plc.program.plc import Plc
+from sim.plc.program.schedule import Line
 
 _RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # SO_LINGER on, 0 s: close sends RST
 _PAUSE_S = 0.002  # between the pieces of a split reply, so that each is a segment of its own

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.tag import Value
-from sim.plc.checks import InputError, read_text
-from sim.plc.clock import PlantClock
+from sim.plc.program.checks import InputError, read_text
+from sim.plc.program.clock import PlantClock
 
 _KINDS = ("run", "truth", "request", "block", "frame", "event")
 

@@ -7,21 +7,31 @@ time. Time limits (the watchdog, faults) are wall seconds, whatever the speed of
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Protocol
 
 from drivers.tag import Value
-from sim.plc import writeback
-from sim.plc.checks import InputError, listed
-from sim.plc.clock import PlantClock
-from sim.plc.encode import Unrepresentable, encode, is_bool, resolution, value_at_rest
-from sim.plc.faults import ALL_TAGS, Effect, Fault, merged, refusal
-from sim.plc.image import ProcessImage, Undefined
-from sim.plc.modbus import messages as modbus
-from sim.plc.modbus.messages import Refusal, Reply, Request
-from sim.plc.record.recorder import Record, record_nothing
-from sim.plc.registers import Place, RegisterMap
-from sim.plc.replay import Replay
-from sim.plc.schedule import Line, Schedule
-from sim.plc.writeback import Intake
+from sim.plc.program import pdu as modbus
+from sim.plc.program import writeback
+from sim.plc.program.checks import InputError, listed
+from sim.plc.program.clock import PlantClock
+from sim.plc.program.encode import Unrepresentable, encode, is_bool, resolution, value_at_rest
+from sim.plc.program.faults import ALL_TAGS, Effect, Fault, merged, refusal
+from sim.plc.program.image import ProcessImage, Undefined
+from sim.plc.program.pdu import Refusal, Reply, Request
+from sim.plc.program.registers import Place, RegisterMap
+from sim.plc.program.replay import Replay
+from sim.plc.program.schedule import Line, Schedule
+from sim.plc.program.writeback import Intake
+
+
+class Record(Protocol):
+    """Takes a row of the given kind; `moment` is monotonic."""
+
+    def __call__(self, kind: str, moment: float, row: Mapping[str, object]) -> None: ...
+
+
+def record_nothing(kind: str, moment: float, row: Mapping[str, object]) -> None:
+    """The recorder of a PLC that keeps no record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +162,7 @@ class Plc:
     # ---------------------------------------------------------------- the network
 
     def exchange(self, request: Request, now: float) -> Reply | None:
-        """Act on one request and give the reply, bent by the faults in force; None: no reply at all."""
+        """Act on one request and give the reply, as the faults in force have it; None: no reply at all."""
         if request.unit != self.registers.unit:
             code = modbus.exception(request.function, modbus.TARGET_SILENT)
             answered = self.settings.answer_unknown_unit
@@ -162,8 +172,9 @@ class Plc:
         effect = merged(effect for _, effect in struck)
         pdu = self._answer(request, effect, now)
         reply = Reply(request.transaction, request.unit, pdu, rtu=request.rtu)
-        for entry, bent in struck:
-            reply = bent.alter(request, reply, entry.rng) if bent.alter else reply
+        for entry, own in struck:
+            for alter in (own.answer, own.alter):
+                reply = reply if alter is None else alter(request, reply, entry.rng)
         return self._noted(request, reply, tuple(entry.fault.kind for entry, _ in struck), now)
 
     def _answer(self, request: Request, effect: Effect, now: float) -> bytes:

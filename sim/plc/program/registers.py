@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field
 
 from drivers.tag import DType, Order, Tag
-from sim.plc.checks import Entry, InputError, listed, read_toml, validated
-from sim.plc.encode import sentinel_fits, words_of_type
+from sim.plc.program.checks import Entry, InputError, listed, read_toml, validated
+from sim.plc.program.encode import sentinel_fits, words_of_type
 
 WORD_TABLES = ("holding", "input")
 BIT_TABLES = ("coil", "discrete")

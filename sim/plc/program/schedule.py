@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from random import Random
 
-from sim.plc.checks import InputError
-from sim.plc.faults import Effect, Fault, merged
+from sim.plc.program.checks import InputError
+from sim.plc.program.faults import Effect, Fault, merged
 
 
 @dataclass(slots=True)

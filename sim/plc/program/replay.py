@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
-from sim.plc.checks import InputError, listed, read_text
+from sim.plc.program.checks import InputError, listed, read_text
 
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
 

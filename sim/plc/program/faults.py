@@ -9,15 +9,16 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from random import Random
+from typing import TypeVar
 
 from pydantic import ConfigDict, Field
 
-from sim.plc.can.bend import CanBend
-from sim.plc.canopen.bend import NodeBend
-from sim.plc.checks import Entry, InputError, checked_arguments, listed, signature_of, validated
-from sim.plc.modbus.messages import Reply, Request, exception
-from sim.plc.registers import parse_address
+from sim.plc.program.checks import Entry, InputError, checked_arguments, listed, signature_of, validated
+from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance
+from sim.plc.program.pdu import Reply, Request, exception
+from sim.plc.program.registers import parse_address
 
+Make = TypeVar("Make", bound=Callable[..., "Effect"])
 Alter = Callable[[Request, Reply, Random], Reply]
 ALL_TAGS = "*"
 
@@ -27,8 +28,9 @@ class Effect:
     """What a fault does while it is in force; the defaults are a healthy PLC.
 
     `reset` and `deafen` happen once, when the fault begins: all connections are reset, or are left open and never
-    served again. `refused` gives the exception code of an address. `can` bends frames, `node` a CANopen node; `abort`
-    is the code by which SDO requests are aborted.
+    served again. `refused` gives the exception code of an address. `answer` changes how and when an answer goes out
+    at any face, `alter` what is in a Modbus frame. `can` disturbs frames, `node` a CANopen node; `abort` is the code
+    by which SDO requests are aborted.
     """
 
     listen: bool = True
@@ -40,32 +42,64 @@ class Effect:
     frozen: frozenset[str] = frozenset()
     refused: tuple[tuple[str, int], ...] = ()
     code: int | None = None
+    answer: Alter | None = None
     alter: Alter | None = None
-    can: CanBend | None = None
-    node: NodeBend | None = None
+    can: BusDisturbance | None = None
+    node: NodeDisturbance | None = None
     abort: int | None = None
 
     @property
     def per_request(self) -> bool:
         """True if the fault strikes single requests, so that they can be counted, chosen and drawn."""
-        return not self.store or bool(self.refused) or self.alter is not None or {self.code, self.abort} != {None}
+        altering = self.answer is not None or self.alter is not None
+        return not self.store or bool(self.refused) or altering or {self.code, self.abort} != {None}
 
 
+FAULTS: dict[str, Callable[..., Effect]] = {}
+"""Every fault by its name."""
+ONLY_AT: dict[str, tuple[str, ...]] = {}
+"""The faults that only some faces can show, with those faces; all others strike any face."""
+
+
+def fault(*, name: str = "", only_at: tuple[str, ...] = ()) -> Callable[[Make], Make]:
+    """Enter a function into the table of faults, under its own name or another: that is all that a fault needs.
+
+    Its docstring's first line and its keyword parameters, with their defaults, are what the documentation prints.
+    """
+
+    def enter(function: Make) -> Make:
+        FAULTS[name or function.__name__] = function
+        if only_at:
+            ONLY_AT[name or function.__name__] = only_at
+        return function
+
+    return enter
+
+
+def shown_at(kind: str, face: str) -> bool:
+    """True if the face can show this fault."""
+    return face in ONLY_AT.get(kind, (face,))
+
+
+@fault()
 def refuse(_: float, *, reset: bool = True) -> Effect:
     """The listener is closed: connecting is refused. `reset`: open connections are reset too."""
     return Effect(listen=False, reset=reset)
 
 
+@fault()
 def silent(_: float) -> Effect:
     """Connections are accepted, requests are acted on, and no reply is sent."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, sent=False))
+    return Effect(answer=lambda request, reply, rng: replace(reply, sent=False))
 
 
+@fault()
 def half_open(_: float) -> Effect:
     """Connections that are open when it begins stay open and are never served again; new ones are served."""
     return Effect(deafen=True)
 
 
+@fault()
 def reset(_: float, *, after: int = -1) -> Effect:
     """Sends the first `after` bytes of the reply (-1: drawn), then resets the connection."""
 
@@ -76,26 +110,31 @@ def reset(_: float, *, after: int = -1) -> Effect:
     return Effect(alter=alter)
 
 
+@fault()
 def late(_: float, *, delay_s: float = 1.0) -> Effect:
     """The reply holds what was true when the request came, and is sent `delay_s` later."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, delay_s=reply.delay_s + max(0.0, delay_s)))
+    return Effect(answer=lambda request, reply, rng: replace(reply, delay_s=reply.delay_s + max(0.0, delay_s)))
 
 
+@fault()
 def duplicate(_: float, *, copies: int = 2) -> Effect:
     """The reply is sent `copies` times."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, copies=max(1, copies)))
+    return Effect(answer=lambda request, reply, rng: replace(reply, copies=max(1, copies)))
 
 
+@fault()
 def split(_: float, *, piece: int = 1) -> Effect:
     """The reply is sent in pieces of `piece` bytes, each in a segment of its own."""
     return Effect(alter=lambda request, reply, rng: replace(reply, piece=max(1, piece)))
 
 
+@fault()
 def garbage(_: float, *, length: int = 16) -> Effect:
     """Drawn bytes are sent instead of the reply."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, raw=rng.randbytes(max(0, length))))
+    return Effect(answer=lambda request, reply, rng: replace(reply, raw=rng.randbytes(max(0, length))))
 
 
+@fault()
 def wrong_unit(_: float, *, unit: int = -1) -> Effect:
     """The reply names another `unit` (-1: the next one)."""
 
@@ -105,6 +144,7 @@ def wrong_unit(_: float, *, unit: int = -1) -> Effect:
     return Effect(alter=alter)
 
 
+@fault()
 def wrong_function(_: float, *, function: int = -1) -> Effect:
     """The reply names another `function` (-1: 4 for 3, 3 for 4, else the next one)."""
 
@@ -115,6 +155,7 @@ def wrong_function(_: float, *, function: int = -1) -> Effect:
     return Effect(alter=alter)
 
 
+@fault()
 def wrong_count(_: float, *, delta: int = -1, honest: bool = True) -> Effect:
     """The reply holds `delta` registers (or bytes of bits) more or fewer than asked; a write's echo has another count.
 
@@ -123,26 +164,31 @@ def wrong_count(_: float, *, delta: int = -1, honest: bool = True) -> Effect:
     return Effect(alter=lambda request, reply, rng: replace(reply, pdu=_recounted(reply.pdu, delta, honest)))
 
 
+@fault()
 def wrong_transaction(_: float, *, offset: int = 1) -> Effect:
     """The reply names another transaction, `offset` away from the request's."""
     return Effect(alter=lambda request, reply, rng: replace(reply, transaction=(reply.transaction + offset) & 0xFFFF))
 
 
+@fault(name="exception")
 def refuse_request(_: float, *, code: int = 4) -> Effect:
     """Requests are answered with exception `code` (4 device failure, 6 busy, ...) and not acted on."""
     return Effect(code=code & 0xFF)
 
 
+@fault()
 def illegal_register(_: float, *, registers: list[str], code: int = 2) -> Effect:
     """Requests that touch one of `registers` (such as "holding:103") are answered with exception `code`."""
     return Effect(refused=tuple((register, code & 0xFF) for register in registers))
 
 
+@fault()
 def frozen(_: float, *, tags: list[str] | None = None) -> Effect:
     """The registers of `tags` stand still while the truth goes on; without `tags` all do, the heartbeat included."""
     return Effect(frozen=frozenset(tags or [ALL_TAGS]))
 
 
+@fault()
 def restart(elapsed_s: float, *, down_s: float = 1.0, zeros_s: float = 1.0) -> Effect:
     """The PLC restarts: connections reset, nobody listens for `down_s`, then zeros for `zeros_s`, then it runs again.
 
@@ -151,11 +197,13 @@ def restart(elapsed_s: float, *, down_s: float = 1.0, zeros_s: float = 1.0) -> E
     return Effect(listen=elapsed_s >= down_s, run=False, reset=True, over=elapsed_s >= down_s + zeros_s)
 
 
+@fault()
 def write_ignored(_: float) -> Effect:
     """Writes are confirmed and not stored."""
     return Effect(store=False)
 
 
+@fault(only_at=("serial", "rtu-tcp"))
 def wrong_checksum(_: float) -> Effect:
     """The last byte of the reply is another one, so that its CRC does not fit; only where frames have one."""
 
@@ -166,118 +214,82 @@ def wrong_checksum(_: float) -> Effect:
     return Effect(alter=alter)
 
 
+@fault(only_at=("can", "canopen"))
 def frame_loss(_: float, *, share: float = 0.3, messages: list[str] | None = None) -> Effect:
     """Of the CAN frames of `messages` (of all without it) a `share` in 0..1 is lost, as drawn."""
-    return Effect(can=CanBend(frozenset(messages or ()), loss=min(max(share, 0.0), 1.0)))
+    return Effect(can=BusDisturbance(messages=frozenset(messages or ()), loss=min(max(share, 0.0), 1.0)))
 
 
+@fault(only_at=("can",))
 def short_frame(_: float, *, cut: int = 1, messages: list[str] | None = None) -> Effect:
     """The CAN frames of `messages` have `cut` bytes fewer."""
-    return Effect(can=CanBend(frozenset(messages or ()), cut=max(1, cut)))
+    return Effect(can=BusDisturbance(messages=frozenset(messages or ()), cut=max(1, cut)))
 
 
+@fault(only_at=("can",))
 def stale_message(_: float, *, messages: list[str] | None = None) -> Effect:
     """The CAN frames of `messages` are repeated as they were, with counter and checksum, while the truth goes on."""
-    return Effect(can=CanBend(frozenset(messages or ()), stale=True))
+    return Effect(can=BusDisturbance(messages=frozenset(messages or ()), stale=True))
 
 
+@fault(only_at=("can",))
 def corrupt_frame(_: float, *, messages: list[str] | None = None) -> Effect:
     """In each CAN frame of `messages` one drawn bit is another one."""
-    return Effect(can=CanBend(frozenset(messages or ()), corrupt=True))
+    return Effect(can=BusDisturbance(messages=frozenset(messages or ()), corrupt=True))
 
 
+@fault(only_at=("can", "canopen"))
 def babbling_node(_: float, *, rate: float = 2000.0, known: bool = False) -> Effect:
     """A strange CAN node sends `rate` random frames a second, with random ids or (`known`) with the PLC's own."""
-    return Effect(can=CanBend(babble=min(max(rate, 0.0), 20_000.0), known=known))
+    return Effect(can=BusDisturbance(babble=min(max(rate, 0.0), 20_000.0), known=known))
 
 
+@fault(only_at=("can", "canopen"))
 def bus_off(_: float) -> Effect:
     """Every controller on the CAN bus is bus-off: nothing is sent and nothing heard."""
-    return Effect(can=CanBend(bus_off=True))
+    return Effect(can=BusDisturbance(bus_off=True))
 
 
+@fault(only_at=("canopen",))
 def missing_heartbeat(_: float) -> Effect:
     """The CANopen node sends no heartbeat, and everything else as before."""
-    return Effect(node=NodeBend(no_heartbeat=True))
+    return Effect(node=NodeDisturbance(no_heartbeat=True))
 
 
+@fault(only_at=("canopen",))
 def short_pdo(_: float, *, pdo: int = 0, cut: int = 1) -> Effect:
     """TPDO number `pdo` (0: every one) has `cut` bytes fewer than are mapped."""
-    return Effect(node=NodeBend(pdo=pdo, length=-max(1, cut)))
+    return Effect(node=NodeDisturbance(pdo=pdo, length=-max(1, cut)))
 
 
+@fault(only_at=("canopen",))
 def long_pdo(_: float, *, pdo: int = 0, extra: int = 1) -> Effect:
     """TPDO number `pdo` (0: every one) has `extra` bytes more than are mapped, as far as 8 bytes allow."""
-    return Effect(node=NodeBend(pdo=pdo, length=max(1, extra)))
+    return Effect(node=NodeDisturbance(pdo=pdo, length=max(1, extra)))
 
 
+@fault(only_at=("canopen",))
 def emcy(_: float, *, code: int = 0x5000, register: int = 1) -> Effect:
     """The CANopen node announces error `code` with this error register, and takes it back at the end."""
-    return Effect(node=NodeBend(emergency=(code & 0xFFFF, register & 0xFF)))
+    return Effect(node=NodeDisturbance(emergency=(code & 0xFFFF, register & 0xFF)))
 
 
+@fault(only_at=("canopen",))
 def sdo_abort(_: float, *, code: int = 0x08000000) -> Effect:
     """The CANopen node aborts SDO requests with this abort code and does not act on them."""
     return Effect(abort=code & 0xFFFFFFFF)
 
 
+@fault(only_at=("canopen",))
 def sdo_late(_: float, *, delay_s: float = 1.0) -> Effect:
     """Each SDO answer holds what was true when the request came, and is sent `delay_s` later, in its turn."""
     return late(_, delay_s=delay_s)
 
 
+@fault(only_at=("canopen",))
 def node_reset(_: float) -> Effect:
     """The CANopen node boots: the EDS's parameters, pre-operational, no PDO until a master starts it."""
-    return Effect(node=NodeBend(reset=True), over=True)
-
-
-FAULTS: dict[str, Callable[..., Effect]] = {
-    "refuse": refuse,
-    "silent": silent,
-    "half_open": half_open,
-    "reset": reset,
-    "late": late,
-    "duplicate": duplicate,
-    "split": split,
-    "garbage": garbage,
-    "wrong_unit": wrong_unit,
-    "wrong_function": wrong_function,
-    "wrong_count": wrong_count,
-    "wrong_transaction": wrong_transaction,
-    "exception": refuse_request,
-    "illegal_register": illegal_register,
-    "frozen": frozen,
-    "restart": restart,
-    "write_ignored": write_ignored,
-    "wrong_checksum": wrong_checksum,
-    "frame_loss": frame_loss,
-    "short_frame": short_frame,
-    "stale_message": stale_message,
-    "corrupt_frame": corrupt_frame,
-    "babbling_node": babbling_node,
-    "bus_off": bus_off,
-    "missing_heartbeat": missing_heartbeat,
-    "short_pdo": short_pdo,
-    "long_pdo": long_pdo,
-    "emcy": emcy,
-    "sdo_abort": sdo_abort,
-    "sdo_late": sdo_late,
-    "node_reset": node_reset,
-}
-
-ONLY_AT: dict[str, tuple[str, ...]] = {
-    "wrong_checksum": ("serial", "rtu-tcp"),
-    "frame_loss": ("can", "canopen"),
-    "short_frame": ("can",),
-    "stale_message": ("can",),
-    "corrupt_frame": ("can",),
-    "babbling_node": ("can", "canopen"),
-    "bus_off": ("can", "canopen"),
-    **dict.fromkeys(
-        ("missing_heartbeat", "short_pdo", "long_pdo", "emcy", "sdo_abort", "sdo_late", "node_reset"), ("canopen",)
-    ),
-}
-"""The faults that only some faces can show, with those faces; all others strike any face."""
+    return Effect(node=NodeDisturbance(reset=True), over=True)
 
 
 def describe() -> str:
@@ -329,8 +341,16 @@ def parse_fault(data: object, where: str) -> Fault:
         parse_address(register, f"{where} ({entry.kind}): key 'registers'")
     if entry.face and (not effect(0.0).run or effect(0.0).frozen):
         raise InputError(f"{where} ({entry.kind}): key 'face': it strikes the program behind all faces; leave it out")
-    limits = (entry.start, entry.duration, entry.count, entry.probability, entry.functions, entry.face)
-    return Fault(entry.kind, effect, *limits)
+    return Fault(
+        kind=entry.kind,
+        effect=effect,
+        start=entry.start,
+        duration=entry.duration,
+        count=entry.count,
+        probability=entry.probability,
+        functions=entry.functions,
+        face=entry.face,
+    )
 
 
 def merged(effects: Iterable[Effect]) -> Effect:
