@@ -17,7 +17,7 @@ from benchmarks.fault_matrix import PERIOD, TOLERANCE_S, Matrix, suffered, table
 from benchmarks.rig import ROOT, Rig, make_rig, restless_trace
 from gateway.demo.can_bus import can_hub
 from sim.plc.program.faults import ONLY_AT
-from sim.plc.record.recording import Recording
+from sim.plc.record.recording import PlcRecording
 from sim.sha.trace import Trace
 
 DEVICE = ROOT / "config/devices/decanter_canopen.toml"
@@ -95,7 +95,7 @@ def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]]) -> Matrix:
         return suffered(rig, faults, options, TOLERANCE_S + EVENT_TIMER_S)
 
 
-def outside(recording: Recording) -> list[str]:
+def outside(recording: PlcRecording) -> list[str]:
     """The objects that the gateway wrote by SDO and that are neither the block nor parameters of communication."""
     strange = []
     for row in recording.frames:
@@ -109,7 +109,7 @@ def outside(recording: Recording) -> list[str]:
     return strange
 
 
-def repeated(recording: Recording) -> int:
+def repeated(recording: PlcRecording) -> int:
     """How many first RPDOs of a block carry a sequence number that was there before."""
     sequences = [row.data[2:4] for row in recording.frames if not row.sent and row.id == 0x200 + NODE and row.data]
     return len(sequences) - len(set(sequences))

@@ -26,7 +26,7 @@ from gateway.store.history import reading, samples
 from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.judge import wrong_good
-from sim.plc.record.recording import EventRow, Recording, RequestRow, read_recording
+from sim.plc.record.recording import EventRow, PlcRecording, RequestRow, read_recording
 
 PERIOD = 0.1
 TOLERANCE_S = STALE_PERIODS * PERIOD
@@ -244,7 +244,7 @@ def _unconfirmed(historian: Path) -> list[float]:
     return [float(row[0]) for row in rows]
 
 
-def outside(recording: Recording) -> int:
+def outside(recording: PlcRecording) -> int:
     """How many writing requests touched an address outside the write-back block, whatever became of them."""
     return sum(
         not (row.function == 16 and row.address is not None and _inside(row.address, row.count or 0))

@@ -20,7 +20,7 @@ from drivers.can.notations import is_message_tag, message_decoder
 from drivers.can.pump import Pump
 from drivers.can.reception import Channel, Reception, Slot
 from drivers.can.settings import SETTINGS
-from drivers.can.signals import Place, SignalMap, describe
+from drivers.can.signals import SignalMap, SignalPlace, describe
 from drivers.can.streaming import Stream
 from drivers.can.writing import WriteMap
 from drivers.codec import Reading
@@ -41,7 +41,7 @@ class _Heard:
 
     tag: Tag
     problem: str = ""
-    place: Place | None = None
+    place: SignalPlace | None = None
     channel: Channel | None = None
     slot: Slot | None = None
     frame: CanFrame | None = None

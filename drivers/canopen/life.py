@@ -7,7 +7,7 @@ that repeats a count says nothing newer than the first frame with it, as from a 
 
 from dataclasses import dataclass
 
-from drivers.canopen.place import Place
+from drivers.canopen.place import ObjectPlace
 
 JITTER = 0.05
 """Seconds by which a frame may be late on its way without being taken for a stranger's."""
@@ -37,7 +37,7 @@ class Life:
     `since` is when the present count was first heard: time by the driver's clock, and moment by the loop's.
     """
 
-    place: Place
+    place: ObjectPlace
     rate: float
     strangers: int = 0
     since: tuple[float, float] = (0.0, 0.0)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.canopen.life import Life
-from drivers.canopen.place import Place, parse_place
+from drivers.canopen.place import ObjectPlace, parse_place
 from drivers.errors import DriverError
 from drivers.settings import Setting, check_settings
 
@@ -51,8 +51,8 @@ class Options:
     pdo_timeout: float
     sync_period: float
     tpdo: tuple[object, ...]
-    life: tuple[Place, float] | None
-    acknowledge: Mapping[Place, Place]
+    life: tuple[ObjectPlace, float] | None
+    acknowledge: Mapping[ObjectPlace, ObjectPlace]
     emcy_ignore: frozenset[int]
     backoff_first: float
     backoff_cap: float
@@ -82,7 +82,7 @@ def read_options(settings: Mapping[str, Any]) -> Options:
     return Options(**given)
 
 
-def _life(given: Mapping[str, Any] | None) -> tuple[Place, float] | None:
+def _life(given: Mapping[str, Any] | None) -> tuple[ObjectPlace, float] | None:
     if given is None:
         return None
     match given:
@@ -91,7 +91,7 @@ def _life(given: Mapping[str, Any] | None) -> tuple[Place, float] | None:
     raise DriverError(f"canopen: life: {given!r} must be a table such as {{ object = '0x2002:1', rate = 60 }}")
 
 
-def _acknowledge(given: Mapping[str, Any]) -> dict[Place, Place]:
+def _acknowledge(given: Mapping[str, Any]) -> dict[ObjectPlace, ObjectPlace]:
     what = "canopen: acknowledge"
     found = {}
     for written, answered in given.items():

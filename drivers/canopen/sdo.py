@@ -11,7 +11,7 @@ a confirmed download, and blocks a thread.
 from binascii import crc_hqx
 from collections.abc import Generator
 
-from drivers.canopen.place import Place
+from drivers.canopen.place import ObjectPlace
 from drivers.errors import DeviceException, ReplyMismatch
 
 Transfer = Generator[list[bytes] | None, bytes, bytes]
@@ -59,17 +59,17 @@ ABOUT_OBJECTS = frozenset(code for code in ABORTS if code >> 24 == 0x06)
 class SdoAbort(DeviceException):
     """The server aborted the transfer; `code` is its abort code."""
 
-    def __init__(self, place: Place, code: int) -> None:
+    def __init__(self, place: ObjectPlace, code: int) -> None:
         super().__init__(code, f"{place}: SDO abort 0x{code:08X}, {ABORTS.get(code, 'no code of CiA 301')}")
         self.place = place
 
 
-def abort_frame(place: Place, code: int) -> bytes:
+def abort_frame(place: ObjectPlace, code: int) -> bytes:
     """The frame by which a client gives a transfer up."""
     return _head(0x80, place) + code.to_bytes(4, "little")
 
 
-def upload(place: Place, size: int | None = None) -> Transfer:
+def upload(place: ObjectPlace, size: int | None = None) -> Transfer:
     """Read an object. `size` (bytes) cuts an expedited answer that does not say how much of it is data."""
     answer = yield from _initiated([_head(0x40, place) + bytes(4)], place, 2)
     command = answer[0]
@@ -89,7 +89,7 @@ def upload(place: Place, size: int | None = None) -> Transfer:
     return _whole(place, bytes(data), announced)
 
 
-def download(place: Place, data: bytes) -> Transfer:
+def download(place: ObjectPlace, data: bytes) -> Transfer:
     """Write an object, expedited up to 4 bytes and in segments above."""
     if 1 <= len(data) <= 4:
         yield from _initiated([_head(0x23 | (4 - len(data)) << 2, place) + data.ljust(4, b"\0")], place, 3)
@@ -105,7 +105,7 @@ def download(place: Place, data: bytes) -> Transfer:
     return b""
 
 
-def block_upload(place: Place) -> Transfer:
+def block_upload(place: ObjectPlace) -> Transfer:
     """Read an object by block transfer with CRC. A server that knows none aborts with UNKNOWN_COMMAND."""
     answer = yield from _initiated([_head(0xA4, place) + bytes([BLOCK, 0, 0, 0])], place, 6)
     announced = int.from_bytes(answer[4:8], "little") if answer[0] & 2 else None
@@ -140,7 +140,7 @@ BLOCK_UPLOAD_END = bytes([0xA1]) + bytes(7)
 """What a client confirms a block upload with, after its end; nothing answers it."""
 
 
-def block_download(place: Place, data: bytes) -> Transfer:
+def block_download(place: ObjectPlace, data: bytes) -> Transfer:
     """Write an object by block transfer with CRC."""
     answer = yield from _initiated([_head(0xC6, place) + len(data).to_bytes(4, "little")], place, 5)
     checked, size = bool(answer[0] & 4), answer[4]
@@ -169,11 +169,11 @@ def block_download(place: Place, data: bytes) -> Transfer:
     return b""
 
 
-def _head(command: int, place: Place) -> bytes:
+def _head(command: int, place: ObjectPlace) -> bytes:
     return bytes([command]) + place.index.to_bytes(2, "little") + bytes([place.subindex])
 
 
-def _initiated(frames: list[bytes], place: Place, specifier: int) -> Transfer:
+def _initiated(frames: list[bytes], place: ObjectPlace, specifier: int) -> Transfer:
     """The answer to a first request: the one that names the object; all others are not for it."""
     answer = yield frames
     while answer[1:4] != frames[0][1:4] or answer[0] >> 5 not in (specifier, 4):
@@ -182,7 +182,7 @@ def _initiated(frames: list[bytes], place: Place, specifier: int) -> Transfer:
     return answer
 
 
-def _segment(frame: bytes, place: Place, specifier: int, toggle: int) -> Transfer:
+def _segment(frame: bytes, place: ObjectPlace, specifier: int, toggle: int) -> Transfer:
     """The answer to a segment. A server that has lost count is told so."""
     answer = yield [frame]
     while answer[0] >> 5 != specifier:
@@ -193,13 +193,13 @@ def _segment(frame: bytes, place: Place, specifier: int, toggle: int) -> Transfe
     return answer
 
 
-def _refused(answer: bytes, place: Place) -> None:
+def _refused(answer: bytes, place: ObjectPlace) -> None:
     """Raises SdoAbort if the answer is the server's abort of this transfer."""
-    if answer[0] >> 5 == 4 and Place(int.from_bytes(answer[1:3], "little"), answer[3]) == place:
+    if answer[0] >> 5 == 4 and ObjectPlace(int.from_bytes(answer[1:3], "little"), answer[3]) == place:
         raise SdoAbort(place, int.from_bytes(answer[4:8], "little"))
 
 
-def _whole(place: Place, data: bytes, announced: int | None) -> bytes:
+def _whole(place: ObjectPlace, data: bytes, announced: int | None) -> bytes:
     if announced is not None and announced != len(data):
         raise ReplyMismatch(f"{place}: {announced} bytes were announced and {len(data)} came")
     return data

@@ -13,7 +13,7 @@ from drivers.can.bus import open_bus
 from drivers.can.pump import Pump
 from drivers.canopen.asking import quality_of
 from drivers.canopen.channel import SdoChannel
-from drivers.canopen.place import Place, from_bytes, parse_place
+from drivers.canopen.place import ObjectPlace, from_bytes, parse_place
 from drivers.driver import Clock
 from drivers.errors import DriverError, LinkDown
 from drivers.survey import BusFrame, Raw
@@ -81,7 +81,7 @@ class BusSurvey:
         if channel is None:
             channel = SdoChannel(lambda data: self._send(_SDO_REQUEST + node, data), timeout)
             self._asked[node, timeout] = channel
-        return await channel.read(Place(index, subindex))
+        return await channel.read(ObjectPlace(index, subindex))
 
     async def tags(self, tags: Sequence[Tag], node: int, timeout: float) -> list[Raw]:
         """Each tag of a node by SDO, with the bytes of its object; after one without an answer no more is asked."""
@@ -101,9 +101,8 @@ class BusSurvey:
             value, quality, reason = from_bytes(tag, data)
         except DriverError as error:
             return self._failed(tag, quality_of(error), str(error))
-        return Raw(
-            tag, Sample(tag.name, value, quality, self._clock(), sent, reason), str(place), len(data), tuple(data)
-        )
+        sample = Sample(tag.name, value, quality, self._clock(), sent=sent, reason=reason)
+        return Raw(tag, sample, str(place), len(data), tuple(data))
 
     def _failed(self, tag: Tag, quality: Quality, reason: str) -> Raw:
         return Raw(tag, Sample(tag.name, None, quality, self._clock(), reason=reason), tag.address, 0)

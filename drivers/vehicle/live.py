@@ -7,7 +7,7 @@ from typing import Any
 
 from drivers.can.frame import CanFrame
 from drivers.can.notations import Send
-from drivers.can.reception import Channel, Reception, Rules, Slot
+from drivers.can.reception import Channel, MessageRules, Reception, Slot
 from drivers.codec import Reading
 from drivers.errors import AddressError, DriverError
 from drivers.tag import Quality, Tag
@@ -41,7 +41,7 @@ class LiveVehicle:
             raise AddressError(problem)
         if tag.name not in self._places:
             # No frame has a negative key: a slot of its own, which ages and restarts like the others.
-            rules = Rules(-1 - len(self._places), tag.address)
+            rules = MessageRules(-1 - len(self._places), tag.address)
             self._places[tag.name] = self._reception.listen(rules, (), self._vehicle.timeout(tag), now)
         return self._places[tag.name]
 

@@ -12,7 +12,7 @@ from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import Quality, Tag
 from drivers.vehicle import address
-from drivers.vehicle.address import Place
+from drivers.vehicle.address import VehicleAddress
 from drivers.vehicle.isotp import Reassembler
 from drivers.vehicle.obd_pids import PidField, pids, single_frame
 
@@ -49,11 +49,11 @@ _CODE_SYSTEMS = "PCBU"
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class ObdTag:
     """One tag: the service and parameter that hold it, and the field (none for a text or a list)."""
 
     tag: Tag
-    where: Place
+    where: VehicleAddress
     service: int
     parameter: int
     field: PidField | None
@@ -69,7 +69,7 @@ class _Request:
     parameters: bytes
 
 
-def wanted(tag: Tag) -> Wanted:
+def wanted(tag: Tag) -> ObdTag:
     """What the tag's address means. Raises AddressError with what would be right."""
     where = address.place(tag)
     name, _, part = where.what.partition(".")
@@ -77,7 +77,7 @@ def wanted(tag: Tag) -> Wanted:
         service, parameter = _WORDS[name]
         if part not in ("", "count") or (part and service == VEHICLE):
             raise AddressError(f"{tag.name}: {tag.address!r}: {name} has no {part!r}")
-        return Wanted(tag, where, service, parameter, None, part == "count")
+        return ObdTag(tag, where, service, parameter, field=None, count=part == "count")
     try:
         number = int(name, 16)
     except ValueError:
@@ -92,14 +92,14 @@ def wanted(tag: Tag) -> Wanted:
     if part not in (*names, "") or (not part and len(names) > 1):
         first = f"obd:{number:02X}.{names[0]}"
         raise AddressError(f"{tag.name}: parameter {number:02X} has {', '.join(names)}; give one, such as {first!r}")
-    return Wanted(tag, where, CURRENT, number, pid.fields[part or names[0]])
+    return ObdTag(tag, where, CURRENT, number, pid.fields[part or names[0]])
 
 
 class ObdListener:
     """Readings of `obd:` tags from the frames of one or more buses. Raises AddressError for a tag it cannot mean."""
 
     def __init__(self, tags: Sequence[Tag]) -> None:
-        self._wanted: dict[tuple[int, int, int], list[Wanted]] = {}
+        self._wanted: dict[tuple[int, int, int], list[ObdTag]] = {}
         self._found_units: dict[tuple[str, int], Reassembler] = {}
         self._requests: dict[tuple[str, int], _Request] = {}
         self._counts = dict.fromkeys(("answers", "unread", "refusals", "unasked_refusals", "requests"), 0)
@@ -248,7 +248,7 @@ def trouble_code(high: int, low: int) -> str:
     return f"{_CODE_SYSTEMS[high >> 6]}{high >> 4 & 3}{high & 15:X}{low:02X}"
 
 
-def _field(one: Wanted, field: PidField, frame: bytes) -> Reading:
+def _field(one: ObdTag, field: PidField, frame: bytes) -> Reading:
     if not all(condition.met(frame) for condition in field.conditions):
         return None, Quality.NO_DATA, f"{field.name} is not there in this vehicle"
     raw = field.bits.get(frame)
@@ -260,7 +260,7 @@ def _field(one: Wanted, field: PidField, frame: bytes) -> Reading:
     return address.number(one.tag, one.where, raw * field.scale + field.offset, whole=is_whole)
 
 
-def _listed(one: Wanted, codes: Sequence[str]) -> Reading:
+def _listed(one: ObdTag, codes: Sequence[str]) -> Reading:
     return (
         address.number(one.tag, one.where, len(codes), whole=True)
         if one.count

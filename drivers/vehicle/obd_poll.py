@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from drivers.can.frame import CanFrame
 from drivers.can.notations import Send
 from drivers.vehicle.isotp import CONSECUTIVE, FIRST
-from drivers.vehicle.obd import ANSWER, CURRENT, ENGINE, REFUSAL, RESPONSE_PENDING, VEHICLE, Wanted
+from drivers.vehicle.obd import ANSWER, CURRENT, ENGINE, REFUSAL, RESPONSE_PENDING, VEHICLE, ObdTag
 
 _PADDING = b"\x55"
 _FLOW_CONTROL = b"\x30\x00\x00".ljust(8, _PADDING)
@@ -20,7 +20,7 @@ _FLOW_CONTROL = b"\x30\x00\x00".ljust(8, _PADDING)
 _PENDING = 5.0
 
 
-class Question(NamedTuple):
+class ObdRequest(NamedTuple):
     """One request: the identifiers of the unit's answers and of requests to it, and what is asked for."""
 
     answer: int
@@ -36,25 +36,25 @@ class Question(NamedTuple):
         return (bytes([len(body)]) + body).ljust(8, _PADDING)
 
 
-def questions(wanted: Sequence[Wanted], *, extended: bool) -> list[Question]:
+def questions(wanted: Sequence[ObdTag], *, extended: bool) -> list[ObdRequest]:
     """What to ask so that every parameter is answered once; `extended` for tags that name no unit."""
-    asked: dict[Question, None] = {}
+    asked: dict[ObdRequest, None] = {}
     for one in wanted:
         unit = ENGINE[extended] if one.where.source is None else one.where.source
         long = unit > 0x7FF
         request = 0x18DA00F1 | (unit & 0xFF) << 8 if long else unit - 8
-        asked[Question(unit, request, long, one.service, one.parameter)] = None
+        asked[ObdRequest(unit, request, long, one.service, one.parameter)] = None
     return list(asked)
 
 
 class Poller:
     """Asks round by round; `take` is told of every frame of the bus. `settings` are the driver's POLLING, checked."""
 
-    def __init__(self, wanted: Callable[[], Sequence[Wanted]], settings: Mapping[str, Any]) -> None:
+    def __init__(self, wanted: Callable[[], Sequence[ObdTag]], settings: Mapping[str, Any]) -> None:
         self._wanted = wanted
         self._send: Send = _nowhere
         self._settings = settings
-        self._asked: Question | None = None
+        self._asked: ObdRequest | None = None
         self._answered = asyncio.Event()
         self._pending = False
         self._left = 0
@@ -98,7 +98,7 @@ class Poller:
                 await self._ask(question)
             await asyncio.sleep(max(0.0, due - loop.time()))
 
-    async def _ask(self, question: Question) -> None:
+    async def _ask(self, question: ObdRequest) -> None:
         self._asked, self._pending = question, False
         self._answered.clear()
         self.counts["polls"] += 1

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import click
 
 from sim.plc.program.plc import Plc
-from sim.plc.program.schedule import Line
+from sim.plc.program.schedule import CycleFaults
 
 Complain = Callable[[str], None]
 _FILE = click.Path(path_type=Path)
@@ -29,7 +29,7 @@ class Face(Protocol):
         """Begin to serve. Raises OSError with a reason."""
         ...
 
-    async def apply(self, line: Line) -> None:
+    async def apply(self, line: CycleFaults) -> None:
         """Once a cycle: bring the face to what `line` asks for (already narrowed to this face)."""
         ...
 

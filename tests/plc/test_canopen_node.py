@@ -11,7 +11,7 @@ from sim.plc.canopen.node import OPERATIONAL, PRE_OPERATIONAL, STOPPED, CanopenN
 from sim.plc.canopen.objects import read_layout
 from sim.plc.canopen.sdo import Abort
 from sim.plc.program.checks import InputError
-from sim.plc.program.clock import PlantClock
+from sim.plc.program.clock import EmulatorClock
 from sim.plc.program.disturbance import NodeDisturbance
 from sim.plc.program.plc import Plc
 from sim.plc.program.registers import read_map
@@ -29,7 +29,7 @@ class Bench:
     def __init__(self) -> None:
         self.now = 100.0
         registers = read_map(DECANTER)
-        self.plc = Plc(registers, PlantClock(0.0, 0.0, monotonic=lambda: self.now))
+        self.plc = Plc(registers, EmulatorClock(0.0, 0.0, monotonic=lambda: self.now))
         assert registers.block is not None
         self.node = CanopenNode(read_layout(MAP, registers.tags, registers.block.place.words), self.plc)
         self.plc.begin(self.now)

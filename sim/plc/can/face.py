@@ -13,9 +13,9 @@ from sim.plc.can.station import Station, record
 from sim.plc.program.disturbance import BusDisturbance, disturbed
 from sim.plc.program.faults import merged, shown_at
 from sim.plc.program.image import Undefined
-from sim.plc.program.pdu import Reply, Request
+from sim.plc.program.pdu import ModbusReply, ModbusRequest
 from sim.plc.program.plc import Plc
-from sim.plc.program.schedule import Line
+from sim.plc.program.schedule import CycleFaults
 
 _LAST_FIELD = "sequence_copy"
 
@@ -40,7 +40,7 @@ class CanFace:
         """Join the bus. Raises OSError with a reason."""
         self._station.open()
 
-    async def apply(self, line: Line) -> None:
+    async def apply(self, line: CycleFaults) -> None:
         """Once a cycle: what is due is sent, as the faults in force have it."""
         now = self._plc.clock.monotonic()
         self._listens = line.listen
@@ -104,8 +104,8 @@ class CanFace:
         if taken is None:
             return
         words, echo = taken
-        request = Request("can", 0, self._plc.registers.unit, data, self.name)
-        reply = Reply(0, self._plc.registers.unit, echo)
+        request = ModbusRequest("can", 0, self._plc.registers.unit, data, self.name)
+        reply = ModbusReply(0, self._plc.registers.unit, echo)
         for entry, effect in struck:
             if effect.answer is not None and shown_at(entry.fault.kind, self.name):
                 reply = effect.answer(request, reply, entry.rng)
@@ -114,7 +114,7 @@ class CanFace:
         if reply.sent:
             self._answer(block, reply)
 
-    def _answer(self, block: BlockMemory, reply: Reply) -> None:
+    def _answer(self, block: BlockMemory, reply: ModbusReply) -> None:
         data = (reply.pdu if reply.raw is None else reply.raw)[:8]
         number = block.echo.frame_id
         frame = _data_frame(number, data, extended=block.echo.is_extended_frame)

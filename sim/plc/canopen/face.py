@@ -10,14 +10,14 @@ import can
 
 from sim.plc.can.station import Station, record
 from sim.plc.canopen.node import SDO_ANSWER, SDO_REQUEST, CanopenNode, Out
-from sim.plc.canopen.objects import Layout, read_layout
+from sim.plc.canopen.objects import NodeLayout, read_layout
 from sim.plc.canopen.pdo import TPDO
 from sim.plc.canopen.sdo import GENERAL, abort_frame
 from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance, disturbed, together
-from sim.plc.program.faults import Effect, merged, shown_at
-from sim.plc.program.pdu import Reply, Request
+from sim.plc.program.faults import FaultEffect, merged, shown_at
+from sim.plc.program.pdu import ModbusReply, ModbusRequest
 from sim.plc.program.plc import Plc
-from sim.plc.program.schedule import Line, Scheduled
+from sim.plc.program.schedule import CycleFaults, Scheduled
 
 FIRST_REQUESTS, WRITES = (1, 2, 5, 6), (1, 6)
 ABORTED = 0x80
@@ -29,7 +29,7 @@ class CanopenFace:
 
     name = "canopen"
 
-    def __init__(self, plc: Plc, layout: Layout, where: tuple[str, str], complain: Callable[[str], None]) -> None:
+    def __init__(self, plc: Plc, layout: NodeLayout, where: tuple[str, str], complain: Callable[[str], None]) -> None:
         self._plc = plc
         self.node = CanopenNode(layout, plc)
         self._rng = Random(f"{plc.settings.seed}:canopen")  # noqa: S311 - a repeatable bench, not a secret
@@ -45,7 +45,7 @@ class CanopenFace:
         """Join the bus and boot. Raises OSError with a reason."""
         self._station.open()
 
-    async def apply(self, line: Line) -> None:
+    async def apply(self, line: CycleFaults) -> None:
         """Once a cycle: the node boots, falls silent or says what is due, as the faults in force have it."""
         now = self._plc.clock.monotonic()
         self._disturbances = [effect.can for _, effect in line.standing if effect.can is not None]
@@ -105,7 +105,7 @@ class CanopenFace:
             if self._plc.intake.accepted != before:  # the acknowledge does not wait for the program's next cycle
                 self._put_all(self.node.cycle(now, self._own_disturbance))
 
-    def _struck(self, function: int, now: float) -> tuple[list[Scheduled], Effect]:
+    def _struck(self, function: int, now: float) -> tuple[list[Scheduled], FaultEffect]:
         """The faults that strike a request of this command specifier (RPDOs: 0), and what they do together."""
         struck = list(self._plc.schedule.strike(function, now, self.name))
         return [entry for entry, _ in struck], merged(effect for _, effect in struck)
@@ -127,7 +127,10 @@ class CanopenFace:
 
     def _reply(self, answer: bytes, entries: Sequence[Scheduled], now: float) -> None:
         """Send one answer as the faults have it, and none before those that came earlier: a server is one queue."""
-        request, reply = Request("canopen", 0, self.node.id, answer, self.name), Reply(0, self.node.id, answer)
+        request, reply = (
+            ModbusRequest("canopen", 0, self.node.id, answer, self.name),
+            ModbusReply(0, self.node.id, answer),
+        )
         for entry in entries:
             answer_as = entry.effect(now).answer
             if answer_as is not None and shown_at(entry.fault.kind, self.name):

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sim.plc.canopen.eds import Address
-from sim.plc.canopen.objects import Layout, Objects
-from sim.plc.canopen.pdo import RPDO, TPDO, Pdo
+from sim.plc.canopen.objects import NodeLayout, Objects
+from sim.plc.canopen.pdo import RPDO, TPDO, ActivePdo
 from sim.plc.canopen.sdo import Abort, SdoServer
 from sim.plc.program.disturbance import NodeDisturbance
 from sim.plc.program.plc import Plc
@@ -34,7 +34,7 @@ class _Sent:
 class CanopenNode:
     """One node over the PLC's process image. `life` is the object whose change alone sends no TPDO."""
 
-    def __init__(self, layout: Layout, plc: Plc) -> None:
+    def __init__(self, layout: NodeLayout, plc: Plc) -> None:
         self.id = layout.node
         self.objects = Objects(layout, plc, self._new_beat)
         self.sdo = SdoServer(self.objects.read, self.objects.write)
@@ -73,18 +73,18 @@ class CanopenNode:
                     out.append(self._frame(pdo, now, disturbance))
         return out
 
-    def _due(self, pdo: Pdo, now: float) -> bool:
+    def _due(self, pdo: ActivePdo, now: float) -> bool:
         sent = self._sent.setdefault(pdo.number, _Sent())
         if now < sent.free:
             return False
         timed = pdo.event_timer > 0.0 and now >= sent.due
         return timed or sent.content is None or self._content(pdo) != sent.content
 
-    def _content(self, pdo: Pdo) -> bytes:
+    def _content(self, pdo: ActivePdo) -> bytes:
         """What a TPDO says beside the life counter: a change of it is an event."""
         return b"".join(self.objects.read(place) for place, _ in pdo.objects if place != self._life)
 
-    def _frame(self, pdo: Pdo, now: float, disturbance: NodeDisturbance) -> Out:
+    def _frame(self, pdo: ActivePdo, now: float, disturbance: NodeDisturbance) -> Out:
         sent = self._sent.setdefault(pdo.number, _Sent())
         sent.content, sent.due, sent.free = self._content(pdo), now + pdo.event_timer, now + pdo.inhibit
         self.counts["tpdos"] += 1
@@ -147,7 +147,7 @@ class CanopenNode:
                 out.append(self._frame(pdo, now, disturbance))
         return out
 
-    def _receive(self, pdo: Pdo, data: bytes) -> None:
+    def _receive(self, pdo: ActivePdo, data: bytes) -> None:
         """An RPDO of the right length writes its objects, the words of the block among them together."""
         if len(data) != sum(size for _, size in pdo.objects):
             return
@@ -178,7 +178,7 @@ class CanopenNode:
         self._beat_due = 0.0
 
 
-def _life_of(layout: Layout, plc: Plc) -> Address | None:
+def _life_of(layout: NodeLayout, plc: Plc) -> Address | None:
     """The object of the PLC's own heartbeat."""
     name = plc.registers.heartbeat
     return next((address for address, tags in layout.tags.items() if any(tag.name == name for tag in tags)), None)

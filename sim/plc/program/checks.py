@@ -14,13 +14,13 @@ class InputError(ValueError):
     """A file, an argument or a command that the PLC cannot use; the message is for the one who wrote it."""
 
 
-class Entry(BaseModel):
+class FileTable(BaseModel):
     """A table of a TOML or JSON file: unknown keys and wrong types are refused. A field's description is its remedy."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-E = TypeVar("E", bound=Entry)
+E = TypeVar("E", bound=FileTable)
 
 
 def read_text(path: Path, what: str) -> str:
@@ -51,7 +51,7 @@ def validated(entry: type[E], data: object, where: str) -> E:
         raise InputError(_sentence(entry, error.errors()[0], where)) from None
 
 
-def _sentence(entry: type[Entry], detail: ErrorDetails, where: str) -> str:
+def _sentence(entry: type[FileTable], detail: ErrorDetails, where: str) -> str:
     key = str(detail["loc"][0]) if detail["loc"] else ""
     if detail["type"] == "extra_forbidden":
         return f"{where}: key {key!r}: is not known; known are {listed(tuple(entry.model_fields))}"

@@ -13,18 +13,18 @@ from typing import TypeVar
 
 from pydantic import ConfigDict, Field
 
-from sim.plc.program.checks import Entry, InputError, checked_arguments, listed, signature_of, validated
+from sim.plc.program.checks import FileTable, InputError, checked_arguments, listed, signature_of, validated
 from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance
-from sim.plc.program.pdu import Reply, Request, exception
+from sim.plc.program.pdu import ModbusReply, ModbusRequest, exception
 from sim.plc.program.registers import parse_address
 
-Make = TypeVar("Make", bound=Callable[..., "Effect"])
-Alter = Callable[[Request, Reply, Random], Reply]
+Make = TypeVar("Make", bound=Callable[..., "FaultEffect"])
+Alter = Callable[[ModbusRequest, ModbusReply, Random], ModbusReply]
 ALL_TAGS = "*"
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class FaultEffect:
     """What a fault does while it is in force; the defaults are a healthy PLC.
 
     `reset` and `deafen` happen once, when the fault begins: all connections are reset, or are left open and never
@@ -55,7 +55,7 @@ class Effect:
         return not self.store or bool(self.refused) or altering or {self.code, self.abort} != {None}
 
 
-FAULTS: dict[str, Callable[..., Effect]] = {}
+FAULTS: dict[str, Callable[..., FaultEffect]] = {}
 """Every fault by its name."""
 ONLY_AT: dict[str, tuple[str, ...]] = {}
 """The faults that only some faces can show, with those faces; all others strike any face."""
@@ -82,214 +82,216 @@ def shown_at(kind: str, face: str) -> bool:
 
 
 @fault()
-def refuse(_: float, *, reset: bool = True) -> Effect:
+def refuse(_: float, *, reset: bool = True) -> FaultEffect:
     """The listener is closed: connecting is refused. `reset`: open connections are reset too."""
-    return Effect(listen=False, reset=reset)
+    return FaultEffect(listen=False, reset=reset)
 
 
 @fault()
-def silent(_: float) -> Effect:
+def silent(_: float) -> FaultEffect:
     """Connections are accepted, requests are acted on, and no reply is sent."""
-    return Effect(answer=lambda request, reply, rng: replace(reply, sent=False))
+    return FaultEffect(answer=lambda request, reply, rng: replace(reply, sent=False))
 
 
 @fault()
-def half_open(_: float) -> Effect:
+def half_open(_: float) -> FaultEffect:
     """Connections that are open when it begins stay open and are never served again; new ones are served."""
-    return Effect(deafen=True)
+    return FaultEffect(deafen=True)
 
 
 @fault()
-def reset(_: float, *, after: int = -1) -> Effect:
+def reset(_: float, *, after: int = -1) -> FaultEffect:
     """Sends the first `after` bytes of the reply (-1: drawn), then resets the connection."""
 
-    def alter(_: Request, reply: Reply, rng: Random) -> Reply:
+    def alter(_: ModbusRequest, reply: ModbusReply, rng: Random) -> ModbusReply:
         length = len(reply.frame())
         return replace(reply, cut=rng.randrange(1, length) if after < 0 else min(after, length))
 
-    return Effect(alter=alter)
+    return FaultEffect(alter=alter)
 
 
 @fault()
-def late(_: float, *, delay_s: float = 1.0) -> Effect:
+def late(_: float, *, delay_s: float = 1.0) -> FaultEffect:
     """The reply holds what was true when the request came, and is sent `delay_s` later."""
-    return Effect(answer=lambda request, reply, rng: replace(reply, delay_s=reply.delay_s + max(0.0, delay_s)))
+    return FaultEffect(answer=lambda request, reply, rng: replace(reply, delay_s=reply.delay_s + max(0.0, delay_s)))
 
 
 @fault()
-def duplicate(_: float, *, copies: int = 2) -> Effect:
+def duplicate(_: float, *, copies: int = 2) -> FaultEffect:
     """The reply is sent `copies` times."""
-    return Effect(answer=lambda request, reply, rng: replace(reply, copies=max(1, copies)))
+    return FaultEffect(answer=lambda request, reply, rng: replace(reply, copies=max(1, copies)))
 
 
 @fault()
-def split(_: float, *, piece: int = 1) -> Effect:
+def split(_: float, *, piece: int = 1) -> FaultEffect:
     """The reply is sent in pieces of `piece` bytes, each in a segment of its own."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, piece=max(1, piece)))
+    return FaultEffect(alter=lambda request, reply, rng: replace(reply, piece=max(1, piece)))
 
 
 @fault()
-def garbage(_: float, *, length: int = 16) -> Effect:
+def garbage(_: float, *, length: int = 16) -> FaultEffect:
     """Drawn bytes are sent instead of the reply."""
-    return Effect(answer=lambda request, reply, rng: replace(reply, raw=rng.randbytes(max(0, length))))
+    return FaultEffect(answer=lambda request, reply, rng: replace(reply, raw=rng.randbytes(max(0, length))))
 
 
 @fault()
-def wrong_unit(_: float, *, unit: int = -1) -> Effect:
+def wrong_unit(_: float, *, unit: int = -1) -> FaultEffect:
     """The reply names another `unit` (-1: the next one)."""
 
-    def alter(request: Request, reply: Reply, _: Random) -> Reply:
+    def alter(request: ModbusRequest, reply: ModbusReply, _: Random) -> ModbusReply:
         return replace(reply, unit=(request.unit + 1 if unit < 0 else unit) & 0xFF)
 
-    return Effect(alter=alter)
+    return FaultEffect(alter=alter)
 
 
 @fault()
-def wrong_function(_: float, *, function: int = -1) -> Effect:
+def wrong_function(_: float, *, function: int = -1) -> FaultEffect:
     """The reply names another `function` (-1: 4 for 3, 3 for 4, else the next one)."""
 
-    def alter(request: Request, reply: Reply, _: Random) -> Reply:
+    def alter(request: ModbusRequest, reply: ModbusReply, _: Random) -> ModbusReply:
         other = {3: 4, 4: 3}.get(request.function, request.function + 1) if function < 0 else function
         return replace(reply, pdu=bytes((other & 0xFF,)) + reply.pdu[1:])
 
-    return Effect(alter=alter)
+    return FaultEffect(alter=alter)
 
 
 @fault()
-def wrong_count(_: float, *, delta: int = -1, honest: bool = True) -> Effect:
+def wrong_count(_: float, *, delta: int = -1, honest: bool = True) -> FaultEffect:
     """The reply holds `delta` registers (or bytes of bits) more or fewer than asked; a write's echo has another count.
 
     `honest`: the byte count tells the truth about it; otherwise it still says what was asked for.
     """
-    return Effect(alter=lambda request, reply, rng: replace(reply, pdu=_recounted(reply.pdu, delta, honest)))
+    return FaultEffect(alter=lambda request, reply, rng: replace(reply, pdu=_recounted(reply.pdu, delta, honest)))
 
 
 @fault()
-def wrong_transaction(_: float, *, offset: int = 1) -> Effect:
+def wrong_transaction(_: float, *, offset: int = 1) -> FaultEffect:
     """The reply names another transaction, `offset` away from the request's."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, transaction=(reply.transaction + offset) & 0xFFFF))
+    return FaultEffect(
+        alter=lambda request, reply, rng: replace(reply, transaction=(reply.transaction + offset) & 0xFFFF)
+    )
 
 
 @fault(name="exception")
-def refuse_request(_: float, *, code: int = 4) -> Effect:
+def refuse_request(_: float, *, code: int = 4) -> FaultEffect:
     """Requests are answered with exception `code` (4 device failure, 6 busy, ...) and not acted on."""
-    return Effect(code=code & 0xFF)
+    return FaultEffect(code=code & 0xFF)
 
 
 @fault()
-def illegal_register(_: float, *, registers: list[str], code: int = 2) -> Effect:
+def illegal_register(_: float, *, registers: list[str], code: int = 2) -> FaultEffect:
     """Requests that touch one of `registers` (such as "holding:103") are answered with exception `code`."""
-    return Effect(refused=tuple((register, code & 0xFF) for register in registers))
+    return FaultEffect(refused=tuple((register, code & 0xFF) for register in registers))
 
 
 @fault()
-def frozen(_: float, *, tags: list[str] | None = None) -> Effect:
+def frozen(_: float, *, tags: list[str] | None = None) -> FaultEffect:
     """The registers of `tags` stand still while the truth goes on; without `tags` all do, the heartbeat included."""
-    return Effect(frozen=frozenset(tags or [ALL_TAGS]))
+    return FaultEffect(frozen=frozenset(tags or [ALL_TAGS]))
 
 
 @fault()
-def restart(elapsed_s: float, *, down_s: float = 1.0, zeros_s: float = 1.0) -> Effect:
+def restart(elapsed_s: float, *, down_s: float = 1.0, zeros_s: float = 1.0) -> FaultEffect:
     """The PLC restarts: connections reset, nobody listens for `down_s`, then zeros for `zeros_s`, then it runs again.
 
     Until the program runs every register, the heartbeat too, reads 0; the counters of blocks begin anew.
     """
-    return Effect(listen=elapsed_s >= down_s, run=False, reset=True, over=elapsed_s >= down_s + zeros_s)
+    return FaultEffect(listen=elapsed_s >= down_s, run=False, reset=True, over=elapsed_s >= down_s + zeros_s)
 
 
 @fault()
-def write_ignored(_: float) -> Effect:
+def write_ignored(_: float) -> FaultEffect:
     """Writes are confirmed and not stored."""
-    return Effect(store=False)
+    return FaultEffect(store=False)
 
 
 @fault(only_at=("serial", "rtu-tcp"))
-def wrong_checksum(_: float) -> Effect:
+def wrong_checksum(_: float) -> FaultEffect:
     """The last byte of the reply is another one, so that its CRC does not fit; only where frames have one."""
 
-    def alter(_: Request, reply: Reply, rng: Random) -> Reply:
+    def alter(_: ModbusRequest, reply: ModbusReply, rng: Random) -> ModbusReply:
         frame = reply.frame()
         return replace(reply, raw=frame[:-1] + bytes((frame[-1] ^ 0xFF,))) if reply.rtu else reply
 
-    return Effect(alter=alter)
+    return FaultEffect(alter=alter)
 
 
 @fault(only_at=("can", "canopen"))
-def frame_loss(_: float, *, share: float = 0.3, messages: list[str] | None = None) -> Effect:
+def frame_loss(_: float, *, share: float = 0.3, messages: list[str] | None = None) -> FaultEffect:
     """Of the CAN frames of `messages` (of all without it) a `share` in 0..1 is lost, as drawn."""
-    return Effect(can=BusDisturbance(messages=frozenset(messages or ()), loss=min(max(share, 0.0), 1.0)))
+    return FaultEffect(can=BusDisturbance(messages=frozenset(messages or ()), loss=min(max(share, 0.0), 1.0)))
 
 
 @fault(only_at=("can",))
-def short_frame(_: float, *, cut: int = 1, messages: list[str] | None = None) -> Effect:
+def short_frame(_: float, *, cut: int = 1, messages: list[str] | None = None) -> FaultEffect:
     """The CAN frames of `messages` have `cut` bytes fewer."""
-    return Effect(can=BusDisturbance(messages=frozenset(messages or ()), cut=max(1, cut)))
+    return FaultEffect(can=BusDisturbance(messages=frozenset(messages or ()), cut=max(1, cut)))
 
 
 @fault(only_at=("can",))
-def stale_message(_: float, *, messages: list[str] | None = None) -> Effect:
+def stale_message(_: float, *, messages: list[str] | None = None) -> FaultEffect:
     """The CAN frames of `messages` are repeated as they were, with counter and checksum, while the truth goes on."""
-    return Effect(can=BusDisturbance(messages=frozenset(messages or ()), stale=True))
+    return FaultEffect(can=BusDisturbance(messages=frozenset(messages or ()), stale=True))
 
 
 @fault(only_at=("can",))
-def corrupt_frame(_: float, *, messages: list[str] | None = None) -> Effect:
+def corrupt_frame(_: float, *, messages: list[str] | None = None) -> FaultEffect:
     """In each CAN frame of `messages` one drawn bit is another one."""
-    return Effect(can=BusDisturbance(messages=frozenset(messages or ()), corrupt=True))
+    return FaultEffect(can=BusDisturbance(messages=frozenset(messages or ()), corrupt=True))
 
 
 @fault(only_at=("can", "canopen"))
-def babbling_node(_: float, *, rate: float = 2000.0, known: bool = False) -> Effect:
+def babbling_node(_: float, *, rate: float = 2000.0, known: bool = False) -> FaultEffect:
     """A strange CAN node sends `rate` random frames a second, with random ids or (`known`) with the PLC's own."""
-    return Effect(can=BusDisturbance(babble=min(max(rate, 0.0), 20_000.0), known=known))
+    return FaultEffect(can=BusDisturbance(babble=min(max(rate, 0.0), 20_000.0), known=known))
 
 
 @fault(only_at=("can", "canopen"))
-def bus_off(_: float) -> Effect:
+def bus_off(_: float) -> FaultEffect:
     """Every controller on the CAN bus is bus-off: nothing is sent and nothing heard."""
-    return Effect(can=BusDisturbance(bus_off=True))
+    return FaultEffect(can=BusDisturbance(bus_off=True))
 
 
 @fault(only_at=("canopen",))
-def missing_heartbeat(_: float) -> Effect:
+def missing_heartbeat(_: float) -> FaultEffect:
     """The CANopen node sends no heartbeat, and everything else as before."""
-    return Effect(node=NodeDisturbance(no_heartbeat=True))
+    return FaultEffect(node=NodeDisturbance(no_heartbeat=True))
 
 
 @fault(only_at=("canopen",))
-def short_pdo(_: float, *, pdo: int = 0, cut: int = 1) -> Effect:
+def short_pdo(_: float, *, pdo: int = 0, cut: int = 1) -> FaultEffect:
     """TPDO number `pdo` (0: every one) has `cut` bytes fewer than are mapped."""
-    return Effect(node=NodeDisturbance(pdo=pdo, length=-max(1, cut)))
+    return FaultEffect(node=NodeDisturbance(pdo=pdo, length=-max(1, cut)))
 
 
 @fault(only_at=("canopen",))
-def long_pdo(_: float, *, pdo: int = 0, extra: int = 1) -> Effect:
+def long_pdo(_: float, *, pdo: int = 0, extra: int = 1) -> FaultEffect:
     """TPDO number `pdo` (0: every one) has `extra` bytes more than are mapped, as far as 8 bytes allow."""
-    return Effect(node=NodeDisturbance(pdo=pdo, length=max(1, extra)))
+    return FaultEffect(node=NodeDisturbance(pdo=pdo, length=max(1, extra)))
 
 
 @fault(only_at=("canopen",))
-def emcy(_: float, *, code: int = 0x5000, register: int = 1) -> Effect:
+def emcy(_: float, *, code: int = 0x5000, register: int = 1) -> FaultEffect:
     """The CANopen node announces error `code` with this error register, and takes it back at the end."""
-    return Effect(node=NodeDisturbance(emergency=(code & 0xFFFF, register & 0xFF)))
+    return FaultEffect(node=NodeDisturbance(emergency=(code & 0xFFFF, register & 0xFF)))
 
 
 @fault(only_at=("canopen",))
-def sdo_abort(_: float, *, code: int = 0x08000000) -> Effect:
+def sdo_abort(_: float, *, code: int = 0x08000000) -> FaultEffect:
     """The CANopen node aborts SDO requests with this abort code and does not act on them."""
-    return Effect(abort=code & 0xFFFFFFFF)
+    return FaultEffect(abort=code & 0xFFFFFFFF)
 
 
 @fault(only_at=("canopen",))
-def sdo_late(_: float, *, delay_s: float = 1.0) -> Effect:
+def sdo_late(_: float, *, delay_s: float = 1.0) -> FaultEffect:
     """Each SDO answer holds what was true when the request came, and is sent `delay_s` later, in its turn."""
     return late(_, delay_s=delay_s)
 
 
 @fault(only_at=("canopen",))
-def node_reset(_: float) -> Effect:
+def node_reset(_: float) -> FaultEffect:
     """The CANopen node boots: the EDS's parameters, pre-operational, no PDO until a master starts it."""
-    return Effect(node=NodeDisturbance(reset=True), over=True)
+    return FaultEffect(node=NodeDisturbance(reset=True), over=True)
 
 
 def describe() -> str:
@@ -301,7 +303,7 @@ def describe() -> str:
     return "\n".join(("| fault | parameters | what the PLC does |", "|---|---|---|", *rows))
 
 
-class _FaultEntry(Entry):
+class _FaultEntry(FileTable):
     model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
     kind: str = Field(strict=True, description=f"one of {listed(tuple(FAULTS))}")
     start: float = Field(0.0, strict=True, ge=0, description="seconds since the replay's start")
@@ -313,11 +315,11 @@ class _FaultEntry(Entry):
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class OrderedFault:
     """One entry of a schedule. `functions`, `face` empty: all of them; `probability` is drawn for each request."""
 
     kind: str
-    effect: Callable[[float], Effect]
+    effect: Callable[[float], FaultEffect]
     start: float = 0.0
     duration: float | None = None
     count: int | None = None
@@ -326,7 +328,7 @@ class Fault:
     face: str = ""
 
 
-def parse_fault(data: object, where: str) -> Fault:
+def parse_fault(data: object, where: str) -> OrderedFault:
     """A fault from a table of TOML or JSON. Raises InputError naming the key, the reason and what would be right."""
     entry = validated(_FaultEntry, data, where)
     function = FAULTS.get(entry.kind)
@@ -341,7 +343,7 @@ def parse_fault(data: object, where: str) -> Fault:
         parse_address(register, f"{where} ({entry.kind}): key 'registers'")
     if entry.face and (not effect(0.0).run or effect(0.0).frozen):
         raise InputError(f"{where} ({entry.kind}): key 'face': it strikes the program behind all faces; leave it out")
-    return Fault(
+    return OrderedFault(
         kind=entry.kind,
         effect=effect,
         start=entry.start,
@@ -353,11 +355,11 @@ def parse_fault(data: object, where: str) -> Fault:
     )
 
 
-def merged(effects: Iterable[Effect]) -> Effect:
+def merged(effects: Iterable[FaultEffect]) -> FaultEffect:
     """The effects of several faults as one; of several exception codes the first wins."""
-    whole = Effect()
+    whole = FaultEffect()
     for effect in effects:
-        whole = Effect(
+        whole = FaultEffect(
             listen=whole.listen and effect.listen,
             run=whole.run and effect.run,
             store=whole.store and effect.store,
@@ -369,7 +371,7 @@ def merged(effects: Iterable[Effect]) -> Effect:
     return whole
 
 
-def refusal(effect: Effect, request: Request, touched: Sequence[tuple[str, range]]) -> bytes | None:
+def refusal(effect: FaultEffect, request: ModbusRequest, touched: Sequence[tuple[str, range]]) -> bytes | None:
     """The exception PDU by which the faults refuse a request, if they do."""
     if effect.code is not None:
         return exception(request.function, effect.code)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field
 
 from drivers.tag import DType, Order, Tag
-from sim.plc.program.checks import Entry, InputError, listed, read_toml, validated
+from sim.plc.program.checks import FileTable, InputError, listed, read_toml, validated
 from sim.plc.program.encode import sentinel_fits, words_of_type
 
 WORD_TABLES = ("holding", "input")
@@ -76,7 +76,7 @@ class RegisterMap:
     block: BlockLayout | None
 
 
-class _Device(Entry):
+class _Device(FileTable):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)  # other keys are the gateway's business
     name: Text = Field("plc", description="a name in quotes")
     unit: int = Field(1, strict=True, ge=0, le=255, description="a Modbus unit id in 0..255")
@@ -85,7 +85,7 @@ class _Device(Entry):
     heartbeat: Text | None = Field(None, description="the name of the tag that holds the PLC's heartbeat")
 
 
-class _TagEntry(Entry):
+class _TagEntry(FileTable):
     name: Text = Field(min_length=1, description="the tag's name in quotes")
     address: Address
     dtype: DType = Field(DType.UINT16, description=f"one of {listed([d.value for d in DType])}")
@@ -105,13 +105,13 @@ class _TagEntry(Entry):
     labels: dict[int, str] = Field(default_factory=dict, description='a table such as { 0 = "none" }')
 
 
-class _BlockFieldEntry(Entry):
+class _BlockFieldEntry(FileTable):
     name: Text = Field(min_length=1, description="the field's name in quotes")
     dtype: Literal["uint16", "int16"] = Field("uint16", description="'uint16' or 'int16': every field is one word")
     scale: Number = Field(1.0, gt=0, description="a positive number")
 
 
-class _BlockEntry(Entry):
+class _BlockEntry(FileTable):
     address: Address
     layout_version: Word = Field(description="a number in 0..65535")
     timeout_s: Number = Field(gt=0, description="seconds, more than 0")

@@ -24,7 +24,7 @@ Row = Mapping[str, object]
 _encode = json.JSONEncoder(separators=(",", ":")).encode
 
 
-class Recorder:
+class PlcRecorder:
     """Appends rows to a JSONL file. A row that cannot be written (disk full) is counted in `lost` and named once."""
 
     def __init__(self, path: Path, complain: Callable[[str], None]) -> None:
