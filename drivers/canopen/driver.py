@@ -312,7 +312,7 @@ class CanopenDriver:
             raise
         node: RemoteNode
         port = Port(bus, self._clock, lambda frame: node.take(frame), lambda reason: self._gone(port, reason))
-        node = RemoteNode(port.send, options, self._sheet, self._told)
+        node = RemoteNode(port.send, options, self._sheet, self._on_pdo)
         self._ports.add(port)
         node.start()
         return Connection(port, node)
@@ -328,7 +328,7 @@ class CanopenDriver:
         if connection is not None and connection.port is port:
             self._link.lost(connection, reason)
 
-    def _told(self, node: RemoteNode, heard: ReceivedPdo) -> None:
+    def _on_pdo(self, node: RemoteNode, heard: ReceivedPdo) -> None:
         """A TPDO has come: the bus works, and whoever streams its tags hears of it."""
         connection = self._link.connection
         if connection is None or connection.node is not node:

@@ -26,6 +26,7 @@ class _Course:
     def goes_on(self, value: int, moment: float, rate: float, jitter: float) -> bool:
         if 0 in (value, self.value):  # the program has stopped, or has begun anew
             return value == self.value
+        # One step more than the time allows: the count may have been due just as the last frame was sent.
         step = (value - self.value) % _ROUND
         return step <= rate * (max(moment - self.moment, 0.0) + jitter) + 1
 
@@ -63,10 +64,12 @@ class Life:
         return believed
 
     def _believed(self, value: int, moment: float) -> bool:
+        # A stranger who guesses meets the window of a plain frame now and then; just after a wrong guess it is closed.
         jitter = 0.0 if moment - self._stranger < ALERT else JITTER
         if self._course is not None and self._course.goes_on(value, moment, self.rate, jitter):
             self.anchor(value, moment)
             return True
+        # The node itself may have begun anew unheard: frames that continue one another are believed in the end.
         if self._other is not None and self._other.goes_on(value, moment, self.rate, jitter):
             self._confirmed += 1
         else:

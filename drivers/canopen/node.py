@@ -70,7 +70,7 @@ class RemoteNode:
         sheet: DataSheet | None,
         heard: Callable[["RemoteNode", ReceivedPdo], None],
     ) -> None:
-        self.options, self.send, self._told = options, send, heard
+        self.options, self.send, self._on_pdo = options, send, heard
         self.sdo = SdoChannel(lambda data: send(SDO_REQUEST + options.node, data), options.timeout)
         self.emergencies = Emergencies(options.emcy_ignore)
         self.counts = Counts()
@@ -128,7 +128,7 @@ class RemoteNode:
                 since = self.life.since
             heard.data, heard.fault, heard.asleep = frame.data, "", count == 0
         heard.time, heard.moment = since
-        self._told(self, heard)
+        self._on_pdo(self, heard)
         self._pdo_news.set()
 
     def _count(self, pdo: PdoMapping, frame: StampedFrame) -> int | None:

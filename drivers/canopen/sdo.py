@@ -72,6 +72,7 @@ def abort_frame(place: ObjectPlace, code: int) -> bytes:
 def upload(place: ObjectPlace, size: int | None = None) -> Transfer:
     """Read an object. `size` (bytes) cuts an expedited answer that does not say how much of it is data."""
     answer = yield from _initiated([_head(0x40, place) + bytes(4)], place, 2)
+    # CiA 301, 7.2.4.3.6: bit 1 expedited, bit 0 whether a size is said, bits 2..3 how many of the four bytes are none.
     command = answer[0]
     if command & 2:
         count = 4 - (command >> 2 & 3) if command & 1 else min(size or 4, 4)
@@ -79,6 +80,8 @@ def upload(place: ObjectPlace, size: int | None = None) -> Transfer:
     announced = int.from_bytes(answer[4:8], "little") if command & 1 else None
     if announced is not None and announced > LARGEST:
         raise ReplyMismatch(f"{place}: {announced} bytes are announced, and {LARGEST} are the most")
+    # 7.2.4.3.7: the toggle bit (4) changes with every segment, so that one that comes twice is not taken for the next;
+    # bits 1..3 are the bytes without data, bit 0 says that it was the last.
     data, toggle, more = bytearray(), 0, True
     while more:
         answer = yield from _segment(bytes([0x60 | toggle]) + bytes(7), place, 0, toggle)
@@ -112,12 +115,14 @@ def block_upload(place: ObjectPlace) -> Transfer:
     checked = bool(answer[0] & 4)
     data, confirm, more = bytearray(), [bytes([0xA3]) + bytes(7)], True
     while more:
+        # 7.2.4.3.14: a block ends with its last segment, or with the one marked by bit 7. Segments after a gap are not
+        # kept: the confirmation names the last in sequence, and the server goes on behind it.
         taken, sequence, answer = 0, 0, b""
         while sequence != BLOCK and not (answer and answer[0] & 0x80):
             answer = yield confirm
             confirm = []
             sequence = answer[0] & 0x7F
-            if sequence == 0:
+            if sequence == 0:  # no segment has that number; an abort (0x80) looks so
                 _refused(answer, place)
                 answer = b""
             elif sequence == taken + 1:
@@ -130,6 +135,7 @@ def block_upload(place: ObjectPlace) -> Transfer:
     while answer[0] & 0xE3 != 0xC1:
         _refused(answer, place)
         answer = yield None
+    # Only the end says how much of the last segment was data, and the CRC-16-CCITT of it all (7.2.4.3.15 and .16).
     whole = bytes(data[: len(data) - (answer[0] >> 2 & 7)])
     if checked and crc_hqx(whole, 0) != int.from_bytes(answer[1:3], "little"):
         raise ReplyMismatch(f"{place}: the CRC of the block transfer is wrong")
@@ -147,6 +153,8 @@ def block_download(place: ObjectPlace, data: bytes) -> Transfer:
     pieces = [data[at : at + 7] for at in range(0, max(len(data), 1), 7)]
     done = 0
     while done < len(pieces):
+        # 7.2.4.3.10: each confirmation says how many segments have come in sequence, and how many the next block may
+        # have; what did not come in sequence is sent again.
         if not 1 <= size <= BLOCK:
             raise ReplyMismatch(f"{place}: the server asks for blocks of {size} segments")
         burst = pieces[done : done + size]
@@ -176,6 +184,7 @@ def _head(command: int, place: ObjectPlace) -> bytes:
 def _initiated(frames: list[bytes], place: ObjectPlace, specifier: int) -> Transfer:
     """The answer to a first request: the one that names the object; all others are not for it."""
     answer = yield frames
+    # Nothing numbers SDO answers; index and sub-index are all by which a late answer to an earlier request is told.
     while answer[1:4] != frames[0][1:4] or answer[0] >> 5 not in (specifier, 4):
         answer = yield None
     _refused(answer, place)

@@ -54,10 +54,10 @@ class LiveVehicle:
             with suppress(DriverError):  # the unit waits in vain, and is asked again in the next round
                 self._poller.take(timed)
         fresh = []
-        for found in self._vehicle.take(timed):
-            _, slot = self._places[found.tag.name]
+        for reading in self._vehicle.take(timed):
+            _, slot = self._places[reading.tag.name]
             slot.frame, slot.heard = frame, now
-            self._readings[id(slot)] = found.reading
+            self._readings[id(slot)] = reading.reading
             fresh.append(slot)
         if fresh:
             self._reception.heard = now
@@ -69,8 +69,8 @@ class LiveVehicle:
 
     def describe(self) -> list[str]:
         """In sentences: the tags that are listened for with their timeouts, and what is asked for."""
-        told = [f"{slot.name}, bad after {slot.timeout:.3g} s: {name}" for name, (_, slot) in self._places.items()]
-        return told + ([] if self._poller is None else self._poller.describe())
+        listened = [f"{slot.name}, bad after {slot.timeout:.3g} s: {name}" for name, (_, slot) in self._places.items()]
+        return listened + ([] if self._poller is None else self._poller.describe())
 
     def counts(self) -> Mapping[str, int]:
         """What became of messages, and requests that were sent."""

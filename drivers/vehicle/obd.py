@@ -137,15 +137,15 @@ class ObdListener:
         service = payload[0] - ANSWER
         if payload[0] == REFUSAL:
             return self._refused(frame, payload)
-        found: Sequence[TagReading] | None = None
+        readings: Sequence[TagReading] | None = None
         if service == CURRENT:
-            found = self._current(frame.id, payload)
+            readings = self._current(frame.id, payload)
         elif service in (STORED, PENDING, PERMANENT):
-            found = self._codes(frame.id, service, payload)
+            readings = self._codes(frame.id, service, payload)
         elif service == VEHICLE:
-            found = self._vehicle(frame.id, payload)
-        self._counts["unread" if found is None else "answers"] += 1
-        return found or ()
+            readings = self._vehicle(frame.id, payload)
+        self._counts["unread" if readings is None else "answers"] += 1
+        return readings or ()
 
     def _current(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """Service 01: one or several parameters, each number followed by its data; None if they do not add up."""
@@ -205,7 +205,7 @@ class ObdListener:
         self._counts["refusals"] += 1
         if code == RESPONSE_PENDING:
             return ()
-        request = self._asked(frame, service)
+        request = self._request_before(frame, service)
         if request is None:
             self._counts["unasked_refusals"] += 1
             return ()
@@ -215,7 +215,7 @@ class ObdListener:
         ones = [one for number in parameters for one in self._wanted.get((frame.id, service, number), ())]
         return [TagReading(one.tag, (None, quality, reason)) for one in ones]
 
-    def _asked(self, frame: CanFrame, service: int) -> _Request | None:
+    def _request_before(self, frame: CanFrame, service: int) -> _Request | None:
         """The latest request for the service, to this unit or to all."""
         requests = [self._requests.get((frame.channel, unit)) for unit in (frame.id, 0)]
         fitting = [

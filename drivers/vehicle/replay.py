@@ -164,12 +164,12 @@ class CanLogDriver:
         self._decoder.listen(tags)
         problems = self._decoder.problems
         speed = "" if self._speed == 1.0 else f" at {self._speed:g} times its speed"
-        told = [
+        listened = [
             f"{tag.address}, bad after {self._decoder.timeout(tag):.3g} s: {tag.name}"
             for tag in tags
             if tag.name not in problems
         ]
-        return (*problems.values(), f"{self._log.path} is replayed{speed}", *told)
+        return (*problems.values(), f"{self._log.path} is replayed{speed}", *listened)
 
     # ------------------------------------------------------------ inside
 
@@ -193,9 +193,9 @@ class CanLogDriver:
         self._counts["frames"] += 1
         moment = (self._began or 0.0) + played / self._speed
         # Timeouts of the transport protocols run on the line that is played, which never goes back.
-        for found in self._decoder.take(frame._replace(time=played)):
+        for reading in self._decoder.take(frame._replace(time=played)):
             self._counts["readings"] += 1
-            self._held[found.tag.name] = _Held(found.reading, moment, played)
+            self._held[reading.tag.name] = _Held(reading.reading, moment, played)
 
     def _following(self) -> tuple[CanFrame, float] | None:
         """The next frame of the bus and its moment on the line; with `loop` the log never ends."""

@@ -219,12 +219,12 @@ async def _run_cycles(plc: Plc, faces: Sequence[Face], cycle_s: float) -> None:
         await asyncio.sleep(due - plc.clock.monotonic())
 
 
-def _report_end(plc: Plc, now: float, tell: Callable[[dict[str, object]], None]) -> None:
+def _report_end(plc: Plc, now: float, report: Callable[[dict[str, object]], None]) -> None:
     if plc.replay is None or plc.ended or plc.replay.held or not plc.replay.ended(now):
         return
     plc.ended = True
     plc.event("end of trace", now)
-    tell({"event": "end_of_trace", "position": plc.replay.at(now), "plant_time": plc.clock.at(now)})
+    report({"event": "end_of_trace", "position": plc.replay.at(now), "plant_time": plc.clock.at(now)})
 
 
 def _ready(

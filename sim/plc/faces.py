@@ -44,13 +44,13 @@ class Face(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FaceKind:
-    """A kind of face: `make` is "module:function", called (plc, options, complain) when option `asked` is given.
+    """A kind of face: `make` is "module:function", called (plc, options, complain) when option `option` is given.
 
     `make` gets the options of all faces by their parameters' names, with `host` and `max_clients`. It raises
     InputError.
     """
 
-    asked: str
+    option: str
     make: str
     options: tuple[click.Option, ...]
 
@@ -116,7 +116,7 @@ def face_options(given: Mapping[str, Any]) -> dict[str, Any]:
 
 def make_faces(plc: Plc, options: Mapping[str, Any], complain: Complain) -> list[Face]:
     """The faces that the options ask for. Raises InputError."""
-    return [_made(kind, plc, options, complain) for kind in FACES.values() if options.get(kind.asked) is not None]
+    return [_made(kind, plc, options, complain) for kind in FACES.values() if options.get(kind.option) is not None]
 
 
 def _made(kind: FaceKind, plc: Plc, options: Mapping[str, Any], complain: Complain) -> Face:

@@ -45,13 +45,13 @@ class CanFace:
         now = self._plc.clock.monotonic()
         self._listens = line.listen
         self._disturbances = [effect.can for _, effect in line.standing if effect.can is not None]
-        if not self._station.there(now):
+        if not self._station.on_bus(now):
             return
         self._station.disturb(self._disturbances, tuple(self._counters), now)
         if self._listens and not self._station.off:
             served = self._plc.image.served
             for sender in self._messages.senders:
-                self._tell(sender, sender.payload(served), now)
+                self._send_if_due(sender, sender.payload(served), now)
 
     async def close(self) -> None:
         """Leave the bus."""
@@ -64,7 +64,7 @@ class CanFace:
 
     # ---------------------------------------------------------------- what the PLC says
 
-    def _tell(self, sender: Sender, content: bytes, now: float) -> None:
+    def _send_if_due(self, sender: Sender, content: bytes, now: float) -> None:
         """Send the message if it is due or has changed; a fault may keep it from the bus or change it."""
         if content == sender.content and now < sender.due:
             return

@@ -46,7 +46,7 @@ class Station:
             self._pump.close()
             self._pump = None
 
-    def there(self, now: float) -> bool:
+    def on_bus(self, now: float) -> bool:
         """Whether it is on the bus; a bus that went is tried again from time to time."""
         if self._pump is not None or now < self._next_open:
             return self._pump is not None

@@ -50,7 +50,7 @@ class CanopenFace:
         now = self._plc.clock.monotonic()
         self._disturbances = [effect.can for _, effect in line.standing if effect.can is not None]
         self._own_disturbance = together(effect.node for _, effect in line.standing if effect.node is not None)
-        if not self._station.there(now):
+        if not self._station.on_bus(now):
             return
         self._station.disturb(self._disturbances, [pdo.cob_id for pdo in self.node.objects.pdos(TPDO)], now)
         self._down = not line.listen or self._station.off

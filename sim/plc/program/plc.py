@@ -189,11 +189,11 @@ class Plc:
         address, count = modbus.span(request.pdu)
         plain = reply.sent and reply.raw is None
         refused = reply.pdu[1] if plain and len(reply.pdu) == 2 and reply.pdu[0] & 0x80 else None
-        asked = {"transaction": request.transaction, "unit": request.unit, "function": request.function}
+        header = {"transaction": request.transaction, "unit": request.unit, "function": request.function}
         what = {
             "peer": request.peer,
             "face": request.face,
-            **asked,
+            **header,
             "address": address,
             "count": count,
             "pdu": request.pdu.hex(),
