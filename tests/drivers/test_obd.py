@@ -218,7 +218,7 @@ def test_requests_are_made_once_a_parameter_and_go_to_the_unit_that_shall_answer
     tags = [SPEED, replace(SPEED, name="running", address="obd:0C>9", dtype=DType.BOOL), VIN, CODES]
     ones = [wanted(tag) for tag in (*tags, replace(COOLANT, address="obd:05@7E9"))]
     short = requests_for(ones, extended=False)
-    assert [(one.request, one.data[:3].hex()) for one in short] == [
+    assert [(one.request_id, one.data[:3].hex()) for one in short] == [
         (0x7E0, "02010c"), (0x7E0, "020902"), (0x7E0, "010355"), (0x7E1, "020105"),
     ]  # fmt: skip
     assert all(len(one.data) == 8 for one in short)
