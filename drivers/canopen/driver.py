@@ -13,7 +13,7 @@ from drivers.canopen.eds import DataSheet, Where, load_sheet, locate
 from drivers.canopen.listeners import PdoListener
 from drivers.canopen.node import ReceivedPdo, RemoteNode
 from drivers.canopen.options import Options, read_options
-from drivers.canopen.pdo import Mapped, PdoMapping, wanted
+from drivers.canopen.pdo import PdoMapping, wanted
 from drivers.canopen.place import ObjectPlace, bytes_needed, from_bytes
 from drivers.canopen.port import Port
 from drivers.canopen.writing import Writing
@@ -211,42 +211,38 @@ class CanopenDriver:
     def _held(self, tag: Tag) -> Sample | None:
         """What is known of a tag without asking; None if the device must be asked."""
         now, moment = self._clock(), asyncio.get_running_loop().time()
+
+        def no(quality: Quality, reason: str) -> Sample:
+            return Sample(tag.name, None, quality, now, reason=reason)
+
         where = self._where(tag)
         if where.misplaced:
-            return Sample(tag.name, None, Quality.CONFIGURATION_ERROR, now, reason=where.misplaced)
+            return no(Quality.CONFIGURATION_ERROR, where.misplaced)
         connection = self._link.connection
         if connection is None:
-            return Sample(tag.name, None, Quality.NOT_CONNECTED, now, reason=self._link.reason)
-        hindrance = connection.node.hindrance(moment)
-        if hindrance is not None:
-            return Sample(tag.name, None, hindrance[0], now, reason=hindrance[1])
-        carrier = connection.node.carrier(where.place)
+            return no(Quality.NOT_CONNECTED, self._link.reason)
+        node = connection.node
+        if (hindrance := node.hindrance(moment)) is not None:
+            return no(*hindrance)
+        carrier = node.carrier(where.place)
         if carrier is None:
-            return self._not_carried(tag, now) if self._options.listen_only else None
-        return self._carried(tag, connection.node, *carrier, now, moment)
-
-    def _carried(
-        self, tag: Tag, node: RemoteNode, heard: ReceivedPdo, mapped: Mapped, now: float, moment: float
-    ) -> Sample | None:
-        late = node.lateness(heard, moment)
-        if late:
-            return Sample(tag.name, None, Quality.TIMEOUT, now, reason=late)
+            reason = f"no TPDO carries {tag.address}, and listen_only forbids to ask for it"
+            return no(Quality.CONFIGURATION_ERROR, reason) if self._options.listen_only else None
+        # From here on a TPDO answers for the tag, also when it is late or faulty: an SDO read might say what the
+        # program's memory holds, but not that the program still runs.
+        heard, mapped = carrier
+        if late := node.lateness(heard, moment):
+            return no(Quality.TIMEOUT, late)
         if heard.fault:
-            return Sample(tag.name, None, Quality.COMMUNICATION_ERROR, now, reason=heard.fault)
+            return no(Quality.COMMUNICATION_ERROR, heard.fault)
         if heard.asleep and node.life is not None and mapped.place != node.life.place:
-            reason = f"the device's program was not running when it sent {heard.pdo.name}"
-            return Sample(tag.name, None, Quality.OUT_OF_SERVICE, now, reason=reason)
+            return no(Quality.OUT_OF_SERVICE, f"the device's program was not running when it sent {heard.pdo.name}")
         payload = heard.value(mapped)
-        if payload is None:
+        if payload is None:  # it has not come since the node is up
             if not self._options.listen_only:
                 return None
-            reason = f"{heard.pdo.name} has not come yet"
-            return Sample(tag.name, None, Quality.WAITING_FOR_INITIAL_DATA, now, reason=reason)
+            return no(Quality.WAITING_FOR_INITIAL_DATA, f"{heard.pdo.name} has not come yet")
         return self._sample(tag, from_bytes(tag, payload), heard.time, None)
-
-    def _not_carried(self, tag: Tag, now: float) -> Sample:
-        reason = f"no TPDO carries {tag.address}, and listen_only forbids to ask for it"
-        return Sample(tag.name, None, Quality.CONFIGURATION_ERROR, now, reason=reason)
 
     def _sample(self, tag: Tag, reading: Reading, time: float, sent: float | None) -> Sample:
         """The reading as far as the node's own emergencies let it count."""

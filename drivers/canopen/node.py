@@ -124,7 +124,8 @@ class RemoteNode:
             count = self._count(pdo, frame)
             if self.life is not None and count is not None:
                 if not self.life.own(count, frame.time, frame.moment):
-                    return
+                    return  # another node sends under this identifier: nothing of it is used
+                # A repeated count brings nothing newer than the first frame with it: the value's age begins there.
                 since = self.life.since
             heard.data, heard.fault, heard.asleep = frame.data, "", count == 0
         heard.time, heard.moment = since
@@ -145,6 +146,8 @@ class RemoteNode:
         self.counts.heartbeats += 1
         if state == BOOT_UP:
             self.counts.boots += 1
+            # After boot-up a node is pre-operational without saying so (CiA 301, 7.3.2.2.1), and its parameters are
+            # those of power-on again: what it was configured to counts no more.
             self._rebooted, state = True, PRE_OPERATIONAL
             self._forget()
         self._beat, self.state = frame.moment, state

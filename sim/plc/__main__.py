@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -173,7 +173,8 @@ def _replay(options: EmulatorOptions, now: float) -> TraceReplay | None:
 async def _live(plc: Plc, options: EmulatorOptions, recorder: PlcRecorder | None) -> int:
     loop = asyncio.get_running_loop()
     server = ModbusServer(plc, options.host, options.port, options.max_clients, complain)
-    faces: list[Face] = [server, *make_faces(plc, _for_faces(options), complain)]
+    face_settings = {**options.faces, "host": options.host, "max_clients": options.max_clients}
+    faces: list[Face] = [server, *make_faces(plc, face_settings, complain)]
     line = plc.begin(plc.clock.monotonic(), hold=options.hold)
     try:
         for face in faces:
@@ -201,11 +202,6 @@ async def _live(plc: Plc, options: EmulatorOptions, recorder: PlcRecorder | None
     return 0
 
 
-def _for_faces(options: EmulatorOptions) -> dict[str, Any]:
-    """What every face may need of the command line: its own options, and those that all servers share."""
-    return {**options.faces, "host": options.host, "max_clients": options.max_clients}
-
-
 async def _run_cycles(plc: Plc, faces: Sequence[Face], cycle_s: float) -> None:
     """Cycles on absolute deadlines until the PLC is to stop; a missed cycle is skipped, never made up for."""
     due = plc.clock.monotonic()
@@ -214,17 +210,12 @@ async def _run_cycles(plc: Plc, faces: Sequence[Face], cycle_s: float) -> None:
         line = plc.cycle(now)
         for face in faces:
             await face.apply(line.at(face.name))
-        _report_end(plc, now, say)
+        if plc.replay is not None and not plc.ended and not plc.replay.held and plc.replay.ended(now):
+            plc.ended = True
+            plc.event("end of trace", now)
+            say({"event": "end_of_trace", "position": plc.replay.at(now), "plant_time": plc.clock.at(now)})
         due = max(due + cycle_s, plc.clock.monotonic())
         await asyncio.sleep(due - plc.clock.monotonic())
-
-
-def _report_end(plc: Plc, now: float, report: Callable[[dict[str, object]], None]) -> None:
-    if plc.replay is None or plc.ended or plc.replay.held or not plc.replay.ended(now):
-        return
-    plc.ended = True
-    plc.event("end of trace", now)
-    report({"event": "end_of_trace", "position": plc.replay.at(now), "plant_time": plc.clock.at(now)})
 
 
 def _ready(

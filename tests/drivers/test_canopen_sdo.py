@@ -139,7 +139,7 @@ def test_answers_for_another_object_are_passed_over() -> None:
 class Line:
     """A server at the other end of a channel whose answers a test may hold back."""
 
-    def __init__(self, device: Device, timeout: float = 0.05) -> None:
+    def __init__(self, device: Device, timeout: float = 0.3) -> None:
         self.device, self.held, self.sent = device, False, list[bytes]()
         self.waiting: list[bytes] = []
         self.channel = SdoChannel(self.send, timeout)
