@@ -288,7 +288,8 @@ class CanDriver:
         now = time.monotonic()
         self._counts["frames"] += 1
         if message.is_error_frame:
-            self._take_error(message)
+            self._errors.take(message.arbitration_id, bytes(message.data))
+            self._withdraw_if_bus_off()
             return
         self._off = False
         self._load.add(len(message.data), extended=message.is_extended_id, now=now)
@@ -305,10 +306,6 @@ class CanDriver:
         self._exchange.heard.set()
         for stream in self._streams:
             stream.hear(fresh)
-
-    def _take_error(self, message: can.Message) -> None:
-        self._errors.take(message.arbitration_id, bytes(message.data))
-        self._withdraw_if_bus_off()
 
     def _withdraw_if_bus_off(self) -> None:
         if self._errors.state is ControllerState.BUS_OFF and (pump := self._link.connection) is not None:

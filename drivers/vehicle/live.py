@@ -79,19 +79,21 @@ class LiveVehicle:
     def start(self, send: Send) -> None:
         """Begin to ask, if the settings say so: the bus is there (anew)."""
         self.stop()
-        if self._poller is not None:
-            self._polling = asyncio.create_task(_ask(self._poller, send), name="obd poll")
+        poller = self._poller
+        if poller is None:
+            return
+
+        async def ask() -> None:
+            # Until cancelled; a bus that takes no frame (nobody acknowledges, the queue is full) is tried again.
+            while True:
+                with suppress(DriverError):
+                    await poller.run(send)
+                await asyncio.sleep(_RETRY)
+
+        self._polling = asyncio.create_task(ask(), name="obd poll")
 
     def stop(self) -> None:
         """Stop asking."""
         polling, self._polling = self._polling, None
         if polling is not None:
             polling.cancel()
-
-
-async def _ask(poller: Poller, send: Send) -> None:
-    """Until cancelled; a bus that takes no frame (nobody acknowledges, the queue is full) is tried again."""
-    while True:
-        with suppress(DriverError):
-            await poller.run(send)
-        await asyncio.sleep(_RETRY)

@@ -178,7 +178,14 @@ class ObdListener:
         if len(payload) < 2 or len(payload) != 2 + 2 * payload[1]:
             return None
         codes = [trouble_code(payload[at], payload[at + 1]) for at in range(2, len(payload), 2)]
-        return [TagReading(one.tag, _listed(one, codes)) for one in self._wanted.get((unit, service, 0), ())]
+        count, text = len(codes), " ".join(codes)
+        return [
+            TagReading(
+                one.tag,
+                address.number(one.tag, one.where, count, whole=True) if one.count else address.text(one.tag, text),
+            )
+            for one in self._wanted.get((unit, service, 0), ())
+        ]
 
     def _vehicle(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """Service 09: parameter, number of items, text."""
@@ -258,11 +265,3 @@ def _field(one: ObdTag, field: PidField, frame: bytes) -> Reading:
         raw -= 1 << field.bits.length
     is_whole = field.scale.is_integer() and field.offset.is_integer()
     return address.number(one.tag, one.where, raw * field.scale + field.offset, whole=is_whole)
-
-
-def _listed(one: ObdTag, codes: Sequence[str]) -> Reading:
-    return (
-        address.number(one.tag, one.where, len(codes), whole=True)
-        if one.count
-        else address.text(one.tag, " ".join(codes))
-    )

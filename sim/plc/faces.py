@@ -116,10 +116,9 @@ def face_options(given: Mapping[str, Any]) -> dict[str, Any]:
 
 def make_faces(plc: Plc, options: Mapping[str, Any], complain: Complain) -> list[Face]:
     """The faces that the options ask for. Raises InputError."""
-    return [_made(kind, plc, options, complain) for kind in FACES.values() if options.get(kind.option) is not None]
-
-
-def _made(kind: FaceKind, plc: Plc, options: Mapping[str, Any], complain: Complain) -> Face:
-    module, _, function = kind.make.partition(":")
-    face: Face = getattr(import_module(module), function)(plc, options, complain)
-    return face
+    faces: list[Face] = []
+    for kind in FACES.values():
+        if options.get(kind.option) is not None:
+            module, _, function = kind.make.partition(":")
+            faces.append(getattr(import_module(module), function)(plc, options, complain))
+    return faces
