@@ -9,8 +9,8 @@ from pydantic import ConfigDict, Field
 from drivers.device_file import BlockField, BlockTable, read_device_file
 from drivers.settings import ConfigError
 from drivers.tag import DType, Tag
-from sim.plc.checks import Entry, InputError, validated
-from sim.plc.encode import sentinel_fits, words_of_type
+from sim.plc.program.checks import FileTable, InputError, validated
+from sim.plc.program.encode import sentinel_fits, words_of_type
 
 WORD_TABLES = ("holding", "input")
 BIT_TABLES = ("coil", "discrete")
@@ -66,7 +66,7 @@ class RegisterMap:
     block: BlockLayout | None
 
 
-class _ServedDevice(Entry):
+class _ServedDevice(FileTable):
     """The settings of the driver that hold for the device's side, too; all others are the gateway's business."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
