@@ -30,7 +30,9 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
     with sentences():
         config = load(path, host, port, None)
         loaded = load_model(config)
-        plan, cautions = _plan(config)
+        driver = make_driver(config, plant_clock())
+        plan = driver.explain(config.map.tags) if isinstance(driver, Explains) else ()
+        cautions = driver.cautions() if isinstance(driver, Cautions) else ()
     facts: dict[str, str | int] = {
         "configuration": str(path),
         "register map": str(config.map.path),
@@ -57,13 +59,6 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
         fail(f"no tag could be read: {bad[0]['reason']}", _connection_code(bad))
     if bad:
         fail(f"{len(bad)} tags are not good, {bad[0]['tag']} the first: {bad[0]['reason']}", Exit.CHECK_FAILED)
-
-
-def _plan(config: Config) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The requests by which a scan reads all tags, in the driver's own sentences, and its cautions; nothing is sent."""
-    driver = make_driver(config, plant_clock())
-    plan = driver.explain(config.map.tags) if isinstance(driver, Explains) else ()
-    return plan, driver.cautions() if isinstance(driver, Cautions) else ()
 
 
 def _show_check(facts: dict[str, str | int], rows: list[dict[str, Any]], bad: int) -> None:

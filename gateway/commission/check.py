@@ -77,8 +77,8 @@ def _model(site: Site) -> list[CheckStep]:
         return [failed("model", str(error))]
     if loaded is None:
         return []
-    said = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {config.model.temperature}"
-    return [warning("model", f"{said}; {loaded.warning}") if loaded.warning else ok("model", said)]
+    sentence = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {config.model.temperature}"
+    return [warning("model", f"{sentence}; {loaded.warning}") if loaded.warning else ok("model", sentence)]
 
 
 def _contract(site: Site) -> list[CheckStep]:
@@ -102,37 +102,29 @@ async def _readings(site: Site, steps: list[CheckStep]) -> list[dict[str, Any]]:
     samples = [raw.sample for raw in raws]
     bad = [sample for sample in samples if not sample.quality.is_good]
     if bad and len(bad) == len(samples):
-        steps.append(_all_bad(bad[0]))
-    elif bad:
-        steps += [_bad(one) for one in bad]
-    else:
+        first = bad[0]
+        code = Exit.CANNOT_CONNECT if first.quality in _DEAD else Exit.DEVICE_EXCEPTION
+        code = Exit.TIMEOUT if first.quality is Quality.TIMEOUT else code
+        steps.append(CheckStep("reading", "failed", f"no tag can be read: {first.reason}", code))
+    for sample in bad if len(bad) < len(samples) else ():
+        # A sensor that is off says so in the right place: that is no fault of the configuration.
+        report = warning if sample.quality in _SAYS_SO else failed
+        steps.append(report("reading", f"{sample.tag} is {sample.quality.name}: {sample.reason}"))
+    if not bad:
         steps.append(ok("reading", f"all {len(samples)} tags are good"))
     if len(bad) < len(samples):
         steps += await _heartbeat(site, samples)
     return [{"tag": one.tag, "value": one.value, "quality": one.quality.name, "reason": one.reason} for one in samples]
 
 
-def _bad(sample: Sample) -> CheckStep:
-    """A sensor that is off says so in the right place: that is no fault of the configuration."""
-    say = warning if sample.quality in _SAYS_SO else failed
-    return say("reading", f"{sample.tag} is {sample.quality.name}: {sample.reason}")
-
-
-def _all_bad(first: Sample) -> CheckStep:
-    if first.quality is Quality.TIMEOUT:
-        return CheckStep("reading", "failed", f"no tag can be read: {first.reason}", Exit.TIMEOUT)
-    code = Exit.CANNOT_CONNECT if first.quality in _DEAD else Exit.DEVICE_EXCEPTION
-    return CheckStep("reading", "failed", f"no tag can be read: {first.reason}", code)
-
-
 async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:
     """Whether the PLC's program counts, within the time that the configuration gives it."""
     device, config = device_of(site), site.target.config
     if device.heartbeat is None:
-        said = (
+        sentence = (
             "no heartbeat is named: a program that stands still cannot be told from one at rest (bind --heartbeat TAG)"
         )
-        return [warning("heartbeat", said)]
+        return [warning("heartbeat", sentence)]
     first = next(sample.value for sample in before if sample.tag == device.heartbeat)
     if first == 0:
         return [failed("heartbeat", f"{device.heartbeat} is 0: the PLC's program does not run")]

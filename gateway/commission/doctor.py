@@ -76,8 +76,8 @@ def _clock() -> CheckStep:
         return failed("clock", f"it is {now} by this machine's clock, which was never set: set it before anything else")
     error = clock_error()
     if error is None:
-        said = f"{now}, and no time server steers this clock: compare it with the HMI's, and set up NTP"
-        return warning("clock", said)
+        sentence = f"{now}, and no time server steers this clock: compare it with the HMI's, and set up NTP"
+        return warning("clock", sentence)
     return ok("clock", f"{now}, steered by a time server, wrong by {1e3 * error:.0f} ms at most")
 
 
@@ -85,8 +85,8 @@ def _network() -> CheckStep:
     links = [path for path in sorted(_NET.glob("*")) if path.name != "lo" and _word(path / "type") != _ARPHRD_CAN]
     up = [path.name for path in links if _word(path / "operstate") == "up"]
     down = [path.name for path in links if path.name not in up]
-    said = f"up: {', '.join(up) or 'none'}" + (f"; not up: {', '.join(down)}" if down else "")
-    return ok("network", said) if up else warning("network", f"no network interface is up ({said})")
+    sentence = f"up: {', '.join(up) or 'none'}" + (f"; not up: {', '.join(down)}" if down else "")
+    return ok("network", sentence) if up else warning("network", f"no network interface is up ({sentence})")
 
 
 async def _host(host: str) -> CheckStep:
@@ -102,8 +102,12 @@ async def _host(host: str) -> CheckStep:
 def _disk(folder: Path) -> CheckStep:
     place = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     free = shutil.disk_usage(place).free / 1e6
-    said = f"{free:,.0f} MB free at {place}"
-    return ok("disk", said) if free >= LEAST_FREE_MB else failed("disk", f"only {said}: records and history need room")
+    sentence = f"{free:,.0f} MB free at {place}"
+    return (
+        ok("disk", sentence)
+        if free >= LEAST_FREE_MB
+        else failed("disk", f"only {sentence}: records and history need room")
+    )
 
 
 def _records(path: Path) -> CheckStep:
@@ -151,12 +155,16 @@ def _files(target: Target) -> list[CheckStep]:
         steps.append(ok("files", f"{names}: {len(target.tags)} tags of driver {target.driver}"))
     if target.driver and target.capabilities.certificates:
         driver: Any = target.make_driver()
-        steps += [warning("certificates", said) for said in driver.cautions()] if isinstance(driver, Cautions) else []
+        steps += (
+            [warning("certificates", sentence) for sentence in driver.cautions()]
+            if isinstance(driver, Cautions)
+            else []
+        )
     line = running_gateway(target)
     if line is not None:
         try:
-            said = f"one runs with this plant file (pid {line.ask('status')['pid']}): read and watch go through it"
-            steps.append(ok("gateway", said))
+            sentence = f"one runs with this plant file (pid {line.ask('status')['pid']}): read and watch go through it"
+            steps.append(ok("gateway", sentence))
         finally:
             line.close()
     return steps

@@ -49,7 +49,7 @@ async def guess_encoding(site: Site, register: Register, text: str, earlier: Seq
     Raises ReadingError for a text that is no reading; DriverError where the registers cannot be read.
     """
     shown = parse_shown(text)
-    base, words = await _looked(site, register)
+    base, words = await _registers_around(site, register)
     now = {"base": base, "words": words, "reading": text}
     readings = [*earlier, now]
     if isinstance(shown, bool):
@@ -72,15 +72,15 @@ async def guess_encoding(site: Site, register: Register, text: str, earlier: Seq
         "second_reading": {"below": advice.below, "above": advice.above},
     }
     if not found:
-        said = (
+        sentence = (
             f"nothing at or beside {register} explains {len(observations)} readings: is it the right register and "
             "unit, did the value move while it was read? --fresh forgets earlier readings"
         )
-        return CommandResult(data, Exit.CHECK_FAILED, said)
+        return CommandResult(data, Exit.CHECK_FAILED, sentence)
     return CommandResult(data)
 
 
-async def _looked(site: Site, register: Register) -> tuple[int, list[int]]:
+async def _registers_around(site: Site, register: Register) -> tuple[int, list[int]]:
     """The registers around one: by the running gateway's connection where one runs, else by one of our own."""
     line = running_gateway(site.target)
     if line is None:
@@ -227,7 +227,7 @@ def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) 
             )
         check_writable(given.records)
         earlier = [] if fresh else earlier_readings(given.records, target.place, register, time.time())
-        shown = _asked(reading)
+        shown = _reading_or_prompt(reading)
     arguments = {"address": str(register), "reading": shown, "earlier": len(earlier)}
 
     async def guessed(site: Site) -> CommandResult:
@@ -236,7 +236,7 @@ def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) 
     perform(given, "guess", arguments, guessed, _show, target=target)
 
 
-def _asked(reading: str | None) -> str:
+def _reading_or_prompt(reading: str | None) -> str:
     """The reading as given, or as typed on the terminal. Raises ValueError where there is none."""
     if reading is not None:
         return reading

@@ -185,13 +185,13 @@ def _meaning(tag: Tag, shown: HmiReading, slack: float) -> tuple[Value, float]:
             raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no state; give 1 or 0, on or off")
         return flag, 0.0
     try:
-        said = parse_shown(shown.text)
+        reading = parse_shown(shown.text)
     except ReadingError as error:
         raise ListError(f"{shown.where or tag.name}: {error}") from None
-    if isinstance(said, bool):
+    if isinstance(reading, bool):
         raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no number; give it as the HMI shows it")
-    raw = abs(said.value) * _FLOAT_STEP[tag.dtype] if tag.dtype in _FLOAT_STEP else abs(tag.scale) / 2
-    return said.value, said.step * 1.000001 + raw + slack
+    raw = abs(reading.value) * _FLOAT_STEP[tag.dtype] if tag.dtype in _FLOAT_STEP else abs(tag.scale) / 2
+    return reading.value, reading.step * 1.000001 + raw + slack
 
 
 def _agreement(wanted: Value, values: Sequence[Value], tolerance: float, tag: Tag) -> tuple[bool, Value | None, str]:

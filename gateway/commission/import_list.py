@@ -1,6 +1,5 @@
 """`decanter plc import`: the tags of an I/O list into the device file, each bad row with its own sentence."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -55,8 +54,8 @@ def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
         if options["only"] or options["without"]:
             found = _chosen(found, options["only"], options["without"])
         wanted = FileChange(bindings(found), None, options["heartbeat"], device, plant)
-        said = {"dry_run": options["dry_run"], "skip": options["skip_bad"]}
-        return import_outcome(found, files, wanted, template(), **said)
+        dry_run, skip = options["dry_run"], options["skip_bad"]
+        return import_outcome(found, files, wanted, template(), dry_run=dry_run, skip=skip)
 
     arguments = {"list": str(path), **{key: value for key, value in options.items() if value not in (None, (), {})}}
     edit_files(given, "import", arguments, work)
@@ -88,17 +87,16 @@ def import_outcome(
         "header_line": found.sheet.header_line,
         "columns": dict(found.sheet.columns),
         "ignored_columns": list(found.sheet.ignored),
-        "tags": [{"name": tag.name, "line": tag.line, **_said(tag.keys)} for tag in found.tags],
+        "tags": [
+            {"name": tag.name, "line": tag.line, **{key: value for key, value in tag.keys.items() if value is not None}}
+            for tag in found.tags
+        ],
         "problems": list(found.problems),
     }
     if found.problems and not skip:
         count = len(found.problems)
-        said = f"{count} rows cannot be used, nothing was written: correct them, or give --skip-bad"
-        return CommandResult({**data, "diff": "", "written": False, "files": [], "backups": []}, 1, said)
+        sentence = f"{count} rows cannot be used, nothing was written: correct them, or give --skip-bad"
+        return CommandResult({**data, "diff": "", "written": False, "files": [], "backups": []}, 1, sentence)
     done = carry_out(files, wanted, template, dry_run=dry_run)
     left = [f"import: a row was left out: {problem}" for problem in found.problems]
     return CommandResult({**data, **done, "open_points": left})
-
-
-def _said(keys: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in keys.items() if value is not None}

@@ -52,15 +52,12 @@ def _complaint(site: Site, found: ReadPlan, period: float) -> str:
         site.notes.append(f"with the write-back a cycle can take {total:.3g} s, {longer}")
         return ""
     count = len(found.requests)
-    shorter = f", or timeout to {_down(period / count):g} s if the device is fast enough (see soak)"
+    shortest = int(1000 * period / count) // 10 / 100  # rounded down, so that all requests fit
+    shorter = f", or timeout to {shortest:g} s if the device is fast enough (see soak)"
     return (
         f"a scan of {count} requests can take {found.seconds:.3g} s, {longer}; set scan.period to "
         f"{ceil(10 * total) / 10:g} s{shorter if 'timeout' in site.target.settings else ''}"
     )
-
-
-def _down(seconds: float) -> float:
-    return int(1000 * seconds) // 10 / 100
 
 
 def _reference(place: str, count: int) -> str:

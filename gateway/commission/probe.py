@@ -129,11 +129,12 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
         words = await survey.read(register.table, register.number, 1)
     except DeviceException as error:
         if error.code in _BEHIND_GATEWAY:
-            said = f"a gateway answers for unit {unit} that it cannot reach it (exception {error.code})"
-            said += _hint(await _other_units(survey, unit))
-            steps.append(failed("modbus", said, error))
+            text = f"a gateway answers for unit {unit} that it cannot reach it (exception {error.code})"
+            text += _hint(await _other_units(survey, unit))
+            steps.append(failed("modbus", text, error))
             return None
-        steps.append(ok("modbus", f"unit {unit} answers in {_ms(begun)}, with a refusal: {error}"))
+        took = 1e3 * (time.monotonic() - begun)
+        steps.append(ok("modbus", f"unit {unit} answers in {took:.1f} ms, with a refusal: {error}"))
     except ReplyTimeout as error:
         sentence, kind = await _silent(site, survey, unit, error)
         steps.append(failed("modbus", sentence, kind))
@@ -163,16 +164,16 @@ async def _silent(
     """Connected and no reply: another unit, another protocol, or nothing at all. The sentence, and its kind."""
     settings = site.target.settings
     others = await _other_units(survey, unit)
-    said = f"unit {unit} does not answer{_hint(others)}"
+    text = f"unit {unit} does not answer{_hint(others)}"
     other = LINKS[site.target.kind].mistaken_for if site.target.kind in LINKS else ""
     if others or not other:
-        return said, error
+        return text, error
     received = site.evidence.greeting or await greeting_of(str(settings["host"]), port_of(settings))
     if looks_like(received):
         sentence = not_modbus(port_of(settings), received)
         return sentence, LinkDown(sentence)
     sentence = (
-        f"{said}: the port takes connections and answers no request; is it a Modbus port, is the device busy with "
+        f"{text}: the port takes connections and answers no request; is it a Modbus port, is the device busy with "
         f"another client, or does it want other frames (--link {other})? `decanter plc scan units` tries all units"
     )
     return sentence, error
@@ -220,8 +221,8 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckSte
             await survey.read(register.table, register.number, 1)
         times.append(1e3 * (time.monotonic() - begun))
     facts["round_trip_ms"] = {"min": min(times), "median": median(times), "max": max(times)}
-    said = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
-    steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {said}"))
+    sentence = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
+    steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {sentence}"))
 
 
 async def _tables(survey: AsksRegisters) -> dict[str, str]:
@@ -237,10 +238,6 @@ async def _tables(survey: AsksRegisters) -> dict[str, str]:
         else:
             found[table] = "offered"
     return found
-
-
-def _ms(begun: float) -> str:
-    return f"{1e3 * (time.monotonic() - begun):.1f} ms"
 
 
 @click.command()

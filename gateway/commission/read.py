@@ -12,7 +12,7 @@ import click
 from drivers.codec import registers_needed
 from drivers.driver import Explains, PlanKind
 from drivers.survey import Raw, open_bus_survey, open_registers
-from drivers.tag import DType, Order, Quality, Sample, Tag
+from drivers.tag import DType, Order, Quality, Tag
 from gateway.commission.session.gateway_line import read_through, running_gateway
 from gateway.commission.session.options import SharedOptions, link_options
 from gateway.commission.session.perform import perform
@@ -25,6 +25,7 @@ from gateway.console.output import table
 FIRST_WAIT_S = 3.0
 _LOOK_S = 0.02
 _LONGEST_NUMBER = 8
+_WAITING = Quality.WAITING_FOR_INITIAL_DATA
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +88,8 @@ async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResul
     bad = [raw.sample for raw in raws if not raw.sample.quality.is_good]
     if not bad:
         return CommandResult({"readings": rows})
-    said = f"{len(bad)} of {len(raws)} readings are not good, {bad[0].tag} the first: {bad[0].reason}"
-    return CommandResult({"readings": rows}, _code(raws), said)
+    sentence = f"{len(bad)} of {len(raws)} readings are not good, {bad[0].tag} the first: {bad[0].reason}"
+    return CommandResult({"readings": rows}, _code(raws), sentence)
 
 
 async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
@@ -130,7 +131,7 @@ async def _driven(site: Site, tags: Sequence[Tag]) -> list[Raw]:
         try:
             samples = await driver.read(tags)
             until = time.monotonic() + FIRST_WAIT_S
-            while _waits(samples) and time.monotonic() < until:
+            while any(sample.quality is _WAITING for sample in samples) and time.monotonic() < until:
                 await asyncio.sleep(_LOOK_S)
                 samples = await driver.read(tags)
             if isinstance(driver, Explains):
@@ -147,10 +148,6 @@ def _by_its_length(raw: Raw) -> Raw:
     data = bytes(raw.raw)
     value = int.from_bytes(data, "little") if len(data) <= _LONGEST_NUMBER else data.decode("latin-1").strip("\0 ")
     return replace(raw, sample=replace(raw.sample, value=value, quality=Quality.GOOD, reason=""))
-
-
-def _waits(samples: Sequence[Sample]) -> bool:
-    return any(sample.quality is Quality.WAITING_FOR_INITIAL_DATA for sample in samples)
 
 
 def _row(raw: Raw, *, plainly: bool) -> dict[str, Any]:

@@ -95,10 +95,10 @@ async def replay_recording(site: Site, config: Config, recording: SiteRecording,
         kept = Path(folder) / "historian.sqlite"
         seen = await _through(_shadow(config, kept, missing), recording, progress)
         data = _data(config, recording, missing, seen, kept)
-    inputs = _needed(config, missing)
-    if inputs:
-        said = f"the recording lacks {', '.join(inputs)}, which the gateway needs: nothing could be predicted"
-        return CommandResult(data, 1, said)
+    needed = [name for name in missing if name in {*config.watched, config.model.temperature}]
+    if needed:
+        complaint = f"the recording lacks {', '.join(needed)}, which the gateway needs: nothing could be predicted"
+        return CommandResult(data, 1, complaint)
     return CommandResult(data)
 
 
@@ -177,11 +177,6 @@ def _data(
         "blocks_valid": seen.valid,
         "model": str(config.model.path) if config.model.path is not None else None,
     }
-
-
-def _needed(config: Config, missing: list[str]) -> list[str]:
-    """The tags that the gateway cannot do without and the recording lacks."""
-    return [name for name in missing if name in {*config.watched, config.model.temperature}]
 
 
 @click.command(short_help="Send a recording through the gateway, without a PLC.")

@@ -61,16 +61,35 @@ async def soak_device(
 ) -> CommandResult:
     """Scan for `duration` seconds. A failed check where scans were lost or do not fit. Ctrl-C gives what there is."""
     device, period = device_of(site), period_of(site, given_period)
-    if said := running_for(site.target):
-        site.notes.append(said)
+    if sentence := running_for(site.target):
+        site.notes.append(sentence)
     recorder = ScanRecorder(record, device.tags) if record is not None else None
     tally, before = SoakTally(), {}
     try:
         async with _opened(site) as driver:
             try:
-                await _first(driver, site)
+                # A device that speaks by itself is heard out once before anything is counted.
+                until = time.monotonic() + FIRST_S
+                while site.target.capabilities.speaks and time.monotonic() < until:
+                    if all(sample.quality is not _WAITING for sample in await driver.read(device.tags)):
+                        break
+                    await asyncio.sleep(0.02)
                 before = dict(driver.statistics())
-                await _scans(driver, site, tally, times=(duration, period), recorder=recorder, progress=progress)
+                # Scans on absolute deadlines, as the gateway has them: ticks that pass meanwhile are missed, not late.
+                begin, tick = time.monotonic(), 0
+                while (now := time.monotonic()) - begin < duration:
+                    wall = time.time()
+                    samples = await driver.read(device.tags)
+                    took = time.monotonic() - now
+                    tally.take(samples, wall, took)
+                    if recorder is not None:
+                        recorder.take(wall + took, samples)
+                    done = min(1.0, (now - begin) / duration)
+                    progress(f"{len(tally.seconds)} scans, {tally.with_bad} with bad tags", done)
+                    following = max(tick + 1, floor((time.monotonic() - begin) / period) + 1)
+                    tally.missed += following - tick - 1
+                    tick = following
+                    await asyncio.sleep(max(0.0, min(begin + tick * period, begin + duration) - time.monotonic()))
             except asyncio.CancelledError:  # Ctrl-C: asyncio.run cancels the task, and what was counted is shown
                 site.notes.append("stopped before its time")
             finally:
@@ -79,7 +98,8 @@ async def soak_device(
     finally:
         if recorder is not None:
             recorder.close()
-    return _outcome(site, tally, period, _since(before, counted), record)
+    since = {name: counted[name] - before.get(name, 0) for name in counted}
+    return _summary(site, tally, period, since, record)
 
 
 @asynccontextmanager
@@ -102,51 +122,13 @@ async def _opened(site: Site) -> AsyncIterator[Driver]:
 
 def _with_complaints(error: DriverError, driver: Driver) -> DriverError:
     """What the device says of itself, where it is heard and cannot be used (a node that no master has started)."""
-    said = driver.complaints() if isinstance(driver, Complains) else ()
-    if not said or str(error) in said:
+    complaints = driver.complaints() if isinstance(driver, Complains) else ()
+    if not complaints or str(error) in complaints:
         return error
-    return LinkDown(f"{said[0]}: start it at its master, or let this program do it (--set configure=true)")
+    return LinkDown(f"{complaints[0]}: start it at its master, or let this program do it (--set configure=true)")
 
 
-async def _first(driver: Driver, site: Site) -> None:
-    """A device that speaks by itself is heard out once before anything is counted."""
-    until = time.monotonic() + FIRST_S
-    while site.target.capabilities.speaks and time.monotonic() < until:
-        if all(sample.quality is not _WAITING for sample in await driver.read(site.target.tags)):
-            return
-        await asyncio.sleep(0.02)
-
-
-async def _scans(
-    driver: Driver,
-    site: Site,
-    tally: SoakTally,
-    times: tuple[float, float],
-    recorder: ScanRecorder | None,
-    progress: Progress,
-) -> None:
-    """Scans on absolute deadlines; ticks that passed meanwhile are missed, and counted."""
-    duration, period = times
-    begin, tick = time.monotonic(), 0
-    while (now := time.monotonic()) - begin < duration:
-        wall = time.time()
-        samples = await driver.read(site.target.tags)
-        took = time.monotonic() - now
-        tally.take(samples, wall, took)
-        if recorder is not None:
-            recorder.take(wall + took, samples)
-        progress(f"{len(tally.seconds)} scans, {tally.with_bad} with bad tags", min(1.0, (now - begin) / duration))
-        following = max(tick + 1, floor((time.monotonic() - begin) / period) + 1)
-        tally.missed += following - tick - 1
-        tick = following
-        await asyncio.sleep(max(0.0, min(begin + tick * period, begin + duration) - time.monotonic()))
-
-
-def _since(before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
-    return {name: after[name] - before.get(name, 0) for name in after}
-
-
-def _outcome(
+def _summary(
     site: Site, tally: SoakTally, period: float, counted: Mapping[str, float], record: Path | None
 ) -> CommandResult:
     seconds, scans = tally.seconds, len(tally.seconds)

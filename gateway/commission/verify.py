@@ -130,29 +130,26 @@ async def by_questions(
     points: list[Point] = []
     while left := [tag for tag in tags if left_to_do(tag, [*before, *points])]:
         for tag in left:
-            told = left_to_do(tag, [*before, *points])
+            missing = left_to_do(tag, [*before, *points])
             unit = f" in {tag.unit}" if tag.unit else ""
-            answer = (await asyncio.to_thread(ask, f"{tag.name}{unit} ({told}): what does the HMI show?")).strip()
+            answer = (await asyncio.to_thread(ask, f"{tag.name}{unit} ({missing}): what does the HMI show?")).strip()
             if answer.lower() == "q":
                 return outcome(tags, points, before, complete=complete)
-            if answer:
-                await _answered(site, tag, answer, points=points, tell=tell, slack=slack)
+            if not answer:
+                continue
+            values = (await _window(site, [tag]))[tag.name]
+            try:
+                point = compare(tag, HmiReading(tag.name, answer), values, time.time(), slack)
+            except ListError as error:
+                tell(f"  {error}")
+                continue
+            points.append(point)
+            tell(f"  agrees with {point.read}" if point.ok else f"  DOES NOT AGREE: {point.reason}")
         rest = any(left_to_do(tag, [*before, *points]) for tag in left)
         question = "bring the plant into another state, then press Enter (q ends)"
         if rest and (await asyncio.to_thread(ask, question)).strip().lower() == "q":
             break
     return outcome(tags, points, before, complete=complete)
-
-
-async def _answered(site: Site, tag: Tag, answer: str, points: list[Point], tell: Tell, slack: float) -> None:
-    values = (await _window(site, [tag]))[tag.name]
-    try:
-        point = compare(tag, HmiReading(tag.name, answer), values, time.time(), slack)
-    except ListError as error:
-        tell(f"  {error}")
-        return
-    points.append(point)
-    tell(f"  agrees with {point.read}" if point.ok else f"  DOES NOT AGREE: {point.reason}")
 
 
 def outcome(tags: Sequence[Tag], points: Sequence[Point], before: Sequence[Point], *, complete: bool) -> CommandResult:
@@ -172,10 +169,10 @@ def outcome(tags: Sequence[Tag], points: Sequence[Point], before: Sequence[Point
     }
     if wrong:
         first = wrong[0]
-        said = (
+        sentence = (
             f"{len(wrong)} of {len(points)} readings do not agree, the first: {first.tag}: the HMI shows {first.shown}"
         )
-        return CommandResult(data, 1, f"{said}, {first.reason}")
+        return CommandResult(data, 1, f"{sentence}, {first.reason}")
     if complete and left:
         name, todo = next(iter(left.items()))
         return CommandResult(data, 1, f"{len(left)} of {len(tags)} tags are not proved, the first: {name}: {todo}")

@@ -192,16 +192,16 @@ def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: flo
     arguments = {"what": list(what), "period": period, "seconds": seconds}
 
     async def work(site: Site) -> CommandResult:
-        return await _watched(site, what, How(), (period, seconds), quiet=given.as_json)
+        return await _watched(site, what, period=period, seconds=seconds, quiet=given.as_json)
 
     perform(given, "watch", arguments, work, _show_end)
 
 
 async def _watched(
-    site: Site, what: Sequence[str], how: How, times: tuple[float, float | None], *, quiet: bool
+    site: Site, what: Sequence[str], *, period: float, seconds: float | None, quiet: bool
 ) -> CommandResult:
     """Watch until the end; gives what each tag did, and the marks."""
-    seen = [WatchedTag(tag) for tag in tags_of(site, what, how)]
+    seen = [WatchedTag(tag) for tag in tags_of(site, what, How())]
     marks: list[Mark] = []
     live = sys.stdout.isatty() and not quiet
 
@@ -211,13 +211,18 @@ async def _watched(
             marks.append(marked(seen, len(marks) + 1, time.time()))
         return entered
 
-    with _ending(times[1], mark if live and sys.stdin.isatty() else None) as stop:
+    with _ending(seconds, mark if live and sys.stdin.isatty() else None) as stop:
         async with looking(site, [one.tag for one in seen]) as look:
             if live:
-                await _live(site.target.place, seen, marks, lambda show: watch_tags(look, seen, times[0], stop, show))
+                await _live(site.target.place, seen, marks, lambda show: watch_tags(look, seen, period, stop, show))
             else:
-                await watch_tags(look, seen, times[0], stop, _nothing if quiet else _lines)
-    return _outcome(seen, marks)
+                await watch_tags(look, seen, period, stop, _nothing if quiet else _lines)
+    rows = [one.plain() for one in seen]
+    data = {"tags": rows, "marks": [{"number": m.number, "time": m.time, "values": dict(m.values)} for m in marks]}
+    never = next((row for row in rows if not row["good"] and row["quality"] != "GOOD"), None)
+    if never is None:
+        return CommandResult(data)
+    return CommandResult(data, Exit.CHECK_FAILED, f"{never['tag']} was never good: {never['reason']}")
 
 
 @contextmanager
@@ -242,15 +247,6 @@ def _ending(seconds: float | None, on_enter: Callable[[], bool] | None) -> Itera
             loop.remove_signal_handler(number)
         if on_enter is not None:
             loop.remove_reader(sys.stdin)
-
-
-def _outcome(seen: Sequence[WatchedTag], marks: Sequence[Mark]) -> CommandResult:
-    rows = [one.plain() for one in seen]
-    data = {"tags": rows, "marks": [{"number": m.number, "time": m.time, "values": dict(m.values)} for m in marks]}
-    never = next((row for row in rows if not row["good"] and row["quality"] != "GOOD"), None)
-    if never is None:
-        return CommandResult(data)
-    return CommandResult(data, Exit.CHECK_FAILED, f"{never['tag']} was never good: {never['reason']}")
 
 
 def _nothing(_: Sequence[WatchedTag]) -> None:

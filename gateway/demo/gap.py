@@ -71,22 +71,22 @@ def figures(document: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 def summary_of(data: Mapping[str, Any]) -> list[str]:
     """What the figures say."""
     held = data["held_out"]
-    said = [f"hidden in the plant: {data['hidden']}; the model was learned before it", f"found: {data['sentence']}"]
+    lines = [f"hidden in the plant: {data['hidden']}; the model was learned before it", f"found: {data['sentence']}"]
     if data["localisation"]:
         place = data["localisation"][0]
-        said.append(f"where most of the heat was: {place['location']}, {place['share']:.0%}, {place['cycles']} cycles")
+        lines.append(f"where most of the heat was: {place['location']}, {place['share']:.0%}, {place['cycles']} cycles")
     if held and data["named"]:
         low, high = held["ci95"]
-        said.append(
+        lines.append(
             f"the gap shrinks on {held['cycles']} cycles that were never fitted: free-run error "
             f"{held['rmse_before']:.3f} -> {held['rmse_after']:.3f} °C, noise floor {held['noise_floor']:.3f} °C, "
             f"{held['excess_removed']:.0%} of the excess removed ({low:.0%} to {high:.0%})"
         )
     if data["right"]:
-        said.append("the hidden effect was found, and nothing else was named")
+        lines.append("the hidden effect was found, and nothing else was named")
     else:
-        said.append("THE WRONG EFFECT WAS NAMED" if data["wrong"] else "the hidden effect was not clearly named")
-    return said
+        lines.append("THE WRONG EFFECT WAS NAMED" if data["wrong"] else "the hidden effect was not clearly named")
+    return lines
 
 
 MOST = 3
@@ -118,8 +118,8 @@ def perform(seed: int, out: Path) -> dict[str, Any]:
         where=str(before), out=folder, source=str(out / "after"), seed=seed, most=MOST, created=time.time()
     )
     with progress("diagnosing after it") as report:
-        told = run(request, learned.model, plant.after, roles_of(column_map), report)
-    return figures(document(told.diagnosis), folder)
+        result = run(request, learned.model, plant.after, roles_of(column_map), report)
+    return figures(document(result.diagnosis), folder)
 
 
 def show(data: dict[str, Any]) -> None:

@@ -21,7 +21,7 @@ from sim.artefacts.model_json import model_hash
 from sim.checking.proof.verify import verify
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.catalogue import ROLES
-from sim.discrepancy.diagnosis import Diagnosis, Place
+from sim.discrepancy.diagnosis import Diagnosis
 from sim.discrepancy.fitting.record import overlapping
 from sim.discrepancy.heat_map import span
 from sim.discrepancy.output.document import document
@@ -200,7 +200,7 @@ def diagnose(
         request = DiagnosisRequest(
             where=where,
             out=out,
-            source=_source(sources, historian),
+            source=", ".join(sources) if historian is None else str(historian),
             seed=seed,
             most=most,
             created=time.time(),
@@ -211,12 +211,8 @@ def diagnose(
         model, traces, column_map = _read(request, sources, historian, since, map_name)
         if found := overlapping(traces):
             click.echo(f"{found}: the traces are taken one after the other, as given (a folder by names)", err=True)
-        told = run(request, model, traces, roles_of(column_map), report)
-    emit(_data(told, out), lambda: show(told, out), as_json_line=as_json)
-
-
-def _source(sources: Sequence[str], historian: Path | None) -> str:
-    return ", ".join(sources) if historian is None else str(historian)
+        result = run(request, model, traces, roles_of(column_map), report)
+    emit(_data(result, out), lambda: show(result, out), as_json_line=as_json)
 
 
 def _read(
@@ -230,23 +226,35 @@ def _read(
     return model, [recent(historian, since or RECENT)], None
 
 
-def _data(told: DiagnosisResult, out: Path) -> dict[str, Any]:
-    verification = told.verification
+def _data(result: DiagnosisResult, out: Path) -> dict[str, Any]:
+    verification = result.verification
     page = out / "report.html"
     more: dict[str, Any] = {"out": str(out), "report": str(page) if page.exists() else None}
     if verification is not None:
         more |= {"verified": not verification, "refused": list(verification)}
-    return document(told.diagnosis) | more
+    return document(result.diagnosis) | more
 
 
-def show(told: DiagnosisResult, out: Path) -> None:
+def show(result: DiagnosisResult, out: Path) -> None:
     """Print the verdict with its evidence."""
-    one = told.diagnosis
+    one = result.diagnosis
     click.echo(f"{one.verdict}: {one.sentence}")
     for reason in one.reasons:
         click.echo(f"  {reason}")
     if one.places:
-        rows = [_place(place) for place in one.places[:5]]
+        rows = [
+            [
+                place.location,
+                place.after,
+                span(*place.seconds),
+                place.share,
+                place.heat,
+                f"{place.cycles[0]} of {place.cycles[1]}",
+                place.p,
+                place.when or place.correlates,
+            ]
+            for place in one.places[:5]
+        ]
         columns = ("location", "after", "seconds", "share", "heat (°C/h)", "cycles", "p", "goes with")
         table("where the unexplained heat is", columns, rows)
     if one.effects:
@@ -260,39 +268,18 @@ def show(told: DiagnosisResult, out: Path) -> None:
     if one.shifts:
         rows = [[s.location, s.parameter, s.before, s.after, s.unit, s.change, s.sigma] for s in one.shifts]
         table("parameters that moved", ("location", "parameter", "before", "after", "unit", "change", "sigma"), rows)
-    _show_held_out(told)
+    held = one.held_out
+    if held is not None:
+        errors = f"{held.rmse_before:.3f} °C"
+        if one.effects:
+            low, high = held.ci95
+            errors += f" before, {held.rmse_after:.3f} °C after"
+            errors += f"; {held.excess_removed:.0%} of the excess removed ({low:.0%} to {high:.0%})"
+        click.echo(f"held out: {held.cycles} cycles, free-run error {errors}; noise floor {held.noise_floor:.3f} °C")
     if one.untested:
         click.echo(f"not tested: {', '.join(one.untested)} (the report says why)")
     if (out / "report.html").exists():
         click.echo(f"report: {out / 'report.html'}")
     if one.model_after is not None:
-        click.echo(f"new model: {one.model_after}{_verified(told.verification)}")
-
-
-def _place(one: Place) -> list[object]:
-    goes = one.when or one.correlates
-    return [one.location, one.after, _span(one.seconds), one.share, one.heat, _of(one.cycles), one.p, goes]
-
-
-def _show_held_out(told: DiagnosisResult) -> None:
-    held = told.diagnosis.held_out
-    if held is None:
-        return
-    said = f"held out: {held.cycles} cycles, free-run error {held.rmse_before:.3f} °C"
-    if told.diagnosis.effects:
-        low, high = held.ci95
-        said += f" before, {held.rmse_after:.3f} °C after"
-        said += f"; {held.excess_removed:.0%} of the excess removed ({low:.0%} to {high:.0%})"
-    click.echo(f"{said}; noise floor {held.noise_floor:.3f} °C")
-
-
-def _verified(reasons: tuple[str, ...] | None) -> str:
-    return "; it verifies" if not reasons else f"; it DOES NOT VERIFY: {'; '.join(reasons)}"
-
-
-def _of(cycles: tuple[int, int]) -> str:
-    return f"{cycles[0]} of {cycles[1]}"
-
-
-def _span(seconds: tuple[float, float]) -> str:
-    return span(*seconds)
+        verdict = f"it DOES NOT VERIFY: {'; '.join(result.verification)}" if result.verification else "it verifies"
+        click.echo(f"new model: {one.model_after}; {verdict}")

@@ -22,7 +22,7 @@ from sim.sha.model import Model
 from sim.sha.trace import Trace
 from sim.traces.column_map import ColumnMap
 from sim.uppaal.compare import compare, native_runs
-from sim.uppaal.export import Document, Exported, base_name, write
+from sim.uppaal.export import base_name, write
 from sim.uppaal.export import export as export_trace
 from sim.uppaal.verifyta import EngineError, find_engine, run_engine
 
@@ -70,7 +70,12 @@ def export_uppaal(
     found: Found = find_model(where, alphabet=column_map.alphabet, temperature=column_map.temperature)
     model = found.runnable()
     _check_names(model, traces)
-    engine, missing = _engine(order.engine)
+    engine, missing = None, ""
+    if order.engine is not None:
+        try:
+            engine = find_engine(order.engine.path, os.environ)
+        except EngineError as error:
+            missing = str(error)
     rows = []
     for index, trace in enumerate(traces):
         report(trace.name, index / len(traces))
@@ -93,21 +98,24 @@ def _check_names(model: Model, traces: Sequence[Trace]) -> None:
         seen[name] = trace.name
 
 
-def _engine(wanted: EngineOptions | None) -> tuple[Path | None, str]:
-    if wanted is None:
-        return None, ""
-    try:
-        return find_engine(wanted.path, os.environ), ""
-    except EngineError as error:
-        return None, str(error)
-
-
 def _one(model: Model, trace: Trace, order: ExportOptions, engine: Path | None, missing: str) -> dict[str, Any]:
+    """The files of one trace, and where there is an engine its answers beside the native ones."""
     exported = export_trace(
         model, trace, policy=order.policy, start=order.start, tick=order.tick, formulas=order.queries
     )
     files = [str(path) for path in write(order.out, exported)]
-    compared, failures = _run(model, trace, exported, order, engine) if engine else ([], [])
+    rows: list[dict[str, Any]] = []
+    failures: list[str] = []
+    if engine is not None and order.engine is not None:
+        rng = np.random.default_rng(order.engine.seed)
+        native = native_runs(model, trace, exported.replay, policy=order.policy, tick=order.tick, rng=rng)
+        for document in (exported.minimal, exported.main):
+            path = order.out / f"{document.name}.xml"
+            queries, wanted = path.with_suffix(".q"), len(document.questions)
+            ran = run_engine(engine, path, queries, wanted=wanted, timeout=order.engine.timeout, seed=order.engine.seed)
+            rows += [asdict(row) for row in compare(document.questions, ran.output.answers, native, model)]
+            if ran.failure:
+                failures.append(f"{document.name}: {ran.failure}")
     return {
         "trace": trace.name,
         "events": len(exported.replay.times),
@@ -115,31 +123,9 @@ def _one(model: Model, trace: Trace, order: ExportOptions, engine: Path | None, 
         "accepted": exported.replay.accepted,
         "files": files,
         "notes": list(exported.main.notes),
-        "comparison": compared,
+        "comparison": rows,
         "engine": missing or "; ".join(failures),
     }
-
-
-def _run(
-    model: Model, trace: Trace, exported: Exported, order: ExportOptions, engine: Path
-) -> tuple[list[dict[str, Any]], list[str]]:
-    """Both files answered by the engine: the comparison's rows, and a sentence for each file that failed."""
-    chosen = order.engine or EngineOptions(None, 600.0, 0)
-    rng = np.random.default_rng(chosen.seed)
-    native = native_runs(model, trace, exported.replay, policy=order.policy, tick=order.tick, rng=rng)
-    rows, failures = [], []
-    for document in (exported.minimal, exported.main):
-        path = _path(order.out, document)
-        wanted = len(document.questions)
-        ran = run_engine(engine, path, path.with_suffix(".q"), wanted=wanted, timeout=chosen.timeout, seed=chosen.seed)
-        rows += compare(document.questions, ran.output.answers, native, model)
-        if ran.failure:
-            failures.append(f"{document.name}: {ran.failure}")
-    return [asdict(row) for row in rows], failures
-
-
-def _path(out: Path, document: Document) -> Path:
-    return out / f"{document.name}.xml"
 
 
 @click.command(short_help="Write a model for UPPAAL along traces; compare with its engine.")
@@ -221,7 +207,14 @@ def _show(data: dict[str, Any]) -> None:
     done = [row for row in data["traces"] if "error" not in row]
     if done:
         columns = ("trace", "events", "seconds", "accepted", "files")
-        cells = [[row[name] for name in columns[:3]] + [_accepted(row), _names(row)] for row in done]
+        cells = [
+            [
+                *(row[name] for name in columns[:3]),
+                "yes" if row["accepted"] else "NO",
+                ", ".join(Path(path).name for path in row["files"]),
+            ]
+            for row in done
+        ]
         table(f"exported for UPPAAL to {data['out']}", columns, cells)
     for row in done:
         for note in row["notes"]:
@@ -229,14 +222,6 @@ def _show(data: dict[str, Any]) -> None:
         if row["comparison"]:
             headings = ("quantity", "native", "UPPAAL", "difference", "native 95 %", "UPPAAL 95 %", "agree", "note")
             table(f"{row['trace']}: native against UPPAAL", headings, [_cells(one) for one in row["comparison"]])
-
-
-def _accepted(row: dict[str, Any]) -> str:
-    return "yes" if row["accepted"] else "NO"
-
-
-def _names(row: dict[str, Any]) -> str:
-    return ", ".join(Path(path).name for path in row["files"])
 
 
 def _cells(row: dict[str, Any]) -> list[Any]:

@@ -1,7 +1,7 @@
 """`decanter model learn`: a model from traces, written with all its artefacts."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -68,16 +68,37 @@ def learn(
             raise ValueError(f"--{_option(settings)} belongs to --method lsha; leave it out, or choose that method")
         traces, column_map = load(paths, map_name)
         if method == "lsha":
-            data, show = _lsha(traces, column_map, name, seed=seed, settings=settings, report=report, out=out)
+            words_learned = learn_lsha(
+                traces,
+                column_map.alphabet,
+                column_map.temperature,
+                name=name,
+                seed=seed,
+                settings=LshaSettings(**settings),
+                progress=report,
+            )
+            written = _write_lsha(out, words_learned, name)
+            model, shown, acceptance = (
+                words_learned.model,
+                lsha_diagnostics(words_learned),
+                words_learned.report.acceptance,
+            )
         else:
             learned = learn_from(traces, column_map, name=name, seed=seed, report=report)
             written = write(out, learned)
-            data = {"model": str(out), "file": str(written), **summary(learned.model)}
-            data["diagnostics"] = diagnostics(learned)
+            model, shown, acceptance = learned.model, diagnostics(learned), None
+    data = {"model": str(out), "file": str(written), **summary(model), "diagnostics": shown}
 
-            def show() -> None:
-                show_model(learned.model)
-                _show_tables(diagnostics(learned), out)
+    def show() -> None:
+        show_model(model)
+        for title, rows in shown.items():
+            if rows:
+                table(title, list(rows[0]), [list(row.values()) for row in rows])
+        click.echo(f"model directory: {out}")
+        if acceptance is not None:
+            counts = f"{acceptance.accepted} of {acceptance.traces} training traces"
+            click.echo(f"accepted: {counts}, by the observed edges alone")
+            click.echo(f"learning report: {out / (REPORT + '.md')}")
 
     emit(data, show, as_json_line=as_json)
 
@@ -104,43 +125,14 @@ def write(out: Path, learned: Learned) -> Path:
     return write_model_directory(out, learned.model, learned.values)
 
 
-def _lsha(
-    traces: Sequence[Trace],
-    column_map: ColumnMap,
-    name: str,
-    seed: int,
-    settings: Mapping[str, Any],
-    report: Any,
-    out: Path,
-) -> tuple[dict[str, Any], Callable[[], None]]:
-    """(what the command says in JSON, what it shows to people), once the model directory is written."""
-    learned = learn_lsha(
-        traces,
-        column_map.alphabet,
-        column_map.temperature,
-        name=name,
-        seed=seed,
-        settings=LshaSettings(**settings),
-        progress=report,
-    )
+def _write_lsha(out: Path, learned: LearnedLsha, name: str) -> Path:
+    """Write the model directory with the learning report beside the model; returns the path of its model.json."""
     document = report_document(learned.report)
     more = {
         f"{REPORT}.json": json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
         f"{REPORT}.md": report_text(learned.report, name),
     }
-    table_of = learned.report.table
-    written = write_model_directory(out, learned.model, learned.values, observations=table_of, more=more)
-    shown = lsha_diagnostics(learned)
-    data = {"model": str(out), "file": str(written), **summary(learned.model), "diagnostics": shown}
-
-    def show() -> None:
-        show_model(learned.model)
-        _show_tables(shown, out)
-        checked = learned.report.acceptance
-        click.echo(f"accepted: {checked.accepted} of {checked.traces} training traces, by the observed edges alone")
-        click.echo(f"learning report: {out / (REPORT + '.md')}")
-
-    return data, show
+    return write_model_directory(out, learned.model, learned.values, observations=learned.report.table, more=more)
 
 
 def diagnostics(learned: Learned) -> dict[str, list[dict[str, Any]]]:
@@ -168,10 +160,3 @@ def lsha_diagnostics(learned: LearnedLsha) -> dict[str, list[dict[str, Any]]]:
         "edges and acceptance": [edges | checked],
         "held-out forecasts": [asdict(one) for one in report.coverage],
     }
-
-
-def _show_tables(tables: Mapping[str, list[dict[str, Any]]], out: Path) -> None:
-    for title, rows in tables.items():
-        if rows:
-            table(title, list(rows[0]), [list(row.values()) for row in rows])
-    click.echo(f"model directory: {out}")

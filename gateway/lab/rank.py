@@ -55,45 +55,47 @@ class RankingRequest:
     seed: int
 
 
-def compared(wish: RankingRequest, progress: Progress) -> RankingInput:
+def compared(request: RankingRequest, progress: Progress) -> RankingInput:
     """Runs every model along every trace, or reads what an earlier campaign found.
 
     Raises ValueError or OSError for what cannot be read, and for a model at hand that has no results in the folders.
     """
-    return _earlier(wish) if wish.folders else _fresh(wish, progress)
+    return _earlier(request) if request.folders else _fresh(request, progress)
 
 
-def _fresh(wish: RankingRequest, progress: Progress) -> RankingInput:
-    column_map = load_map(wish.map_file)
-    traces, report = load_traces(list(wish.paths), column_map)
-    training = load_traces(list(wish.training), column_map)[0] if wish.training else None
-    prepared = _prepared(wish, training)
-    run = run_here(wish.jobs or len(os.sched_getaffinity(0)))
-    settings = Settings(wish.runs, seed=wish.seed)
-    told = outcomes_by_model(prepared, traces, unread(report, traces), settings=settings, run=run, progress=progress)
-    results = [outcome.result for _, outcomes in told for outcome in outcomes]
+def _fresh(request: RankingRequest, progress: Progress) -> RankingInput:
+    column_map = load_map(request.map_file)
+    traces, report = load_traces(list(request.paths), column_map)
+    training = load_traces(list(request.training), column_map)[0] if request.training else None
+    prepared = _prepared(request, training)
+    run = run_here(request.jobs or len(os.sched_getaffinity(0)))
+    settings = Settings(request.runs, seed=request.seed)
+    by_model = outcomes_by_model(
+        prepared, traces, unread(report, traces), settings=settings, run=run, progress=progress
+    )
+    results = [outcome.result for _, outcomes in by_model for outcome in outcomes]
     return RankingInput(results, _by_entrant(results, {one.label: _facts(one, traces) for one in prepared}))
 
 
-def _prepared(wish: RankingRequest, training: Sequence[Trace] | None) -> list[Prepared]:
-    column_map = load_map(wish.map_file)
+def _prepared(request: RankingRequest, training: Sequence[Trace] | None) -> list[Prepared]:
+    column_map = load_map(request.map_file)
     alphabet, temperature = column_map.alphabet, column_map.temperature
     return relabelled(
         [
-            prepare(where, alphabet, temperature, wanted=wish.wanted, training=training, seed=wish.seed)
-            for where in wish.models
+            prepare(where, alphabet, temperature, wanted=request.wanted, training=training, seed=request.seed)
+            for where in request.models
         ]
     )
 
 
-def _earlier(wish: RankingRequest) -> RankingInput:
+def _earlier(request: RankingRequest) -> RankingInput:
     """The results of the folders, with what their records say; a model at hand is that of the results with its name."""
-    results = [result for folder in wish.folders for result in read_results(folder)]
+    results = [result for folder in request.folders for result in read_results(folder)]
     names, labels = {result.trace for result in results}, sorted({result.model for result in results})
     facts: dict[str, dict[str, Facts]] = {}
-    for folder in wish.folders:
+    for folder in request.folders:
         facts |= _recorded(folder if folder.is_dir() else folder.parent, names)
-    for one in _prepared(wish, None):
+    for one in _prepared(request, None):
         if one.label not in labels:
             raise ValueError(
                 f"{one.where}: the results have no model {one.label!r}; they have {', '.join(labels) or 'none'}"
@@ -109,8 +111,8 @@ def _joined(recorded: Mapping[str, Facts], at_hand: Prepared, names: Iterable[st
         own = _origin(model, {name: "name" for name in names if name in model.provenance.traces})
         verified, gate = gate_of(model)
         found[semantics] = replace(own, verified=verified, gate=gate)
-    said = next(iter(found.values()), Facts(verified=False, gate="; ".join(at_hand.refusals.values())))
-    others = {name: replace(each, verified=said.verified, gate=said.gate) for name, each in recorded.items()}
+    known = next(iter(found.values()), Facts(verified=False, gate="; ".join(at_hand.refusals.values())))
+    others = {name: replace(each, verified=known.verified, gate=known.gate) for name, each in recorded.items()}
     return {**others, **found}
 
 
@@ -266,7 +268,7 @@ def rank(
             if picture is not None:
                 check_picture(picture)
             used, bounds = Weights(*weights), limits_of(limits, synthetic=allow_synthetic)
-            wish = RankingRequest(
+            request = RankingRequest(
                 models=models,
                 paths=paths,
                 folders=folders,
@@ -277,7 +279,7 @@ def rank(
                 jobs=jobs,
                 seed=seed,
             )
-            seen = compared(wish, report)
+            seen = compared(request, report)
             found = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed)
             data = _written(found, seen, page, picture)
     except KeyboardInterrupt:

@@ -100,9 +100,9 @@ def _draw(
     low, high = (np.interp(mean[0], band[0], edge) for edge in band[1:])
     driving = [channel.signal for channel in model.alphabet.channels if channel.signal in trace.signals]
     inputs = [
-        Curve(name, trace.times[there], trace.signals[name][there])
+        Curve(name, trace.times[present], trace.signals[name][present])
         for name in driving
-        if (there := np.isfinite(trace.signals[name])).any() and np.nanmax(trace.signals[name]) > 1
+        if (present := np.isfinite(trace.signals[name])).any() and np.nanmax(trace.signals[name]) > 1
     ]
     note = "SYNTHETIC: not measured on a plant" if trace.synthetic else trace.origin
     draw(

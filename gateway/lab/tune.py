@@ -15,8 +15,6 @@ from gateway.lab.traces.load import load
 from sim.artefacts.model_directory import write_model_directory
 from sim.ranking.tuning import Objective, Plan, Tuning, final_model
 from sim.ranking.tuning import tune as searched
-from sim.sha.trace import Trace
-from sim.traces.column_map import ColumnMap
 from sim.traces.cycles import split_cycles
 
 SHOWN = 10
@@ -71,7 +69,9 @@ def tune(
     other traces, another method or other settings is refused.
     """
     with sentences(), progress(f"tuning ({method})") as bar, interruptible(bar) as report:
-        traces, column_map = _traces(paths, map_name, cycles=cycles)
+        traces, column_map = load(paths, map_name)
+        if cycles:
+            traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
         plan = Plan(method, objective, folds, seed)
         found = searched(
             traces,
@@ -87,29 +87,15 @@ def tune(
         written = None
         if out is not None and not found.stopped:
             report("learning with the best settings", 1.0)
-            written = _write(found, traces, column_map, plan=plan, name=name, out=out)
-    _tell(found, plan, study, written, as_json=as_json)
-
-
-def _traces(paths: Sequence[str], map_name: str, *, cycles: bool) -> tuple[list[Trace], ColumnMap]:
-    traces, column_map = load(paths, map_name)
-    if cycles:
-        traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
-    return traces, column_map
-
-
-def _write(found: Tuning, traces: Sequence[Trace], column_map: ColumnMap, plan: Plan, name: str, out: Path) -> Path:
-    if found.best is None:
-        raise ValueError(f"{found.sentence}; nothing is written to {out}")
-    taught = final_model(traces, column_map.alphabet, column_map.temperature, plan=plan, trial=found.best, name=name)
-    write_model_directory(out, taught.model, taught.values)
-    return out
-
-
-def _tell(found: Tuning, plan: Plan, study: Path, written: Path | None, *, as_json: bool) -> None:
+            if found.best is None:
+                raise ValueError(f"{found.sentence}; nothing is written to {out}")
+            alphabet, temperature = column_map.alphabet, column_map.temperature
+            learned = final_model(traces, alphabet, temperature, plan=plan, trial=found.best, name=name)
+            write_model_directory(out, learned.model, learned.values)
+            written = out
     data = {
-        "method": plan.method,
-        "objective": plan.objective,
+        "method": method,
+        "objective": objective,
         "study": str(study),
         **asdict(found),
         "model": written and str(written),

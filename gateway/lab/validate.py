@@ -2,8 +2,8 @@
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -24,7 +24,7 @@ from sim.ranking.tuning_methods import METHODS, Task
 from sim.sha.trace import Trace
 from sim.traces.column_map import ColumnMap, load_map
 from sim.traces.traces import load_traces, units
-from sim.validation.campaign import Progress, Runner, cluster, run_here, unread
+from sim.validation.campaign import Progress, cluster, run_here, unread
 from sim.validation.conduct import Plan, conduct
 from sim.validation.output_folder import LEARNED, check_folder, claim_folder, held
 from sim.validation.report import Campaign, natural
@@ -64,7 +64,7 @@ def campaign(
     check_folder(request.out, overwrite=request.overwrite)
     column_map = load_map(request.map_file)
     workers = request.jobs or len(os.sched_getaffinity(0))
-    with _runner(request.address, workers) as run:
+    with nullcontext(run_here(workers)) if request.address is None else cluster(request.address) as run:
         training = _training(request, column_map)
         ready = _ready(request, column_map, training, progress)
         progress("reading traces", 0.0)
@@ -85,7 +85,7 @@ def campaign(
             stale = check_folder(request.out, overwrite=request.overwrite)  # again: nobody else can write there now
             folder = claim_folder(request.out, stale, (), {"created": created, **facts})
             known = training or ()
-            made = [one or _taught(where, request, column_map, known, progress) for where, one in ready]
+            made = [one or _learned(where, request, column_map, known, progress) for where, one in ready]
             prepared = relabelled(made)
             folder.assign([one.label for one in prepared])
             return prepared, conduct(
@@ -98,15 +98,6 @@ def campaign(
                 tell=tell,
                 progress=progress,
             )
-
-
-@contextmanager
-def _runner(address: str | None, workers: int) -> Iterator[Runner]:
-    if address is None:
-        yield run_here(workers)
-        return
-    with cluster(address) as run:
-        yield run
 
 
 def to_learn(models: Sequence[str]) -> list[str]:
@@ -147,16 +138,16 @@ def _prepared(
     )
 
 
-def _taught(
+def _learned(
     name: str, request: ValidationRequest, column_map: ColumnMap, training: Sequence[Trace], progress: Progress
 ) -> Prepared:
     """A model learned by the method `name` with its defaults, written to the campaign's folder, and then prepared."""
     progress(f"learning by {name}", 0.0)
     silent = [replace(trace, events=()) for trace in training]
     task = Task(silent, column_map.alphabet, column_map.temperature, request.settings.seed, name)
-    taught = METHODS[name].learn(task, {})
+    learned = METHODS[name].learn(task, {})
     place = request.out / LEARNED / name
-    write_model_directory(place, taught.model, taught.values)
+    write_model_directory(place, learned.model, learned.values)
     return _prepared(str(place), request, column_map, training)
 
 
@@ -173,7 +164,7 @@ def _facts(request: ValidationRequest, traces: Sequence[Trace]) -> dict[str, str
     }
 
 
-TOLD = 5
+MOST_REASONS = 5
 """Reasons that are printed for each model."""
 
 
@@ -295,12 +286,13 @@ def _show(out: Path, results: Sequence[TraceResult]) -> None:
 
 
 def _reasons(results: Sequence[TraceResult]) -> list[str]:
-    """Why traces failed or are to be looked at, the first TOLD of them; the report has all."""
+    """Why traces failed or are to be looked at, the first MOST_REASONS of them; the report has all."""
     judged = [(one, verdict(one)) for one in sorted(results, key=lambda one: natural(one.trace))]
-    said = [
+    lines = [
         f"{found.word}: {one.trace} ({one.semantics}): {'; '.join(found.reasons)}"
         for word in ("failed", "review")
         for one, found in judged
         if found.word == word
     ]
-    return said[:TOLD] + ([f"{len(said) - TOLD} more of these are in the report"] if len(said) > TOLD else [])
+    more = len(lines) - MOST_REASONS
+    return [*lines[:MOST_REASONS], *([f"{more} more of these are in the report"] if more > 0 else [])]

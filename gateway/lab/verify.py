@@ -127,7 +127,7 @@ def verify(
         result = _verified(found, traces, bounds, assumptions)
         worst = _counterexample(result)
         if out is not None and worst is not None:
-            _save(out, worst[1])
+            out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
     emit(plain(result, found), lambda: _show(result, found, model, out), as_json_line=as_json)
     if not result.deployable:
         sys.exit(Exit.CHECK_FAILED)
@@ -154,10 +154,6 @@ def _verified(
         refusal=found.refusal,
         clock=perf_counter,
     )
-
-
-def _save(out: Path, word: TimedWord) -> None:
-    out.write_text(word_text(word) + "\n", encoding="utf-8")
 
 
 def plain(result: Verification, found: Found) -> dict[str, Any]:
@@ -196,9 +192,9 @@ def _show(result: Verification, found: Found, model: str, out: Path | None) -> N
     worst = _counterexample(result)
     if worst is not None:
         _show_word(*worst, model, out)
-    against = [one.name for one in _against(result)]
-    said = f"NOT deployable: {'; '.join(against)}" if against else "deployable"
-    click.secho(said, fg="red" if against else "green", bold=True)
+    against = [one.name for one in result.checks if one.blocking and one.verdict != "proven"]
+    sentence = f"NOT deployable: {'; '.join(against)}" if against else "deployable"
+    click.secho(sentence, fg="red" if against else "green", bold=True)
     if "growth" in against and result.executable:
         click.echo(GROWS)
 
@@ -207,10 +203,6 @@ def _counterexample(result: Verification) -> tuple[str, TimedWord] | None:
     """(check, word) of the first counterexample: one that decides comes before one that only informs."""
     ordered = sorted(result.checks, key=lambda one: not one.blocking)
     return next(((one.name, word) for one in ordered for word in one.words), None)
-
-
-def _against(result: Verification) -> list[Check]:
-    return [one for one in result.checks if one.blocking and one.verdict != "proven"]
 
 
 def _show_check(one: Check) -> None:

@@ -32,9 +32,9 @@ def replay_word(directory: str, given: str, policy: Policy, *, as_json: bool) ->
 
     def show() -> None:
         _show(done)
-        said = f"from {done.lowest:.6g} to {done.highest:.6g} °C; the model's range is {low:g} to {high:g} °C"
+        sentence = f"from {done.lowest:.6g} to {done.highest:.6g} °C; the model's range is {low:g} to {high:g} °C"
         left = f": it is left in {outside.location!r}, in the stay from {outside.time:.6g} s on" if outside else ""
-        click.echo(said + left)
+        click.echo(sentence + left)
 
     emit(data, show, as_json_line=as_json)
 

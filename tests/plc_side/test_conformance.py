@@ -175,7 +175,7 @@ async def test_the_loop_tests_pass_at_the_emulator_and_a_plc_without_a_timer_fai
             seen = await alarm_loop(one, quiet)
             beats = await heartbeat_loop(one, quiet, seconds=0.3)
             assert plc.order("force", tag="PredictionUsable", value=True)["ok"]
-            await one.looked()
+            await one.wait_for_scans()
             stuck = await heartbeat_loop(one, quiet, seconds=0.3)
     assert seen.code == 0 and [row["name"] for row in seen.data["rows"]][-1] == "none"
     assert len(seen.data["rows"]) == 8 and all(row["seen"] for row in seen.data["rows"])
@@ -193,7 +193,7 @@ async def test_nothing_is_sent_unarmed_unpermitted_or_when_the_arming_was_taken_
             with pytest.raises(WriteForbidden, match="does not permit"):
                 await one.block()
             plc.order("permit", on=True)
-            await one.looked()
+            await one.wait_for_scans()
             log = open_audit(tmp_path / "audit.sqlite")
             assert log.record(Entry(time.time(), DISARMED, "Bea", "enough"))
             log.close()

@@ -156,8 +156,8 @@ def _records(data: Mapping[str, Any]) -> Iterator[Block]:
 
 def _record(record: Mapping[str, Any]) -> Iterator[Block]:
     state = "bad" if record["code"] else "good"
-    said = record["reason"] or ("in order" if not record["code"] else "")
-    yield Text(f"Exit code {record['code']}: {said}" if said else f"Exit code {record['code']}", state)
+    sentence = record["reason"] or ("in order" if not record["code"] else "")
+    yield Text(f"Exit code {record['code']}: {sentence}" if sentence else f"Exit code {record['code']}", state)
     frames = record["frames"]
     facts = [
         ("when", f"{at(record['time'])}, {record['seconds']:.2f} s, by {record['who']} on {record['machine']}"),

@@ -168,15 +168,15 @@ def _configuration(records: Sequence[CommandRecord]) -> list[dict[str, Any]]:
 
 def _clock(records: Sequence[CommandRecord]) -> dict[str, Any]:
     """What doctor says of this machine's clock, and by how much the HMI's was ahead of it by the newest `verify`."""
-    said, offset = "not looked at (decanter plc doctor)", None
+    sentence, offset = "not looked at (decanter plc doctor)", None
     for record in records:
         for step in _dicts(record.result.get("steps")):
             if record.command == "doctor" and step.get("step") == "clock":
-                said = str(step.get("sentence", ""))
+                sentence = str(step.get("sentence", ""))
         if record.command == "verify":
             given = {**record.arguments, **record.result}.get("clock_offset")
             offset = float(given) if isinstance(given, int | float) else offset
-    return {"machine": said, "hmi_offset_s": offset}
+    return {"machine": sentence, "hmi_offset_s": offset}
 
 
 def _dicts(value: object) -> list[Mapping[str, Any]]:
@@ -192,13 +192,13 @@ def _audit(path: Path, now: float) -> dict[str, Any]:
     rows = [] if checked.problem else read(path)
     armings = [{"row": row.id, **asdict(row.entry)} for row in rows if row.entry.kind in (ARMED, DISARMED, EXPIRED)]
     row = None if checked.problem else standing(path, now)
-    said = f"by {row.entry.who} ({row.entry.reason}) until {_at(row.entry.detail['until'])}" if row else ""
+    sentence = f"by {row.entry.who} ({row.entry.reason}) until {_at(row.entry.detail['until'])}" if row else ""
     return {
         **empty,
         **asdict(checked),
         "kinds": dict(Counter(row.entry.kind for row in rows)),
         "armings": armings,
-        "standing": said,
+        "standing": sentence,
         "names": sorted({one["who"] for one in armings if one["who"]}),
     }
 

@@ -41,10 +41,10 @@ class Advice:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What to do next, and what does not matter unless the signal goes farther."""
-        said = []
+        lines = []
         if self.ties:
             rivals = "1 other encoding explains" if len(self.ties) == 1 else f"{len(self.ties)} others explain"
-            said.append(
+            lines.append(
                 f"{rivals} this too: give a second reading when the HMI shows clearly another value"
                 f"{_aim(' (', self.below, self.above, ')')}"
             )
@@ -52,8 +52,8 @@ class Advice:
             names = ", ".join(dict.fromkeys(f"{one.dtype} at {one.address}" for one in self.twins))
             limits = _aim("", self.twins_below, self.twins_above, "")
             unless = f" unless it goes {limits}: if it can, read it there too" if limits else ""
-            said.append(f"{names} would read the same{unless}")
-        return tuple(said)
+            lines.append(f"{names} would read the same{unless}")
+        return tuple(lines)
 
 
 def _aim(before: str, below: float | None, above: float | None, after: str) -> str:

@@ -150,6 +150,9 @@ def _weighed(
     if any(raw is None for raw in raws):
         return []
     total = weights + layout.weight + _log_roomy(layout.dtype, [raw[0] for raw in raws if raw is not None])
+    # Bayes' rule for all scales and offsets at once: log prior + the log likelihood ratio of each observation against
+    # registers that have nothing to do with the value. The likelihood of the words is the density of the value over
+    # one raw step; words that were read before are no new evidence.
     before: list[tuple[int, ...]] = []
     for raw, one in zip(raws, observations, strict=True):
         number, resolution = raw or (0.0, 1.0)
@@ -193,6 +196,7 @@ def _resolution(dtype: DType, value: float) -> float:
     if dtype not in priors.FLOATS:
         return 1.0
     bits = 23 if dtype is DType.FLOAT32 else 52
+    # One unit in the last place of the mantissa (IEEE 754); of a subnormal float32, that of the least normal one.
     least = struct.unpack(">f", b"\0\x80\0\0")[0]
     return float(2.0 ** (math.floor(math.log2(max(abs(value), least))) - bits))
 
@@ -209,6 +213,7 @@ def _log_shown(values: Vector, shown: ShownNumber) -> Vector:
     rounded = np.abs(error) <= 0.5 * step + slack
     towards_zero = error * (1.0 if shown.value >= 0 else -1.0)
     cut = (towards_zero >= -slack) & (towards_zero < step + slack)
+    # The value moved between the HMI's refresh and the read: a Cauchy density, whose tails forgive a wide move.
     width = step + DRIFT * abs(shown.value)
     away = np.maximum(np.abs(error) - 0.5 * step, 0.0) / width
     moved = np.where(away < FARTHEST, MOVED * step / (math.pi * width * (1.0 + away**2)), 0.0)

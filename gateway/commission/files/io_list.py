@@ -90,8 +90,10 @@ def _listed(sheet: ListSheet, line: ListRow, how: Reading, before: Sequence[List
         raise _RowError("name", f"{name!r} is in line {twice.line} already; give each tag a name of its own")
     keys = _keys(sheet, line, how)
     if other := next((one for one in before if _collide(keys, one.keys)), None):
-        said = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
-        raise _RowError("address", f"{said}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)")
+        sentence = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
+        raise _RowError(
+            "address", f"{sentence}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)"
+        )
     return Listed(name, keys, line.number)
 
 

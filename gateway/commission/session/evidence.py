@@ -78,15 +78,15 @@ class Exchanges:
 
     def line(self) -> str:
         """The line of frame loss under every result."""
-        said = []
+        lines = []
         if self.asked or not self.heard:
             share = f" ({self.lost / self.asked:.1%})" if self.asked else ""
-            said.append(f"{self.asked} requests, {self.lost} without reply{share}, {self.refused} refused")
+            lines.append(f"{self.asked} requests, {self.lost} without reply{share}, {self.refused} refused")
         if self.wrong or self.foreign:
-            said.append(f"{self.wrong} wrong replies, {self.foreign} that nobody asked for")
+            lines.append(f"{self.wrong} wrong replies, {self.foreign} that nobody asked for")
         if self.heard or self.dropped:
-            said.append(f"{self.heard} frames heard, {self.dropped} lost in the receiver")
-        return "frames: " + "; ".join(said)
+            lines.append(f"{self.heard} frames heard, {self.dropped} lost in the receiver")
+        return "frames: " + "; ".join(lines)
 
     def plain(self) -> dict[str, int]:
         """As JSON."""

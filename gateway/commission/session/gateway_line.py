@@ -30,8 +30,8 @@ def running_for(target: Target) -> str:
 
 def mention_gateway(site: Site) -> None:
     """Note a gateway that runs with the same plant file, for a command that speaks to the device beside it."""
-    if said := running_for(site.target):
-        site.notes.append(said)
+    if sentence := running_for(site.target):
+        site.notes.append(sentence)
 
 
 def read_through(line: GatewayLine, tags: Sequence[Tag], known: Sequence[Tag]) -> tuple[dict[str, Any], list[Sample]]:

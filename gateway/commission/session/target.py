@@ -45,8 +45,8 @@ class Target:
     def place(self) -> str:
         """Where it is, for a person."""
         keys = ("host", "port", "serial", "interface", "channel", "node", "unit")
-        said = " ".join(f"{key} {self.settings[key]}" for key in keys if key in self.settings)
-        return f"{self.kind}, {said}" if said else self.kind
+        sentence = " ".join(f"{key} {self.settings[key]}" for key in keys if key in self.settings)
+        return f"{self.kind}, {sentence}" if sentence else self.kind
 
     @property
     def capabilities(self) -> Capabilities:

@@ -40,8 +40,12 @@ def _traffic(site: Site, frames: list[BusFrame], facts: dict[str, Any]) -> Check
     facts["heard"], facts["ids"] = len(frames), len(ids)
     if frames:
         return ok("traffic", f"{len(frames)} frames of {len(ids)} ids in {LISTEN_S:g} s")
-    said = f"no frame in {LISTEN_S:g} s: another bit rate, no device on the bus, or one that speaks only when asked"
-    return warning("traffic", said) if site.target.capabilities.nodes else failed("traffic", said, ReplyTimeout(said))
+    sentence = f"no frame in {LISTEN_S:g} s: another bit rate, no device on the bus, or one that speaks only when asked"
+    return (
+        warning("traffic", sentence)
+        if site.target.capabilities.nodes
+        else failed("traffic", sentence, ReplyTimeout(sentence))
+    )
 
 
 async def _node(

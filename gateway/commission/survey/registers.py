@@ -92,7 +92,14 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
     async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
         asking = _Asking(survey, first.table)
         try:
-            found = await _searched(asking, first, count, (most, budget), progress)
+            steps = search(first.number, count, most=most, budget=budget)
+            try:
+                block = next(steps)
+                while True:
+                    progress(f"{first.table}:{block[0]} count {block[1]}", (block[0] - first.number) / count)
+                    block = steps.send(await asking.answers(*block))
+            except StopIteration as stop:  # a generator gives its result by this
+                found: ReadableMap = stop.value
         finally:
             site.count(survey.statistics())
     data = _plain(found, first, asking.reasons)
@@ -102,20 +109,6 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
     if not found.readable:
         return CommandResult(data, Exit.CHECK_FAILED, f"nothing of {first} count {count} can be read")
     return CommandResult(data)
-
-
-async def _searched(
-    asking: _Asking, first: Register, count: int, bounds: tuple[int, int], progress: Progress
-) -> ReadableMap:
-    steps = search(first.number, count, most=bounds[0], budget=bounds[1])
-    try:
-        block = next(steps)
-        while True:
-            progress(f"{first.table}:{block[0]} count {block[1]}", (block[0] - first.number) / count)
-            block = steps.send(await asking.answers(*block))
-    except StopIteration as stop:
-        found: ReadableMap = stop.value
-        return found
 
 
 def _plain(found: ReadableMap, first: Register, reasons: Mapping[str, int]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from drivers.errors import DeviceException, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, ListensToBus, open_bus_survey, open_registers
 from gateway.commission.session.gateway_line import mention_gateway
 from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.survey.addresses import Register
 from gateway.commission.survey.bus_probe import HEARTBEAT, STATES, identity_of
 from gateway.commission.survey.registers import first_register
 from gateway.console.exits import Exit
@@ -34,22 +35,24 @@ async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> Co
         try:
             for place, unit in enumerate(units):
                 progress(f"unit {unit}", place / len(units))
-                if (row := await _unit(survey, unit, (register.table, register.number))) is not None:
+                if (row := await _unit(survey, unit, register)) is not None:
                     rows.append(row)
         finally:
             site.count(survey.statistics())
     if not rows:
-        said = f"none of {len(units)} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
-        return CommandResult({"units": rows, "asked": len(units)}, Exit.TIMEOUT, said)
+        sentence = (
+            f"none of {len(units)} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
+        )
+        return CommandResult({"units": rows, "asked": len(units)}, Exit.TIMEOUT, sentence)
     return CommandResult({"units": rows, "asked": len(units)})
 
 
-async def _unit(survey: AsksRegisters, unit: int, place: tuple[str, int]) -> dict[str, Any] | None:
+async def _unit(survey: AsksRegisters, unit: int, register: Register) -> dict[str, Any] | None:
     """What one unit answers; None if nothing. Raises LinkDown when the connection does not come back."""
     begun = time.monotonic()
     for last in (False, True):
         try:
-            words = await survey.read(*place, 1, unit)
+            words = await survey.read(register.table, register.number, 1, unit)
         except DeviceException as error:
             if error.code in _BEHIND_GATEWAY:
                 return None
@@ -60,7 +63,7 @@ async def _unit(survey: AsksRegisters, unit: int, place: tuple[str, int]) -> dic
             begun = time.monotonic()
             continue
         else:
-            answer = f"{place[0]}:{place[1]} is {words.words[0]}"
+            answer = f"{register} is {words.words[0]}"
         return {"unit": unit, "answer": answer, "ms": 1e3 * (time.monotonic() - begun)} | await _identity(survey, unit)
     return None
 
@@ -91,13 +94,13 @@ async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, li
                 identity = await identity_of(survey, node) if answers else None
                 if identity is not None or node in beats:
                     state = beats.get(node)
-                    said = "no heartbeat" if state is None else STATES.get(state, f"state {state}")
-                    rows.append({"node": node, "heartbeat": said, "sdo": identity is not None, **(identity or {})})
+                    sentence = "no heartbeat" if state is None else STATES.get(state, f"state {state}")
+                    rows.append({"node": node, "heartbeat": sentence, "sdo": identity is not None, **(identity or {})})
         finally:
             site.count(survey.statistics())
     if not rows:
-        said = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
-        return CommandResult({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, said)
+        sentence = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
+        return CommandResult({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, sentence)
     return CommandResult({"nodes": rows, "asked": len(nodes)})
 
 

@@ -28,9 +28,9 @@ async def start_arming(site: Site, audit_path: Path, by: str, reason: str, minut
     reply = _ask_gateway(site, "arm", by=arming.by, reason=arming.reason, minutes=minutes)
     if reply is None:
         arm_in_log(audit_path, arming, now)
-    told = "the audit log" if reply is None else f"the running gateway (pid {reply['pid']})"
+    place = "the audit log" if reply is None else f"the running gateway (pid {reply['pid']})"
     until = arming.until if reply is None else float(reply["until"])
-    data = {"by": arming.by, "reason": arming.reason, "minutes": minutes, "until": until, "told": told}
+    data = {"by": arming.by, "reason": arming.reason, "minutes": minutes, "until": until, "told": place}
     return CommandResult({**data, "audit": str(audit_path), "head": head(audit_path)})
 
 
@@ -41,17 +41,17 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
     """
     reply = _ask_gateway(site, "disarm", by=by, reason=reason)
     if reply is not None:
-        was, said = bool(reply["was_armed"]), f"the running gateway (pid {reply['pid']}) writes no more"
+        was, sentence = bool(reply["was_armed"]), f"the running gateway (pid {reply['pid']}) writes no more"
     else:
         try:
             async with open_block_writer(site, audit_path) as writer:
                 await writer.block()
                 writer.written = 0  # this block takes everything back already
-            said = "validity 0 was written"
+            sentence = "validity 0 was written"
         except (DriverError, ValueError) as error:
-            said = f"validity 0 was not written ({error}); the PLC's own timer covers it"
+            sentence = f"validity 0 was not written ({error}); the PLC's own timer covers it"
         was = disarm_in_log(audit_path, by, reason, time.time()) is not None
-    data = {"by": by, "reason": reason, "was_armed": was, "said": said if was else "nothing was armed"}
+    data = {"by": by, "reason": reason, "was_armed": was, "said": sentence if was else "nothing was armed"}
     return CommandResult({**data, "audit": str(audit_path), "head": head(audit_path) if audit_path.exists() else ""})
 
 
@@ -104,5 +104,5 @@ def disarm(given: SharedOptions, reason: str, audit: Path | None) -> None:
 
 
 def _show_disarmed(data: Mapping[str, Any]) -> None:
-    said = f"disarmed; {data['said']}" if data["was_armed"] else "nothing was armed"
-    click.echo(f"{said}; audit log {data['audit']}, head {data['head'][:16]}")
+    sentence = f"disarmed; {data['said']}" if data["was_armed"] else "nothing was armed"
+    click.echo(f"{sentence}; audit log {data['audit']}, head {data['head'][:16]}")

@@ -154,7 +154,7 @@ class BlockWriter:
                 raise DriverError(f"{bad.tag} cannot be read: {bad.reason}")
             await asyncio.sleep(_POLL_S)
 
-    async def looked(self) -> None:
+    async def wait_for_scans(self) -> None:
         """Wait until the PLC's program has surely looked at its memory: until its heartbeat has moved some times."""
         beat = self.device.heartbeat
         if beat is None:
@@ -171,7 +171,7 @@ class BlockWriter:
 
     async def account(self) -> Account:
         """What the PLC says of the blocks, once it has looked at them."""
-        await self.looked()
+        await self.wait_for_scans()
         accepted, refused, code, usable = await self.numbers(*ACCOUNT_TAGS)
         return Account(accepted, refused, code, bool(usable))
 
@@ -200,7 +200,7 @@ class BlockWriter:
         word = "give" if on else "take away"
         if self.ask is None or not self.ask(f"Please {word} the write permit at the PLC. Done?"):
             raise Unable(f"nobody was there to {word} the permit (--ask)")
-        await self.looked()
+        await self.wait_for_scans()
         if await self.permitted() != on:
             raise Unable("the permit has not changed")
 

@@ -100,8 +100,8 @@ async def _plc_beats(seconds: float, writer: BlockWriter) -> dict[str, Any]:
         if now != last:
             longest, since = max(longest, time.monotonic() - since), time.monotonic()
             last, seen = now, seen + 1
-    said = f"{seen} changes in {seconds:g} s, the longest pause {longest:.2f} s" if seen else "it stands still"
-    return _row("the PLC's heartbeat moves", seen > 0, said, changes=seen, longest_s=longest)
+    sentence = f"{seen} changes in {seconds:g} s, the longest pause {longest:.2f} s" if seen else "it stands still"
+    return _row("the PLC's heartbeat moves", seen > 0, sentence, changes=seen, longest_s=longest)
 
 
 async def _own_beats(writer: BlockWriter) -> dict[str, Any]:
@@ -109,11 +109,11 @@ async def _own_beats(writer: BlockWriter) -> dict[str, Any]:
     before = await writer.account()
     for _ in range(BLOCKS):
         await writer.block()
-        await writer.looked()
+        await writer.wait_for_scans()
     after = await writer.account()
     ok = _accepted(before, after, BLOCKS)
-    said = f"{after.accepted - before.accepted & 0xFFFF} of {BLOCKS} accepted"
-    return _row("blocks with a new heartbeat are accepted", ok, said)
+    sentence = f"{after.accepted - before.accepted & 0xFFFF} of {BLOCKS} accepted"
+    return _row("blocks with a new heartbeat are accepted", ok, sentence)
 
 
 async def _still(writer: BlockWriter) -> dict[str, Any]:
@@ -124,8 +124,8 @@ async def _still(writer: BlockWriter) -> dict[str, Any]:
     after = await writer.account()
     code = refusal_codes(writer.device)[_STILL]
     refused = after.refused - before.refused & 0xFFFF == 1 and after.last_refusal == code
-    said = f"refused {after.refused - before.refused & 0xFFFF}, last refusal {after.last_refusal} (wanted {code})"
-    return _row("a block with the last heartbeat is refused", refused, said)
+    sentence = f"refused {after.refused - before.refused & 0xFFFF}, last refusal {after.last_refusal} (wanted {code})"
+    return _row("a block with the last heartbeat is refused", refused, sentence)
 
 
 async def _timer(writer: BlockWriter) -> dict[str, Any]:
@@ -148,8 +148,8 @@ async def _timer(writer: BlockWriter) -> dict[str, Any]:
     return _row(name, ok, f"after {spent:.2f} s; the device file says {timeout:g} s", seconds=spent)
 
 
-def _row(name: str, ok: bool, said: str, **more: Any) -> dict[str, Any]:
-    return {"step": name, "ok": ok, "sentence": said, **more}
+def _row(name: str, ok: bool, sentence: str, **more: Any) -> dict[str, Any]:
+    return {"step": name, "ok": ok, "sentence": sentence, **more}
 
 
 def _accepted(before: Account, after: Account, blocks: int) -> bool:

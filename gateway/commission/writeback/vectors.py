@@ -138,8 +138,8 @@ def _refused(story: _Story, name: str, words: tuple[int, ...], reasons: tuple[st
 
 def _validity(story: _Story) -> Iterator[SuiteStep]:
     for bits in (0, 0b11110, 0b0010):
-        said = f"validity {bits:05b} is accepted and nothing of it is usable"
-        yield SuiteStep(said, story.block(Validity(bits)), accepted=1)
+        sentence = f"validity {bits:05b} is accepted and nothing of it is usable"
+        yield SuiteStep(sentence, story.block(Validity(bits)), accepted=1)
     yield SuiteStep("a valid block is usable again", story.block(), accepted=1, usable=True)
 
 

@@ -1,7 +1,6 @@
 """`decanter trace can`: a recorded CAN log decoded by a device file, as a table and as a CSV trace."""
 
 import csv
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -103,23 +102,20 @@ def _summary(recorded: Recorded, tags: Iterable[Tag], spans: dict[str, list[Any]
         good = found.pop("GOOD", 0)
         row = {"tag": tag.name, "address": tag.address, "unit": tag.unit, "good": good, "not_good": found}
         rows.append(row | {"lowest": low, "highest": high, "last": last})
-    return {"tags": rows, "counts": dict(recorded.counts()), "identifiers": _identifiers(recorded.identifiers)}
-
-
-def _identifiers(counted: Counter[tuple[str, str]]) -> list[list[Any]]:
-    return [[bus, name, count] for (bus, name), count in counted.most_common(_MOST_IDENTIFIERS)]
+    counted = [[bus, name, count] for (bus, name), count in recorded.identifiers.most_common(_MOST_IDENTIFIERS)]
+    return {"tags": rows, "counts": dict(recorded.counts()), "identifiers": counted}
 
 
 def _show(data: dict[str, Any]) -> None:
     columns = ("tag", "address", "unit", "good", "not_good", "lowest", "highest", "last")
-    table(str(data["log"]), columns, [[_blank(row[column]) for column in columns] for row in data["tags"]])
+    table(
+        str(data["log"]),
+        columns,
+        [["" if row[column] is None else row[column] for column in columns] for row in data["tags"]],
+    )
     table("identifiers", ("bus", "identifier", "frames"), data["identifiers"])
     table("what became of it", ("count of", "number"), [list(item) for item in data["counts"].items() if item[1]])
     if data["problem"]:
         click.echo(f"not decoded: {data['problem']}")
     if data["out"]:
         click.echo(f"trace: {data['out']}")
-
-
-def _blank(value: object) -> object:
-    return "" if value is None else value

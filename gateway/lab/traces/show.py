@@ -14,7 +14,6 @@ from gateway.lab.traces.picture import picture_option
 from gateway.lab.traces.summary import show_summaries, summary_of
 from sim.sha.trace import Trace
 from sim.traces.column_map import load_map
-from sim.traces.load_report import LoadReport
 from sim.traces.traces import load_traces
 from sim.validation.plots import Curve, Picture, draw
 
@@ -37,22 +36,18 @@ def show(paths: Sequence[str], map_name: str, picture: Path | None, as_json: boo
 
     def show_all() -> None:
         show_summaries("traces", rows)
-        _show_report(report)
+        for sentence in report.sentences():
+            click.echo(sentence)
         if picture is not None:
             click.echo(f"picture: {picture}")
 
     emit(data, show_all, as_json_line=as_json)
 
 
-def _show_report(report: LoadReport) -> None:
-    for sentence in report.sentences():
-        click.echo(sentence)
-
-
 def _draw(first: Trace, temperature: str, units: Mapping[str, str], picture: Path) -> None:
     def curve(name: str) -> Curve:
-        there = ~np.isnan(first.signals[name])
-        return Curve(name, first.times[there], first.signals[name][there])
+        present = ~np.isnan(first.signals[name])
+        return Curve(name, first.times[present], first.signals[name][present])
 
     others = [
         name for name in first.signals if name != temperature and not set(np.unique(first.signals[name])) <= {0.0, 1.0}
