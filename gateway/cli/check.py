@@ -13,10 +13,11 @@ from gateway.cli.plant_file import config_option, load
 from gateway.console.exits import Exit, exit_code, fail, sentences
 from gateway.console.options import json_option
 from gateway.console.output import emit, table
-from gateway.machine.clock import plant_clock
-from gateway.machine.links import DeviceLink
-from gateway.plant.config import Config
-from gateway.plant.startup import link_driver, load_model, make_driver
+from gateway.machine.model.loading import load_model
+from gateway.machine.reading.clock import plant_clock
+from gateway.plant.device import link_driver, make_driver
+from gateway.settings.config import Config
+from gateway.settings.links import DeviceLink
 
 
 @click.command()

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from gateway.console.places import config_dir
-from gateway.plant.config import Config, load_config
+from gateway.settings.config import Config, load_config
 
 
 def config_option(command: Any) -> Any:

@@ -11,7 +11,7 @@ import click
 
 from gateway.cli.plant_file import config_option, load
 from gateway.console.exits import Exit, fail, sentences
-from gateway.machine.clock import PlantClock
+from gateway.machine.reading.clock import PlantClock
 from gateway.plant.app import serve
 
 

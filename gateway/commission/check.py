@@ -18,7 +18,7 @@ from gateway.commission.session.site import CommandResult, Site, device_of, peri
 from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
 from gateway.commission.writeback.write import problems_of
 from gateway.console.exits import Exit
-from gateway.plant.startup import load_model
+from gateway.machine.model.loading import load_model
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})
 _DEAD = frozenset({Quality.NOT_CONNECTED, Quality.COMMUNICATION_ERROR, Quality.NO_COMMUNICATION, Quality.TIMEOUT})

@@ -14,7 +14,7 @@ from gateway.commission.session.perform import perform
 from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
 from gateway.commission.survey.addresses import parse_register, reference_of
 from gateway.console.output import table
-from gateway.plant.devices import DeviceMap
+from gateway.settings.devices import DeviceMap
 
 
 async def plan_scan(site: Site, given_period: float | None) -> CommandResult:

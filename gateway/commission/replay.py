@@ -22,11 +22,11 @@ from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.session.target import Target
 from gateway.console.exits import sentences
 from gateway.console.output import progress, table
-from gateway.machine.core import Gateway
-from gateway.machine.quality import Rules
-from gateway.machine.scan import scans
-from gateway.plant.config import Config, HistorianSection, WritebackSection, load_config
+from gateway.machine.pipeline import Machine
+from gateway.machine.reading.quality import QualityRules
+from gateway.machine.reading.scan import scans
 from gateway.plant.log import open_log
+from gateway.settings.config import Config, HistorianSection, WritebackSection, load_config
 from gateway.store.score import scorecard
 
 Progress = Callable[[str, float], None]
@@ -64,18 +64,20 @@ class ReplayTally:
     blocks: int = 0
     states: dict[str, str] = field(default_factory=dict)
 
-    def take(self, gateway: Gateway, time: float) -> None:
+    def take(self, machine: Machine, time: float) -> None:
         """One scan, after the gateway has taken it."""
         self.scans += 1
-        if gateway.last is not None:
-            self.not_good.update(name for name, one in gateway.last.samples.items() if not one.quality.is_good)
-        if gateway.prediction is not None and gateway.predictor is not None:
-            self.locations[gateway.prediction.location if gateway.prediction.known else "not known"] += 1
-            self.zones[gateway.prediction.zone] += 1
-        if gateway.attempt is not None:
+        if machine.last is not None:
+            self.not_good.update(name for name, one in machine.last.samples.items() if not one.quality.is_good)
+        prediction = machine.model.prediction if machine.model else None
+        if prediction is not None:
+            self.locations[prediction.location if prediction.known else "not known"] += 1
+            self.zones[prediction.zone] += 1
+        attempt = machine.block.attempt if machine.block else None
+        if attempt is not None:
             self.blocks += 1
-            self.valid += bool(int(gateway.attempt.block.validity) & 1)
-        for name, alarm in gateway.alarms.items():
+            self.valid += bool(int(attempt.block.validity) & 1)
+        for name, alarm in machine.alarms.alarms.items():
             if self.states.get(name, "normal") != alarm.state.value:
                 self.alarms.append({"time": time, "alarm": name, "state": alarm.state.value})
             self.states[name] = alarm.state.value
@@ -131,26 +133,25 @@ async def _through(config: Config, recording: SiteRecording, progress: Progress)
     clock = SteppedClock(recording.times[0])
     seen, stop = ReplayTally(), asyncio.Event()
     with open_log(config.log.path, config.log.level) as log:
-        gateway = Gateway(config, clock, log, _driver(recording, clock))
+        machine = Machine(config, driver=_driver(recording, clock), clock=clock, log=log)
         try:
-            await gateway.driver.open()
-            rules = Rules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period)
-            async with aclosing(scans(gateway.driver, config.map.tags, clock, rules, stop)) as stream:
+            await machine.driver.open()
+            rules = QualityRules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period)
+            async with aclosing(scans(machine.driver, config.map.tags, clock, rules, stop=stop)) as stream:
                 async for scan in stream:
-                    await gateway.take(scan)
-                    if gateway.outlook is not None:
-                        await gateway.outlook.finished()
-                    seen.take(gateway, scan.time)
+                    await machine.take(scan)
+                    if machine.model is not None:
+                        await machine.model.outlook.finished()
+                    seen.take(machine, scan.time)
                     share = (scan.time - recording.times[0]) / max(recording.duration, 1e-9)
                     progress(f"{seen.scans} scans", min(1.0, share))
                     if scan.time >= recording.times[-1]:
                         stop.set()
         finally:
-            if gateway.outlook is not None:
-                await gateway.outlook.close()
-            await gateway.pickup.close()
-            await gateway.driver.close()
-            await asyncio.to_thread(gateway.close)
+            if machine.model is not None:
+                await machine.model.close()
+            await machine.driver.close()
+            await asyncio.to_thread(machine.close)
     return seen
 
 

@@ -14,7 +14,7 @@ from gateway.commission.session.options import SharedOptions, record_options
 from gateway.commission.session.perform import login
 from gateway.console.exits import Exit, fail, sentences
 from gateway.console.output import emit, table
-from gateway.store.audit import Entry, open_audit
+from gateway.store.audit import AuditEntry, open_audit
 
 
 @click.command(short_help="Make or verify the site acceptance report: page, paper, JSON.")
@@ -64,7 +64,9 @@ def _make(given: SharedOptions, out: Path, site: str, remarks: tuple[str, ...], 
     seal = write(out, data, records)
     if audit.exists():
         log = open_audit(audit)
-        stored = log.record(Entry(now, "acceptance report", by, data["verdict"], {"seal": seal, "folder": str(out)}))
+        stored = log.record(
+            AuditEntry(now, "acceptance report", by, data["verdict"], {"seal": seal, "folder": str(out)})
+        )
         log.close()
         if not stored:
             raise ValueError(f"the report is made, but its seal is not in the audit log: {log.failure}")

@@ -22,7 +22,7 @@ from gateway.commission.session.options import SharedOptions, link_options
 from gateway.commission.session.perform import perform
 from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
 from gateway.console.output import progress, table
-from gateway.machine.records import percentile
+from gateway.store.score import percentile
 
 Progress = Callable[[str, float], None]
 PERIODS_S = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)

@@ -21,7 +21,7 @@ from gateway.commission.session.records import read_records
 from gateway.commission.session.site import CommandResult, Site, device_of
 from gateway.commission.writeback.block_writer import ACCOUNT_TAGS
 from gateway.console.output import table
-from gateway.machine.core import ORDERS
+from gateway.machine.pipeline import ORDERS
 
 LOOK_S = 0.3
 _HOUR = 3600.0

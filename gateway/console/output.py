@@ -1,6 +1,5 @@
 """What commands print: JSON or text, tables, progress that is quiet off a terminal."""
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import isfinite
@@ -14,6 +13,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from sim.strict_json import json_text
+
 
 def make_folder(path: Path) -> None:
     """Make a folder for results. Raises ValueError where there can be none."""
@@ -22,24 +23,6 @@ def make_folder(path: Path) -> None:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise ValueError(f"{path}: no folder can be made there ({reason}); give one that this user may write") from None
-
-
-def _plain(value: object) -> object:
-    """Numbers that JSON has no word for become null; numpy scalars become Python's."""
-    if hasattr(value, "item"):
-        value = value.item()
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
-    return value
-
-
-def as_json(value: object) -> str:
-    """One line of strict JSON; infinite and undefined numbers are null."""
-    return json.dumps(_plain(value), ensure_ascii=False, allow_nan=False, default=str)
 
 
 def _cell(value: object) -> str:
@@ -81,6 +64,6 @@ def progress(title: str) -> Iterator[Callable[[str, float], None]]:
 def emit(data: Mapping[str, Any], show: Callable[[], None], *, as_json_line: bool) -> None:
     """One JSON object for machines, or what `show` prints for people."""
     if as_json_line:
-        click.echo(as_json(data))
+        click.echo(json_text(data))
     else:
         show()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
 from sim.sha.trace import Trace

@@ -13,8 +13,8 @@ import numpy as np
 from drivers.tag import Quality
 from gateway.demo.child import DemoError
 from gateway.demo.prepare import DemoRun
-from gateway.machine.quality import STALE_PERIODS
-from gateway.plant.devices import load_device
+from gateway.machine.reading.quality import STALE_PERIODS
+from gateway.settings.devices import load_device
 from gateway.store.history import events, history, matured, samples, to_trace
 from gateway.store.score import Scorecard, scorecard
 from sim.sha.trace import Array, Mask

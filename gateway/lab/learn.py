@@ -1,6 +1,5 @@
 """`decanter model learn`: a model from traces, written with all its artefacts."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +18,7 @@ from sim.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.learning.lsha.report import report_document, report_text
 from sim.learning.lsha.settings import LshaSettings
 from sim.sha.trace import Trace
+from sim.strict_json import json_text
 from sim.traces.column_map import ColumnMap
 
 FLOWS = ("constant", "linear", "logarithmic", "exponential", "driven")
@@ -129,7 +129,7 @@ def _write_lsha(out: Path, learned: LearnedLsha, name: str) -> Path:
     """Write the model directory with the learning report beside the model; returns the path of its model.json."""
     document = report_document(learned.report)
     more = {
-        f"{REPORT}.json": json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+        f"{REPORT}.json": json_text(document, indent=1) + "\n",
         f"{REPORT}.md": report_text(learned.report, name),
     }
     return write_model_directory(out, learned.model, learned.values, observations=learned.report.table, more=more)

@@ -14,7 +14,7 @@ from gateway.demo.folder import MARKER, WRITTEN, clear, held
 from gateway.demo.live import DemoPhase, live_table
 from gateway.demo.prepare import limit_for, pace, split, suits, write_device
 from gateway.demo.summary import outage
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from sim.sha.events import DECANTER
 from sim.sha.trace import Trace
 from tests.gateway.support import MAP, TEMPERATURE

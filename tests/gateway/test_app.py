@@ -13,10 +13,10 @@ import pytest
 from drivers.errors import ReplyTimeout
 from drivers.settings import ConfigError
 from drivers.tag import Value
-from gateway.machine.predict import Predictor
-from gateway.machine.scan import Scan
+from gateway.machine.model.predict import Predictor
+from gateway.machine.reading.scan import Scan
 from gateway.plant.app import run
-from gateway.plant.config import Config
+from gateway.settings.config import Config
 from gateway.store.historian import HistorianError, open_historian
 from gateway.store.history import history, to_trace
 from sim.sha.events import encode

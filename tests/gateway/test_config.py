@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from drivers.settings import ConfigError
-from gateway.plant.config import load_config
-from gateway.plant.devices import load_device
+from gateway.settings.config import load_config
+from gateway.settings.devices import load_device
 from tests.gateway.support import MAP, ROOT, TEMPERATURE, config_in, plant_file, two_modes
 
 
@@ -131,7 +131,7 @@ def test_a_directory_in_place_of_the_file_is_one_sentence(tmp_path: Path) -> Non
 
 def test_the_configuration_does_not_import_plotting_or_tables() -> None:
     heavy = "{'pandas', 'matplotlib', 'numpy', 'pymodbus'}"
-    code = f"import sys, gateway.plant.config; print(sorted({heavy} & set(sys.modules)))"
+    code = f"import sys, gateway.settings.config; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.strip() == "[]"
 

@@ -6,11 +6,11 @@ import pytest
 
 from drivers.modbus.driver import ModbusDriver
 from drivers.settings import ConfigError
-from gateway.machine.clock import plant_clock
-from gateway.machine.redundant import Redundant
-from gateway.plant.config import Config, load_config
-from gateway.plant.devices import load_device
-from gateway.plant.startup import make_driver
+from gateway.machine.reading.clock import plant_clock
+from gateway.machine.reading.redundant import Redundant
+from gateway.plant.device import make_driver
+from gateway.settings.config import Config, load_config
+from gateway.settings.devices import load_device
 from tests.drivers import certified
 from tests.gateway.support import MAP
 

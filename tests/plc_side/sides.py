@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gateway.commission.writeback.structured_text import Program, generate
 from gateway.commission.writeback.suite import Account
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from sim.plc.program.clock import EmulatorClock
 from sim.plc.program.plc import Plc
 from sim.plc.program.registers import read_map

@@ -22,9 +22,9 @@ from gateway.commission.writeback.suite import Result, put_through
 from gateway.commission.writeback.vectors import parse, vectors
 from gateway.demo.can_bus import can_hub
 from gateway.demo.links import LINKS
-from gateway.machine.arming import arm_in_log, signed
-from gateway.plant.devices import load_device
-from gateway.store.audit import DISARMED, Entry, open_audit, read
+from gateway.machine.writing.arming import arm_in_log, signed
+from gateway.settings.devices import load_device
+from gateway.store.audit import DISARMED, AuditEntry, open_audit, read
 from sim.plc.record.recording import read_recording
 from tests.plc.bench import Process, running
 from tests.plc_side.sides import Compiled, Emulated
@@ -195,7 +195,7 @@ async def test_nothing_is_sent_unarmed_unpermitted_or_when_the_arming_was_taken_
             plc.order("permit", on=True)
             await one.wait_for_scans()
             log = open_audit(tmp_path / "audit.sqlite")
-            assert log.record(Entry(time.time(), DISARMED, "Bea", "enough"))
+            assert log.record(AuditEntry(time.time(), DISARMED, "Bea", "enough"))
             log.close()
             with pytest.raises(WriteForbidden, match="arming is over"):
                 await one.block()

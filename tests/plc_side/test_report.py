@@ -15,7 +15,7 @@ from gateway.cli.main import main
 from gateway.commission.acceptance.data import CHECKS, FAILED, INCOMPLETE, OPEN, PASSED, gather
 from gateway.commission.acceptance.files import FILES, LIST, verify, write
 from gateway.commission.session.records import CommandRecord, append, hash_of
-from gateway.machine.arming import arm_in_log, disarm_in_log, signed
+from gateway.machine.writing.arming import arm_in_log, disarm_in_log, signed
 from gateway.store.audit import read
 
 NEEDED = [check.command for check in CHECKS if check.required == "always"]

@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.commission.session.records import CommandRecord, broken_at, hash_of, read_records, versions
+from gateway.commission.session.records import CommandRecord, broken_at, read_records, versions
 from gateway.store.audit import ARMED, DISARMED, EXPIRED, read, standing, verify
+from gateway.store.chain import hash_of
 
 FORMAT = 1
 PASSED, OPEN, INCOMPLETE, FAILED = "passed", "passed with open points", "not complete", "failed"

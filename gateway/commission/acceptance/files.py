@@ -14,8 +14,8 @@ from typing import Any
 from gateway.commission.acceptance.blocks import blocks
 from gateway.commission.acceptance.page import page
 from gateway.commission.acceptance.paper import paper
-from gateway.commission.session.records import hash_of
-from gateway.plant.status import strict
+from gateway.store.chain import hash_of
+from sim.strict_json import json_text
 
 JSON, HTML, PDF, RECORDS, LIST = "report.json", "report.html", "report.pdf", "records.jsonl", "report.sha256"
 FILES = (JSON, HTML, PDF, RECORDS)
@@ -26,7 +26,7 @@ _SEAL = re.compile(r"# seal ([0-9a-f]{64})")
 def write(folder: Path, data: Mapping[str, Any], records: bytes) -> str:
     """Write all files of the report; gives the seal. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    content = (json.dumps(strict(data), ensure_ascii=False, allow_nan=False, indent=1) + "\n").encode()
+    content = (json_text(data, indent=1) + "\n").encode()
     digest = hash_of(content)
     made, title = blocks(json.loads(content), digest), f"Site acceptance report: {data['site']}"
     footer = f"{title}    data SHA-256 {digest}"

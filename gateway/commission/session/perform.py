@@ -19,7 +19,7 @@ from gateway.commission.session.records import CommandRecord, append, check_writ
 from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.session.target import Target, make_target
 from gateway.console.exits import Exit, exit_code, fail, sentence, sentences
-from gateway.console.output import as_json
+from sim.strict_json import json_text
 
 Work = Callable[[Site], Awaitable[CommandResult]]
 Show = Callable[[Mapping[str, Any]], None]
@@ -100,7 +100,7 @@ def login() -> str:
 def _show(site: Site, given: SharedOptions, outcome: CommandResult, show: Show) -> None:
     if given.as_json:
         extra = {"exchanges": site.exchanges.plain(), "frames": site.evidence.plain(), "notes": site.notes}
-        click.echo(as_json({"ok": not outcome.code, "exit": int(outcome.code), **outcome.data, **extra}))
+        click.echo(json_text({"ok": not outcome.code, "exit": int(outcome.code), **outcome.data, **extra}))
         return
     if set(outcome.data) - {"reason"}:
         if site.target.place:

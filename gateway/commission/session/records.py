@@ -4,7 +4,6 @@ A line's `previous` is the SHA-256 of the line before it, so a changed, missing 
 """
 
 import fcntl
-import hashlib
 import json
 import os
 import platform
@@ -14,7 +13,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from gateway.plant.status import strict
+from gateway.store.chain import first_break, hash_of
+from sim.strict_json import json_text
 
 LIBRARIES = ("decanter-gateway", "pymodbus", "python-can", "canopen", "cantools", "pyserial")
 
@@ -57,7 +57,7 @@ def append(path: Path, record: CommandRecord) -> str:
     with path.open("a+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         plain = {**asdict(record), "previous": _last_hash(file.fileno())}
-        line = json.dumps(strict(plain), ensure_ascii=False, allow_nan=False, default=str).encode()
+        line = json_text(plain).encode()
         file.write(line + b"\n")
         file.flush()
         os.fsync(file.fileno())
@@ -91,17 +91,8 @@ def broken_at(path: Path) -> int | None:
     The last line is bound by nothing after it: keep the hash that `append` gave, or the report's. Raises RecordsError
     and OSError as `read_records` does.
     """
-    before = ""
-    for number, (record, line) in enumerate(zip(read_records(path), _lines(path), strict=True), start=1):
-        if record.previous != before:
-            return number
-        before = hash_of(line)
-    return None
-
-
-def hash_of(data: bytes) -> str:
-    """SHA-256 in hexadecimal digits."""
-    return hashlib.sha256(data).hexdigest()
+    before = ("", *(hash_of(line) for line in _lines(path)))
+    return first_break(zip((record.previous for record in read_records(path)), before, strict=False))
 
 
 def file_hashes(paths: Iterable[Path]) -> dict[str, str]:

@@ -14,7 +14,7 @@ from gateway.commission.session.options import SharedOptions, link_options
 from gateway.commission.session.perform import login, perform
 from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.writeback.block_writer import gateway_runs, layout_of, open_block_writer
-from gateway.machine.arming import ArmingError, arm_in_log, disarm_in_log, signed
+from gateway.machine.writing.arming import ArmingError, arm_in_log, disarm_in_log, signed
 from gateway.store.audit import head
 
 

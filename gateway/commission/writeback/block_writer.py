@@ -19,11 +19,11 @@ from gateway.commission.session.options import SharedOptions
 from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.writeback.suite import Account, Unable
 from gateway.console.output import progress
-from gateway.machine.arming import arming_of
-from gateway.machine.block import Validity, build, next_heartbeat
-from gateway.machine.writeback import FAILED, REFUSED, WRITE, Arming
-from gateway.plant.devices import DeviceMap, WritebackLayout
-from gateway.store.audit import Audit, Entry, open_audit, standing
+from gateway.machine.writing.arming import arming_of
+from gateway.machine.writing.block import Validity, build, next_heartbeat
+from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
+from gateway.settings.devices import DeviceMap, WritebackLayout
+from gateway.store.audit import Audit, AuditEntry, open_audit, standing
 
 SETTLE_S = 3.0
 """The longest wait for the PLC's program to have looked at what was written."""
@@ -130,7 +130,7 @@ class BlockWriter:
 
     def _note(self, kind: str, words: Sequence[int], reason: str, offset: int = 0) -> None:
         detail = {"words": pack(f">{len(words)}H", *words).hex(), "offset": offset, "via": "command"}
-        self.audit.put(Entry(time.time(), kind, self.arming.by, reason, detail))
+        self.audit.put(AuditEntry(time.time(), kind, self.arming.by, reason, detail))
 
     # ---------------------------------------------------------------- reading
 

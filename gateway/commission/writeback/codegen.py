@@ -10,7 +10,7 @@ from gateway.commission.writeback.vectors import plain, vectors
 from gateway.console.exits import sentences
 from gateway.console.output import emit
 from gateway.console.places import config_dir
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 
 
 @click.command(short_help="Generate the PLC's side of the write-back as Structured Text.")

@@ -20,7 +20,7 @@ from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS
 from gateway.commission.writeback.structured_text import refusal_codes
 from gateway.commission.writeback.suite import Account
 from gateway.console.output import table
-from gateway.machine.block import Validity
+from gateway.machine.writing.block import Validity
 
 Progress = Callable[[str, float], None]
 BLOCKS = 5

@@ -17,8 +17,8 @@ from gateway.commission.survey.addresses import reference_of
 from gateway.commission.writeback.block_writer import ACCOUNT_TAGS, layout_of
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
 from gateway.console.output import table
-from gateway.plant.config import LEAST_BLOCKS
-from gateway.plant.devices import DeviceMap, WritebackLayout
+from gateway.settings.config import LEAST_BLOCKS
+from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.store.audit import standing
 
 LEAST_BLOCKS_IN_TIMER = 3.0

@@ -14,7 +14,7 @@ from gateway.console.exits import sentences
 from gateway.console.options import json_option
 from gateway.console.output import emit, make_folder, progress, table
 from gateway.console.places import shipped
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 
 COLUMNS = ("time_s", "signal", "value", "quality")
 _MOST_IDENTIFIERS = 60

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from gateway.machine.predict import Predictor
-from gateway.machine.scan import Scan
-from gateway.plant.config import EnsembleSection, ForecastSection
+from gateway.machine.model.predict import Predictor
+from gateway.machine.reading.scan import Scan
+from gateway.settings.config import EnsembleSection, ForecastSection
 from sim.engine.belief import Belief
 from sim.engine.tracker import Tracker
 from sim.forecast.calibration import Calibration, calibrate, factors
@@ -33,7 +33,7 @@ RETRY_SECONDS = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class ForecastJob:
     """One member's forecast: all that a thread needs, none of it changing meanwhile."""
 
     tracker: Tracker
@@ -43,7 +43,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Together:
+class MixedForecast:
     """The forecasts of all members, the first one's first: a forecast, None where there was no job, or why it failed.
 
     `mixed` is the mixture of those that there are, `context` the one that its weights were taken for.
@@ -74,7 +74,7 @@ def bands(model: Model, section: ForecastSection, scan_period: float) -> Calibra
     return calibrate(given, tolerance=max(5.0, 3.0 * scan_period))
 
 
-def run_job(job: Job, section: ForecastSection, limit: float, levels: tuple[float, ...]) -> Forecast:
+def run_job(job: ForecastJob, section: ForecastSection, limit: float, levels: tuple[float, ...]) -> Forecast:
     """The forecast of one member. Raises what the model raises."""
     return forecast(
         job.tracker,
@@ -89,8 +89,14 @@ def run_job(job: Job, section: ForecastSection, limit: float, levels: tuple[floa
 
 
 def foresee(
-    first: Job, others: Sequence[Job | None], shares: Array, context: str, section: ForecastSection, limit: float
-) -> Together:
+    first: ForecastJob,
+    others: Sequence[ForecastJob | None],
+    *,
+    shares: Array,
+    context: str,
+    section: ForecastSection,
+    limit: float,
+) -> MixedForecast:
     """All forecasts one after another, and their mixture by `shares` (H, members), renewed where some are missing.
 
     Raises what the first model raises; what another one raises is its entry in the result.
@@ -101,12 +107,13 @@ def foresee(
             made.append(None if job is None else run_job(job, section, limit, DENSE))
         except FAULTS as error:
             made.append(repr(error))
-    there = [place for place, one in enumerate(made) if isinstance(one, Forecast)]
-    mine = shares[:, there]
-    total = mine.sum(axis=1, keepdims=True)
-    mine = np.where(total > 0, mine / np.where(total > 0, total, 1.0), 1.0 / len(there))
-    mixed = mixture([one for one in made if isinstance(one, Forecast)], mine, LEVELS)
-    return Together(mixed, tuple(made), context)
+    forecasts = [forecast for forecast in made if isinstance(forecast, Forecast)]
+    weight = shares[:, [place for place, forecast in enumerate(made) if isinstance(forecast, Forecast)]]
+    # The weights of the members that have no forecast go to the others; where none of these had any, all count alike.
+    total = weight.sum(axis=1, keepdims=True)
+    weight = np.where(total > 0, weight / np.where(total > 0, total, 1.0), 1.0 / len(forecasts))
+    mixed = mixture(forecasts, weight, LEVELS)
+    return MixedForecast(mixed, tuple(made), context)
 
 
 class Ensemble:
@@ -120,6 +127,7 @@ class Ensemble:
         first: Predictor,
         hashes: Sequence[str],
         models: Sequence[Model],
+        *,
         section: EnsembleSection,
         forecasts: ForecastSection,
         scan_period: float,
@@ -142,10 +150,10 @@ class Ensemble:
         if self.section.context == "none":
             return ""
         channels = self.first.model.alphabet.channels
-        told = self.first.encoder.state.announced
+        symbols = self.first.encoder.state.announced
         wanted = [
             symbol
-            for channel, symbol in zip(channels, told, strict=False)
+            for channel, symbol in zip(channels, symbols, strict=False)
             if self.section.context == "symbols" or isinstance(channel, Switch)
         ]
         return " ".join(symbol or "unknown" for symbol in wanted)
@@ -169,8 +177,8 @@ class Ensemble:
                 return
             member.predictor, member.failure = Predictor(member.predictor.model, self.first.temperature), ""
         try:
-            found = member.predictor.step(scan)
-            member.known = found.known and found.inputs_good
+            prediction = member.predictor.step(scan)
+            member.known = prediction.known and prediction.inputs_good
         except FAULTS as error:
             self._fail(member, scan.time, repr(error))
 
@@ -178,27 +186,27 @@ class Ensemble:
         member.known, member.failure, member.failed = False, reason, now
         self.complaints.append((member.name, reason))
 
-    def jobs(self) -> list[Job | None]:
+    def jobs(self) -> list[ForecastJob | None]:
         """What each member has to do for a forecast; None where its state is not known."""
         return [self._job(place, member) for place, member in enumerate(self.members, start=1)]
 
-    def _job(self, place: int, member: Member) -> Job | None:
+    def _job(self, place: int, member: Member) -> ForecastJob | None:
         belief = member.predictor.belief
         if not member.known or belief is None or not belief.seen:
             return None
         seed = (self.forecasts.seed, int(belief.time * 1000.0), place)
-        return Job(member.predictor.tracker, belief, factors(member.calibration), seed)
+        return ForecastJob(member.predictor.tracker, belief, factors(member.calibration), seed)
 
-    def take(self, made: Together, now: float) -> None:
+    def take(self, made: MixedForecast, now: float) -> None:
         """Let finished forecasts wait for their readings."""
         for member, one in zip(self.members, made.members[1:], strict=True):
             if isinstance(one, str):
                 self._fail(member, now, one)
             elif one is not None:
                 member.calibration = issue_bands(member.calibration, thinned(one, LEVELS))
-        told = [one if isinstance(one, Forecast) else None for one in made.members]
+        forecasts = [entry if isinstance(entry, Forecast) else None for entry in made.members]
         for horizon, state in self.evidence.items():
-            self.evidence[horizon] = issue(state, horizon, made.context, told)
+            self.evidence[horizon] = issue(state, horizon, made.context, forecasts)
 
     def plain(self) -> dict[str, Any]:
         """Members, their weights by horizon in the present context, and who has failed, as plain values."""

@@ -8,12 +8,12 @@ from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Driver, Writes
 from drivers.settings import ConfigError
-from gateway.machine.clock import Clock
-from gateway.machine.writeback import Arming, Pace, Writer
-from gateway.plant.config import MAX_ARMED_MINUTES, Config
-from gateway.plant.startup import loaded
-from gateway.store.audit import ARMED, DISARMED, Audit, Entry, Row, last_arming, open_audit, standing
-from gateway.store.historian import Historian
+from gateway.machine.reading.clock import Clock
+from gateway.machine.writing.writeback import Arming, Pace, Writer
+from gateway.settings.config import MAX_ARMED_MINUTES, Config
+from gateway.settings.devices import WritebackLayout
+from gateway.store.audit import ARMED, DISARMED, Audit, AuditEntry, AuditRow, last_arming, open_audit, standing
+from gateway.store.historian import Historian, saved_state
 
 LONGEST = 200
 
@@ -35,12 +35,12 @@ def signed(by: str, reason: str, minutes: float, now: float) -> Arming:
     return Arming(by, reason, now + 60.0 * minutes)
 
 
-def entry_of(arming: Arming, now: float, via: str) -> Entry:
+def entry_of(arming: Arming, now: float, via: str) -> AuditEntry:
     """The audit log's row of an arming."""
-    return Entry(now, ARMED, arming.by, arming.reason, {"until": arming.until, "via": via})
+    return AuditEntry(now, ARMED, arming.by, arming.reason, {"until": arming.until, "via": via})
 
 
-def arming_of(row: Row) -> Arming:
+def arming_of(row: AuditRow) -> Arming:
     """The arming in a row of the audit log."""
     return Arming(row.entry.who, row.entry.reason, float(row.entry.detail["until"]))
 
@@ -53,15 +53,15 @@ def arm_in_log(path: Path, arming: Arming, now: float) -> None:
     _store(path, entry_of(arming, now, "command"))
 
 
-def disarm_in_log(path: Path, by: str, reason: str, now: float) -> Row | None:
+def disarm_in_log(path: Path, by: str, reason: str, now: float) -> AuditRow | None:
     """Take back what `arm_in_log` armed; gives it, None if nothing was in force. Raises ArmingError or AuditError."""
     row = standing(path, now)
     if row is not None:
-        _store(path, Entry(now, DISARMED, by, reason))
+        _store(path, AuditEntry(now, DISARMED, by, reason))
     return row
 
 
-def _store(path: Path, entry: Entry) -> None:
+def _store(path: Path, entry: AuditEntry) -> None:
     audit = open_audit(path)
     try:
         if not audit.record(entry):
@@ -73,22 +73,22 @@ def _store(path: Path, entry: Entry) -> None:
 # ---------------------------------------------------------------- the running gateway
 
 
-def make_writer(
+def open_writer(
     config: Config,
+    layout: WritebackLayout,
+    *,
     clock: Clock,
     driver: Driver,
     historian: Historian,
-    audit: Audit | None,
+    audit: Audit,
     log: FilteringBoundLogger,
-) -> Writer | None:
-    """The writer in its mode; None where nothing is computed for writing.
+) -> Writer:
+    """The writer of the block `layout`, in the configured mode, which is not off.
 
     It is armed by the configuration, or by `decanter plc arm` before the gateway began; only while that lasts, and only
     once the audit log has it. Raises ConfigError for a driver that cannot write.
     """
-    section, layout, now = config.writeback, config.map.writeback, clock.now()
-    if layout is None or section.mode == "off" or audit is None:
-        return None
+    section, now = config.writeback, clock.now()
     writer = Writer(layout, clock, "shadow", pace=Pace(config.blocks_per_second), audit=audit)
     if not isinstance(driver, Writes):
         if section.mode == "armed":
@@ -98,6 +98,7 @@ def make_writer(
     arming = _configured(config, historian, audit, now, log) if section.mode == "armed" else _before(audit, now)
     if arming is None:
         return writer
+    # First on record, then armed: what cannot be accounted for is not written.
     historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])
     if not (audit.record(entry_of(arming, now, "gateway began")) and historian.flush()):
         log.error("not armed, as the audit record cannot be stored", reason=audit.failure or historian.failure)
@@ -123,7 +124,7 @@ def _configured(
     section = config.writeback
     fresh = signed(section.armed_by, section.reason, section.minutes or 0.0, now)
     key = {"by": section.armed_by, "reason": section.reason, "minutes": section.minutes, "stamp": config.stamp}
-    saved = loaded(historian, "arming", log)
+    saved = saved_state(historian, "arming", log)
     if saved is None or saved[1].get("key") != key or not isinstance(saved[1].get("until"), float):
         historian.save("arming", now, {"key": key, **asdict(fresh)})
         return fresh
@@ -140,13 +141,11 @@ def _configured(
     return None
 
 
-async def arm(writer: Writer | None, driver: Driver, clock: Clock, by: str, reason: str, minutes: float) -> Arming:
+async def arm(writer: Writer, driver: Driver, *, by: str, reason: str, minutes: float) -> Arming:
     """Arm a gateway that runs in shadow, or sign its arming anew. Raises ArmingError."""
-    if writer is None or writer.audit is None:
-        raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
-    if not isinstance(driver, Writes):
+    if writer.audit is None or not isinstance(driver, Writes):
         raise ArmingError("this driver cannot write")
-    now = clock.now()
+    now = writer.clock.now()
     arming = signed(by, reason, minutes, now)
     if not await asyncio.to_thread(writer.audit.record, entry_of(arming, now, "command")):
         raise ArmingError(f"not armed, as the audit log does not take it: {writer.audit.failure}")

@@ -6,7 +6,7 @@ from math import sqrt
 from typing import Any, Literal
 
 from drivers.tag import Quality
-from gateway.machine.scan import Scan
+from gateway.machine.reading.scan import Scan
 from sim.engine.belief import (
     Belief,
     advance,
@@ -37,7 +37,7 @@ anomaly score is -log10 of that test's p-value. Green below 2 (as bad once in 10
 
 
 @dataclass(frozen=True, slots=True)
-class Prediction:
+class ScanPrediction:
     """What the model says of one scan at `time`.
 
     `mean` and the 90 % band `low`..`high` (degC) are what a reading at this moment was expected to be by everything
@@ -100,8 +100,10 @@ class Predictor:
         """The inputs that a register map lacks."""
         return [name for name in self._inputs if name not in tags]
 
-    def step(self, scan: Scan) -> Prediction:
+    def step(self, scan: Scan) -> ScanPrediction:
         """Take one scan in. Only good readings count: anything else makes its channel unknown and corrects nothing."""
+        # The order is the model's: events change the location, inputs the flow in it, and only then does the reading
+        # say how right the temperature was that all of them led to.
         events = self.encoder.feed(scan.time, {name: scan.good(name) for name in self._channels})
         measured = self._measured(scan)
         signals = {name: value for name in self._driving if (value := scan.good(name)) is not None}
@@ -113,8 +115,8 @@ class Predictor:
         worst, age = self._worst(scan)
         usable = known and worst == 0
         sigma = sqrt(expected.xx + self.tracker.sensor)
-        score = anomaly(self.belief) + 0.0
-        return Prediction(
+        score = anomaly(self.belief) + 0.0  # -log10 of a p-value of 1 is -0.0, which nobody should read
+        return ScanPrediction(
             time=scan.time,
             location=self.belief.location,
             location_index=self._index[self.belief.location],
@@ -143,11 +145,13 @@ class Predictor:
 
     def _expected(self, time: float, events: list[Event], signals: Mapping[str, float]) -> Belief:
         """The belief at `time`, after the events and inputs and before the reading."""
+        # Events may lie before the scan that shows them: a belief that begins here begins with the first of them.
         first = min((time, *(event.time for event in events)))
         belief = self.belief if self.belief is not None else start(self.tracker, first)
         for event in events:
             belief = on_event(self.tracker, belief, event)
         belief = with_inputs(self.tracker, belief, time, signals)
+        # Inputs have advanced it already where the model reads any; time never goes back.
         return belief if belief.time >= time else advance(self.tracker, belief, time)
 
     def _free_run(

@@ -37,7 +37,7 @@ class Pulse:
     read: float = 0.0
 
 
-def heard(pulse: Pulse, sample: Sample | None) -> Pulse:
+def with_beat(pulse: Pulse, sample: Sample | None) -> Pulse:
     """The pulse after one more reading of the heartbeat; what is not good says nothing."""
     if sample is None or not sample.quality.is_good or not isinstance(sample.value, int):
         return pulse

@@ -10,11 +10,12 @@ from drivers.tag import Sample, Tag
 Urgent = Callable[[], Collection[str]]
 
 
-class News:
+class DeviceStream:
     """One reader of a driver's stream, from its making (in a running loop) until `close`.
 
-    `ripe` returns when an urgent tag has another value or quality than when it was last looked at, but no sooner than
-    the last early scan has taken: a device that talks all the time shall take half of the gateway's time at most.
+    `urgent_change` returns when an urgent tag has another value or quality than when it was last looked at, but no
+    sooner than the last early scan has taken: a device that talks all the time shall take half of the gateway's time
+    at most.
     """
 
     def __init__(self, driver: Streams, tags: Sequence[Tag], urgent: Urgent) -> None:
@@ -32,18 +33,18 @@ class News:
         if isinstance(result, Exception):
             raise result
 
-    async def ripe(self) -> None:
+    async def urgent_change(self) -> None:
         """Return when something urgent has changed and it is time to look at it."""
         await self._changed.wait()
         await asyncio.sleep(max(0.0, self._not_before - asyncio.get_running_loop().time()))
 
-    def look(self, read: Sequence[Sample]) -> None:
+    def restart_from(self, read: Sequence[Sample]) -> None:
         """A scan has read all tags: this is what is known now."""
         self._seen = {sample.tag: sample for sample in read}
         self._latest.clear()
         self._changed.clear()
 
-    def told(self) -> tuple[list[Sample], float]:
+    def newest_readings(self) -> tuple[list[Sample], float]:
         """All tags as they are known now, in their order, and the time of the newest of what has been told since."""
         newest = max((sample.time for sample in self._latest.values()), default=0.0)
         self._seen |= self._latest
@@ -52,7 +53,7 @@ class News:
         return [self._seen[tag.name] for tag in self._tags], newest
 
     @contextmanager
-    def resting(self) -> Iterator[None]:
+    def pausing(self) -> Iterator[None]:
         """Nothing is ripe for as long as the body takes, counted from its end."""
         loop = asyncio.get_running_loop()
         begun = loop.time()

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.machine.predict import Z90, Prediction
+from gateway.machine.model.predict import Z90, ScanPrediction
 from sim.sha.events import Switch
 from sim.sha.model import Model
 
@@ -22,7 +22,7 @@ LEAST = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class DriftRule:
     """What counts as a start and as too far off.
 
     `starts` and `stops` are the symbols of the machine's switch. `limit` (degC) is None for the model's own band, and
@@ -37,7 +37,7 @@ class Rule:
 
 
 @dataclass(frozen=True, slots=True)
-class Drift:
+class CycleDrift:
     """What is known up to now; plain values, so that JSON can carry them.
 
     `running` counts the cycles at the end that were beyond their limit, `error` and `limit` (degC) are those of the
@@ -55,17 +55,17 @@ class Drift:
     allowed: float = 0.0
 
 
-def rule_of(model: Model, limit: float | None) -> Rule | None:
+def rule_of(model: Model, limit: float | None) -> DriftRule | None:
     """The rule for a model; None where its alphabet has no switch, so that nothing says when a cycle begins."""
     switch = next((channel for channel in model.alphabet.channels if isinstance(channel, Switch)), None)
     if switch is None:
         return None
     horizons = tuple(sorted(model.calibration))
     factors = tuple(max(model.calibration[horizon], 1.0) for horizon in horizons)
-    return Rule(switch.rising, switch.falling, limit, horizons, factors)
+    return DriftRule(switch.rising, switch.falling, limit, horizons, factors)
 
 
-def follow_cycle(rule: Rule, drift: Drift, prediction: Prediction) -> Drift:
+def follow_cycle(rule: DriftRule, drift: CycleDrift, prediction: ScanPrediction) -> CycleDrift:
     """What is known after a scan: a start closes the cycle before it, a good reading counts to the present one."""
     for event in prediction.events:
         if event.symbol == rule.starts and drift.symbol != rule.starts:
@@ -83,7 +83,7 @@ def follow_cycle(rule: Rule, drift: Drift, prediction: Prediction) -> Drift:
     )
 
 
-def _allowed(rule: Rule, age: float, sigma: float) -> float:
+def _allowed(rule: DriftRule, age: float, sigma: float) -> float:
     """degC that a reading may be off."""
     if rule.limit is not None:
         return rule.limit
@@ -91,8 +91,9 @@ def _allowed(rule: Rule, age: float, sigma: float) -> float:
     return Z90 * factor * sigma
 
 
-def _closed(drift: Drift, now: float) -> Drift:
+def _closed(drift: CycleDrift, now: float) -> CycleDrift:
     """The end of a cycle and the beginning of the next; one with too few readings neither counts nor breaks a run."""
+    # A cycle that was too short is forgotten and not judged: one that was begun by mistake must not clear the alarm.
     fresh = replace(drift, begun=now, readings=0, missed=0.0, allowed=0.0)
     if drift.begun is None or drift.readings < LEAST:
         return fresh
@@ -100,6 +101,6 @@ def _closed(drift: Drift, now: float) -> Drift:
     return replace(fresh, running=drift.running + 1 if error > limit else 0, error=error, limit=limit)
 
 
-def restored(saved: Mapping[str, Any]) -> Drift:
+def restored(saved: Mapping[str, Any]) -> CycleDrift:
     """The state that was kept as JSON. Raises TypeError for what was not."""
-    return Drift(**saved)
+    return CycleDrift(**saved)

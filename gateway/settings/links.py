@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.driver import capabilities
 from drivers.settings import Section
-from gateway.plant.devices import DeviceMap, complete_paths, load_device
+from gateway.settings.devices import DeviceMap, complete_paths, load_device
 
 FilePath = Annotated[Path, Field(strict=False)]
 

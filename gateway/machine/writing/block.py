@@ -8,7 +8,7 @@ from math import isfinite
 from struct import pack
 
 from drivers.device_file import BlockField
-from gateway.plant.devices import WritebackLayout
+from gateway.settings.devices import WritebackLayout
 
 NO_TEMPERATURE = 0x8000
 """The int16 word of a number that is not known (-32768): no real number saturates to it."""
@@ -50,7 +50,7 @@ def validity(
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class WritebackBlock:
     """One block as it goes on the wire: 16-bit words in the layout's order."""
 
     sequence: int
@@ -60,7 +60,7 @@ class Block:
 
 def build(
     layout: WritebackLayout, values: Mapping[str, float | None], validity: Validity, sequence: int, heartbeat: int
-) -> Block:
+) -> WritebackBlock:
     """The block that says `values` (field name -> engineering units; absent, None or not finite: not known).
 
     A number beyond its word saturates at the word's ends, short of the word that means "not known". Minutes that are
@@ -77,7 +77,7 @@ def build(
     words: list[int] = []
     for field in layout.fields:
         words.append(crc(words) if field.name == "crc" else _word(field, given.get(field.name), layout.unknown))
-    return Block(sequence, validity, tuple(words))
+    return WritebackBlock(sequence, validity, tuple(words))
 
 
 def crc(words: list[int]) -> int:

@@ -10,7 +10,7 @@ from enum import StrEnum
 from typing import Any
 
 
-class State(StrEnum):
+class AlarmState(StrEnum):
     """Alarm states (ANSI/ISA-18.2-2016, 5.3)."""
 
     NORMAL = "normal"
@@ -27,22 +27,22 @@ class Change(StrEnum):
     ACKNOWLEDGE = "acknowledge"
 
 
-TRANSITIONS: dict[tuple[State, Change], State] = {
-    (State.NORMAL, Change.RAISE): State.UNACKNOWLEDGED,
-    (State.UNACKNOWLEDGED, Change.ACKNOWLEDGE): State.ACKNOWLEDGED,
-    (State.UNACKNOWLEDGED, Change.CLEAR): State.RETURNED,
-    (State.ACKNOWLEDGED, Change.CLEAR): State.NORMAL,
-    (State.RETURNED, Change.RAISE): State.UNACKNOWLEDGED,
-    (State.RETURNED, Change.ACKNOWLEDGE): State.NORMAL,
+TRANSITIONS: dict[tuple[AlarmState, Change], AlarmState] = {
+    (AlarmState.NORMAL, Change.RAISE): AlarmState.UNACKNOWLEDGED,
+    (AlarmState.UNACKNOWLEDGED, Change.ACKNOWLEDGE): AlarmState.ACKNOWLEDGED,
+    (AlarmState.UNACKNOWLEDGED, Change.CLEAR): AlarmState.RETURNED,
+    (AlarmState.ACKNOWLEDGED, Change.CLEAR): AlarmState.NORMAL,
+    (AlarmState.RETURNED, Change.RAISE): AlarmState.UNACKNOWLEDGED,
+    (AlarmState.RETURNED, Change.ACKNOWLEDGE): AlarmState.NORMAL,
 }
 """Every move there is; a change that is not here for a state leaves it as it is."""
 
-ACTIVE = frozenset({State.UNACKNOWLEDGED, State.ACKNOWLEDGED})
+ACTIVE = frozenset({AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED})
 """The states in which the condition stands; its bit in the block is set."""
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class AlarmCondition:
     """What an alarm watches: a number of `tag` that must not exceed `limit`.
 
     It stands above `limit` and is over below `limit` - `deadband`; in between nothing changes. `on_delay` and
@@ -68,7 +68,7 @@ class Alarm:
     condition: str
     tag: str
     priority: int
-    state: State = State.NORMAL
+    state: AlarmState = AlarmState.NORMAL
     since: float = 0.0
     acknowledged_by: str = ""
     pending: float | None = None
@@ -79,7 +79,7 @@ class Alarm:
         return self.state in ACTIVE
 
 
-def new_alarm(condition: Condition, now: float) -> Alarm:
+def new_alarm(condition: AlarmCondition, now: float) -> Alarm:
     """The alarm of a condition of which nothing is known yet: normal."""
     return Alarm(condition.name, condition.tag, condition.priority, since=now)
 
@@ -93,7 +93,7 @@ def moved(alarm: Alarm, change: Change, now: float, by: str = "") -> Alarm:
     return replace(alarm, state=state, since=now, acknowledged_by=acknowledged_by, pending=None)
 
 
-def step(condition: Condition, alarm: Alarm, value: float | None, now: float) -> Alarm:
+def step(condition: AlarmCondition, alarm: Alarm, value: float | None, now: float) -> Alarm:
     """The alarm after reading `value` at `now`; None: not known, so nothing begins, nothing ends, no delay runs."""
     wanted = None if value is None else _wanted(condition, alarm, value)
     if wanted is None:
@@ -103,7 +103,7 @@ def step(condition: Condition, alarm: Alarm, value: float | None, now: float) ->
     return moved(alarm, wanted, now) if now - begun >= delay else replace(alarm, pending=begun)
 
 
-def _wanted(condition: Condition, alarm: Alarm, value: float) -> Change | None:
+def _wanted(condition: AlarmCondition, alarm: Alarm, value: float) -> Change | None:
     if not alarm.active and value > condition.limit:
         return Change.RAISE
     if alarm.active and value <= condition.limit - condition.deadband:
@@ -112,7 +112,13 @@ def _wanted(condition: Condition, alarm: Alarm, value: float) -> Change | None:
 
 
 def acknowledge(
-    conditions: Mapping[str, Condition], alarms: Mapping[str, Alarm], before: int | None, bits: int, now: float, by: str
+    conditions: Mapping[str, AlarmCondition],
+    alarms: Mapping[str, Alarm],
+    *,
+    before: int | None,
+    bits: int,
+    now: float,
+    by: str,
 ) -> dict[str, Alarm]:
     """The alarms after acknowledge bits went from `before` to `bits`: a rising edge acknowledges, a level does not.
 
@@ -125,7 +131,7 @@ def acknowledge(
     }
 
 
-def word(conditions: Mapping[str, Condition], alarms: Mapping[str, Alarm]) -> int:
+def word(conditions: Mapping[str, AlarmCondition], alarms: Mapping[str, Alarm]) -> int:
     """The alarm word of the block: the bits of the alarms that are active."""
     return sum({1 << conditions[name].bit for name, alarm in alarms.items() if alarm.active})
 
@@ -135,7 +141,7 @@ def to_plain(alarm: Alarm) -> dict[str, Any]:
     return asdict(alarm)
 
 
-def from_plain(condition: Condition, saved: Mapping[str, Any]) -> Alarm:
+def from_plain(condition: AlarmCondition, saved: Mapping[str, Any]) -> Alarm:
     """A saved alarm of this condition. Raises ValueError or TypeError for what `to_plain` did not write."""
-    alarm = Alarm(**{**saved, "state": State(saved["state"])})
+    alarm = Alarm(**{**saved, "state": AlarmState(saved["state"])})
     return replace(alarm, tag=condition.tag, priority=condition.priority, pending=None)

@@ -4,14 +4,13 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from gateway.machine.drift import Drift, follow_cycle, restored, rule_of
-from gateway.machine.predict import Prediction, Predictor
+from gateway.machine.model.drift import CycleDrift, follow_cycle, restored, rule_of
+from gateway.machine.model.predict import Z90, Predictor, ScanPrediction
 from sim.forecast.calibration import Calibration
 from sim.forecast.forecast import Forecast
 from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, share
 from sim.sha.model import Model
 
-_Z90 = 1.6448536269514722
 INNOVATIONS, DRIFT = "one step", "drift"
 
 
@@ -23,14 +22,14 @@ class Guards:
 
     def __init__(self, model: Model, horizons: tuple[float, ...], limit: float | None = None) -> None:
         self.model = model
-        self.drift = Drift()
+        self.drift = CycleDrift()
         self._rule = rule_of(model, limit)
         self.reviews = {INNOVATIONS: Review()} | {f"{horizon:g} s": Review() for horizon in horizons}
         self.forecast_clamps = 0
         self.forecasts_clamped = 0
         self._horizons = horizons
 
-    def look(self, prediction: Prediction, calibration: Calibration) -> None:
+    def look(self, prediction: ScanPrediction, calibration: Calibration) -> None:
         """Take a scan's reading in, before `calibration` settles it. Without a good reading nothing is learned."""
         p = prediction
         if self._rule is not None:
@@ -38,7 +37,8 @@ class Guards:
         if p.measured is None:
             return
         if p.mean is not None and p.high is not None and p.high > p.mean:
-            z = _Z90 * (p.measured - p.mean) / (p.high - p.mean)
+            # The band is Z90 standard deviations to either side: this is the standardised error.
+            z = Z90 * (p.measured - p.mean) / (p.high - p.mean)
             self.reviews[INNOVATIONS] = follow(ONE_STEP, self.reviews[INNOVATIONS], p.time, z)
         for horizon in self._horizons:
             name = f"{horizon:g} s"

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from drivers.settings import ConfigError, Section, checked, read_toml
-from gateway.machine.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
-from gateway.plant.devices import DeviceMap
+from gateway.settings.devices import DeviceMap
+from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
 
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 Seconds = Annotated[tuple[float, ...], Field(strict=False)]

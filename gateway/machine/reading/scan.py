@@ -10,9 +10,9 @@ from math import floor
 
 from drivers.driver import Driver, Streams
 from drivers.tag import Sample, Tag
-from gateway.machine.clock import Clock
-from gateway.machine.news import News, Urgent
-from gateway.machine.quality import STALE_PERIODS, DeviceAge, Rules, judge
+from gateway.machine.reading.clock import Clock
+from gateway.machine.reading.device_stream import DeviceStream, Urgent
+from gateway.machine.reading.quality import STALE_PERIODS, DeviceAge, QualityRules, judge
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,8 @@ async def scans(
     driver: Driver,
     tags: Sequence[Tag],
     clock: Clock,
-    rules: Rules,
+    rules: QualityRules,
+    *,
     stop: asyncio.Event | None = None,
     urgent: Urgent | None = None,
 ) -> AsyncGenerator[Scan, None]:
@@ -59,46 +60,49 @@ async def scans(
     """
     begin, tick, missed, number, last = clock.now(), 0, 0, 0, 0.0
     age, stop = DeviceAge(), stop or asyncio.Event()
-    news = News(driver, tags, urgent) if urgent is not None and isinstance(driver, Streams) else None
+    stream = DeviceStream(driver, tags, urgent) if urgent is not None and isinstance(driver, Streams) else None
     try:
-        while (due := await _awaited(clock, begin + tick * rules.period, stop, news if number else None)) != "stop":
+        while (due := await _awaited(clock, begin + tick * rules.period, stop, stream if number else None)) != "stop":
             sent = clock.now()
-            if due == "news" and news is not None:
-                read, newest = news.told()
+            if due == "news" and stream is not None:
+                read, newest = stream.newest_readings()
+                # The time of the message that brought it, as long as that lies between the scan before and now: the
+                # device's messages may bear a clock of their own, and time must not go back for the model.
                 last = max(last, min(newest, sent))
                 age, samples = judge(age, tags, read, sent, rules)
-                with news.resting():
+                with stream.pausing():
                     yield Scan(number, last, samples, 0, 0.0, early=True)
                 number += 1
                 continue
             read = await driver.read(tags)
-            if news is not None:
-                news.look(read)
+            if stream is not None:
+                stream.restart_from(read)  # what was read holds all that was streamed up to now
             last = now = clock.now()
             age, samples = judge(age, tags, read, now, rules)
             if number or not _unproven(age, rules, now - begin):
                 yield Scan(number, now, samples, missed, now - sent)
                 number += 1
+            # Counted when the consumer is done, so that ticks that passed meanwhile are skipped and never caught up.
             next_tick = max(tick + 1, floor((clock.now() - begin) / rules.period) + 1)
             missed, tick = next_tick - tick - 1, next_tick
     finally:
-        if news is not None:
-            await news.close()
+        if stream is not None:
+            await stream.close()
 
 
-def _unproven(age: DeviceAge, rules: Rules, elapsed: float) -> bool:
+def _unproven(age: DeviceAge, rules: QualityRules, elapsed: float) -> bool:
     waiting = rules.heartbeat is not None and age.beat is not None and age.beat != 0 and age.beat_changed is None
     return waiting and elapsed < STALE_PERIODS * rules.beat_period
 
 
-async def _awaited(clock: Clock, moment: float, stop: asyncio.Event, news: News | None) -> str:
+async def _awaited(clock: Clock, moment: float, stop: asyncio.Event, stream: DeviceStream | None) -> str:
     """Wait for the moment, the stop or something urgent; "tick", "stop" or "news", whichever comes first."""
     waits = {
         "stop": asyncio.ensure_future(stop.wait()),
         "tick": asyncio.ensure_future(clock.sleep_until(moment)),
     }
-    if news is not None:
-        waits["news"] = asyncio.ensure_future(news.ripe())
+    if stream is not None:
+        waits["news"] = asyncio.ensure_future(stream.urgent_change())
     try:
         await asyncio.wait(waits.values(), return_when=asyncio.FIRST_COMPLETED)
         return "stop" if stop.is_set() else next(name for name, wait in waits.items() if wait.done())

@@ -1,24 +1,24 @@
 """A model that is promoted while the gateway runs: noticed, verified and made ready beside the scans, then taken over.
 
 Only where `model.path` is a store. Its promotion is looked at every few seconds in a thread. A new current version is
-judged as at a start (`gateway.plant.startup`), and followed over the recent scans, so that it knows the location
-and the stay
-when it takes over. One that is refused changes nothing: the former model goes on, and it is not tried again until
-something is promoted anew.
+judged as at a start (`gateway.machine.model.loading`), and followed over the recent scans, so that it knows the
+location and the stay when it takes over. One that is refused changes nothing: the former model goes on, and it is not
+tried again until something is promoted anew.
 """
 
 import asyncio
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 
 from drivers.settings import ConfigError
-from gateway.machine.ensemble import FAULTS
-from gateway.machine.predict import Predictor
-from gateway.machine.scan import Scan
-from gateway.plant.config import Config
-from gateway.plant.startup import LoadedModel, load_model
+from gateway.machine.model.ensemble import FAULTS
+from gateway.machine.model.loading import LoadedModel, load_model
+from gateway.machine.model.predict import Predictor
+from gateway.machine.reading.scan import Scan
+from gateway.settings.config import Config
 from sim.artefacts.files import ArtefactError
 from sim.artefacts.store import current, promotion
 
@@ -29,7 +29,7 @@ RECENT = 300
 
 
 @dataclass(frozen=True, slots=True)
-class Ready:
+class ReadyModel:
     """A model that may take over; its `predictor` has followed the scans up to the time `until` (plant s)."""
 
     loaded: LoadedModel
@@ -38,13 +38,13 @@ class Ready:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RefusedPromotion:
     """A promoted model that is not run, and the sentence why."""
 
     reason: str
 
 
-Found = Ready | Refused | None
+LookResult = ReadyModel | RefusedPromotion | None
 
 
 class Pickup:
@@ -56,11 +56,11 @@ class Pickup:
     def __init__(self, config: Config, running: LoadedModel | None) -> None:
         self.config = config
         self.running = running.version if running is not None else ""
-        self.ready: Ready | None = None
+        self.ready: ReadyModel | None = None
         self.refused = ""
         self._seen: object = None
         self._recent: deque[Scan] = deque(maxlen=RECENT)
-        self._task: asyncio.Task[tuple[object, Found]] | None = None
+        self._task: asyncio.Task[tuple[object, LookResult]] | None = None
         self._due = -inf
 
     def keep(self, scan: Scan) -> None:
@@ -73,8 +73,9 @@ class Pickup:
         if not self.running or self._task is not None or self.ready is not None or now < self._due:
             return
         self._due = now + POLL_SECONDS
-        work = asyncio.to_thread(_look, self.config, self._seen, self.running, tuple(members), tuple(self._recent))
-        self._task = asyncio.create_task(work, name="pickup")
+        # Copies, since the scans of the meantime go into the originals while the thread looks.
+        work = partial(_look, self.config, self._seen, self.running, members=tuple(members), recent=tuple(self._recent))
+        self._task = asyncio.create_task(asyncio.to_thread(work), name="pickup")
 
     def collect(self) -> str:
         """Take in a finished look: it may set `ready`. The sentence of a refusal is given back, once; "" else."""
@@ -82,24 +83,24 @@ class Pickup:
             return ""
         task, self._task = self._task, None
         before = self._seen
-        self._seen, found = task.result()
+        self._seen, result = task.result()
         if self._seen != before:
-            self.refused = found.reason if isinstance(found, Refused) else ""
-        self.ready = found if isinstance(found, Ready) else None
-        return found.reason if isinstance(found, Refused) else ""
+            self.refused = result.reason if isinstance(result, RefusedPromotion) else ""
+        self.ready = result if isinstance(result, ReadyModel) else None
+        return result.reason if isinstance(result, RefusedPromotion) else ""
 
-    def taken(self) -> Ready | str | None:
+    def taken(self) -> ReadyModel | str | None:
         """The model that waits, brought to the newest scan; the sentence why it is refused; None where none waits."""
-        found, self.ready = self.ready, None
-        if found is None:
+        ready, self.ready = self.ready, None
+        if ready is None:
             return None
         try:
-            _follow(found.predictor, [scan for scan in self._recent if scan.time > found.until])
+            _follow(ready.predictor, [scan for scan in self._recent if scan.time > ready.until])
         except FAULTS as error:
-            self.refused = _failed(found.loaded, error)
+            self.refused = _failed(ready.loaded, error)
             return self.refused
-        self.running = found.loaded.version
-        return found
+        self.running = ready.loaded.version
+        return ready
 
     async def close(self) -> None:
         """Wait for the look that goes on; what it finds is dropped."""
@@ -109,8 +110,8 @@ class Pickup:
 
 
 def _look(
-    config: Config, seen: object, running: str, members: Sequence[str], recent: Sequence[Scan]
-) -> tuple[object, Found]:
+    config: Config, seen: object, running: str, *, members: Sequence[str], recent: Sequence[Scan]
+) -> tuple[object, LookResult]:
     """(the promotion that was looked at, what is to be done about it: nothing where it was `seen` or is `running`)."""
     store = config.model.path
     stamp = None if store is None else promotion(store)
@@ -119,24 +120,26 @@ def _look(
     try:
         return stamp, None if current(store) == running else _made_ready(config, members, recent)
     except ConfigError as error:
-        return stamp, Refused("; ".join(error.problems))
+        return stamp, RefusedPromotion("; ".join(error.problems))
     except ArtefactError as error:
-        return stamp, Refused(str(error))
+        return stamp, RefusedPromotion(str(error))
 
 
-def _made_ready(config: Config, members: Sequence[str], recent: Sequence[Scan]) -> Found:
+def _made_ready(config: Config, members: Sequence[str], recent: Sequence[Scan]) -> LookResult:
     """The configured model as at a start, and following the recent scans. Raises ConfigError."""
     loaded = load_model(config)
     if loaded is None:
         return None
     if loaded.hash in members:
-        return Refused(f"version {loaded.version} is the same model as one of ensemble.members; give each model once")
+        return RefusedPromotion(
+            f"version {loaded.version} is the same model as one of ensemble.members; give each model once"
+        )
     predictor = Predictor(loaded.model, config.model.temperature)
     try:
         _follow(predictor, recent)
     except FAULTS as error:
-        return Refused(_failed(loaded, error))
-    return Ready(loaded, predictor, recent[-1].time if recent else -inf)
+        return RefusedPromotion(_failed(loaded, error))
+    return ReadyModel(loaded, predictor, recent[-1].time if recent else -inf)
 
 
 def _follow(predictor: Predictor, scans: Sequence[Scan]) -> None:

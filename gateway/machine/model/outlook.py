@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from gateway.machine.ensemble import Ensemble, Job, Together, bands, foresee, run_job
-from gateway.machine.predict import Predictor
-from gateway.machine.scan import Scan
-from gateway.plant.config import ForecastSection
+from gateway.machine.model.ensemble import Ensemble, ForecastJob, MixedForecast, bands, foresee, run_job
+from gateway.machine.model.predict import Predictor
+from gateway.machine.reading.scan import Scan
+from gateway.settings.config import ForecastSection
 from sim.forecast.calibration import Calibration, Horizon, Pending, factors, issue, settle
 from sim.forecast.ensemble import thinned
 from sim.forecast.forecast import LEVELS, Forecast
@@ -22,7 +22,7 @@ FRESH_PERIODS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class FinishedForecast:
     """A finished forecast, and the reading when it was begun (degC; None if there was none)."""
 
     forecast: Forecast
@@ -48,7 +48,7 @@ class Outlook:
         self.latest: Forecast | None = None
         self.made = 0
         self.calibration: Calibration = bands(predictor.model, section, scan_period)
-        self._task: asyncio.Task[Forecast | Together] | None = None
+        self._task: asyncio.Task[Forecast | MixedForecast] | None = None
         self._due = -inf
         self._void = False
         self._measured: float | None = None
@@ -71,7 +71,7 @@ class Outlook:
         usable = self.latest is not None and now - self.latest.time <= FRESH_PERIODS * self.section.period
         return self.latest if usable else None
 
-    def collect(self) -> Made | None:
+    def collect(self) -> FinishedForecast | None:
         """A forecast that has just been finished, once. Raises what the computation raised."""
         task = self._task
         if task is None or not task.done():
@@ -80,20 +80,18 @@ class Outlook:
         made, void, self._void = task.result(), self._void, False
         if void:
             return None
-        if isinstance(made, Together):
-            made = self._together(made)
+        if isinstance(made, MixedForecast):
+            # The first model's bands learn from its own forecast, as those of the others do from theirs: a band that
+            # learned from the mixture would take the others' errors for its own.
+            own = made.members[0]
+            if self.ensemble is not None and isinstance(own, Forecast):
+                self.calibration = issue(self.calibration, thinned(own, LEVELS))
+                self.ensemble.take(made, made.mixed.time)
+            made = made.mixed
         else:
             self.calibration = issue(self.calibration, made)
         self.latest, self.made = made, self.made + 1
-        return Made(made, self._measured)
-
-    def _together(self, made: Together) -> Forecast:
-        """The mixture; the first model's bands learn from its own forecast, as those of the others from theirs."""
-        own = made.members[0]
-        if self.ensemble is not None and isinstance(own, Forecast):
-            self.calibration = issue(self.calibration, thinned(own, LEVELS))
-            self.ensemble.take(made, made.mixed.time)
-        return made.mixed
+        return FinishedForecast(made, self._measured)
 
     def follow(self, scan: Scan, measured: float | None) -> None:
         """Move the other models of an ensemble on; nothing without one."""
@@ -107,15 +105,22 @@ class Outlook:
             return
         self._due, self._measured = now + self.section.period, measured
         seed = (self.section.seed, int(belief.time * 1000.0))
-        job = Job(self.predictor.tracker, belief, factors(self.calibration), seed)
-        self._task = asyncio.create_task(asyncio.to_thread(self._work(job)), name="forecast")
-
-    def _work(self, job: Job) -> Callable[[], Forecast | Together]:
-        ensemble = self.ensemble
-        if ensemble is None:
-            return partial(run_job, job, self.section, self.limit, LEVELS)
-        context = ensemble.context
-        return partial(foresee, job, ensemble.jobs(), ensemble.shares(context), context, self.section, self.limit)
+        job = ForecastJob(self.predictor.tracker, belief, factors(self.calibration), seed)
+        # What the thread computes with is bound here, in the loop: beliefs and weights move on with the next scan.
+        work: Callable[[], Forecast | MixedForecast]
+        if (ensemble := self.ensemble) is None:
+            work = partial(run_job, job, self.section, self.limit, LEVELS)
+        else:
+            work = partial(
+                foresee,
+                job,
+                ensemble.jobs(),
+                shares=ensemble.shares(ensemble.context),
+                context=ensemble.context,
+                section=self.section,
+                limit=self.limit,
+            )
+        self._task = asyncio.create_task(asyncio.to_thread(work), name="forecast")
 
     async def finished(self) -> None:
         """Wait for the forecast being made, if any; the next `collect` gives it. For a clock that is not the wall's."""

@@ -8,7 +8,7 @@ reading is lost as long as the other link is well. A link higher up in the list 
 
 What keeps events from being lost or doubled: a sample that may be older than the last one of the same tag from another
 link is not taken; the last one stands until a newer arrives. What keeps another PLC from being taken for this one: the
-heartbeats of two links must be the same count at the same time (`gateway.machine.same_plc`).
+heartbeats of two links must be the same count at the same time (`gateway.machine.reading.same_plc`).
 
 A block goes out over the active link only. If its fate is not known, it is read back over another link; it is never
 sent again.
@@ -22,16 +22,16 @@ from typing import Any
 from drivers.driver import Cautions, Complains, Driver, Explains, PlanLine, Writes
 from drivers.errors import AddressError, DeviceException, DriverError, EncodingError, LinkDown, WriteForbidden
 from drivers.tag import Quality, Sample, Tag, Value
-from gateway.machine.quality import LINK_FAULTS
-from gateway.machine.same_plc import Pulse, agree, heard, still
+from gateway.machine.reading.quality import LINK_FAULTS
+from gateway.machine.reading.same_plc import Pulse, agree, still, with_beat
 
 _KNOWN_FATE = (WriteForbidden, EncodingError, AddressError, DeviceException)
 _STRANGE_SCANS = 3
-"""Scans running with another heartbeat before a link is said to lead to another PLC."""
+"""Scans running with another heartbeat before a link is lines to lead to another PLC."""
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class RedundantPath:
     """One link: its driver, and the tags by name with this link's own addresses (those that may be written too)."""
 
     name: str
@@ -40,7 +40,7 @@ class Way:
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class RedundancyRules:
     """`switch_after`, `return_after` (real s); `heartbeat`, the tag; `beat_period`, the clock's seconds between two."""
 
     switch_after: float
@@ -50,7 +50,7 @@ class Rules:
 
 
 @dataclass(frozen=True, slots=True)
-class Switch:
+class SwitchOver:
     """One change of the active link at `time` (the clock's), why, and the real seconds that the scan waited for it."""
 
     time: float
@@ -61,14 +61,14 @@ class Switch:
 
 
 @dataclass(slots=True)
-class _State:
+class _PathState:
     """What is known of one link.
 
     `samples` are its last complete reading: `fresh` if that was completed in this scan, `news` if it was since the last
     judgement (a link slower than the active one is complete after the scan that asked for it).
     """
 
-    way: Way
+    path: RedundantPath
     task: "asyncio.Task[list[Sample]] | None" = None
     samples: Mapping[str, Sample] = field(default_factory=dict)
     fresh: bool = False
@@ -87,25 +87,25 @@ class _State:
 class Redundant:
     """A Driver that Writes, over several links; the first is the primary. `clock` gives the samples' time."""
 
-    def __init__(self, ways: Sequence[Way], rules: Rules, clock: Callable[[], float]) -> None:
-        self._states = [_State(way) for way in ways]
+    def __init__(self, paths: Sequence[RedundantPath], rules: RedundancyRules, clock: Callable[[], float]) -> None:
+        self._states = [_PathState(path) for path in paths]
         self._rules, self._clock = rules, clock
         self._active = 0
         self._last: dict[str, tuple[int, Sample]] = {}
         self._counts = dict.fromkeys(("switch_overs", "returns", "held_samples", "confirmed_elsewhere"), 0)
-        self.tell: Callable[[Switch], None] = lambda _: None
+        self.on_switch: Callable[[SwitchOver], None] = lambda _: None
 
     # ------------------------------------------------------------ Driver
 
     async def open(self) -> None:
         """Open all links at once. Raises LinkDown if none could be opened (all go on trying)."""
-        drivers = [state.way.driver for state in self._states]
+        drivers = [state.path.driver for state in self._states]
         outcomes = await asyncio.gather(*(driver.open() for driver in drivers), return_exceptions=True)
         reasons = []
         for state, outcome in zip(self._states, outcomes, strict=True):
             if isinstance(outcome, DriverError):
                 state.reason = str(outcome)
-                reasons.append(f"{state.way.name}: {outcome}")
+                reasons.append(f"{state.path.name}: {outcome}")
             elif outcome is not None:
                 raise outcome
         if len(reasons) == len(self._states):
@@ -119,46 +119,46 @@ class Redundant:
         await asyncio.gather(*tasks, return_exceptions=True)
         for state in self._states:
             state.task = None
-            await state.way.driver.close()
+            await state.path.driver.close()
 
     @property
     def connected(self) -> bool:
         """True while the active link is."""
-        return self._states[self._active].way.driver.connected
+        return self._states[self._active].path.driver.connected
 
     def statistics(self) -> Mapping[str, float]:
         """Changes of the link, samples held back, blocks confirmed over another link; then each link's own counters."""
         own: dict[str, float] = {**self._counts, "active": self._active}
         for state in self._states:
-            own |= {f"{state.way.name}: {key}": value for key, value in state.way.driver.statistics().items()}
+            own |= {f"{state.path.name}: {key}": value for key, value in state.path.driver.statistics().items()}
         return own
 
     def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """The plan of each link in sentences."""
-        said: list[PlanLine] = []
+        lines: list[PlanLine] = []
         for state in self._states:
-            driver = state.way.driver
-            plan = driver.explain([state.way.tags[tag.name] for tag in tags]) if isinstance(driver, Explains) else ()
-            said += [PlanLine(f"{state.way.name}: {line}", line.kind) for line in plan]
-        return tuple(said)
+            driver = state.path.driver
+            plan = driver.explain([state.path.tags[tag.name] for tag in tags]) if isinstance(driver, Explains) else ()
+            lines += [PlanLine(f"{state.path.name}: {line}", line.kind) for line in plan]
+        return tuple(lines)
 
     def cautions(self) -> tuple[str, ...]:
         """What should not stay as it is on any link."""
-        drivers = (state.way.driver for state in self._states)
-        return tuple(said for driver in drivers if isinstance(driver, Cautions) for said in driver.cautions())
+        drivers = (state.path.driver for state in self._states)
+        return tuple(lines for driver in drivers if isinstance(driver, Cautions) for lines in driver.cautions())
 
     def complaints(self) -> tuple[str, ...]:
         """What the device says is wrong with it, over any link that can say so."""
-        drivers = (state.way.driver for state in self._states)
-        return tuple(said for driver in drivers if isinstance(driver, Complains) for said in driver.complaints())
+        drivers = (state.path.driver for state in self._states)
+        return tuple(lines for driver in drivers if isinstance(driver, Complains) for lines in driver.complaints())
 
     def report(self) -> list[dict[str, Any]]:
         """Each link as plain values: its name, whether it is active, connected and well, and why not."""
         return [
             {
-                "name": state.way.name,
+                "name": state.path.name,
                 "active": index == self._active,
-                "connected": state.way.driver.connected,
+                "connected": state.path.driver.connected,
                 "well": state.well_since is not None,
                 "reason": "" if state.well_since is not None else state.reason,
             }
@@ -177,20 +177,20 @@ class Redundant:
 
     # ------------------------------------------------------------ one scan
 
-    def _begin(self, state: _State, tags: Sequence[Tag]) -> None:
+    def _begin(self, state: _PathState, tags: Sequence[Tag]) -> None:
         """Start the link's reading for this scan, unless the last one still runs."""
         self._collect(state)
         state.fresh = False
         if state.task is None:
-            own = [state.way.tags[tag.name] for tag in tags]
-            state.task = asyncio.create_task(state.way.driver.read(own), name=f"read {state.way.name}")
+            own = [state.path.tags[tag.name] for tag in tags]
+            state.task = asyncio.create_task(state.path.driver.read(own), name=f"read {state.path.name}")
 
-    def _collect(self, state: _State) -> None:
+    def _collect(self, state: _PathState) -> None:
         """Take over the link's reading if it is complete."""
         if state.task is not None and state.task.done():
             task, state.task = state.task, None
             state.samples, state.fresh, state.news = {sample.tag: sample for sample in task.result()}, True, True
-            state.pulse = heard(state.pulse, state.samples.get(self._rules.heartbeat or ""))
+            state.pulse = with_beat(state.pulse, state.samples.get(self._rules.heartbeat or ""))
 
     async def _finished(self, begun: float) -> None:
         """Wait for the active link; if it fails or is late, for the first other one that is well, or for all."""
@@ -204,13 +204,13 @@ class Redundant:
         for state in self._states:
             self._collect(state)
 
-    def _due(self) -> _State | None:
+    def _due(self) -> _PathState | None:
         """The link above the active one that has been well long enough to be used again, if any."""
         moment, above = _now(), self._states[: self._active]
         well = (state for state in above if state.well_since is not None)
         return next((s for s in well if moment - (s.well_since or moment) >= self._rules.return_after), None)
 
-    async def _wait(self, states: Sequence[_State], until: float | None) -> bool:
+    async def _wait(self, states: Sequence[_PathState], until: float | None) -> bool:
         """Wait for the next of the links' readings, at most to the loop's time `until`; False if none runs."""
         running = {state.task for state in states if state.task is not None}
         left = None if until is None else until - _now()
@@ -220,7 +220,7 @@ class Redundant:
             self._collect(state)
         return bool(running)
 
-    def _is_well(self, state: _State) -> bool:
+    def _is_well(self, state: _PathState) -> bool:
         """True if all tags came through the link with its last reading, and it shows our PLC, which lives."""
         if not state.samples or state.faults or state.strange >= _STRANGE_SCANS:
             return False
@@ -255,7 +255,7 @@ class Redundant:
         due = self._due()
         if due is not None and due.fresh:
             self._counts["returns"] += 1
-            reason = f"{due.way.name} has been well for {self._rules.return_after:g} s"
+            reason = f"{due.path.name} has been well for {self._rules.return_after:g} s"
             self._switch(self._states.index(due), reason, begun)
             return
         if active.well_since is not None:
@@ -263,9 +263,9 @@ class Redundant:
         others = [index for index, state in enumerate(self._states) if self._is_better(state, active)]
         if others:
             self._counts["switch_overs"] += 1
-            self._switch(others[0], f"{active.way.name}: {active.reason}", begun)
+            self._switch(others[0], f"{active.path.name}: {active.reason}", begun)
 
-    def _is_better(self, state: _State, active: _State) -> bool:
+    def _is_better(self, state: _PathState, active: _PathState) -> bool:
         if state is active or not state.fresh or state.strange >= _STRANGE_SCANS:
             return False
         if self._is_well(state):
@@ -274,19 +274,21 @@ class Redundant:
 
     def _switch(self, index: int, reason: str, begun: float) -> None:
         before, self._active = self._active, index
-        names = self._states[before].way.name, self._states[index].way.name
-        self.tell(Switch(self._clock(), *names, reason, _now() - begun))
+        names = self._states[before].path.name, self._states[index].path.name
+        self.on_switch(SwitchOver(self._clock(), *names, reason, _now() - begun))
 
     def _delivered(self, name: str) -> Sample:
         """The active link's sample of a tag, or the last one of another link if that may be the newer."""
         state = self._states[self._active]
         sample = state.samples.get(name) if state.fresh else None
         if sample is None:
-            reason = f"{state.way.name}: {state.reason or 'not read yet'}"
+            reason = f"{state.path.name}: {state.reason or 'not read yet'}"
             return Sample(name, None, Quality.TIMEOUT, self._clock(), reason=reason)
         before = self._last.get(name)
         if sample.value is None:
             return sample
+        # Two links see the device at different moments: one that looked before the other's last reading would take an
+        # event back and bring it again.
         if before is not None and before[0] != self._active and _earliest(sample) < before[1].time:
             self._counts["held_samples"] += 1
             return before[1]
@@ -301,9 +303,9 @@ class Redundant:
         Raises as the link's driver does, but not where another link shows that the device holds what was written.
         """
         active = self._states[self._active]
-        driver = active.way.driver
+        driver = active.path.driver
         if not isinstance(driver, Writes):
-            raise WriteForbidden(f"{active.way.name} cannot write; nothing was sent")
+            raise WriteForbidden(f"{active.path.name} cannot write; nothing was sent")
         try:
             await driver.write([(_own(active, tag), value) for tag, value in values])
         except _KNOWN_FATE:
@@ -314,15 +316,15 @@ class Redundant:
             self._counts["confirmed_elsewhere"] += 1
             active.reason = str(error)
 
-    async def _stands(self, values: Sequence[tuple[Tag, Value]], active: _State) -> bool:
+    async def _stands(self, values: Sequence[tuple[Tag, Value]], active: _PathState) -> bool:
         """True if another link that is well shows the values in the device."""
         for state in self._states:
             if state is active or state.well_since is None:
                 continue
             own = [_own(state, tag) for tag, _ in values]
-            samples = await state.way.driver.read(own)
-            asked = zip(own, samples, (value for _, value in values), strict=True)
-            return all(_holds(tag, sample, value) for tag, sample, value in asked)
+            samples = await state.path.driver.read(own)
+            expected = zip(own, samples, (value for _, value in values), strict=True)
+            return all(_holds(tag, sample, value) for tag, sample, value in expected)
         return False
 
 
@@ -333,7 +335,7 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def _complaint(state: _State, rules: Rules) -> str:
+def _complaint(state: _PathState, rules: RedundancyRules) -> str:
     """What is wrong with a link that is not well."""
     if state.faults:
         return next(sample.reason for sample in state.samples.values() if sample.quality in LINK_FAULTS)
@@ -347,10 +349,10 @@ def _earliest(sample: Sample) -> float:
     return sample.time if sample.sent is None else sample.sent
 
 
-def _own(state: _State, tag: Tag) -> Tag:
-    own = state.way.tags.get(tag.name)
+def _own(state: _PathState, tag: Tag) -> Tag:
+    own = state.path.tags.get(tag.name)
     if own is None:
-        raise WriteForbidden(f"{tag.name} has no address on {state.way.name}; nothing was sent")
+        raise WriteForbidden(f"{tag.name} has no address on {state.path.name}; nothing was sent")
     return own
 
 

@@ -11,11 +11,11 @@ from typing import Any, Literal
 
 from drivers.driver import Writes
 from drivers.errors import DriverError
-from gateway.machine.block import Block, Validity, build, next_heartbeat
-from gateway.machine.clock import Clock
-from gateway.machine.scan import Scan
-from gateway.plant.devices import WritebackLayout
-from gateway.store.audit import DISARMED, EXPIRED, Audit, Entry
+from gateway.machine.reading.clock import Clock
+from gateway.machine.reading.scan import Scan
+from gateway.machine.writing.block import Validity, WritebackBlock, build, next_heartbeat
+from gateway.settings.devices import WritebackLayout
+from gateway.store.audit import DISARMED, EXPIRED, Audit, AuditEntry
 
 Mode = Literal["off", "shadow", "armed"]
 Verdict = Literal["shadow", "written", "failed", "not permitted", "held back"]
@@ -38,7 +38,7 @@ class Attempt:
     """What became of one block. `latency_ms` (real time) runs from the scan's last reply to the confirmed write."""
 
     time: float
-    block: Block
+    block: WritebackBlock
     mode: Mode
     verdict: Verdict
     latency_ms: float | None = None
@@ -122,7 +122,7 @@ class Writer:
         return self.armed and self.arming is not None and now >= self.arming.until
 
     def arm(self, driver: Writes, arming: Arming) -> None:
-        """From now on blocks are written; the audit log has to have it already (`gateway.machine.arming`)."""
+        """From now on blocks are written; the audit log has to have it already (`gateway.machine.writing.arming`)."""
         self.mode, self.driver, self.arming = "armed", driver, arming
 
     def disarm(self, now: float = 0.0, by: str = "", reason: str = "") -> None:
@@ -130,7 +130,7 @@ class Writer:
         arming = self.arming
         if arming is not None:
             over = now >= arming.until
-            self._note(Entry(now, EXPIRED if over else DISARMED, by or arming.by, reason or "the arming is over"))
+            self._note(AuditEntry(now, EXPIRED if over else DISARMED, by or arming.by, reason or "the arming is over"))
         self.mode, self.arming = "shadow" if self.mode == "armed" else self.mode, None
 
     async def offer(self, scan: Scan, values: Mapping[str, float | None], validity: Validity) -> Attempt | None:
@@ -144,7 +144,7 @@ class Writer:
         values = {"alarms": float(alarms), "zone": 0.0, "input_quality": 2.0}
         return await self._counted(values, Validity.NONE, scan, last=True) if self.armed else None
 
-    def heard(self, scan: Scan, refusals: Mapping[int, str]) -> None:
+    def take_counts(self, scan: Scan, refusals: Mapping[int, str]) -> None:
         """Take over what the PLC says of the blocks, as far as this scan read it well."""
         counts, c = (scan.good("BlocksAccepted"), scan.good("BlocksRefused")), self.counters
         if counts[0] is None or counts[1] is None:
@@ -154,7 +154,7 @@ class Writer:
         code = scan.good("LastRefusal")
         why = refusals.get(int(code), f"code {code:g}") if more and code is not None else c.last_refusal
         if more and self.armed:
-            self._note(Entry(scan.time, REFUSED_BY_PLC, "PLC", why, {"blocks": more, "sequence": self.sequence}))
+            self._note(AuditEntry(scan.time, REFUSED_BY_PLC, "PLC", why, {"blocks": more, "sequence": self.sequence}))
         self.counters = replace(
             c,
             accepted=c.accepted + _increase(c.plc_accepted, accepted),
@@ -164,7 +164,7 @@ class Writer:
             plc_refused=refused,
         )
 
-    def _next(self, values: Mapping[str, float | None], validity: Validity) -> Block:
+    def _next(self, values: Mapping[str, float | None], validity: Validity) -> WritebackBlock:
         self.sequence = (self.sequence + 1) & 0xFFFF
         self.heartbeat = next_heartbeat(self.heartbeat)
         shadow = validity if self.armed else validity | Validity.SHADOW
@@ -178,17 +178,18 @@ class Writer:
         self.counters = _COUNTED[attempt.verdict](self.counters)
         if attempt.verdict in ("failed", "not permitted", "held back"):
             kind = FAILED if attempt.verdict == "failed" else REFUSED
-            self._note(Entry(scan.time, kind, self._by, attempt.reason, _plain(block)))
+            self._note(AuditEntry(scan.time, kind, self._by, attempt.reason, _plain(block)))
         return attempt
 
-    async def _sent(self, block: Block, scan: Scan, *, last: bool) -> Attempt:
+    async def _sent(self, block: WritebackBlock, scan: Scan, *, last: bool) -> Attempt:
         """`last`: the block that takes everything back is neither too late nor too fast, nor waits for a full disk."""
         if not self.armed or self.driver is None:
             return Attempt(scan.time, block, self.mode, "shadow")
         refused = self._refusal(scan, last=last)
         if refused is not None:
             return Attempt(scan.time, block, self.mode, refused[0], reason=refused[1])
-        self._note(Entry(scan.time, WRITE, self._by, "", _plain(block)))
+        # Its row is under way to the disk before the block is on the wire; one that fails gets a second row.
+        self._note(AuditEntry(scan.time, WRITE, self._by, "", _plain(block)))
         try:
             await self.driver.write(list(zip(self.layout.words, block.words, strict=True)))
         except DriverError as error:
@@ -213,12 +214,12 @@ class Writer:
     def _by(self) -> str:
         return self.arming.by if self.arming else ""
 
-    def _note(self, entry: Entry) -> None:
+    def _note(self, entry: AuditEntry) -> None:
         if self.audit is not None:
             self.audit.put(entry)
 
 
-def _plain(block: Block) -> dict[str, Any]:
+def _plain(block: WritebackBlock) -> dict[str, Any]:
     """The block as the audit log keeps it: its words high byte first, as they go on the wire."""
     words = pack(f">{len(block.words)}H", *block.words).hex()
     return {"sequence": block.sequence, "validity": int(block.validity), "words": words}
@@ -236,4 +237,5 @@ def _increase(before: int | None, now: int) -> int:
         return 0
     if now >= before:
         return now - before
+    # It fell: near its end a 16-bit counter has wrapped, anywhere else the PLC began anew and counts from 0.
     return now + 0x10000 - before if before > 0xF000 and now < 0x1000 else now

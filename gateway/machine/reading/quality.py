@@ -42,7 +42,7 @@ LINK_FAULTS = frozenset(
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class QualityRules:
     """`period` of the scan (s); `heartbeat` is the tag that proves the device's life, at least every `beat` seconds."""
 
     period: float
@@ -56,7 +56,7 @@ class Rules:
 
 
 @dataclass(frozen=True, slots=True)
-class History:
+class TagHistory:
     """What is remembered of one tag: its last good reading, and when its value last changed."""
 
     good: Sample
@@ -67,17 +67,17 @@ class History:
 class DeviceAge:
     """What is remembered of a device: each tag's history, the heartbeat's last value and when it was seen to change."""
 
-    tags: Mapping[str, History] = field(default_factory=dict)
+    tags: Mapping[str, TagHistory] = field(default_factory=dict)
     beat: int | None = None
     beat_changed: float | None = None
 
 
 def judge(
-    age: DeviceAge, tags: Sequence[Tag], read: Sequence[Sample], now: float, rules: Rules
+    age: DeviceAge, tags: Sequence[Tag], read: Sequence[Sample], now: float, rules: QualityRules
 ) -> tuple[DeviceAge, dict[str, Sample]]:
     """What a scan's readings `read` (in the order of `tags`) are worth at `now`, and what to remember for the next."""
     by_name = {sample.tag: sample for sample in read}
-    age = _heard(age, by_name.get(rules.heartbeat or ""), now)
+    age = _with_heartbeat(age, by_name.get(rules.heartbeat or ""), now)
     image = _image(age, now, rules) if rules.heartbeat else None
     histories = dict(age.tags)
     judged: dict[str, Sample] = {}
@@ -87,7 +87,7 @@ def judge(
     return replace(age, tags=histories), judged
 
 
-def _heard(age: DeviceAge, sample: Sample | None, now: float) -> DeviceAge:
+def _with_heartbeat(age: DeviceAge, sample: Sample | None, now: float) -> DeviceAge:
     if sample is None or not sample.quality.is_good or not isinstance(sample.value, int):
         return age
     beat = int(sample.value)
@@ -95,7 +95,7 @@ def _heard(age: DeviceAge, sample: Sample | None, now: float) -> DeviceAge:
     return replace(age, beat=beat, beat_changed=now if moved else None if beat == 0 else age.beat_changed)
 
 
-def _image(age: DeviceAge, now: float, rules: Rules) -> tuple[Quality, str] | None:
+def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, str] | None:
     """What the heartbeat says of everything else that was read; None: the device's memory lives."""
     if age.beat == 0:
         return Quality.OUT_OF_SERVICE, "the device's program is not running (heartbeat 0)"
@@ -110,11 +110,11 @@ def _image(age: DeviceAge, now: float, rules: Rules) -> tuple[Quality, str] | No
 
 def _demoted(sample: Sample, quality: Quality, reason: str, now: float) -> Sample:
     if quality.is_bad:
-        return Sample(sample.tag, None, quality, now, sample.sent, reason)
+        return Sample(sample.tag, None, quality, now, sent=sample.sent, reason=reason)
     return replace(sample, quality=quality, reason=reason) if sample.quality.is_good else sample
 
 
-def _own(tag: Tag, sample: Sample, histories: dict[str, History], now: float, period: float) -> Sample:
+def _own(tag: Tag, sample: Sample, histories: dict[str, TagHistory], now: float, period: float) -> Sample:
     """The reading by its own merits; a good one is remembered."""
     known = histories.get(tag.name)
     if not sample.quality.is_good:
@@ -122,7 +122,7 @@ def _own(tag: Tag, sample: Sample, histories: dict[str, History], now: float, pe
     if known and (reason := _too_fast(tag, sample, known.good, period)):
         return replace(sample, quality=Quality.SENSOR_NOT_ACCURATE, reason=reason)
     changed = known.changed if known and known.good.value == sample.value else sample.time
-    histories[tag.name] = History(sample, changed)
+    histories[tag.name] = TagHistory(sample, changed)
     if tag.frozen_after and sample.time - changed > tag.frozen_after:
         reason = f"has not moved for {sample.time - changed:.0f} s (limit {tag.frozen_after:g} s)"
         return replace(sample, quality=Quality.SENSOR_NOT_ACCURATE, reason=reason)
@@ -135,11 +135,11 @@ def _periods(sample: Sample, now: float, period: float) -> float:
     return (now - sample.time) / period + _TOLERANCE
 
 
-def _held(sample: Sample, known: History | None, now: float, period: float) -> Sample:
+def _held(sample: Sample, known: TagHistory | None, now: float, period: float) -> Sample:
     """The last good value instead of no value, as long as it is usable."""
     if known is None or _periods(known.good, now, period) > DEAD_PERIODS:
         quality = Quality.NO_DATA if sample.quality.is_good else sample.quality
-        return Sample(sample.tag, None, quality, now, sample.sent, sample.reason or "too old")
+        return Sample(sample.tag, None, quality, now, sent=sample.sent, reason=sample.reason or "too old")
     reason = f"last reading {now - known.good.time:.1f} s old" + (f": {sample.reason}" if sample.reason else "")
     return replace(known.good, quality=Quality.LAST_USABLE, reason=reason)
 
