@@ -4,6 +4,7 @@ This is the only schema. The gateway makes tags and a write map of what is read 
 how a value lies in a register is no part of it, so that either keeps a path of its own for that.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -78,12 +79,25 @@ class TagTable(Section):
         return Tag(**{**dict(self), "labels": {int(key): text for key, text in self.labels.items()}})
 
 
+@dataclass(frozen=True, slots=True)
+class BlockField:
+    """One 16-bit word of the block: stored = round(value / scale), int16 or uint16."""
+
+    name: str
+    signed: bool
+    scale: float
+
+
 class BlockFieldTable(Section):
-    """One 16-bit word of the block: value = raw * scale."""
+    """A row of `fields`."""
 
     name: str = Field(min_length=1, description="the field's name")
     dtype: Literal["uint16", "int16"] = Field("uint16", description="'uint16' or 'int16'")
     scale: float = Field(1.0, gt=0, description="engineering units per count, above 0")
+
+    def field(self) -> BlockField:
+        """The word that it describes."""
+        return BlockField(self.name, self.dtype == "int16", self.scale)
 
 
 class BlockTable(Section):

@@ -29,15 +29,15 @@ class Raw:
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
+class ReadWords:
     """What one read request brought, and the seconds from its sending to the whole reply."""
 
     words: tuple[int, ...]
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannedRequest:
     """One request that would be sent: `kind` "read", "write" or "read back", `count` addresses from `place` on.
 
     `vain` of them belong to no tag; `seconds` is the longest that it can take.
@@ -51,7 +51,7 @@ class Request:
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReadPlan:
     """The requests of one scan and of one write of the block, and the longest that either can take (s).
 
@@ -59,8 +59,8 @@ class ReadPlan:
     registers.
     """
 
-    requests: tuple[Request, ...]
-    writes: tuple[Request, ...]
+    requests: tuple[PlannedRequest, ...]
+    writes: tuple[PlannedRequest, ...]
     problems: tuple[str, ...]
     seconds: float
     write_seconds: float
@@ -70,7 +70,7 @@ class ReadPlan:
 class AsksRegisters(Protocol):
     """A Modbus device. All verbs raise DriverError by its kinds; `unit` None is the configured one."""
 
-    async def read(self, area: str, start: int, count: int, unit: int | None = None) -> Words:
+    async def read(self, area: str, start: int, count: int, unit: int | None = None) -> ReadWords:
         """One request for registers or bits (0 and 1) of a table, sent once."""
         ...
 

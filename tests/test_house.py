@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for room in ("drivers", "sim", "gateway") for path in (ROOT / room).rglob("*.py"))
 HEAVY = (
     *("numpy", "pandas", "scipy", "matplotlib", "pymodbus", "pydantic", "rich", "structlog", "lark", "pydot"),
-    *("jinja2", "joblib", "optuna", "distributed", "dask", "sklearn"),
+    *("jinja2", "fpdf", "joblib", "optuna", "distributed", "dask", "sklearn"),
     *("can", "cantools", "canopen", "cryptography", "serial"),
 )
 

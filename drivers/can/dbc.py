@@ -17,7 +17,7 @@ from pathlib import Path
 import cantools
 from cantools.database.can import Database, Message, Signal
 
-from drivers.can.fields import Bits, Condition, Field, check_type, frame_key
+from drivers.can.fields import Bits, Field, LayoutCondition, check_type, frame_key
 from drivers.can.protection import PROFILE, Protection
 from drivers.errors import AddressError, DriverError
 from drivers.tag import DType, Tag
@@ -78,7 +78,14 @@ class Dbc:
         cycle = None if not message.cycle_time else message.cycle_time / 1000.0
         layouts = {ids for s in message.signals for ids in (tuple(s.multiplexer_ids or ()),) if ids}
         protection = self._protection(message)
-        return MessageFacts(message.name, key, message.length, cycle, max(1, len(layouts)), protection)
+        return MessageFacts(
+            name=message.name,
+            key=key,
+            length=message.length,
+            cycle=cycle,
+            layouts=max(1, len(layouts)),
+            protection=protection,
+        )
 
     def _protection(self, message: Message) -> Protection | None:
         attributes = message.dbc.attributes if message.dbc is not None else {}
@@ -102,12 +109,12 @@ def bits_of(signal: Signal) -> Bits:
     return Bits(signal.start, signal.length, signal.byte_order == "big_endian")
 
 
-def conditions_of(message: Message, signal: Signal) -> Iterator[Condition]:
+def conditions_of(message: Message, signal: Signal) -> Iterator[LayoutCondition]:
     """The multiplexors that must hold the signal's numbers, its own first, then those above it."""
     signals = {other.name: other for other in message.signals}
     while signal.multiplexer_ids and signal.multiplexer_signal:
         selector = signals[signal.multiplexer_signal]
-        yield Condition(bits_of(selector), frozenset(signal.multiplexer_ids))
+        yield LayoutCondition(bits_of(selector), frozenset(signal.multiplexer_ids))
         signal = selector
 
 

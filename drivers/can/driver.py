@@ -20,7 +20,7 @@ from drivers.can.notations import is_message_tag, message_decoder
 from drivers.can.pump import Pump
 from drivers.can.reception import Channel, Reception, Slot
 from drivers.can.settings import CanSettings
-from drivers.can.signals import Place, SignalMap, describe
+from drivers.can.signals import SignalMap, SignalPlace, describe
 from drivers.can.streaming import Stream
 from drivers.can.writing import WriteMap
 from drivers.codec import Reading
@@ -41,7 +41,7 @@ class _Heard:
 
     tag: Tag
     problem: str = ""
-    place: Place | None = None
+    place: SignalPlace | None = None
     channel: Channel | None = None
     slot: Slot | None = None
     frame: CanFrame | None = None
@@ -292,7 +292,8 @@ class CanDriver:
         now = time.monotonic()
         self._counts["frames"] += 1
         if message.is_error_frame:
-            self._take_error(message)
+            self._errors.take(message.arbitration_id, bytes(message.data))
+            self._withdraw_if_bus_off()
             return
         self._off = False
         self._load.add(len(message.data), extended=message.is_extended_id, now=now)
@@ -309,10 +310,6 @@ class CanDriver:
         self._exchange.heard.set()
         for stream in self._streams:
             stream.hear(fresh)
-
-    def _take_error(self, message: can.Message) -> None:
-        self._errors.take(message.arbitration_id, bytes(message.data))
-        self._withdraw_if_bus_off()
 
     def _withdraw_if_bus_off(self) -> None:
         if self._errors.state is ControllerState.BUS_OFF and (pump := self._link.connection) is not None:

@@ -7,14 +7,14 @@ stands until its timeout; after that there is none. Moments are monotonic second
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivers.can.fields import Condition, layout_name
+from drivers.can.fields import LayoutCondition, layout_name
 from drivers.can.frame import CanFrame
 from drivers.can.protection import Count, Protection, checked
 from drivers.tag import Quality
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class MessageRules:
     """How a message is judged: its `name` for sentences, its exact `length` (None: any), its protection if any."""
 
     key: int
@@ -28,7 +28,7 @@ class Slot:
     """One layout of a message: the last usable frame and the moment when it came; after `timeout` (s) it is too old."""
 
     name: str
-    conditions: tuple[Condition, ...]
+    conditions: tuple[LayoutCondition, ...]
     timeout: float
     frame: CanFrame | None = None
     heard: float = 0.0
@@ -43,7 +43,7 @@ class Slot:
 class Channel:
     """One message of the bus: its rules, its layouts, its counter, and the last frame that could not be used."""
 
-    rules: Rules
+    rules: MessageRules
     slots: list[Slot] = field(default_factory=list)
     count: Count | None = None
     refusal: str = ""
@@ -93,7 +93,7 @@ class Reception:
         return tuple(self._channels)
 
     def listen(
-        self, rules: Rules, conditions: tuple[Condition, ...], timeout: float, now: float
+        self, rules: MessageRules, conditions: tuple[LayoutCondition, ...], timeout: float, now: float
     ) -> tuple[Channel, Slot]:
         """Listen for a layout of a message from now on; one that is listened for already is given as it is."""
         channel = self._channels.setdefault(rules.key, Channel(rules))

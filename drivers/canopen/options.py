@@ -7,18 +7,18 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, model_validator
 
 from drivers.canopen.life import Life
-from drivers.canopen.place import Place, parse_place
+from drivers.canopen.place import ObjectPlace, parse_place
 from drivers.settings import Reconnecting, check_settings
 
 
-def _life(given: object) -> tuple[Place, float]:
+def _life(given: object) -> tuple[ObjectPlace, float]:
     match given:
         case {"object": str() as text, "rate": int() | float() as rate, **rest} if rate > 0 and not rest:
             return parse_place(text), float(rate)
     raise ValueError(f"{given!r} must be a table such as {{ object = '0x2002:1', rate = 60 }}")
 
 
-def _acknowledge(given: object) -> dict[Place, Place]:
+def _acknowledge(given: object) -> dict[ObjectPlace, ObjectPlace]:
     if not isinstance(given, Mapping):
         raise ValueError(f"{given!r} must be a table such as {{ '0x2100:2' = '0x2101:1' }}")
     found = {}
@@ -56,8 +56,10 @@ class Options(Reconnecting):
     pdo_timeout: float = Field(0.0, ge=0.0, le=3600.0, description="the longest time without a PDO, 0 to 3600 s")
     sync_period: float = Field(0.0, ge=0.0, le=60.0, description="the seconds between two SYNC, 0 (none) to 60")
     tpdo: Annotated[tuple[object, ...], Field(strict=False)] = Field((), description="a list of TPDOs and their maps")
-    life: Annotated[tuple[Place, float] | None, BeforeValidator(_life)] = Field(None, description="a life counter")
-    acknowledge: Annotated[dict[Place, Place], BeforeValidator(_acknowledge)] = Field(
+    life: Annotated[tuple[ObjectPlace, float] | None, BeforeValidator(_life)] = Field(
+        None, description="a life counter"
+    )
+    acknowledge: Annotated[dict[ObjectPlace, ObjectPlace], BeforeValidator(_acknowledge)] = Field(
         default_factory=dict, description="a table of objects and those that acknowledge them"
     )
     emcy_ignore: Annotated[frozenset[int], BeforeValidator(_error_codes)] = Field(

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from drivers.errors import AddressError
-from drivers.modbus.address import Area, Span, locate
+from drivers.modbus.address import Area, TagSpan, locate
 from drivers.tag import Tag
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class RequestLimits:
     """What the device allows: registers and bits a read, addresses read in vain to save a read, pause between (s)."""
 
     max_registers: int = 125
@@ -24,13 +24,13 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class AddressBlock:
     """One read request and the tags that it answers, none of them split."""
 
     area: Area
     start: int
     count: int
-    spans: tuple[Span, ...]
+    spans: tuple[TagSpan, ...]
 
     @property
     def stop(self) -> int:
@@ -39,7 +39,7 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
+class RefusedRange:
     """Addresses `start`..`stop - 1` that the device refuses, not to be asked before `retry_at` (s, monotonic).
 
     An empty range (start == stop) is a seam: the device answers on both sides, but not across it in one request.
@@ -59,10 +59,10 @@ class Refusal:
         return self.start == self.stop
 
 
-Quarantine = tuple[Refusal, ...]
+Quarantine = tuple[RefusedRange, ...]
 
 
-def plan(tags: Sequence[Tag], limits: Limits, quarantine: Quarantine = ()) -> tuple[Block, ...]:
+def plan(tags: Sequence[Tag], limits: RequestLimits, quarantine: Quarantine = ()) -> tuple[AddressBlock, ...]:
     """Give the fewest read requests that answer every tag outside the quarantine, by table and address.
 
     A tag is never split over two blocks, so a 32-bit value comes from one reply. Raises AddressError for a tag without
@@ -71,24 +71,26 @@ def plan(tags: Sequence[Tag], limits: Limits, quarantine: Quarantine = ()) -> tu
     return plan_spans([fitting(locate(tag), limits) for tag in tags], limits, quarantine)
 
 
-def plan_spans(spans: Iterable[Span], limits: Limits, quarantine: Quarantine = ()) -> tuple[Block, ...]:
+def plan_spans(
+    spans: Iterable[TagSpan], limits: RequestLimits, quarantine: Quarantine = ()
+) -> tuple[AddressBlock, ...]:
     """As `plan`, for tags that are already located.
 
     Taking the lowest address first and every further tag that still fits gives the fewest blocks: the first block must
     reach down to the lowest address anyway, and reaching further up never costs a request.
     """
     free = [span for span in spans if refusal_of(span, quarantine) is None]
-    blocks: list[Block] = []
+    blocks: list[AddressBlock] = []
     for span in sorted(free, key=lambda span: (span.area, span.start, span.stop)):
         merged = _merged(blocks[-1], span, limits, quarantine) if blocks else None
         if merged is None:
-            blocks.append(Block(span.area, span.start, span.count, (span,)))
+            blocks.append(AddressBlock(span.area, span.start, span.count, (span,)))
         else:
             blocks[-1] = merged
     return tuple(blocks)
 
 
-def fitting(span: Span, limits: Limits) -> Span:
+def fitting(span: TagSpan, limits: RequestLimits) -> TagSpan:
     """The span itself, if one request can read it. Raises AddressError if not."""
     if span.count > limits.largest(span.area):
         raise AddressError(
@@ -98,7 +100,7 @@ def fitting(span: Span, limits: Limits) -> Span:
     return span
 
 
-def _merged(block: Block, span: Span, limits: Limits, quarantine: Quarantine) -> Block | None:
+def _merged(block: AddressBlock, span: TagSpan, limits: RequestLimits, quarantine: Quarantine) -> AddressBlock | None:
     """The block grown to answer the tag as well, or None where that cannot be."""
     stop = max(block.stop, span.stop)
     if block.area is not span.area or stop - block.start > limits.largest(block.area):
@@ -110,7 +112,7 @@ def _merged(block: Block, span: Span, limits: Limits, quarantine: Quarantine) ->
     return replace(block, count=stop - block.start, spans=(*block.spans, span))
 
 
-def _lies_within(refusal: Refusal, area: Area, start: int, stop: int) -> bool:
+def _lies_within(refusal: RefusedRange, area: Area, start: int, stop: int) -> bool:
     """True if a request for start..stop - 1 contains all that was refused, or crosses the seam.
 
     A request that only shares addresses with a refused one may well be answered: it is not known which was to blame.
@@ -122,7 +124,7 @@ def _lies_within(refusal: Refusal, area: Area, start: int, stop: int) -> bool:
     return start <= refusal.start and refusal.stop <= stop
 
 
-def refusal_of(span: Span, quarantine: Quarantine) -> Refusal | None:
+def refusal_of(span: TagSpan, quarantine: Quarantine) -> RefusedRange | None:
     """The refusal that forbids to ask for the tag, if any."""
     own = (refusal for refusal in quarantine if not refusal.is_seam)
     return next((refusal for refusal in own if _lies_within(refusal, span.area, span.start, span.stop)), None)
@@ -131,7 +133,7 @@ def refusal_of(span: Span, quarantine: Quarantine) -> Refusal | None:
 # ---------------------------------------------------------------- bisection of a refused block
 
 
-def halves(block: Block) -> tuple[Block, Block] | None:
+def halves(block: AddressBlock) -> tuple[AddressBlock, AddressBlock] | None:
     """Cut a refused block between two tags, in a gap nearest to its middle; None if it is one tag or tags in one place.
 
     Tags that overlap are cut apart only where nothing else can be cut; both halves then ask for the common addresses.
@@ -152,7 +154,7 @@ def halves(block: Block) -> tuple[Block, Block] | None:
     return _block(spans[:cut]), _block(spans[cut:])
 
 
-def bisect(block: Block) -> Generator[Block, bool, tuple[Refusal, ...]]:
+def bisect(block: AddressBlock) -> Generator[AddressBlock, bool, tuple[RefusedRange, ...]]:
     """Find what the device refuses in a refused block, without asking anything itself.
 
     Yields the next block to ask and must be sent whether that one was refused. Returns the refusals, due at once: the
@@ -161,27 +163,27 @@ def bisect(block: Block) -> Generator[Block, bool, tuple[Refusal, ...]]:
     """
     cut = halves(block)
     if cut is None:
-        return (Refusal(block.area, block.start, block.stop),)
-    found: list[Refusal] = []
+        return (RefusedRange(block.area, block.start, block.stop),)
+    found: list[RefusedRange] = []
     refused = False
     for half in cut:
         if (yield half):
             refused = True
             found += yield from bisect(half)
-    return tuple(found) if refused else (Refusal(block.area, cut[1].start, cut[1].start),)
+    return tuple(found) if refused else (RefusedRange(block.area, cut[1].start, cut[1].start),)
 
 
-def _block(spans: Sequence[Span]) -> Block:
+def _block(spans: Sequence[TagSpan]) -> AddressBlock:
     start, stop = min(span.start for span in spans), max(span.stop for span in spans)
-    return Block(spans[0].area, start, stop - start, tuple(spans))
+    return AddressBlock(spans[0].area, start, stop - start, tuple(spans))
 
 
-def with_refusal(quarantine: Quarantine, refusal: Refusal) -> Quarantine:
+def with_refusal(quarantine: Quarantine, refusal: RefusedRange) -> Quarantine:
     """Put the refusal in, in the place of an older one of the same addresses."""
     return (*without(quarantine, refusal), refusal)
 
 
-def without(quarantine: Quarantine, refusal: Refusal) -> Quarantine:
+def without(quarantine: Quarantine, refusal: RefusedRange) -> Quarantine:
     """Take the refusal of these addresses out: they answer again."""
     place = (refusal.area, refusal.start, refusal.stop)
     return tuple(other for other in quarantine if (other.area, other.start, other.stop) != place)
@@ -195,12 +197,12 @@ def retry_delay(strikes: int, first: float, cap: float) -> float:
 # ---------------------------------------------------------------- what it costs
 
 
-def worst_cycle(blocks: Sequence[Block], limits: Limits, deadline: float) -> float:
+def worst_cycle(blocks: Sequence[AddressBlock], limits: RequestLimits, deadline: float) -> float:
     """Longest time (s) that one cycle over the blocks can take: every request meets its deadline only just."""
     return len(blocks) * deadline + max(0, len(blocks) - 1) * limits.pause
 
 
-def describe(blocks: Sequence[Block], limits: Limits, deadline: float) -> tuple[str, ...]:
+def describe(blocks: Sequence[AddressBlock], limits: RequestLimits, deadline: float) -> tuple[str, ...]:
     """The plan in sentences: one line a request, then the worst-case cycle time."""
     lines = [_describe_block(block) for block in blocks]
     registers = sum(block.count for block in blocks)
@@ -208,13 +210,13 @@ def describe(blocks: Sequence[Block], limits: Limits, deadline: float) -> tuple[
     return (*lines, f"{len(blocks)} requests for {registers} addresses, worst case {worst:.3g} s a cycle")
 
 
-def _describe_block(block: Block) -> str:
+def _describe_block(block: AddressBlock) -> str:
     gaps = sum(max(0, right.start - reach) for reach, right in _reaches(block))
     vain = f", {gaps} of them in vain" if gaps else ""
     return f"{block.area}:{block.start} count {block.count}{vain}: {', '.join(span.tag.name for span in block.spans)}"
 
 
-def _reaches(block: Block) -> Iterable[tuple[int, Span]]:
+def _reaches(block: AddressBlock) -> Iterable[tuple[int, TagSpan]]:
     reach = block.start
     for left, right in pairwise(block.spans):
         reach = max(reach, left.stop)

@@ -19,7 +19,7 @@ from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, 
 from drivers.modbus import rtu
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.verify import Asked, check_reply
-from drivers.modbus.wire import Reply, socket_place
+from drivers.modbus.wire import WireReply, socket_place
 from drivers.tap import current, moved
 
 GAP_S = 0.02
@@ -85,7 +85,7 @@ class LineWire:
             port.close()
         self._arrived.set()
 
-    async def ask(self, request: ModbusPDU, deadline: float) -> Reply:
+    async def ask(self, request: ModbusPDU, deadline: float) -> WireReply:
         """Send the request once and wait for its reply: `deadline` seconds, and the time that both need on the line.
 
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the line is gone.
@@ -106,7 +106,7 @@ class LineWire:
         self._data = self._data[len(reply) :]
         self._checked(wanted, reply)
         self.last = reply[:-2]
-        return Reply(rtu.words_of(wanted, reply), sent, received)
+        return WireReply(rtu.words_of(wanted, reply), sent, received)
 
     def _checked(self, wanted: Asked, reply: bytes) -> None:
         """Raises ReplyMismatch or DeviceException; the line is free where this was the reply, whatever it said."""

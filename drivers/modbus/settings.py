@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
+from drivers.modbus.plan import RequestLimits
 from drivers.settings import Reconnecting, check_settings
 
 _NETWORK: dict[str, Any] = {"host": None, "port": 502, "connect_timeout": 0.3}
@@ -84,6 +85,11 @@ class ModbusSettings(Reconnecting):
         if self.transport in _LINES and not 1 <= self.unit <= _LAST_UNIT:
             raise ValueError(f"unit is {self.unit}, and on a serial line a device has one of 1 to 247 (0 is for all)")
         return self
+
+    @property
+    def limits(self) -> RequestLimits:
+        """What the device allows in one request."""
+        return RequestLimits(self.max_registers, self.max_bits, self.max_gap, self.pause_ms / 1000)
 
     @property
     def place(self) -> str:

@@ -11,13 +11,13 @@ from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from drivers.codec import decode
 from drivers.driver import Clock
 from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
-from drivers.modbus.address import Area, Span, locate
-from drivers.modbus.plan import Block, Limits, fitting, plan_spans
+from drivers.modbus.address import Area, TagSpan, locate
+from drivers.modbus.plan import AddressBlock, fitting, plan_spans
 from drivers.modbus.settings import ModbusSettings, read_settings
 from drivers.modbus.transport import AnyWire, make_transport
 from drivers.modbus.verify import quality_of
-from drivers.modbus.wire import Reply, read_request
-from drivers.survey import Raw, Words
+from drivers.modbus.wire import WireReply, read_request
+from drivers.survey import Raw, ReadWords
 from drivers.tag import Quality, Sample, Tag
 
 _ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
@@ -43,7 +43,7 @@ class ModbusSurvey:
     def __init__(self, settings: ModbusSettings, clock: Clock) -> None:
         self._settings, self._clock = settings, clock
         self._transport = make_transport(settings, clock)
-        self._limits = Limits(settings.max_registers, settings.max_bits, settings.max_gap)
+        self._limits = settings.limits
         self._wire: AnyWire | None = None
         self._lost, self._fault = "", LinkFault.OTHER
         self._answered = False
@@ -81,10 +81,10 @@ class ModbusSurvey:
 
     # ------------------------------------------------------------ asking
 
-    async def read(self, area: str, start: int, count: int, unit: int | None = None) -> Words:
+    async def read(self, area: str, start: int, count: int, unit: int | None = None) -> ReadWords:
         """One request for `count` registers or bits. Raises DriverError by its kinds."""
         reply = await self._exchange(read_request(Area(area), start, count, self._unit(unit)))
-        return Words(reply.words, reply.received - reply.sent)
+        return ReadWords(reply.words, reply.received - reply.sent)
 
     async def identity(self, unit: int | None = None) -> Mapping[str, str]:
         """What the device says of itself; raises DeviceException where it says nothing (many do not)."""
@@ -101,7 +101,7 @@ class ModbusSurvey:
 
     async def tags(self, tags: Sequence[Tag]) -> list[Raw]:
         """Each tag with its raw words, by the fewest requests; a refused block is asked again tag by tag."""
-        spans: dict[int, Span] = {}
+        spans: dict[int, TagSpan] = {}
         found: dict[int, Raw] = {}
         for tag in tags:
             try:
@@ -112,14 +112,14 @@ class ModbusSurvey:
             found |= await self._block(block)
         return [found[id(tag)] for tag in tags]
 
-    async def _block(self, block: Block) -> dict[int, Raw]:
+    async def _block(self, block: AddressBlock) -> dict[int, Raw]:
         try:
             reply = await self._patiently(block)
         except DeviceException as error:
             if error.code in _ABOUT_ADDRESSES and len(block.spans) > 1:
                 found: dict[int, Raw] = {}
                 for span in block.spans:
-                    found |= await self._block(Block(span.area, span.start, span.count, (span,)))
+                    found |= await self._block(AddressBlock(span.area, span.start, span.count, (span,)))
                 return found
             return self._block_failed(block, quality_of(error.code), str(error))
         except DriverError as error:
@@ -128,7 +128,7 @@ class ModbusSurvey:
             return self._block_failed(block, quality, str(error))
         return {id(span.tag): _raw(span, block, reply) for span in block.spans}
 
-    async def _patiently(self, block: Block) -> Reply:
+    async def _patiently(self, block: AddressBlock) -> WireReply:
         """As often as the settings allow, as the driver would."""
         request = (block.area, block.start, block.count, self._unit(None))
         for _ in range(self._settings.attempts - 1):
@@ -138,7 +138,7 @@ class ModbusSurvey:
                 continue
         return await self._exchange(read_request(*request))
 
-    def _block_failed(self, block: Block, quality: Quality, reason: str) -> dict[int, Raw]:
+    def _block_failed(self, block: AddressBlock, quality: Quality, reason: str) -> dict[int, Raw]:
         return {
             id(span.tag): self._failed(span.tag, f"{span.area}:{span.start}", span.count, quality, reason)
             for span in block.spans
@@ -150,7 +150,7 @@ class ModbusSurvey:
     def _unit(self, unit: int | None) -> int:
         return self._settings.unit if unit is None else unit
 
-    async def _exchange(self, request: ModbusPDU) -> Reply:
+    async def _exchange(self, request: ModbusPDU) -> WireReply:
         """One request, once; a connection that the device has closed after an answer is made anew before."""
         if (rest := self._last_exchange + self._settings.pause_ms / 1000 - _now()) > 0.0:
             await asyncio.sleep(rest)
@@ -201,11 +201,11 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def _raw(span: Span, block: Block, reply: Reply) -> Raw:
+def _raw(span: TagSpan, block: AddressBlock, reply: WireReply) -> Raw:
     first = span.start - block.start
     words = reply.words[first : first + span.count]
     value, quality, reason = decode(span.tag, words)
-    sample = Sample(span.tag.name, value, quality, reply.received, reply.sent, reason)
+    sample = Sample(span.tag.name, value, quality, reply.received, sent=reply.sent, reason=reason)
     return Raw(span.tag, sample, f"{span.area}:{span.start}", span.count, tuple(words))
 
 

@@ -12,7 +12,7 @@ from drivers.driver import Clock
 from drivers.errors import DeviceException, LinkFault
 from drivers.modbus.serial_line import LineWire, Quiet
 from drivers.modbus.settings import ModbusSettings
-from drivers.modbus.wire import Reply, Secured, Wire
+from drivers.modbus.wire import Secured, Wire, WireReply
 
 _ILLEGAL_FUNCTION = 1
 
@@ -28,11 +28,11 @@ class AnyWire(Protocol):
 
     def abandon(self) -> None: ...
 
-    async def ask(self, request: ModbusPDU, deadline: float) -> Reply: ...
+    async def ask(self, request: ModbusPDU, deadline: float) -> WireReply: ...
 
 
 @dataclass(frozen=True, slots=True)
-class Transport:
+class ModbusTransport:
     """`wire` makes a wire, not yet connected; `cautions` says what should not stay as it is.
 
     `refusal_hint` is what else exception 1 (illegal function) may mean here.
@@ -49,12 +49,12 @@ class Transport:
         return DeviceException(error.code, f"{error}; {self.refusal_hint}")
 
 
-def make_transport(settings: ModbusSettings, clock: Clock) -> Transport:
+def make_transport(settings: ModbusSettings, clock: Clock) -> ModbusTransport:
     """The transport of checked settings. Raises DriverError for certificates that cannot be used."""
     if settings.transport == "tls":
         return _tls(settings, clock)
     if settings.transport == "tcp":
-        return Transport(lambda on_lost: Wire(settings.host, settings.port, clock=clock, on_lost=on_lost), _none)
+        return ModbusTransport(lambda on_lost: Wire(settings.host, settings.port, clock=clock, on_lost=on_lost), _none)
     return _line(settings, clock)
 
 
@@ -62,7 +62,7 @@ def _none() -> tuple[str, ...]:
     return ()
 
 
-def _tls(settings: ModbusSettings, clock: Clock) -> Transport:
+def _tls(settings: ModbusSettings, clock: Clock) -> ModbusTransport:
     # Certificates cost 11 MB of memory, which a gateway over plain TCP does without.
     from drivers.modbus import tls
 
@@ -70,13 +70,13 @@ def _tls(settings: ModbusSettings, clock: Clock) -> Transport:
     secured = Secured(identity.context, settings.tls_name or settings.host, tls.sentence)
     place = (settings.host, settings.port)
     role = f"the role {identity.role!r} of" if identity.role else "the lack of a role in"
-    return Transport(
+    return ModbusTransport(
         lambda on_lost: Wire(*place, clock=clock, on_lost=on_lost, secured=secured),
         lambda: tls.cautions(identity, dt.datetime.now(dt.UTC)),
         f"or {role} our certificate does not allow it",
     )
 
 
-def _line(settings: ModbusSettings, clock: Clock) -> Transport:
+def _line(settings: ModbusSettings, clock: Clock) -> ModbusTransport:
     quiet = Quiet()
-    return Transport(lambda on_lost: LineWire(settings, quiet, clock=clock, on_lost=on_lost), _none)
+    return ModbusTransport(lambda on_lost: LineWire(settings, quiet, clock=clock, on_lost=on_lost), _none)

@@ -47,7 +47,7 @@ _READS: dict[Area, type[ModbusPDU]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class WireReply:
     """The registers (or bits as 0 and 1) of one reply, with the moments of sending and of complete reception."""
 
     words: tuple[int, ...]
@@ -152,7 +152,7 @@ class Wire:
             transport.abort()
         self._client.close()
 
-    async def ask(self, request: ModbusPDU, deadline: float) -> Reply:
+    async def ask(self, request: ModbusPDU, deadline: float) -> WireReply:
         """Send the request once and wait up to `deadline` seconds for the reply that answers it.
 
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the connection breaks or cannot be
@@ -177,11 +177,11 @@ class Wire:
             self._verdict = None
             exchange.cancel()
 
-    def _reply(self, pdu: ModbusPDU) -> Reply:
+    def _reply(self, pdu: ModbusPDU) -> WireReply:
         count = self._request.count if self._request else 0
         words = tuple(int(word) for word in (pdu.registers or pdu.bits)[:count])
         self._request = None
-        return Reply(words, self._sent, self._received)
+        return WireReply(words, self._sent, self._received)
 
     # ------------------------------------------------------------ called by pymodbus
 

@@ -24,7 +24,7 @@ from drivers.errors import (
     WriteUnverified,
 )
 from drivers.settings import Section, check_settings
-from drivers.soft.recorded import Recording, load_csv, make_recording
+from drivers.soft.recorded import SoftRecording, load_csv, make_recording
 from drivers.tag import DType, Quality, Sample, Tag, Value
 
 
@@ -50,7 +50,7 @@ _STREAM_LIMIT = 10_000
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class SoftFault:
     """What a failure does: the quality and the sentence of every reading, and what a write raises."""
 
     quality: Quality
@@ -59,16 +59,16 @@ class Fault:
     reachable: bool = True
 
 
-FAULTS: dict[str, Fault] = {
-    "refuse": Fault(Quality.NOT_CONNECTED, "the connection is refused", LinkDown, reachable=False),
-    "silent": Fault(Quality.TIMEOUT, "there is no reply", ReplyTimeout, reachable=False),
-    "mismatch": Fault(Quality.COMMUNICATION_ERROR, "the reply answers another request", ReplyMismatch),
-    "busy": Fault(Quality.NO_DATA, "exception 6, server device busy", partial(DeviceException, 6)),
-    "failure": Fault(Quality.DEVICE_FAILURE, "exception 4, server device failure", partial(DeviceException, 4)),
+FAULTS: dict[str, SoftFault] = {
+    "refuse": SoftFault(Quality.NOT_CONNECTED, "the connection is refused", LinkDown, reachable=False),
+    "silent": SoftFault(Quality.TIMEOUT, "there is no reply", ReplyTimeout, reachable=False),
+    "mismatch": SoftFault(Quality.COMMUNICATION_ERROR, "the reply answers another request", ReplyMismatch),
+    "busy": SoftFault(Quality.NO_DATA, "exception 6, server device busy", partial(DeviceException, 6)),
+    "failure": SoftFault(Quality.DEVICE_FAILURE, "exception 4, server device failure", partial(DeviceException, 4)),
     # Readings stay good: the device answers and confirms, and keeps what it had.
-    "ignore-writes": Fault(Quality.GOOD, "the device confirmed the write, but has not stored it", WriteUnverified),
+    "ignore-writes": SoftFault(Quality.GOOD, "the device confirmed the write, but has not stored it", WriteUnverified),
 }
-_CLOSED = Fault(Quality.NOT_CONNECTED, "not opened", LinkDown, reachable=False)
+_CLOSED = SoftFault(Quality.NOT_CONNECTED, "not opened", LinkDown, reachable=False)
 
 
 def open_soft(
@@ -92,7 +92,7 @@ class SoftDriver:
     """An in-memory or replayed device; a Driver that Writes and Streams. Made by `open_soft`."""
 
     def __init__(
-        self, settings: SoftSettings, recording: Recording | None, *, clock: Clock, write_map: tuple[Tag, ...]
+        self, settings: SoftSettings, recording: SoftRecording | None, *, clock: Clock, write_map: tuple[Tag, ...]
     ) -> None:
         self._settings = settings
         self._recording = recording
@@ -224,7 +224,7 @@ class SoftDriver:
             return None, Quality.WAITING_FOR_INITIAL_DATA, "nothing has been put yet"
         return self._recorded(tag, self._recording, row, now)
 
-    def _recorded(self, tag: Tag, recording: Recording, row: int, now: float) -> Reading:
+    def _recorded(self, tag: Tag, recording: SoftRecording, row: int, now: float) -> Reading:
         signal = next((name for name in (tag.name, tag.address) if name in recording.columns), None)
         if signal is None:
             names = ", ".join(recording.columns)
@@ -242,23 +242,23 @@ class SoftDriver:
         start = self._start(self._recording)
         return self._recording.row_at(self._recording.times[0] + (now - start) * self._speed)
 
-    def _played_at(self, recording: Recording, row: int) -> float:
+    def _played_at(self, recording: SoftRecording, row: int) -> float:
         """The row's moment by the driver's clock."""
         offset = recording.time_of(row) - recording.times[0]
         return self._start(recording) + offset / self._speed
 
-    def _start(self, recording: Recording) -> float:
+    def _start(self, recording: SoftRecording) -> float:
         start: float | None = self._settings.start
         return recording.times[0] if start is None else start
 
-    def _failure(self) -> Fault | None:
+    def _failure(self) -> SoftFault | None:
         """What keeps readings from being answered at present."""
         if not self._open:
             return _CLOSED
         fault = self._active_fault()
         return fault if fault is not None and fault.quality is not Quality.GOOD else None
 
-    def _active_fault(self) -> Fault | None:
+    def _active_fault(self) -> SoftFault | None:
         if self._fault is not None:
             return FAULTS[self._fault]
         since = 0.0 if self._opened_at is None else self._clock() - self._opened_at
@@ -300,7 +300,7 @@ class _Listener:
 
 def _sample(tag: Tag, reading: Reading, time: float, sent: float | None) -> Sample:
     value, quality, reason = reading
-    return Sample(tag.name, value, quality, time, sent, reason)
+    return Sample(tag.name, value, quality, time, sent=sent, reason=reason)
 
 
 def _as_tag(tag: Tag, value: Value | None) -> Reading:
@@ -320,7 +320,7 @@ def _as_tag(tag: Tag, value: Value | None) -> Reading:
     return number, *judge(tag, number)
 
 
-def _recording(settings: SoftSettings) -> Recording | None:
+def _recording(settings: SoftSettings) -> SoftRecording | None:
     """The recording that the settings name, if any. Raises DriverError."""
     times, columns = settings.times, settings.columns
     if settings.csv is not None:

@@ -33,7 +33,7 @@ class Vehicle:
         self.problems: dict[str, str] = {}
 
     @property
-    def parameters(self) -> Sequence[obd.Wanted]:
+    def parameters(self) -> Sequence[obd.ObdTag]:
         """The OBD-II parameters that the tags need, for whoever asks for them."""
         return [obd.wanted(tag) for tag in self._obd]
 

@@ -6,7 +6,7 @@ from contextlib import suppress
 
 from drivers.can.frame import CanFrame
 from drivers.can.notations import Send
-from drivers.can.reception import Channel, Reception, Rules, Slot
+from drivers.can.reception import Channel, MessageRules, Reception, Slot
 from drivers.can.settings import CanSettings
 from drivers.codec import Reading
 from drivers.driver import PlanKind, PlanLine
@@ -42,7 +42,7 @@ class LiveVehicle:
             raise AddressError(problem)
         if tag.name not in self._places:
             # No frame has a negative key: a slot of its own, which ages and restarts like the others.
-            rules = Rules(-1 - len(self._places), tag.address)
+            rules = MessageRules(-1 - len(self._places), tag.address)
             self._places[tag.name] = self._reception.listen(rules, (), self._vehicle.timeout(tag), now)
         return self._places[tag.name]
 
@@ -55,10 +55,10 @@ class LiveVehicle:
             with suppress(DriverError):  # the unit waits in vain, and is asked again in the next round
                 self._poller.take(timed)
         fresh = []
-        for found in self._vehicle.take(timed):
-            _, slot = self._places[found.tag.name]
+        for reading in self._vehicle.take(timed):
+            _, slot = self._places[reading.tag.name]
             slot.frame, slot.heard = frame, now
-            self._readings[id(slot)] = found.reading
+            self._readings[id(slot)] = reading.reading
             fresh.append(slot)
         if fresh:
             self._reception.heard = now
@@ -83,19 +83,21 @@ class LiveVehicle:
     def start(self, send: Send) -> None:
         """Begin to ask, if the settings say so: the bus is there (anew)."""
         self.stop()
-        if self._poller is not None:
-            self._polling = asyncio.create_task(_ask(self._poller, send), name="obd poll")
+        poller = self._poller
+        if poller is None:
+            return
+
+        async def ask() -> None:
+            # Until cancelled; a bus that takes no frame (nobody acknowledges, the queue is full) is tried again.
+            while True:
+                with suppress(DriverError):
+                    await poller.run(send)
+                await asyncio.sleep(_RETRY)
+
+        self._polling = asyncio.create_task(ask(), name="obd poll")
 
     def stop(self) -> None:
         """Stop asking."""
         polling, self._polling = self._polling, None
         if polling is not None:
             polling.cancel()
-
-
-async def _ask(poller: Poller, send: Send) -> None:
-    """Until cancelled; a bus that takes no frame (nobody acknowledges, the queue is full) is tried again."""
-    while True:
-        with suppress(DriverError):
-            await poller.run(send)
-        await asyncio.sleep(_RETRY)

@@ -186,7 +186,14 @@ class Log:
             self.note("refused", f"no frame has the identifier {message.arbitration_id:X} at {message.timestamp}")
             return None
         channel = "" if message.channel is None else str(message.channel)
-        return CanFrame(message.timestamp, message.arbitration_id, message.is_extended_id, data, channel, message.is_fd)
+        return CanFrame(
+            time=message.timestamp,
+            id=message.arbitration_id,
+            extended=message.is_extended_id,
+            data=data,
+            channel=channel,
+            fd=message.is_fd,
+        )
 
     def note(self, what: str, sentence: str) -> None:
         """Count a fault; the first one is remembered."""

@@ -12,7 +12,7 @@ from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import Quality, Tag
 from drivers.vehicle import address
-from drivers.vehicle.address import Place
+from drivers.vehicle.address import VehicleAddress
 from drivers.vehicle.isotp import Reassembler
 from drivers.vehicle.obd_pids import PidField, pids, single_frame
 
@@ -49,11 +49,11 @@ _CODE_SYSTEMS = "PCBU"
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class ObdTag:
     """One tag: the service and parameter that hold it, and the field (none for a text or a list)."""
 
     tag: Tag
-    where: Place
+    where: VehicleAddress
     service: int
     parameter: int
     field: PidField | None
@@ -69,7 +69,7 @@ class _Request:
     parameters: bytes
 
 
-def wanted(tag: Tag) -> Wanted:
+def wanted(tag: Tag) -> ObdTag:
     """What the tag's address means. Raises AddressError with what would be right."""
     where = address.place(tag)
     name, _, part = where.what.partition(".")
@@ -77,7 +77,7 @@ def wanted(tag: Tag) -> Wanted:
         service, parameter = _WORDS[name]
         if part not in ("", "count") or (part and service == VEHICLE):
             raise AddressError(f"{tag.name}: {tag.address!r}: {name} has no {part!r}")
-        return Wanted(tag, where, service, parameter, None, part == "count")
+        return ObdTag(tag, where, service, parameter, field=None, count=part == "count")
     try:
         number = int(name, 16)
     except ValueError:
@@ -92,14 +92,14 @@ def wanted(tag: Tag) -> Wanted:
     if part not in (*names, "") or (not part and len(names) > 1):
         first = f"obd:{number:02X}.{names[0]}"
         raise AddressError(f"{tag.name}: parameter {number:02X} has {', '.join(names)}; give one, such as {first!r}")
-    return Wanted(tag, where, CURRENT, number, pid.fields[part or names[0]])
+    return ObdTag(tag, where, CURRENT, number, pid.fields[part or names[0]])
 
 
 class ObdListener:
     """Readings of `obd:` tags from the frames of one or more buses. Raises AddressError for a tag it cannot mean."""
 
     def __init__(self, tags: Sequence[Tag]) -> None:
-        self._wanted: dict[tuple[int, int, int], list[Wanted]] = {}
+        self._wanted: dict[tuple[int, int, int], list[ObdTag]] = {}
         self._found_units: dict[tuple[str, int], Reassembler] = {}
         self._requests: dict[tuple[str, int], _Request] = {}
         self._counts = dict.fromkeys(("answers", "unread", "refusals", "unasked_refusals", "requests"), 0)
@@ -137,15 +137,15 @@ class ObdListener:
         service = payload[0] - ANSWER
         if payload[0] == REFUSAL:
             return self._refused(frame, payload)
-        found: Sequence[TagReading] | None = None
+        readings: Sequence[TagReading] | None = None
         if service == CURRENT:
-            found = self._current(frame.id, payload)
+            readings = self._current(frame.id, payload)
         elif service in (STORED, PENDING, PERMANENT):
-            found = self._codes(frame.id, service, payload)
+            readings = self._codes(frame.id, service, payload)
         elif service == VEHICLE:
-            found = self._vehicle(frame.id, payload)
-        self._counts["unread" if found is None else "answers"] += 1
-        return found or ()
+            readings = self._vehicle(frame.id, payload)
+        self._counts["unread" if readings is None else "answers"] += 1
+        return readings or ()
 
     def _current(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """Service 01: one or several parameters, each number followed by its data; None if they do not add up."""
@@ -178,7 +178,14 @@ class ObdListener:
         if len(payload) < 2 or len(payload) != 2 + 2 * payload[1]:
             return None
         codes = [trouble_code(payload[at], payload[at + 1]) for at in range(2, len(payload), 2)]
-        return [TagReading(one.tag, _listed(one, codes)) for one in self._wanted.get((unit, service, 0), ())]
+        count, text = len(codes), " ".join(codes)
+        return [
+            TagReading(
+                one.tag,
+                address.number(one.tag, one.where, count, whole=True) if one.count else address.text(one.tag, text),
+            )
+            for one in self._wanted.get((unit, service, 0), ())
+        ]
 
     def _vehicle(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """Service 09: parameter, number of items, text."""
@@ -205,7 +212,7 @@ class ObdListener:
         self._counts["refusals"] += 1
         if code == RESPONSE_PENDING:
             return ()
-        request = self._asked(frame, service)
+        request = self._request_before(frame, service)
         if request is None:
             self._counts["unasked_refusals"] += 1
             return ()
@@ -215,7 +222,7 @@ class ObdListener:
         ones = [one for number in parameters for one in self._wanted.get((frame.id, service, number), ())]
         return [TagReading(one.tag, (None, quality, reason)) for one in ones]
 
-    def _asked(self, frame: CanFrame, service: int) -> _Request | None:
+    def _request_before(self, frame: CanFrame, service: int) -> _Request | None:
         """The latest request for the service, to this unit or to all."""
         requests = [self._requests.get((frame.channel, unit)) for unit in (frame.id, 0)]
         fitting = [
@@ -248,7 +255,7 @@ def trouble_code(high: int, low: int) -> str:
     return f"{_CODE_SYSTEMS[high >> 6]}{high >> 4 & 3}{high & 15:X}{low:02X}"
 
 
-def _field(one: Wanted, field: PidField, frame: bytes) -> Reading:
+def _field(one: ObdTag, field: PidField, frame: bytes) -> Reading:
     if not all(condition.met(frame) for condition in field.conditions):
         return None, Quality.NO_DATA, f"{field.name} is not there in this vehicle"
     raw = field.bits.get(frame)
@@ -258,11 +265,3 @@ def _field(one: Wanted, field: PidField, frame: bytes) -> Reading:
         raw -= 1 << field.bits.length
     is_whole = field.scale.is_integer() and field.offset.is_integer()
     return address.number(one.tag, one.where, raw * field.scale + field.offset, whole=is_whole)
-
-
-def _listed(one: Wanted, codes: Sequence[str]) -> Reading:
-    return (
-        address.number(one.tag, one.where, len(codes), whole=True)
-        if one.count
-        else address.text(one.tag, " ".join(codes))
-    )

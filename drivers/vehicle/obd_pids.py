@@ -16,7 +16,7 @@ import cantools
 from cantools.database.can import Database, Signal
 
 from drivers.can.dbc import bits_of, conditions_of
-from drivers.can.fields import Bits, Condition
+from drivers.can.fields import Bits, LayoutCondition
 
 FILE = Path(__file__).with_name("obd.dbc")
 ANSWER_TO_CURRENT = 0x41
@@ -34,7 +34,7 @@ class PidField:
 
     name: str
     bits: Bits
-    conditions: tuple[Condition, ...]
+    conditions: tuple[LayoutCondition, ...]
     scale: float
     offset: float
     unit: str

@@ -200,9 +200,9 @@ class CanLogDriver:
         self._counts["frames"] += 1
         moment = (self._began or 0.0) + played / self._speed
         # Timeouts of the transport protocols run on the line that is played, which never goes back.
-        for found in self._decoder.take(frame._replace(time=played)):
+        for reading in self._decoder.take(frame._replace(time=played)):
             self._counts["readings"] += 1
-            self._held[found.tag.name] = _Held(found.reading, moment, played)
+            self._held[reading.tag.name] = _Held(reading.reading, moment, played)
 
     def _following(self) -> tuple[CanFrame, float] | None:
         """The next frame of the bus and its moment on the line; with `loop` the log never ends."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.device_file import BlockTable, read_device_file
+from drivers.device_file import BlockField, BlockTable, read_device_file
 from drivers.driver import capabilities
 from drivers.settings import ConfigError
 from drivers.tag import Tag
@@ -16,15 +16,6 @@ BLOCK_FIELDS = (
     "minutes_median", "minutes_high", "zone", "alarms", "anomaly", "model_hash", "crc", "sequence_copy",
 )  # fmt: skip
 """Every field that the gateway can fill. A map may leave some out or order them differently, the last two apart."""
-
-
-@dataclass(frozen=True, slots=True)
-class BlockField:
-    """One 16-bit word of the block: stored = round(value / scale), int16 or uint16."""
-
-    name: str
-    signed: bool
-    scale: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +96,7 @@ def _layout(table: BlockTable) -> WritebackLayout:
         version=table.layout_version,
         timeout=table.timeout_s,
         unknown=table.unknown,
-        fields=tuple(BlockField(row.name, row.dtype == "int16", row.scale) for row in table.fields),
+        fields=tuple(row.field() for row in table.fields),
         words=tuple(
             Tag(f"Writeback.{row.name}", _word_address(table.address, index, row.name), writable=True)
             for index, row in enumerate(table.fields)

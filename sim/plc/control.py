@@ -15,16 +15,16 @@ from collections.abc import Callable, Mapping
 
 from drivers import json_lines
 from drivers.json_lines import NoObject
-from sim.plc.checks import InputError, checked_arguments, listed, signature_of
-from sim.plc.faults import parse_fault
-from sim.plc.program import Plc
-from sim.plc.replay import Replay
+from sim.plc.program.checks import InputError, checked_arguments, listed, signature_of
+from sim.plc.program.faults import parse_fault
+from sim.plc.program.plc import Plc
+from sim.plc.program.replay import TraceReplay
 
 Outcome = dict[str, object]
 _LONGEST = 65536
 
 
-def _replay(plc: Plc) -> Replay:
+def _replay(plc: Plc) -> TraceReplay:
     if plc.replay is None:
         raise InputError("there is no trace to replay; start with --trace FILE")
     return plc.replay

@@ -12,7 +12,7 @@ from drivers.can.hub import Hub
 from drivers.errors import ReplyTimeout
 from drivers.modbus.settings import read_settings
 from drivers.modbus.survey import ModbusSurvey
-from drivers.survey import Words
+from drivers.survey import ReadWords
 from gateway.commission.survey.register_map import ReadableMap, search
 from gateway.commission.survey.registers import _Asking
 from tests.commission.bench import answer, at, plc
@@ -110,10 +110,10 @@ def test_a_table_that_the_device_does_not_offer_is_its_exception(tmp_path: Path)
 
 async def test_silence_at_one_address_is_a_refusal_while_the_device_still_answers_elsewhere() -> None:
     class Mute(ModbusSurvey):
-        async def read(self, area: str, start: int, count: int, unit: int | None = None) -> Words:
+        async def read(self, area: str, start: int, count: int, unit: int | None = None) -> ReadWords:
             if start <= 5 < start + count:
                 raise ReplyTimeout("no reply")
-            return Words((0,) * count, 0.001)
+            return ReadWords((0,) * count, 0.001)
 
     asking = _Asking(Mute(read_settings({"host": "127.0.0.1"}), time.time), "holding")
     assert await asking.answers(0, 5)

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 NAMES = {*DRIVERS, *LINKS}
 # "can" is also what frames are (drivers.tap.Medium), and a face of the software PLC; neither is a driver.
 MEDIA = ("medium",)
-FACES = ("sim/plc/faces.py", "sim/plc/faults.py", "sim/plc/can/face.py")
+FACES = ("sim/plc/faces.py", "sim/plc/program/faults.py", "sim/plc/can/face.py")
 
 
 def _names_in(node: ast.AST) -> set[str]:

@@ -38,7 +38,8 @@ async def bench(request: pytest.FixtureRequest) -> AsyncIterator[Bench]:
 
 
 def writing(bench: Bench) -> Writes:
-    assert isinstance(bench.driver, Writes)
+    if not isinstance(bench.driver, Writes):  # that its row says so, too, test_its_row_says_what_it_is holds
+        pytest.skip("this driver does not write")
     return bench.driver
 
 

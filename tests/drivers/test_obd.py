@@ -16,7 +16,7 @@ from drivers.errors import AddressError
 from drivers.tag import DType, Quality, Tag
 from drivers.vehicle.obd import ObdListener, trouble_code, wanted
 from drivers.vehicle.obd_pids import FILE, pids
-from drivers.vehicle.obd_poll import questions
+from drivers.vehicle.obd_poll import requests_for
 from tests.drivers.can_frames import isotp, timed
 
 SPEED = Tag("speed", "obd:0C", unit="rpm")
@@ -217,9 +217,9 @@ def test_noise_on_the_answers_identifiers_never_raises(frames: list[tuple[int, b
 def test_requests_are_made_once_a_parameter_and_go_to_the_unit_that_shall_answer() -> None:
     tags = [SPEED, replace(SPEED, name="running", address="obd:0C>9", dtype=DType.BOOL), VIN, CODES]
     ones = [wanted(tag) for tag in (*tags, replace(COOLANT, address="obd:05@7E9"))]
-    short = questions(ones, extended=False)
-    assert [(one.request, one.data[:3].hex()) for one in short] == [
+    short = requests_for(ones, extended=False)
+    assert [(one.request_id, one.data[:3].hex()) for one in short] == [
         (0x7E0, "02010c"), (0x7E0, "020902"), (0x7E0, "010355"), (0x7E1, "020105"),
     ]  # fmt: skip
     assert all(len(one.data) == 8 for one in short)
-    assert questions(ones, extended=True)[0][:3] == (0x18DAF110, 0x18DA10F1, True)
+    assert requests_for(ones, extended=True)[0][:3] == (0x18DAF110, 0x18DA10F1, True)

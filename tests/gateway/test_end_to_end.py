@@ -158,14 +158,16 @@ def test_a_gateway_that_is_killed_starts_again_with_an_intact_historian_and_whol
         stored = 0
         for number in range(3):
             before = plc.order("status")["accepted"]
+            wanted, enough = before + 8 + 7 * number, stored + 5
             with subprocess.Popen(command, cwd=ROOT) as gateway:
-                wanted = before + 8 + 7 * number
-                wait_until(lambda: plc.order("status")["accepted"] > wanted or gateway.poll() is not None)  # noqa: B023
-                enough = stored + 5
-                wait_until(lambda: _stored_blocks(history_path) >= enough or gateway.poll() is not None)  # noqa: B023
-                committed = _stored_blocks(history_path)
-                gateway.kill()
-                gateway.wait(10.0)
+                # Whatever comes of the waiting, the process ends here: `with` alone would wait for it for ever.
+                try:
+                    wait_until(lambda: plc.order("status")["accepted"] > wanted or gateway.poll() is not None)  # noqa: B023
+                    wait_until(lambda: _stored_blocks(history_path) >= enough or gateway.poll() is not None)  # noqa: B023
+                    assert gateway.poll() is None, "it has ended by itself"
+                    committed = _stored_blocks(history_path)
+                finally:
+                    gateway.kill()
             with closing(sqlite3.connect(history_path)) as connection:
                 assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
             stored = _stored_blocks(history_path)

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from drivers.tag import Order
-from sim.plc.checks import InputError
-from sim.plc.registers import Place, read_map
+from sim.plc.program.checks import InputError
+from sim.plc.program.registers import Place, read_map
 from tests.plc.bench import DECANTER
 
 GOOD = """

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.driver import capabilities
-from drivers.tap import Frame, Medium
+from drivers.tap import Medium, TapFrame
 from gateway.commission.session.pcap import PcapWriter
 
 _GREETING = 64
@@ -28,7 +28,7 @@ class FrameEvidence:
         self._lock = threading.Lock()
         self._pcap = PcapWriter(pcap, medium) if pcap is not None else None
 
-    def take(self, frame: Frame) -> None:
+    def take(self, frame: TapFrame) -> None:
         """Count, hash and keep one frame; the hash is over direction, length and bytes of every frame in order.
 
         A driver may send in one thread and receive in another.

@@ -9,7 +9,7 @@ import struct
 from pathlib import Path
 from typing import BinaryIO
 
-from drivers.tap import Frame, Medium
+from drivers.tap import Medium, TapFrame
 
 LINK_TYPES: dict[Medium, int] = {"tcp": 101, "serial": 147, "can": 227}
 """LINKTYPE_RAW (IP from the first byte), LINKTYPE_USER0 (RTU bytes as they stand), LINKTYPE_CAN_SOCKETCAN."""
@@ -32,7 +32,7 @@ class PcapWriter:
         self._file.write(struct.pack(">IHHiIII", _MAGIC, 2, 4, 0, 0, _LONGEST, LINK_TYPES[medium]))
         self._moved: dict[tuple[str, str], int] = {}
 
-    def write(self, frame: Frame) -> None:
+    def write(self, frame: TapFrame) -> None:
         """Append one frame, durable against the end of the program."""
         if frame.medium != self.medium:
             self.foreign += 1
@@ -47,7 +47,7 @@ class PcapWriter:
         """Close the file."""
         self._file.close()
 
-    def _packet(self, frame: Frame) -> bytes:
+    def _packet(self, frame: TapFrame) -> bytes:
         ours, theirs = frame.local or _UNKNOWN, frame.place or _UNKNOWN
         source, target = (ours, theirs) if frame.sent else (theirs, ours)
         sequence, heard = self._moved.get((source, target), 1), self._moved.get((target, source), 1)

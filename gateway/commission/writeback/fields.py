@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping
 
+from drivers.device_file import BlockField
 from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE
-from gateway.settings.devices import BlockField, WritebackLayout
+from gateway.settings.devices import WritebackLayout
 
 MEANINGS: Mapping[str, tuple[str, str]] = {
     "layout_version": ("", "the layout of this block"),

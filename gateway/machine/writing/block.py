@@ -7,7 +7,8 @@ from enum import IntFlag
 from math import isfinite
 from struct import pack
 
-from gateway.settings.devices import BlockField, WritebackLayout
+from drivers.device_file import BlockField
+from gateway.settings.devices import WritebackLayout
 
 NO_TEMPERATURE = 0x8000
 """The int16 word of a number that is not known (-32768): no real number saturates to it."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from drivers.tag import Value
-from sim.plc.registers import BlockLayout, RegisterMap
+from sim.plc.program.registers import BlockLayout, RegisterMap
 
 ACCEPTED = "none"
 LAYOUT = "layout version"

@@ -15,13 +15,13 @@ class InputError(ValueError):
     """A file, an argument or a command that the PLC cannot use; the message is for the one who wrote it."""
 
 
-class Entry(BaseModel):
+class FileTable(BaseModel):
     """A table of a TOML or JSON file: unknown keys and wrong types are refused. A field's description is its remedy."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-E = TypeVar("E", bound=Entry)
+E = TypeVar("E", bound=FileTable)
 
 
 def read_text(path: Path, what: str) -> str:

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from random import Random
 
-from sim.plc.checks import InputError
-from sim.plc.faults import Effect, Fault, merged
+from sim.plc.program.checks import InputError
+from sim.plc.program.faults import FaultEffect, OrderedFault, merged
 
 
 @dataclass(slots=True)
@@ -13,7 +13,7 @@ class Scheduled:
     """A fault and how far it has come; `begins` is monotonic seconds."""
 
     number: int
-    fault: Fault
+    fault: OrderedFault
     begins: float
     rng: Random
     hits: int = 0
@@ -31,25 +31,25 @@ class Scheduled:
         """True when it has struck as many requests as it was to."""
         return self.fault.count is not None and self.hits >= self.fault.count
 
-    def effect(self, now: float) -> Effect:
+    def effect(self, now: float) -> FaultEffect:
         """What it does at the moment."""
         return self.fault.effect(now - self.begins)
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class CycleFaults:
     """What a cycle asks of the faces: the faults in force, and those that have just begun.
 
     Each effect stands beside the face that it strikes, "" for all of them; `at` narrows the line to one face.
     """
 
-    standing: tuple[tuple[str, Effect], ...] = ()
-    begun: tuple[tuple[str, Effect], ...] = ()
+    standing: tuple[tuple[str, FaultEffect], ...] = ()
+    begun: tuple[tuple[str, FaultEffect], ...] = ()
 
-    def at(self, face: str) -> "Line":
+    def at(self, face: str) -> "CycleFaults":
         """The line as one face has to obey it."""
         standing = tuple(pair for pair in self.standing if pair[0] in ("", face))
-        return Line(standing, tuple(pair for pair in self.begun if pair[0] in ("", face)))
+        return CycleFaults(standing, tuple(pair for pair in self.begun if pair[0] in ("", face)))
 
     @property
     def listen(self) -> bool:
@@ -68,14 +68,14 @@ class Line:
 
 
 @dataclass(slots=True)
-class Schedule:
+class FaultSchedule:
     """All faults that were ordered, by number from 1 on."""
 
     seed: int = 0
     entries: list[Scheduled] = field(default_factory=list)
     _last: int = 0
 
-    def add(self, fault: Fault, origin: float) -> int:
+    def add(self, fault: OrderedFault, origin: float) -> int:
         """Order a fault whose `start` counts from `origin`; gives its number."""
         self._last += 1
         rng = Random(f"{self.seed}:{self._last}")  # noqa: S311 - a repeatable bench, not a secret
@@ -100,16 +100,16 @@ class Schedule:
         self.entries = [entry for entry in self.entries if entry not in over]
         return begun, [entry for entry in over if entry.began]
 
-    def standing(self, now: float) -> Effect:
+    def standing(self, now: float) -> FaultEffect:
         """The merged effect of all faults in force on the PLC as a whole."""
         return merged(entry.effect(now) for entry in self.entries if entry.in_force(now))
 
-    def line(self, begun: Iterable[Scheduled], now: float) -> Line:
+    def line(self, begun: Iterable[Scheduled], now: float) -> CycleFaults:
         """What the faces have to do in the cycle in which the faults `begun` have begun."""
         standing = tuple((entry.fault.face, entry.effect(now)) for entry in self.entries if entry.in_force(now))
-        return Line(standing, tuple((entry.fault.face, entry.effect(now)) for entry in begun))
+        return CycleFaults(standing, tuple((entry.fault.face, entry.effect(now)) for entry in begun))
 
-    def strike(self, function: int, now: float, face: str = "") -> Iterator[tuple[Scheduled, Effect]]:
+    def strike(self, function: int, now: float, face: str = "") -> Iterator[tuple[Scheduled, FaultEffect]]:
         """The faults that hit a request of this function code at a face, each with its effect; they are counted."""
         for entry in self.entries:
             wanted = not entry.fault.functions or function in entry.fault.functions

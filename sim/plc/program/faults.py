@@ -9,26 +9,28 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from random import Random
+from typing import TypeVar
 
 from pydantic import ConfigDict, Field
 
-from sim.plc.can.bend import CanBend
-from sim.plc.canopen.bend import NodeBend
-from sim.plc.checks import Entry, InputError, checked_arguments, listed, signature_of, validated
-from sim.plc.modbus.messages import Reply, Request, exception
-from sim.plc.registers import parse_address
+from sim.plc.program.checks import FileTable, InputError, checked_arguments, listed, signature_of, validated
+from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance
+from sim.plc.program.pdu import ModbusReply, ModbusRequest, exception
+from sim.plc.program.registers import parse_address
 
-Alter = Callable[[Request, Reply, Random], Reply]
+Make = TypeVar("Make", bound=Callable[..., "FaultEffect"])
+Alter = Callable[[ModbusRequest, ModbusReply, Random], ModbusReply]
 ALL_TAGS = "*"
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class FaultEffect:
     """What a fault does while it is in force; the defaults are a healthy PLC.
 
     `reset` and `deafen` happen once, when the fault begins: all connections are reset, or are left open and never
-    served again. `refused` gives the exception code of an address. `can` bends frames, `node` a CANopen node; `abort`
-    is the code by which SDO requests are aborted.
+    served again. `refused` gives the exception code of an address. `answer` changes how and when an answer goes out
+    at any face, `alter` what is in a Modbus frame. `can` disturbs frames, `node` a CANopen node; `abort` is the code
+    by which SDO requests are aborted.
     """
 
     listen: bool = True
@@ -40,244 +42,256 @@ class Effect:
     frozen: frozenset[str] = frozenset()
     refused: tuple[tuple[str, int], ...] = ()
     code: int | None = None
+    answer: Alter | None = None
     alter: Alter | None = None
-    can: CanBend | None = None
-    node: NodeBend | None = None
+    can: BusDisturbance | None = None
+    node: NodeDisturbance | None = None
     abort: int | None = None
 
     @property
     def per_request(self) -> bool:
         """True if the fault strikes single requests, so that they can be counted, chosen and drawn."""
-        return not self.store or bool(self.refused) or self.alter is not None or {self.code, self.abort} != {None}
+        altering = self.answer is not None or self.alter is not None
+        return not self.store or bool(self.refused) or altering or {self.code, self.abort} != {None}
 
 
-def refuse(_: float, *, reset: bool = True) -> Effect:
+FAULTS: dict[str, Callable[..., FaultEffect]] = {}
+"""Every fault by its name."""
+ONLY_AT: dict[str, tuple[str, ...]] = {}
+"""The faults that only some faces can show, with those faces; all others strike any face."""
+
+
+def fault(*, name: str = "", only_at: tuple[str, ...] = ()) -> Callable[[Make], Make]:
+    """Enter a function into the table of faults, under its own name or another: that is all that a fault needs.
+
+    Its docstring's first line and its keyword parameters, with their defaults, are what the documentation prints.
+    """
+
+    def enter(function: Make) -> Make:
+        FAULTS[name or function.__name__] = function
+        if only_at:
+            ONLY_AT[name or function.__name__] = only_at
+        return function
+
+    return enter
+
+
+def shown_at(kind: str, face: str) -> bool:
+    """True if the face can show this fault."""
+    return face in ONLY_AT.get(kind, (face,))
+
+
+@fault()
+def refuse(_: float, *, reset: bool = True) -> FaultEffect:
     """The listener is closed: connecting is refused. `reset`: open connections are reset too."""
-    return Effect(listen=False, reset=reset)
+    return FaultEffect(listen=False, reset=reset)
 
 
-def silent(_: float) -> Effect:
+@fault()
+def silent(_: float) -> FaultEffect:
     """Connections are accepted, requests are acted on, and no reply is sent."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, sent=False))
+    return FaultEffect(answer=lambda request, reply, rng: replace(reply, sent=False))
 
 
-def half_open(_: float) -> Effect:
+@fault()
+def half_open(_: float) -> FaultEffect:
     """Connections that are open when it begins stay open and are never served again; new ones are served."""
-    return Effect(deafen=True)
+    return FaultEffect(deafen=True)
 
 
-def reset(_: float, *, after: int = -1) -> Effect:
+@fault()
+def reset(_: float, *, after: int = -1) -> FaultEffect:
     """Sends the first `after` bytes of the reply (-1: drawn), then resets the connection."""
 
-    def alter(_: Request, reply: Reply, rng: Random) -> Reply:
+    def alter(_: ModbusRequest, reply: ModbusReply, rng: Random) -> ModbusReply:
         length = len(reply.frame())
         return replace(reply, cut=rng.randrange(1, length) if after < 0 else min(after, length))
 
-    return Effect(alter=alter)
+    return FaultEffect(alter=alter)
 
 
-def late(_: float, *, delay_s: float = 1.0) -> Effect:
+@fault()
+def late(_: float, *, delay_s: float = 1.0) -> FaultEffect:
     """The reply holds what was true when the request came, and is sent `delay_s` later."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, delay_s=reply.delay_s + max(0.0, delay_s)))
+    return FaultEffect(answer=lambda request, reply, rng: replace(reply, delay_s=reply.delay_s + max(0.0, delay_s)))
 
 
-def duplicate(_: float, *, copies: int = 2) -> Effect:
+@fault()
+def duplicate(_: float, *, copies: int = 2) -> FaultEffect:
     """The reply is sent `copies` times."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, copies=max(1, copies)))
+    return FaultEffect(answer=lambda request, reply, rng: replace(reply, copies=max(1, copies)))
 
 
-def split(_: float, *, piece: int = 1) -> Effect:
+@fault()
+def split(_: float, *, piece: int = 1) -> FaultEffect:
     """The reply is sent in pieces of `piece` bytes, each in a segment of its own."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, piece=max(1, piece)))
+    return FaultEffect(alter=lambda request, reply, rng: replace(reply, piece=max(1, piece)))
 
 
-def garbage(_: float, *, length: int = 16) -> Effect:
+@fault()
+def garbage(_: float, *, length: int = 16) -> FaultEffect:
     """Drawn bytes are sent instead of the reply."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, raw=rng.randbytes(max(0, length))))
+    return FaultEffect(answer=lambda request, reply, rng: replace(reply, raw=rng.randbytes(max(0, length))))
 
 
-def wrong_unit(_: float, *, unit: int = -1) -> Effect:
+@fault()
+def wrong_unit(_: float, *, unit: int = -1) -> FaultEffect:
     """The reply names another `unit` (-1: the next one)."""
 
-    def alter(request: Request, reply: Reply, _: Random) -> Reply:
+    def alter(request: ModbusRequest, reply: ModbusReply, _: Random) -> ModbusReply:
         return replace(reply, unit=(request.unit + 1 if unit < 0 else unit) & 0xFF)
 
-    return Effect(alter=alter)
+    return FaultEffect(alter=alter)
 
 
-def wrong_function(_: float, *, function: int = -1) -> Effect:
+@fault()
+def wrong_function(_: float, *, function: int = -1) -> FaultEffect:
     """The reply names another `function` (-1: 4 for 3, 3 for 4, else the next one)."""
 
-    def alter(request: Request, reply: Reply, _: Random) -> Reply:
+    def alter(request: ModbusRequest, reply: ModbusReply, _: Random) -> ModbusReply:
         other = {3: 4, 4: 3}.get(request.function, request.function + 1) if function < 0 else function
         return replace(reply, pdu=bytes((other & 0xFF,)) + reply.pdu[1:])
 
-    return Effect(alter=alter)
+    return FaultEffect(alter=alter)
 
 
-def wrong_count(_: float, *, delta: int = -1, honest: bool = True) -> Effect:
+@fault()
+def wrong_count(_: float, *, delta: int = -1, honest: bool = True) -> FaultEffect:
     """The reply holds `delta` registers (or bytes of bits) more or fewer than asked; a write's echo has another count.
 
     `honest`: the byte count tells the truth about it; otherwise it still says what was asked for.
     """
-    return Effect(alter=lambda request, reply, rng: replace(reply, pdu=_recounted(reply.pdu, delta, honest)))
+    return FaultEffect(alter=lambda request, reply, rng: replace(reply, pdu=_recounted(reply.pdu, delta, honest)))
 
 
-def wrong_transaction(_: float, *, offset: int = 1) -> Effect:
+@fault()
+def wrong_transaction(_: float, *, offset: int = 1) -> FaultEffect:
     """The reply names another transaction, `offset` away from the request's."""
-    return Effect(alter=lambda request, reply, rng: replace(reply, transaction=(reply.transaction + offset) & 0xFFFF))
+    return FaultEffect(
+        alter=lambda request, reply, rng: replace(reply, transaction=(reply.transaction + offset) & 0xFFFF)
+    )
 
 
-def refuse_request(_: float, *, code: int = 4) -> Effect:
+@fault(name="exception")
+def refuse_request(_: float, *, code: int = 4) -> FaultEffect:
     """Requests are answered with exception `code` (4 device failure, 6 busy, ...) and not acted on."""
-    return Effect(code=code & 0xFF)
+    return FaultEffect(code=code & 0xFF)
 
 
-def illegal_register(_: float, *, registers: list[str], code: int = 2) -> Effect:
+@fault()
+def illegal_register(_: float, *, registers: list[str], code: int = 2) -> FaultEffect:
     """Requests that touch one of `registers` (such as "holding:103") are answered with exception `code`."""
-    return Effect(refused=tuple((register, code & 0xFF) for register in registers))
+    return FaultEffect(refused=tuple((register, code & 0xFF) for register in registers))
 
 
-def frozen(_: float, *, tags: list[str] | None = None) -> Effect:
+@fault()
+def frozen(_: float, *, tags: list[str] | None = None) -> FaultEffect:
     """The registers of `tags` stand still while the truth goes on; without `tags` all do, the heartbeat included."""
-    return Effect(frozen=frozenset(tags or [ALL_TAGS]))
+    return FaultEffect(frozen=frozenset(tags or [ALL_TAGS]))
 
 
-def restart(elapsed_s: float, *, down_s: float = 1.0, zeros_s: float = 1.0) -> Effect:
+@fault()
+def restart(elapsed_s: float, *, down_s: float = 1.0, zeros_s: float = 1.0) -> FaultEffect:
     """The PLC restarts: connections reset, nobody listens for `down_s`, then zeros for `zeros_s`, then it runs again.
 
     Until the program runs every register, the heartbeat too, reads 0; the counters of blocks begin anew.
     """
-    return Effect(listen=elapsed_s >= down_s, run=False, reset=True, over=elapsed_s >= down_s + zeros_s)
+    return FaultEffect(listen=elapsed_s >= down_s, run=False, reset=True, over=elapsed_s >= down_s + zeros_s)
 
 
-def write_ignored(_: float) -> Effect:
+@fault()
+def write_ignored(_: float) -> FaultEffect:
     """Writes are confirmed and not stored."""
-    return Effect(store=False)
+    return FaultEffect(store=False)
 
 
-def wrong_checksum(_: float) -> Effect:
+@fault(only_at=("serial", "rtu-tcp"))
+def wrong_checksum(_: float) -> FaultEffect:
     """The last byte of the reply is another one, so that its CRC does not fit; only where frames have one."""
 
-    def alter(_: Request, reply: Reply, rng: Random) -> Reply:
+    def alter(_: ModbusRequest, reply: ModbusReply, rng: Random) -> ModbusReply:
         frame = reply.frame()
         return replace(reply, raw=frame[:-1] + bytes((frame[-1] ^ 0xFF,))) if reply.rtu else reply
 
-    return Effect(alter=alter)
+    return FaultEffect(alter=alter)
 
 
-def frame_loss(_: float, *, share: float = 0.3, messages: list[str] | None = None) -> Effect:
+@fault(only_at=("can", "canopen"))
+def frame_loss(_: float, *, share: float = 0.3, messages: list[str] | None = None) -> FaultEffect:
     """Of the CAN frames of `messages` (of all without it) a `share` in 0..1 is lost, as drawn."""
-    return Effect(can=CanBend(frozenset(messages or ()), loss=min(max(share, 0.0), 1.0)))
+    return FaultEffect(can=BusDisturbance(messages=frozenset(messages or ()), loss=min(max(share, 0.0), 1.0)))
 
 
-def short_frame(_: float, *, cut: int = 1, messages: list[str] | None = None) -> Effect:
+@fault(only_at=("can",))
+def short_frame(_: float, *, cut: int = 1, messages: list[str] | None = None) -> FaultEffect:
     """The CAN frames of `messages` have `cut` bytes fewer."""
-    return Effect(can=CanBend(frozenset(messages or ()), cut=max(1, cut)))
+    return FaultEffect(can=BusDisturbance(messages=frozenset(messages or ()), cut=max(1, cut)))
 
 
-def stale_message(_: float, *, messages: list[str] | None = None) -> Effect:
+@fault(only_at=("can",))
+def stale_message(_: float, *, messages: list[str] | None = None) -> FaultEffect:
     """The CAN frames of `messages` are repeated as they were, with counter and checksum, while the truth goes on."""
-    return Effect(can=CanBend(frozenset(messages or ()), stale=True))
+    return FaultEffect(can=BusDisturbance(messages=frozenset(messages or ()), stale=True))
 
 
-def corrupt_frame(_: float, *, messages: list[str] | None = None) -> Effect:
+@fault(only_at=("can",))
+def corrupt_frame(_: float, *, messages: list[str] | None = None) -> FaultEffect:
     """In each CAN frame of `messages` one drawn bit is another one."""
-    return Effect(can=CanBend(frozenset(messages or ()), corrupt=True))
+    return FaultEffect(can=BusDisturbance(messages=frozenset(messages or ()), corrupt=True))
 
 
-def babbling_node(_: float, *, rate: float = 2000.0, known: bool = False) -> Effect:
+@fault(only_at=("can", "canopen"))
+def babbling_node(_: float, *, rate: float = 2000.0, known: bool = False) -> FaultEffect:
     """A strange CAN node sends `rate` random frames a second, with random ids or (`known`) with the PLC's own."""
-    return Effect(can=CanBend(babble=min(max(rate, 0.0), 20_000.0), known=known))
+    return FaultEffect(can=BusDisturbance(babble=min(max(rate, 0.0), 20_000.0), known=known))
 
 
-def bus_off(_: float) -> Effect:
+@fault(only_at=("can", "canopen"))
+def bus_off(_: float) -> FaultEffect:
     """Every controller on the CAN bus is bus-off: nothing is sent and nothing heard."""
-    return Effect(can=CanBend(bus_off=True))
+    return FaultEffect(can=BusDisturbance(bus_off=True))
 
 
-def missing_heartbeat(_: float) -> Effect:
+@fault(only_at=("canopen",))
+def missing_heartbeat(_: float) -> FaultEffect:
     """The CANopen node sends no heartbeat, and everything else as before."""
-    return Effect(node=NodeBend(no_heartbeat=True))
+    return FaultEffect(node=NodeDisturbance(no_heartbeat=True))
 
 
-def short_pdo(_: float, *, pdo: int = 0, cut: int = 1) -> Effect:
+@fault(only_at=("canopen",))
+def short_pdo(_: float, *, pdo: int = 0, cut: int = 1) -> FaultEffect:
     """TPDO number `pdo` (0: every one) has `cut` bytes fewer than are mapped."""
-    return Effect(node=NodeBend(pdo=pdo, length=-max(1, cut)))
+    return FaultEffect(node=NodeDisturbance(pdo=pdo, length=-max(1, cut)))
 
 
-def long_pdo(_: float, *, pdo: int = 0, extra: int = 1) -> Effect:
+@fault(only_at=("canopen",))
+def long_pdo(_: float, *, pdo: int = 0, extra: int = 1) -> FaultEffect:
     """TPDO number `pdo` (0: every one) has `extra` bytes more than are mapped, as far as 8 bytes allow."""
-    return Effect(node=NodeBend(pdo=pdo, length=max(1, extra)))
+    return FaultEffect(node=NodeDisturbance(pdo=pdo, length=max(1, extra)))
 
 
-def emcy(_: float, *, code: int = 0x5000, register: int = 1) -> Effect:
+@fault(only_at=("canopen",))
+def emcy(_: float, *, code: int = 0x5000, register: int = 1) -> FaultEffect:
     """The CANopen node announces error `code` with this error register, and takes it back at the end."""
-    return Effect(node=NodeBend(emergency=(code & 0xFFFF, register & 0xFF)))
+    return FaultEffect(node=NodeDisturbance(emergency=(code & 0xFFFF, register & 0xFF)))
 
 
-def sdo_abort(_: float, *, code: int = 0x08000000) -> Effect:
+@fault(only_at=("canopen",))
+def sdo_abort(_: float, *, code: int = 0x08000000) -> FaultEffect:
     """The CANopen node aborts SDO requests with this abort code and does not act on them."""
-    return Effect(abort=code & 0xFFFFFFFF)
+    return FaultEffect(abort=code & 0xFFFFFFFF)
 
 
-def sdo_late(_: float, *, delay_s: float = 1.0) -> Effect:
+@fault(only_at=("canopen",))
+def sdo_late(_: float, *, delay_s: float = 1.0) -> FaultEffect:
     """Each SDO answer holds what was true when the request came, and is sent `delay_s` later, in its turn."""
     return late(_, delay_s=delay_s)
 
 
-def node_reset(_: float) -> Effect:
+@fault(only_at=("canopen",))
+def node_reset(_: float) -> FaultEffect:
     """The CANopen node boots: the EDS's parameters, pre-operational, no PDO until a master starts it."""
-    return Effect(node=NodeBend(reset=True), over=True)
-
-
-FAULTS: dict[str, Callable[..., Effect]] = {
-    "refuse": refuse,
-    "silent": silent,
-    "half_open": half_open,
-    "reset": reset,
-    "late": late,
-    "duplicate": duplicate,
-    "split": split,
-    "garbage": garbage,
-    "wrong_unit": wrong_unit,
-    "wrong_function": wrong_function,
-    "wrong_count": wrong_count,
-    "wrong_transaction": wrong_transaction,
-    "exception": refuse_request,
-    "illegal_register": illegal_register,
-    "frozen": frozen,
-    "restart": restart,
-    "write_ignored": write_ignored,
-    "wrong_checksum": wrong_checksum,
-    "frame_loss": frame_loss,
-    "short_frame": short_frame,
-    "stale_message": stale_message,
-    "corrupt_frame": corrupt_frame,
-    "babbling_node": babbling_node,
-    "bus_off": bus_off,
-    "missing_heartbeat": missing_heartbeat,
-    "short_pdo": short_pdo,
-    "long_pdo": long_pdo,
-    "emcy": emcy,
-    "sdo_abort": sdo_abort,
-    "sdo_late": sdo_late,
-    "node_reset": node_reset,
-}
-
-ONLY_AT: dict[str, tuple[str, ...]] = {
-    "wrong_checksum": ("serial", "rtu-tcp"),
-    "frame_loss": ("can", "canopen"),
-    "short_frame": ("can",),
-    "stale_message": ("can",),
-    "corrupt_frame": ("can",),
-    "babbling_node": ("can", "canopen"),
-    "bus_off": ("can", "canopen"),
-    **dict.fromkeys(
-        ("missing_heartbeat", "short_pdo", "long_pdo", "emcy", "sdo_abort", "sdo_late", "node_reset"), ("canopen",)
-    ),
-}
-"""The faults that only some faces can show, with those faces; all others strike any face."""
+    return FaultEffect(node=NodeDisturbance(reset=True), over=True)
 
 
 def describe() -> str:
@@ -289,7 +303,7 @@ def describe() -> str:
     return "\n".join(("| fault | parameters | what the PLC does |", "|---|---|---|", *rows))
 
 
-class _FaultEntry(Entry):
+class _FaultEntry(FileTable):
     model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
     kind: str = Field(strict=True, description=f"one of {listed(tuple(FAULTS))}")
     start: float = Field(0.0, strict=True, ge=0, description="seconds since the replay's start")
@@ -301,11 +315,11 @@ class _FaultEntry(Entry):
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class OrderedFault:
     """One entry of a schedule. `functions`, `face` empty: all of them; `probability` is drawn for each request."""
 
     kind: str
-    effect: Callable[[float], Effect]
+    effect: Callable[[float], FaultEffect]
     start: float = 0.0
     duration: float | None = None
     count: int | None = None
@@ -314,7 +328,7 @@ class Fault:
     face: str = ""
 
 
-def parse_fault(data: object, where: str) -> Fault:
+def parse_fault(data: object, where: str) -> OrderedFault:
     """A fault from a table of TOML or JSON. Raises InputError naming the key, the reason and what would be right."""
     entry = validated(_FaultEntry, data, where)
     function = FAULTS.get(entry.kind)
@@ -329,15 +343,23 @@ def parse_fault(data: object, where: str) -> Fault:
         parse_address(register, f"{where} ({entry.kind}): registers")
     if entry.face and (not effect(0.0).run or effect(0.0).frozen):
         raise InputError(f"{where} ({entry.kind}): face: it strikes the program behind all faces; leave it out")
-    limits = (entry.start, entry.duration, entry.count, entry.probability, entry.functions, entry.face)
-    return Fault(entry.kind, effect, *limits)
+    return OrderedFault(
+        kind=entry.kind,
+        effect=effect,
+        start=entry.start,
+        duration=entry.duration,
+        count=entry.count,
+        probability=entry.probability,
+        functions=entry.functions,
+        face=entry.face,
+    )
 
 
-def merged(effects: Iterable[Effect]) -> Effect:
+def merged(effects: Iterable[FaultEffect]) -> FaultEffect:
     """The effects of several faults as one; of several exception codes the first wins."""
-    whole = Effect()
+    whole = FaultEffect()
     for effect in effects:
-        whole = Effect(
+        whole = FaultEffect(
             listen=whole.listen and effect.listen,
             run=whole.run and effect.run,
             store=whole.store and effect.store,
@@ -349,7 +371,7 @@ def merged(effects: Iterable[Effect]) -> Effect:
     return whole
 
 
-def refusal(effect: Effect, request: Request, touched: Sequence[tuple[str, range]]) -> bytes | None:
+def refusal(effect: FaultEffect, request: ModbusRequest, touched: Sequence[tuple[str, range]]) -> bytes | None:
     """The exception PDU by which the faults refuse a request, if they do."""
     if effect.code is not None:
         return exception(request.function, effect.code)

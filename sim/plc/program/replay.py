@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
-from sim.plc.checks import InputError, listed, read_text
+from sim.plc.program.checks import InputError, listed, read_text
 
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
 
@@ -40,7 +40,7 @@ class TraceTable:
 
 
 @dataclass(frozen=True, slots=True)
-class Replay:
+class TraceReplay:
     """Where in the trace the replay is: at `position` at the moment `since`, and moving at `rate` unless held."""
 
     table: TraceTable
@@ -74,7 +74,7 @@ class Replay:
 
     def changed(
         self, now: float, *, rate: float | None = None, held: bool | None = None, loop: bool | None = None
-    ) -> "Replay":
+    ) -> "TraceReplay":
         """The same position from `now` on, with another rate, held or released, looping or not."""
         return replace(
             self,
@@ -85,7 +85,7 @@ class Replay:
             loop=self.loop if loop is None else loop,
         )
 
-    def sought(self, now: float, position: float) -> "Replay":
+    def sought(self, now: float, position: float) -> "TraceReplay":
         """At another position. Raises InputError outside the trace."""
         if not 0 <= position <= self.table.duration:
             raise InputError(f"position {position} is outside the trace; give 0 to {self.table.duration:g} seconds")

@@ -7,25 +7,35 @@ time. Time limits (the watchdog, faults) are wall seconds, whatever the speed of
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Protocol
 
 from drivers.tag import Value
-from sim.plc import writeback
-from sim.plc.checks import InputError, listed
-from sim.plc.clock import PlantClock
-from sim.plc.encode import Unrepresentable, encode, is_bool, resolution, value_at_rest
-from sim.plc.faults import ALL_TAGS, Effect, Fault, merged, refusal
-from sim.plc.image import ProcessImage, Undefined
-from sim.plc.modbus import messages as modbus
-from sim.plc.modbus.messages import Refusal, Reply, Request
-from sim.plc.record.recorder import Record, record_nothing
-from sim.plc.registers import Place, RegisterMap
-from sim.plc.replay import Replay
-from sim.plc.schedule import Line, Schedule
-from sim.plc.writeback import Intake
+from sim.plc.program import pdu as modbus
+from sim.plc.program import writeback
+from sim.plc.program.checks import InputError, listed
+from sim.plc.program.clock import EmulatorClock
+from sim.plc.program.encode import Unrepresentable, encode, is_bool, resolution, value_at_rest
+from sim.plc.program.faults import ALL_TAGS, FaultEffect, OrderedFault, merged, refusal
+from sim.plc.program.image import ProcessImage, Undefined
+from sim.plc.program.pdu import ModbusRefusal, ModbusReply, ModbusRequest
+from sim.plc.program.registers import Place, RegisterMap
+from sim.plc.program.replay import TraceReplay
+from sim.plc.program.schedule import CycleFaults, FaultSchedule
+from sim.plc.program.writeback import Intake
+
+
+class RecordRow(Protocol):
+    """Takes a row of the given kind; `moment` is monotonic."""
+
+    def __call__(self, kind: str, moment: float, row: Mapping[str, object]) -> None: ...
+
+
+def record_nothing(kind: str, moment: float, row: Mapping[str, object]) -> None:
+    """The recorder of a PLC that keeps no record."""
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class PlcSettings:
     """What is fixed when the process starts. `unknown_unit` True answers a strange unit with exception 11."""
 
     permit: bool = True
@@ -41,18 +51,18 @@ class Plc:
     def __init__(
         self,
         registers: RegisterMap,
-        clock: PlantClock,
-        replay: Replay | None = None,
-        settings: Settings | None = None,
+        clock: EmulatorClock,
+        replay: TraceReplay | None = None,
+        settings: PlcSettings | None = None,
         *,
-        faults: Sequence[Fault] = (),
-        record: Record = record_nothing,
+        faults: Sequence[OrderedFault] = (),
+        record: RecordRow = record_nothing,
         complain: Callable[[str], None] = lambda _: None,
     ) -> None:
-        settings = settings or Settings()
+        settings = settings or PlcSettings()
         self.registers, self.clock, self.replay, self.settings = registers, clock, replay, settings
         self.image = ProcessImage(registers, settings.writable, complain)
-        self.schedule = Schedule(settings.seed)
+        self.schedule = FaultSchedule(settings.seed)
         self.intake = Intake()
         self.permit, self.acknowledged = settings.permit, 0
         self.forced: dict[str, Value | None] = {}
@@ -70,7 +80,7 @@ class Plc:
 
     # ---------------------------------------------------------------- the cycle
 
-    def begin(self, now: float, *, hold: bool = False) -> Line:
+    def begin(self, now: float, *, hold: bool = False) -> CycleFaults:
         """Record what this process is, and bring the image up; unless `hold`, the replay and the schedule start."""
         trace = None if self.replay is None else str(self.replay.table.path)
         roundings = {name: resolution(tag) for name, tag in self.registers.tags.items()}
@@ -91,7 +101,7 @@ class Plc:
         self.started = True
         self.event("start", now)
 
-    def cycle(self, now: float) -> Line:
+    def cycle(self, now: float) -> CycleFaults:
         """One cycle of the program; gives what the faces have to do."""
         begun, over = self.schedule.advance(now)
         for entry in begun:
@@ -151,36 +161,39 @@ class Plc:
 
     # ---------------------------------------------------------------- the network
 
-    def exchange(self, request: Request, now: float) -> Reply | None:
-        """Act on one request and give the reply, bent by the faults in force; None: no reply at all."""
+    def exchange(self, request: ModbusRequest, now: float) -> ModbusReply | None:
+        """Act on one request and give the reply, as the faults in force have it; None: no reply at all."""
         if request.unit != self.registers.unit:
             code = modbus.exception(request.function, modbus.TARGET_SILENT)
             answered = self.settings.answer_unknown_unit
-            reply = Reply(request.transaction, request.unit, code, sent=answered, rtu=request.rtu)
+            reply = ModbusReply(request.transaction, request.unit, code, sent=answered, rtu=request.rtu)
             return self._noted(request, reply, (), now)
         struck = list(self.schedule.strike(request.function, now, request.face))
         effect = merged(effect for _, effect in struck)
         pdu = self._answer(request, effect, now)
-        reply = Reply(request.transaction, request.unit, pdu, rtu=request.rtu)
-        for entry, bent in struck:
-            reply = bent.alter(request, reply, entry.rng) if bent.alter else reply
+        reply = ModbusReply(request.transaction, request.unit, pdu, rtu=request.rtu)
+        for entry, own in struck:
+            for alter in (own.answer, own.alter):
+                reply = reply if alter is None else alter(request, reply, entry.rng)
         return self._noted(request, reply, tuple(entry.fault.kind for entry, _ in struck), now)
 
-    def _answer(self, request: Request, effect: Effect, now: float) -> bytes:
+    def _answer(self, request: ModbusRequest, effect: FaultEffect, now: float) -> bytes:
         if request.refused is not None:
             return modbus.exception(request.function, request.refused)
         refused = refusal(effect, request, modbus.reads(request.pdu))
         return refused or modbus.answer(request.pdu, _Access(self, request.peer, effect.store, now))
 
-    def _noted(self, request: Request, reply: Reply, faults: Sequence[str], now: float) -> Reply | None:
+    def _noted(
+        self, request: ModbusRequest, reply: ModbusReply, faults: Sequence[str], now: float
+    ) -> ModbusReply | None:
         address, count = modbus.span(request.pdu)
         plain = reply.sent and reply.raw is None
         refused = reply.pdu[1] if plain and len(reply.pdu) == 2 and reply.pdu[0] & 0x80 else None
-        asked = {"transaction": request.transaction, "unit": request.unit, "function": request.function}
+        header = {"transaction": request.transaction, "unit": request.unit, "function": request.function}
         what = {
             "peer": request.peer,
             "face": request.face,
-            **asked,
+            **header,
             "address": address,
             "count": count,
             "pdu": request.pdu.hex(),
@@ -217,7 +230,7 @@ class Plc:
         """The trace's signals that go nowhere."""
         return [] if self.replay is None else [name for name in self.replay.table.columns if not self.serves(name)]
 
-    def check_fault(self, fault: Fault) -> None:
+    def check_fault(self, fault: OrderedFault) -> None:
         """Raises InputError if the fault freezes a tag that is not there."""
         self._check_tags(fault.effect(0.0).frozen - {ALL_TAGS})
 
@@ -273,11 +286,11 @@ class _Access:
         try:
             return self.plc.image.read(table, address, count)
         except Undefined:
-            raise Refusal(modbus.ILLEGAL_ADDRESS) from None
+            raise ModbusRefusal(modbus.ILLEGAL_ADDRESS) from None
 
     def write(self, table: str, address: int, values: Sequence[int]) -> None:
         """Store the values as one step. Raises Refusal."""
         if not self.plc.image.may_write(table, address, len(values)):
-            raise Refusal(modbus.ILLEGAL_ADDRESS)
+            raise ModbusRefusal(modbus.ILLEGAL_ADDRESS)
         if self.store:
             self.plc.write(self.peer, table, address, values, self.now)

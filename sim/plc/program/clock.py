@@ -8,7 +8,7 @@ Monotonic = Callable[[], float]
 
 
 @dataclass(frozen=True, slots=True)
-class PlantClock:
+class EmulatorClock:
     """Plant time = epoch + (monotonic - start) * speed; the line never changes while the process lives.
 
     Whoever knows the three numbers (they are in the ready line) reads the same plant time.

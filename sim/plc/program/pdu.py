@@ -25,7 +25,7 @@ _MOST_WORDS_EXCHANGED = 121
 _IDENTITY = {0: b"decanter", 1: b"software PLC", 2: b"1"}
 
 
-class Refusal(Exception):
+class ModbusRefusal(Exception):
     """The request is answered with this exception code."""
 
     def __init__(self, code: int) -> None:
@@ -51,7 +51,7 @@ class Memory(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ModbusRequest:
     """One request as it arrived at a face. RTU has no transactions: there it is 0.
 
     `refused` is the exception code by which the face itself refuses it, if it does.
@@ -72,7 +72,7 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class ModbusReply:
     """One reply, and how it goes out: after `delay_s`, `copies` times, in pieces of `piece` bytes, or not at all.
 
     `rtu`: framed by unit and CRC as on a serial line, instead of by a header. `raw` stands in for the whole frame;
@@ -120,9 +120,9 @@ def answer(pdu: bytes, memory: Memory) -> bytes:
     act = FUNCTIONS.get(pdu[0])
     try:
         if act is None:
-            raise Refusal(ILLEGAL_FUNCTION)
+            raise ModbusRefusal(ILLEGAL_FUNCTION)
         return pdu[:1] + act(pdu[1:], memory)
-    except Refusal as refusal:
+    except ModbusRefusal as refusal:
         return exception(pdu[0], refusal.code)
 
 
@@ -151,16 +151,16 @@ def reads(pdu: bytes) -> list[tuple[str, range]]:
 
 def _two_words(body: bytes) -> tuple[int, int]:
     if len(body) != 4:
-        raise Refusal(ILLEGAL_VALUE)
+        raise ModbusRefusal(ILLEGAL_VALUE)
     first, second = struct.unpack(">HH", body)
     return first, second
 
 
 def _read(memory: Memory, table: str, address: int, count: int, most: int) -> list[int]:
     if not 1 <= count <= most:
-        raise Refusal(ILLEGAL_VALUE)
+        raise ModbusRefusal(ILLEGAL_VALUE)
     if address + count > 0x10000:
-        raise Refusal(ILLEGAL_ADDRESS)
+        raise ModbusRefusal(ILLEGAL_ADDRESS)
     return memory.read(table, address, count)
 
 
@@ -186,7 +186,7 @@ def _read_words(table: str) -> "Function":
 def _write_coil(body: bytes, memory: Memory) -> bytes:
     address, value = _two_words(body)
     if value not in (0x0000, 0xFF00):
-        raise Refusal(ILLEGAL_VALUE)
+        raise ModbusRefusal(ILLEGAL_VALUE)
     memory.write("coil", address, [int(value == 0xFF00)])
     return body
 
@@ -199,10 +199,10 @@ def _write_word(body: bytes, memory: Memory) -> bytes:
 
 def _write_coils(body: bytes, memory: Memory) -> bytes:
     if len(body) < 5:
-        raise Refusal(ILLEGAL_VALUE)
+        raise ModbusRefusal(ILLEGAL_VALUE)
     address, count, size = struct.unpack_from(">HHB", body)
     if not 1 <= count <= _MOST_BITS_WRITTEN or size != (count + 7) // 8 or len(body) != 5 + size:
-        raise Refusal(ILLEGAL_VALUE)
+        raise ModbusRefusal(ILLEGAL_VALUE)
     packed = int.from_bytes(body[5:], "little")
     memory.write("coil", address, [packed >> index & 1 for index in range(count)])
     return body[:4]
@@ -210,10 +210,10 @@ def _write_coils(body: bytes, memory: Memory) -> bytes:
 
 def _words_to_write(body: bytes, most: int) -> tuple[int, list[int]]:
     if len(body) < 5:
-        raise Refusal(ILLEGAL_VALUE)
+        raise ModbusRefusal(ILLEGAL_VALUE)
     address, count, size = struct.unpack_from(">HHB", body)
     if not 1 <= count <= most or size != 2 * count or len(body) != 5 + size:
-        raise Refusal(ILLEGAL_VALUE)
+        raise ModbusRefusal(ILLEGAL_VALUE)
     return address, list(struct.unpack_from(f">{count}H", body, 5))
 
 
@@ -225,7 +225,7 @@ def _write_words(body: bytes, memory: Memory) -> bytes:
 
 def _mask_word(body: bytes, memory: Memory) -> bytes:
     if len(body) != 6:
-        raise Refusal(ILLEGAL_VALUE)
+        raise ModbusRefusal(ILLEGAL_VALUE)
     address, keep, put = struct.unpack(">HHH", body)
     (word,) = memory.read("holding", address, 1)
     memory.write("holding", address, [word & keep | put & ~keep & 0xFFFF])
@@ -234,10 +234,10 @@ def _mask_word(body: bytes, memory: Memory) -> bytes:
 
 def _exchange_words(body: bytes, memory: Memory) -> bytes:
     if len(body) < 9:
-        raise Refusal(ILLEGAL_VALUE)
+        raise ModbusRefusal(ILLEGAL_VALUE)
     read_at, count = struct.unpack_from(">HH", body)
     if not 1 <= count <= min(_MOST_WORDS_READ, memory.max_registers):
-        raise Refusal(ILLEGAL_VALUE)
+        raise ModbusRefusal(ILLEGAL_VALUE)
     memory.read("holding", read_at, count)  # refused as a whole before anything is written
     address, words = _words_to_write(body[4:], min(_MOST_WORDS_EXCHANGED, memory.max_registers))
     memory.write("holding", address, words)
@@ -246,10 +246,10 @@ def _exchange_words(body: bytes, memory: Memory) -> bytes:
 
 def _identify(body: bytes, _: Memory) -> bytes:
     if len(body) != 3 or body[0] != 14 or body[1] not in (1, 4):
-        raise Refusal(ILLEGAL_FUNCTION if body[:1] != b"\x0e" else ILLEGAL_VALUE)
+        raise ModbusRefusal(ILLEGAL_FUNCTION if body[:1] != b"\x0e" else ILLEGAL_VALUE)
     wanted = [body[2]] if body[1] == 4 else [number for number in _IDENTITY if number >= body[2]]
     if not set(wanted) <= set(_IDENTITY):
-        raise Refusal(ILLEGAL_ADDRESS)
+        raise ModbusRefusal(ILLEGAL_ADDRESS)
     objects = b"".join(bytes((number, len(_IDENTITY[number]))) + _IDENTITY[number] for number in wanted)
     return bytes((14, body[1], 0x81, 0, 0, len(wanted))) + objects
 

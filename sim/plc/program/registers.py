@@ -6,11 +6,11 @@ from pathlib import Path
 
 from pydantic import ConfigDict, Field
 
-from drivers.device_file import BlockTable, read_device_file
+from drivers.device_file import BlockField, BlockTable, read_device_file
 from drivers.settings import ConfigError
 from drivers.tag import DType, Tag
-from sim.plc.checks import Entry, InputError, validated
-from sim.plc.encode import sentinel_fits, words_of_type
+from sim.plc.program.checks import FileTable, InputError, validated
+from sim.plc.program.encode import sentinel_fits, words_of_type
 
 WORD_TABLES = ("holding", "input")
 BIT_TABLES = ("coil", "discrete")
@@ -35,15 +35,6 @@ class Place:
 
     def __str__(self) -> str:
         return f"{self.table}:{self.address}"
-
-
-@dataclass(frozen=True, slots=True)
-class BlockField:
-    """One 16-bit word of the gateway's block: value = raw * scale."""
-
-    name: str
-    signed: bool
-    scale: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +66,7 @@ class RegisterMap:
     block: BlockLayout | None
 
 
-class _ServedDevice(Entry):
+class _ServedDevice(FileTable):
     """The settings of the driver that hold for the device's side, too; all others are the gateway's business."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
@@ -157,7 +148,7 @@ def _layout(entry: BlockTable, where: str) -> BlockLayout:
         raise InputError(f"{where}: fields: there are {count}, and function 16 writes {MOST_WORDS}; leave some out")
     if address + count > 0x10000:
         raise InputError(f"{where}: address: {count} registers from {address} run beyond 65535")
-    fields = tuple(BlockField(field.name, field.dtype == "int16", field.scale) for field in entry.fields)
+    fields = tuple(row.field() for row in entry.fields)
     return BlockLayout(Place(table, address, count), entry.layout_version, entry.timeout_s, fields)
 
 
