@@ -115,7 +115,7 @@ def _location_rows(sha: "SHA", stays: "Mapping[str, Stay]") -> list[dict[str, An
 
 def show_model(shown: "Model") -> None:
     """Print the model's locations, its effects and where it comes from."""
-    from sim.effects.kinds import told
+    from sim.effects.kinds import summary
 
     rows = _location_rows(shown.sha, shown.semi_markov)
     columns = list(rows[0])
@@ -125,7 +125,7 @@ def show_model(shown: "Model") -> None:
         [list(row.values()) for row in rows],
     )
     for effect in shown.sha.effects:
-        click.echo(f"effect {told(effect)}")
+        click.echo(f"effect {summary(effect)}")
     origin = shown.provenance
     click.echo(f"temperature {shown.temperature}, sensor sigma {shown.sensor_sigma:.3g} °C, method {origin.method}")
     if shown.calibration:

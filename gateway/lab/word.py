@@ -18,7 +18,7 @@ def replay_word(directory: str, given: str, policy: "Policy", *, as_json: bool) 
     """Replay a word, given as text or as a file's name, and say whether the model's own range is left."""
     from sim.artefacts.find import find_model
     from sim.checking.proof.word import parse_word, replay
-    from sim.sha.correction import in_sensor_scale
+    from sim.effects.correction import in_sensor_scale
 
     with sentences():
         model = in_sensor_scale(find_model(directory).runnable())

@@ -6,9 +6,9 @@ from itertools import product
 
 import numpy as np
 
-from sim.discrepancy.catalogue import CATALOGUE, Entry
-from sim.discrepancy.fitting.course import Named
+from sim.discrepancy.fitting.catalogue import Entry, catalogue
 from sim.discrepancy.fitting.fit import Fitted, fit
+from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.screen import (
     Projector,
     Screen,
@@ -210,4 +210,4 @@ def entries_besides(named: Sequence[Named], besides: Sequence[str] = ()) -> tupl
     """The catalogue without the effects that are named already, what they rule out, and others by name."""
     taken = {one.entry.name for one in named} | set(besides)
     taken |= ONE_CHAIN if taken & ONE_CHAIN else set()
-    return tuple(entry for entry in CATALOGUE if entry.name not in taken)
+    return tuple(entry for entry in catalogue() if entry.name not in taken)

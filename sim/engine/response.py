@@ -56,6 +56,7 @@ def weights(z: Array, powers: int) -> Array:
     small = z < 0.5
     if small.all():
         return _series(z, powers)
+    # The recursion subtracts numbers that are nearly equal for small z: there the series stands in.
     large = np.maximum(z, 0.5)
     value = -np.expm1(-large) / large
     columns = [value]
@@ -95,7 +96,11 @@ def drift_matrix(plant: Plant, loss: Array, coupling: Array) -> Array:
 
 
 def _transition(plant: Plant, keys: Array, powers: int) -> tuple[Array, Array]:
-    """(phi, poly) from one exponential: the heat and its derivatives by v are states of their own."""
+    """(phi, poly) from one exponential: the heat and its derivatives by v are states of their own (Van Loan 1978).
+
+    The exponential is Taylor's series of the matrix halved until its norm is at most 1/2, squared back (scaling and
+    squaring: Moler and Van Loan 2003, method 3).
+    """
     loss, coupling, dt = keys.T
     d = plant.size
     a = np.zeros((len(keys), d + powers, d + powers))

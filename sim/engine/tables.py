@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim.effects.exchange import in_scale_of_x, radiation_tangent
 from sim.effects.kinds import parameter
 from sim.engine.plant import Acting, Plant
 from sim.engine.response import respond
-from sim.engine.terms import Segments, Terms, temperature, terms
+from sim.engine.terms import Segments, Terms, terms
 from sim.sha.trace import Array
 
 
@@ -85,14 +86,14 @@ def _radiation(acting: Acting, segments: Segments, about: Array) -> tuple[Array,
     effect = acting.effect
     zero = parameter(effect, "zero")
     if "ambient" in effect.signals and acting.there[segments.location].any():
-        around = temperature(effect, "ambient", segments.signals)
+        around = in_scale_of_x(effect, "ambient", segments.signals)
     else:
         around = np.full(about.shape, effect.params.get("surroundings", np.nan))
     there = acting.there[segments.location] & np.isfinite(around)
     gain = np.where(there, effect.params["gain"], 0.0)
-    loss = 4.0 * gain * (about - zero) ** 3
-    radiated = gain * ((about - zero) ** 4 - (np.where(there, around, zero) - zero) ** 4)
-    return gain, loss, loss * about - radiated
+    # Walls that were never read have no temperature; where nothing is radiated any will do.
+    loss, heat = radiation_tangent(gain=gain, zero=zero, about=about, around=np.where(there, around, zero))
+    return gain, loss, heat
 
 
 def chosen(steps: Tables, opened: Array) -> Half:

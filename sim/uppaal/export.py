@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from sim.artefacts.files import refused, replace_durably
+from sim.effects.check import check_sha
+from sim.effects.correction import in_sensor_scale
 from sim.effects.kinds import signals_of
 from sim.engine.open_loop import Start, open_loop
 from sim.engine.schedule import Policy
 from sim.sha import distributions
 from sim.sha.automaton import SHA, transitions
-from sim.sha.correction import in_sensor_scale
-from sim.sha.entry import check_sha
 from sim.sha.events import alphabet_symbols
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Trace

@@ -13,9 +13,9 @@ from sim.checking.proof.reach import Bound, Graph, Side, climb, intervals, make_
 from sim.checking.proof.structure import moves
 from sim.checking.proof.word import TimedWord, parse_word, replay, word_text
 from sim.checking.proof.word_effects import offset_range
-from sim.effects.kinds import dead_time, of_kind
+from sim.effects.correction import in_sensor_scale
+from sim.effects.kinds import dead_time, of_feature
 from sim.sha.automaton import Location
-from sim.sha.correction import in_sensor_scale
 from sim.sha.distributions import mean
 from sim.sha.entry import drawn_temperature, mode_parameter
 from sim.sha.events import alphabet_symbols
@@ -75,7 +75,7 @@ class Bounds:
 def find_bounds(
     model: Model, low: float, high: float, assumptions: Assumptions, *, doubt: float | None = None
 ) -> Bounds:
-    """The claim decided for a model that can be run; temperatures are the sensor's (`sim.sha.correction`).
+    """The claim decided for a model that can be run; temperatures are the sensor's (`sim.effects.correction`).
 
     With `doubt` (degC) the start and what is drawn are at their means, and only a target that lies outside of
     `low`..`high` is moved towards it, by as much as the location's own law allows at z but at most by `doubt`; inputs
@@ -140,7 +140,7 @@ def _read(model: Model, graph: Graph, upper: Bound, lower: Bound) -> dict[str, R
     """What the sensor may read in each location: after a lag what was anywhere, after a dead time what was before."""
     least, most = offset_range(model.sha)
     found = {name: (low + least, high + most) for name, (low, high) in intervals(graph, upper, lower).items()}
-    if of_kind(model.sha, "sensor-lag") is None and not dead_time(model.sha):
+    if not of_feature(model.sha, "sensor lag") and not dead_time(model.sha):
         return found
     lows, highs = zip(*found.values(), strict=True)
     return dict.fromkeys(found, (min(lows), max(highs)))
