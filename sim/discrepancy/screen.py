@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from sim.discrepancy.fitting.catalogue import Entry, signals_of
+from sim.discrepancy.fitting.catalogue import CatalogueEntry, signals_of
 from sim.discrepancy.fitting.course import as_read, filtered
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, on_sensor
 from sim.discrepancy.fitting.fit import Fitted
@@ -34,7 +34,7 @@ LEAST_BAND = 0.2
 class Shape:
     """One shape of an entry: signals by role, `params` without (in a `whole` entry: with) the strength."""
 
-    entry: Entry
+    entry: CatalogueEntry
     signals: Mapping[str, str]
     params: Mapping[str, float]
 
@@ -153,7 +153,9 @@ def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
     return np.column_stack(out)
 
 
-def shapes_of(fitted: Fitted, entries: Sequence[Entry], roles: Mapping[str, str], smooth: Array) -> Iterator[Shape]:
+def shapes_of(
+    fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], smooth: Array
+) -> Iterator[Shape]:
     """Every shape of every entry whose signals are there."""
     record = fitted.frame.record
     score = Projector(fitted).weighed_residual
@@ -173,7 +175,7 @@ def shapes_of(fitted: Fitted, entries: Sequence[Entry], roles: Mapping[str, str]
             yield Shape(entry, signals, params)
 
 
-def screen(fitted: Fitted, entries: Sequence[Entry], roles: Mapping[str, str]) -> Screen:
+def screen(fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str]) -> Screen:
     """Every shape of every entry against what the fit leaves."""
     smooth = smooth_course(fitted)
     shapes = tuple(shapes_of(fitted, entries, roles, smooth))
@@ -195,7 +197,13 @@ def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
     np.add.at(parts, cycles, cleaned * projector.weighed_residual[:, None])
     np.add.at(shares, cycles, cleaned * weighed)
     return Screen(
-        shapes, scale, 0.5 * (normal + normal.T), scaled.T @ projector.weighed_residual, visible, parts, shares
+        shapes=shapes,
+        scale=scale,
+        normal=0.5 * (normal + normal.T),
+        score=scaled.T @ projector.weighed_residual,
+        visible=visible,
+        by_cycle=parts,
+        information=shares,
     )
 
 

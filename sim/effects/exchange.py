@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from sim.effects.kind import (
-    Candidate,
+    EffectCandidate,
     EffectKind,
     HeldLaw,
     LossBound,
@@ -129,7 +129,7 @@ FLOWING = (
         law=HeldLaw(_feed),
         bound=LossBound(strength="pump", sink="feed"),
         uppaal=TextLaw(_feed_text),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="loss",
             sign=1.0,
             experiment="feed at two temperatures at one load",
@@ -151,7 +151,7 @@ FLOWING = (
         law=HeldLaw(_pump),
         bound=LossBound(strength="pump", sink="sink"),
         uppaal=TextLaw(_pump_text),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="loss",
             sign=1.0,
             experiment="run for half an hour at one load with the pump on, then off",
@@ -174,7 +174,7 @@ HOUSING = EffectKind(
     law=Structural("housing"),
     bound=Structural("housing"),
     uppaal=Structural("housing"),
-    candidate=Candidate(
+    candidate=EffectCandidate(
         strength="coupling",
         sign=1.0,
         experiment="log the room for three days, or a second sensor: a housing lags, a room does not",
@@ -200,7 +200,7 @@ BENDING = (
         bound=Structural("thermostat"),
         uppaal=Structural("thermostat"),
         consistent=_opens_above,
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="loss",
             sign=1.0,
             experiment="a slow ramp of the load up and down: a hysteresis loop",
@@ -225,7 +225,7 @@ BENDING = (
         law=Structural("radiation"),
         bound=Structural("radiation"),
         uppaal=TextLaw(_radiation_text),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="a slow ramp of the load up and down: no loop, but a bend",

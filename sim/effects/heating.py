@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from sim.effects.kind import (
-    Candidate,
+    EffectCandidate,
     EffectKind,
     HeatBound,
     HeldLaw,
@@ -101,7 +101,9 @@ def _friction(role: Role, *, name: str, meaning: str, experiment: str, powers: t
         law=heat_of(heat),
         bound=HeatBound(never_bends),
         uppaal=TextLaw(_powers),
-        candidate=Candidate(strength="gain", sign=1.0, experiment=experiment, shapes=shapes, refine={"power": powers}),
+        candidate=EffectCandidate(
+            strength="gain", sign=1.0, experiment=experiment, shapes=shapes, refine={"power": powers}
+        ),
     )
 
 
@@ -118,7 +120,7 @@ HEATING = (
         law=heat_of(lambda p, current: p["gain"] * (current - p["reference"])),
         bound=HeatBound(never_bends),
         uppaal=TextLaw(_against_reference),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="hold two currents inside one bin for half an hour each",
@@ -137,7 +139,7 @@ HEATING = (
         law=heat_of(lambda p, current: p["gain"] * (current**2 - p["reference"] ** 2)),
         bound=HeatBound(never_bends),
         uppaal=TextLaw(_squares),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="dwell at three currents or more, each until the temperature settles",
@@ -156,7 +158,7 @@ HEATING = (
         law=heat_of(lambda p, current: -p["gain"] * np.maximum(current - p["knee"], 0.0)),
         bound=HeatBound(lambda effect: (effect.params["knee"],)),
         uppaal=TextLaw(_beyond_knee),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="dwell at three currents or more, two of them near the highest",
@@ -197,7 +199,7 @@ HEATING = (
         law=heat_of(lambda p, ambient: p["gain"] * (ambient - p["reference"])),
         bound=HeatBound(never_bends),
         uppaal=TextLaw(_against_reference),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="log the room for three days, with a night at rest",

@@ -126,7 +126,7 @@ class Structural:
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
+class EffectRefusal:
     """As bound or text: it is not done, for this reason (the end of a sentence that begins with the kind's name)."""
 
     reason: str
@@ -167,7 +167,7 @@ class VaryingBound:
     grows_from: Callable[[Effect], float] | None = None
 
 
-BoundLaw = HeatBound | LossBound | VaryingBound | Structural | Refusal
+BoundLaw = HeatBound | LossBound | VaryingBound | Structural | EffectRefusal
 
 
 # ------------------------------------------------------------------ UPPAAL's text
@@ -201,7 +201,7 @@ class TextLaw:
     term: Callable[[TextWriter, Effect], str]
 
 
-UppaalLaw = TextLaw | Structural | Refusal
+UppaalLaw = TextLaw | Structural | EffectRefusal
 
 
 # ------------------------------------------------------------------ candidates of a diagnosis
@@ -235,7 +235,7 @@ Params = Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
+class EffectCandidate:
     """How a diagnosis looks for a kind: shapes are tried, the strength is what the likelihood finds.
 
     `strength` names the parameter that scales it, `sign` what physics allows of it (0: either). `shapes` are the sets
@@ -280,7 +280,7 @@ class EffectKind:
     law: Law
     bound: BoundLaw
     uppaal: UppaalLaw
-    candidate: Candidate | None
+    candidate: EffectCandidate | None
     consistent: Callable[[Params], str] = lambda _: ""
 
     def __post_init__(self) -> None:

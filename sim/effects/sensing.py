@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 
-from sim.effects.kind import ABSOLUTE_SECONDS, Candidate, EffectKind, Parameter, Params, Roles, Structural
+from sim.effects.kind import ABSOLUTE_SECONDS, EffectCandidate, EffectKind, Parameter, Params, Roles, Structural
 from sim.sha.trace import Array
 
 BLURRED = 2
@@ -43,7 +43,7 @@ SENSING = (
         law=Structural("dead time"),
         bound=Structural("dead time"),
         uppaal=Structural("dead time"),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="delay",
             sign=1.0,
             experiment="one sharp step of the current, logged at 1 Hz",
@@ -70,7 +70,7 @@ SENSING = (
         law=Structural("sensor lag"),
         bound=Structural("sensor lag"),
         uppaal=Structural("sensor lag"),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="tau",
             sign=1.0,
             experiment="one sharp step of the current, logged at 1 Hz",
@@ -96,7 +96,7 @@ SENSING = (
         law=Structural("sensor offset"),
         bound=Structural("sensor offset"),
         uppaal=Structural("sensor offset"),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="size",
             sign=0.0,
             experiment="a reading at long rest, against a second thermometer",

@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.effects.kind import (
     ABSOLUTE_SECONDS,
-    Candidate,
+    EffectCandidate,
     EffectKind,
     Parameter,
     Roles,
@@ -77,7 +77,7 @@ VARYING = (
             extremes=lambda effect, _: (min(effect.params["gain"], 0.0), max(effect.params["gain"], 0.0))
         ),
         uppaal=TextLaw(_churning_text),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment="start twice within an hour, at the same load",
@@ -111,7 +111,7 @@ VARYING = (
             grows_from=lambda effect: effect.params["since"],
         ),
         uppaal=TextLaw(_wear_text),
-        candidate=Candidate(
+        candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
             experiment=(

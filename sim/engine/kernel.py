@@ -55,7 +55,14 @@ def move(
     """
     opened = switched(plant, s[:, 0], opened)  # a jump of X, or the range's clamp, may have passed a threshold
     rest = _left_out(plant, steps, row, s[:, 0])
-    after, met = _either(plant, steps, row, s, mode, opened, rest)
+    if steps.open is None or not opened.any():
+        after = _affine(steps.closed, row, s, mode, rest)
+    elif opened.all():
+        after = _affine(steps.open, row, s, mode, rest)
+    else:
+        both = (_affine(half, row, s, mode, rest) for half in (steps.open, steps.closed))
+        after = np.where(opened[:, None], *both)
+    after, met = _limited(plant.sha.max_rate, steps.dt[row], s, after)
     after = after + push
     now = switched(plant, after[:, 0], opened)
     at = np.flatnonzero(now != opened)
@@ -65,7 +72,15 @@ def move(
     which = np.arange(steps.dt.size)[row][at] if isinstance(row, slice) else np.full(at.size, row)
     spread = push[at] if isinstance(push, np.ndarray) else np.zeros((at.size, plant.size))
     rests = np.zeros(at.size) if rest is None else rest[at]
-    run = _Run(which, s[at], mode[at], rests, opened[at], spread, np.zeros(at.size))
+    run = _Run(
+        which=which,
+        s=s[at],
+        mode=mode[at],
+        rest=rests,
+        opened=opened[at],
+        push=spread,
+        share=np.zeros(at.size),
+    )
     share = opened.astype(float)
     after[at], opened = _switching(plant, steps, run, after[at]), opened.copy()
     opened[at], share[at] = run.opened, run.share
@@ -80,19 +95,6 @@ def _left_out(plant: Plant, steps: Tables, row: Rows, x: Array) -> Array | None:
     away = steps.about[row] - parameter(plant.radiation.effect, "zero")
     y = x - steps.about[row]
     return np.asarray(-steps.radiated[row] * y * y * (6.0 * away * away + 4.0 * away * y + y * y))
-
-
-def _either(
-    plant: Plant, steps: Tables, row: Rows, s: Array, mode: Array, opened: Mask, rest: Array | None
-) -> tuple[Array, Mask]:
-    if steps.open is None or not opened.any():
-        after = _affine(steps.closed, row, s, mode, rest)
-    elif opened.all():
-        after = _affine(steps.open, row, s, mode, rest)
-    else:
-        both = (_affine(half, row, s, mode, rest) for half in (steps.open, steps.closed))
-        after = np.where(opened[:, None], *both)
-    return _limited(plant.sha.max_rate, steps.dt[row], s, after)
 
 
 def _affine(half: Half, row: Rows, s: Array, mode: Array, rest: Array | None) -> Array:

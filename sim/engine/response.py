@@ -21,7 +21,7 @@ have no more, and equal segments are worked out once."""
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class SegmentResponse:
     """For n segments of d states: `phi` (n, d, d), `poly` (n, d, q), `noise` (n, d, d).
 
     `poly` are the states (degC) that heats of 1, v and v^2 degC/s leave behind (q = 1 for the first alone), `noise` the
@@ -33,7 +33,7 @@ class Response:
     noise: Array
 
 
-def respond(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) -> Response:
+def respond(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) -> SegmentResponse:
     """The answers of segments with dX/dt = -`loss` X + `coupling` (H - X) + heat over `dt` seconds, each (n,)."""
     if plant.size == 1:
         return _scalar(loss, dt, powers)
@@ -41,14 +41,14 @@ def respond(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) 
     keys, back = np.unique(same, axis=0, return_inverse=True)
     back = back.reshape(-1)
     phi, poly = _transition(plant, keys, powers)
-    return Response(phi[back], poly[back], _noise(plant, keys)[back])
+    return SegmentResponse(phi[back], poly[back], _noise(plant, keys)[back])
 
 
-def _scalar(loss: Array, dt: Array, powers: int) -> Response:
+def _scalar(loss: Array, dt: Array, powers: int) -> SegmentResponse:
     z = loss * dt
     poly = dt[:, None] * weights(z, powers)
     noise = dt * weights(2.0 * z, 1)[:, 0]
-    return Response(np.exp(-z)[:, None, None], poly[:, None, :], noise[:, None, None])
+    return SegmentResponse(np.exp(-z)[:, None, None], poly[:, None, :], noise[:, None, None])
 
 
 def weights(z: Array, powers: int) -> Array:

@@ -56,10 +56,11 @@ def tables(plant: Plant, segments: Segments, about: Array | None = None) -> Tabl
     coupling = plant.coupling[segments.location]
     closed = _half(plant, segments, found)
     if plant.thermostat is None:
-        return Tables(closed, None, segments.dt, coupling, about, gain)
+        return Tables(closed=closed, open=None, dt=segments.dt, coupling=coupling, about=about, radiated=gain)
     p, there = plant.thermostat.effect.params, plant.thermostat.there[segments.location].astype(float)
     cooled = _more(found, there * p["loss"], there * p["loss"] * p["sink"])
-    return Tables(closed, _half(plant, segments, cooled), segments.dt, coupling, about, gain)
+    opened = _half(plant, segments, cooled)
+    return Tables(closed=closed, open=opened, dt=segments.dt, coupling=coupling, about=about, radiated=gain)
 
 
 def _more(found: Terms, loss: Array, heat: Array) -> Terms:
@@ -106,10 +107,10 @@ def chosen(steps: Tables, opened: Array) -> Half:
     a, b = steps.closed, steps.open
     flat, square = opened[:, None], opened[:, None, None]
     return Half(
-        a.phi + square * (b.phi - a.phi),
-        a.pull + flat * (b.pull - a.pull),
-        a.added + flat * (b.added - a.added),
-        a.unit + flat * (b.unit - a.unit),
-        a.noise + square * (b.noise - a.noise),
-        a.terms,
+        phi=a.phi + square * (b.phi - a.phi),
+        pull=a.pull + flat * (b.pull - a.pull),
+        added=a.added + flat * (b.added - a.added),
+        unit=a.unit + flat * (b.unit - a.unit),
+        noise=a.noise + square * (b.noise - a.noise),
+        terms=a.terms,
     )

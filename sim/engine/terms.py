@@ -42,13 +42,13 @@ class Segments:
     def rows(self, rows: slice | Indices | Mask) -> "Segments":
         """Some of the segments."""
         return Segments(
-            self.location[rows],
-            self.time[rows],
-            self.age[rows],
-            self.dt[rows],
-            self.offset[rows],
-            {name: column[rows] for name, column in self.signals.items()},
-            tuple(column[rows] for column in self.since),
+            location=self.location[rows],
+            time=self.time[rows],
+            age=self.age[rows],
+            dt=self.dt[rows],
+            offset=self.offset[rows],
+            signals={name: column[rows] for name, column in self.signals.items()},
+            since=tuple(column[rows] for column in self.since),
         )
 
 

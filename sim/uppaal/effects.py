@@ -7,7 +7,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.effects.kind import Refusal, Structural, TextLaw, unknown
+from sim.effects.kind import EffectRefusal, Structural, TextLaw, unknown
 from sim.effects.kinds import acts_in, kind_of, of_feature, parameter
 from sim.engine.plant import Plant, compile_plant
 from sim.sha.automaton import SHA, Effect
@@ -24,7 +24,7 @@ NEVER = 1e12
 
 
 @dataclass(frozen=True, slots=True)
-class Augmented:
+class EffectTexts:
     """The texts that effects add to a machine.
 
     `x` is the expression of X, `clock` the hybrid clock that moves at X's rate. `constants` are lines for the global
@@ -65,15 +65,21 @@ class Augmented:
 
 
 def augmented(
-    sha: SHA, names: Names, inputs: Inputs, own: tuple[str, str], channels: Mapping[str, str], clocks: Clocks
-) -> Augmented:
+    sha: SHA,
+    names: Names,
+    inputs: Inputs,
+    *,
+    own: tuple[str, str],
+    channels: Mapping[str, str],
+    clocks: Clocks,
+) -> EffectTexts:
     """The texts of an automaton's effects; those of a plain machine without any.
 
     `own` are the machine's variables for the jump and for the seconds since the last one.
     """
     if not sha.effects:
-        return Augmented(settled=(f"Temp = {own[0]}",))
-    return _Writer(sha, names, inputs, own, channels, clocks).written()
+        return EffectTexts(settled=(f"Temp = {own[0]}",))
+    return _Writer(sha, names, inputs, own=own, channels=channels, clocks=clocks).written()
 
 
 class _Writer:
@@ -84,6 +90,7 @@ class _Writer:
         sha: SHA,
         names: Names,
         inputs: Inputs,
+        *,
         own: tuple[str, str],
         channels: Mapping[str, str],
         clocks: Clocks,
@@ -107,7 +114,7 @@ class _Writer:
         self.constants.append(f"const double {name} = {number(value)};")
         return name
 
-    def written(self) -> Augmented:
+    def written(self) -> EffectTexts:
         bounds, arrows = self._sensor()
         heats = [(effect, self._heat(effect)) for effect in self.sha.effects]
         terms = {
@@ -116,7 +123,7 @@ class _Writer:
         }
         shown = f"Temp = {self.jump} + {self.offset}" if self.offset else f"Temp = {self.jump}"
         settled = [f"{self.x} = {self.jump}" if self.plant.lags else shown, *self.following]
-        return Augmented(
+        return EffectTexts(
             x=self.x,
             clock=self.x if self.plant.lags else "Temp",
             constants=tuple(self.constants),
@@ -187,7 +194,7 @@ class _Writer:
                 return _thermostat(self, effect)
             case Structural(feature="dead time" | "sensor lag" | "sensor offset"):
                 return ""  # in the replay's times, and in `_sensor`
-            case Refusal(reason=reason):
+            case EffectRefusal(reason=reason):
                 raise ValueError(f"effects of the kind {effect.kind!r} have no text: {reason}")
             case text:
                 raise unknown("the UPPAAL export", effect.kind, text)

@@ -131,7 +131,14 @@ def _main(model: Model, replay: Replay, tick: int, questions: tuple[Question, ..
     law = replay.x0
     drawn = distributions.variance(law) > 0
     begin = Beginning(replay.location, replay.age, distributions.mean(law), law if drawn else None)
-    more = augmented(sha, names, known.inputs, (known.jump, known.since), channels, replay.clocks)
+    more = augmented(
+        sha,
+        names,
+        known.inputs,
+        own=(known.jump, known.since),
+        channels=channels,
+        clocks=replay.clocks,
+    )
     constants, template = machine(sha, names, known, moves, begin, tick, more)
     ids = {symbol: index for index, symbol in enumerate(channels)}
     feeder = input_player(replay.readings, known.inputs)

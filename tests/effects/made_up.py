@@ -9,7 +9,7 @@ import pytest
 
 from sim.effects.kind import (
     BoundLaw,
-    Candidate,
+    EffectCandidate,
     EffectKind,
     HeatBound,
     HeldLaw,
@@ -51,7 +51,7 @@ HUMIDITY_HEATING = EffectKind(
     law=HeldLaw(_condensing),
     bound=HeatBound(lambda _: ()),
     uppaal=TextLaw(_text),
-    candidate=Candidate(
+    candidate=EffectCandidate(
         strength="gain",
         sign=1.0,
         experiment="open the windows for an hour at one load",

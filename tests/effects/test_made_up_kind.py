@@ -15,7 +15,7 @@ from sim.discrepancy.augment import augmented
 from sim.discrepancy.fitting.catalogue import entry_of
 from sim.discrepancy.workflow import diagnose
 from sim.effects.correction import in_sensor_scale
-from sim.effects.kind import Refusal
+from sim.effects.kind import EffectRefusal
 from sim.effects.kinds import ROLES
 from sim.engine.belief import compile_model, start
 from sim.engine.plant import compile_plant
@@ -138,7 +138,7 @@ def test_a_kind_is_complete_or_is_not_constructed() -> None:
     ("bound", "sentence"),
     [
         (
-            Refusal("nobody knows how humid it gets"),
+            EffectRefusal("nobody knows how humid it gets"),
             "'humidity-heating' are not bounded: nobody knows how humid it gets",
         ),
         (StrangePart(), r"the verification does not know effects of the kind 'humidity-heating' \(StrangePart\)"),
@@ -162,7 +162,7 @@ def test_a_checker_that_does_not_know_says_not_decided_and_nothing_is_deployed(b
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        (Refusal("it has no clock of it"), "'humidity-heating' have no text: it has no clock of it"),
+        (EffectRefusal("it has no clock of it"), "'humidity-heating' have no text: it has no clock of it"),
         (StrangePart(), "the UPPAAL export does not know effects of the kind 'humidity-heating'"),
     ],
 )

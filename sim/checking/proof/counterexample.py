@@ -105,7 +105,7 @@ def _cut(room: Envelope, patience: float, longest: float, rate: float) -> Envelo
     least, most = room.sojourn
     if not isinf(most):
         return room
-    if room.push is not None:
+    if room.forcing is not None:
         return replace(room, sojourn=(least, max(least, _slowly(room, patience, longest))))
     if room.flow.kind in RELAXING:
         ramp = 0.0 if isinf(rate) else 1e3 / rate  # under a limited rate the first 1000 degC are run through evenly

@@ -14,7 +14,7 @@ from sim.checking.proof import structure
 from sim.checking.proof.bounds import Bounds, Verdict, find_bounds, noise_band
 from sim.checking.proof.counterexample import MOST_STAYS
 from sim.checking.proof.envelope import DAY, Assumptions, Range, UnboundedInput, describe
-from sim.checking.proof.push import UnboundedEffect
+from sim.checking.proof.forcing import UnboundedEffect
 from sim.checking.proof.runnable import announced, faults, unexecuted
 from sim.checking.proof.wear import worn
 from sim.checking.proof.word import TimedWord
@@ -158,15 +158,7 @@ class _Stopwatch:
 
     def __call__(self, check: Check) -> Check:
         before, self.last = self.last, self.clock()
-        return Check(
-            check.name,
-            check.verdict,
-            check.evidence,
-            check.details,
-            check.words,
-            check.blocking,
-            self.last - before,
-        )
+        return replace(check, seconds=self.last - before)
 
 
 # ------------------------------------------------------------------ structure
@@ -306,7 +298,7 @@ def _within(found: Bounds, model: Model, assumptions: Assumptions, *, blocking: 
     hidden = in_sensor_scale(model).sha
     clamp = f"; the model's clamp to [{hidden.low:g}, {hidden.high:g}] would hide it and is left out here"
     words = tuple(one.word for one in found.escapes if one.word is not None)
-    return Check("bounds", found.verdict, f"T can leave {claim}: {said}{clamp}", details, words, blocking)
+    return Check("bounds", found.verdict, f"T can leave {claim}: {said}{clamp}", details, words, blocking=blocking)
 
 
 def _way_out(found: Bounds, up: bool) -> str:

@@ -3,16 +3,16 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.effects.kind import Candidate, EffectKind
+from sim.effects.kind import EffectCandidate, EffectKind
 from sim.effects.kinds import EFFECTS
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class CatalogueEntry:
     """A kind that can be named, with how it is looked for. What is said here is said of `kind` and its candidate."""
 
     kind: EffectKind
-    candidate: Candidate
+    candidate: EffectCandidate
 
     @property
     def name(self) -> str:
@@ -60,12 +60,12 @@ class Entry:
         return self.kind.needed
 
 
-def catalogue() -> tuple[Entry, ...]:
+def catalogue() -> tuple[CatalogueEntry, ...]:
     """Every kind that can be named, in the table's order."""
-    return tuple(Entry(kind, kind.candidate) for kind in EFFECTS.values() if kind.candidate is not None)
+    return tuple(CatalogueEntry(kind, kind.candidate) for kind in EFFECTS.values() if kind.candidate is not None)
 
 
-def entry_of(name: str) -> Entry:
+def entry_of(name: str) -> CatalogueEntry:
     """The entry of a kind. Raises ValueError, naming it, for one that a diagnosis does not know."""
     found = next((entry for entry in catalogue() if entry.name == name), None)
     if found is None:
@@ -73,7 +73,7 @@ def entry_of(name: str) -> Entry:
     return found
 
 
-def signals_of(entry: Entry, present: Mapping[str, str]) -> dict[str, str] | None:
+def signals_of(entry: CatalogueEntry, present: Mapping[str, str]) -> dict[str, str] | None:
     """role -> signal for an entry from the roles that are `present`; None where a needed one is missing."""
     if any(role not in present for role in entry.needs):
         return None

@@ -71,7 +71,17 @@ def run_free(
     for effect in effects:
         if on_sensor(effect):
             mean = as_sensed(frame.record, effect, mean)
-    return State(linear, log_rates, tuple(named), course, mean, decay, k, target, loss)
+    return State(
+        linear=linear,
+        log_rates=log_rates,
+        named=tuple(named),
+        course=course,
+        mean=mean,
+        decay=decay,
+        k=k,
+        target=target,
+        loss=loss,
+    )
 
 
 def _driven(
@@ -158,7 +168,7 @@ def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: 
     p, r = frame.count
     strengths = point[p + r :].tolist()
     moved = [one.scaled(value) for one, value in zip(named, strengths, strict=True)]
-    return run_free(frame, point[:p], point[p : p + r], start, moved, guess)
+    return run_free(frame, point[:p], point[p : p + r], start, named=moved, guess=guess)
 
 
 def grid_at(frame: Frame, state: State) -> Grid:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from sim.discrepancy.fitting.catalogue import Entry, entry_of
+from sim.discrepancy.fitting.catalogue import CatalogueEntry, entry_of
 from sim.effects.kinds import kind_of
 from sim.learning.runs import first_switch
 from sim.learning.structure import contexts
@@ -19,7 +19,7 @@ class Named:
     `given` is the effect that the model had before, whose signals, locations and event it keeps.
     """
 
-    entry: Entry
+    entry: CatalogueEntry
     signals: Mapping[str, str]
     params: Mapping[str, float]
     given: Effect | None = None

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from sim.checking.proof.envelope import Assumptions
 from sim.checking.proof.verify import verify
-from sim.effects.kind import Refusal
+from sim.effects.kind import EffectRefusal
 from tests.effects.engines import automaton, model_of, named, trace_of, with_effects
 from tests.effects.made_up import HUMIDITY_HEATING, known
 
 
 def test_what_cannot_be_bounded_is_not_decided_and_not_deployed() -> None:
-    with known(replace(HUMIDITY_HEATING, bound=Refusal("no range of it is known"))):
+    with known(replace(HUMIDITY_HEATING, bound=EffectRefusal("no range of it is known"))):
         hot = named("humidity-heating", {"humidity": "I"}, {"gain": 1.0, "reference": 0.0})
         model = with_effects(model_of("own names"), hot)
         assert automaton(model, trace_of()).max() == 500.0

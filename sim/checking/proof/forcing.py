@@ -10,8 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim.checking.proof.drift import Drift, Pair, added
-from sim.effects.kind import Feature, HeatBound, LossBound, Refusal, Structural, VaryingBound, unknown
+from sim.checking.proof.drift import DriftBound, Pair, added
+from sim.effects.kind import EffectRefusal, Feature, HeatBound, LossBound, Structural, VaryingBound, unknown
 from sim.effects.kinds import acts_in, kind_of, parameter
 from sim.engine.terms import held
 from sim.sha.automaton import SHA, Effect, Flow, Location
@@ -38,7 +38,7 @@ class Loss:
 
 
 @dataclass(frozen=True, slots=True)
-class Push:
+class Forcing:
     """What effects add in one location: `heat` (degC/s), the flow's own inputs among it; `losses`; `coupling` (1/s).
 
     `signals` are the values that give the least and the greatest drift, as far as constant ones can. `around` (degC) is
@@ -58,7 +58,9 @@ class UnboundedEffect(ValueError):
     """An effect of a kind of which no bound is known, so that nothing can be proven of temperatures."""
 
 
-def push_of(sha: SHA, location: Location, m: Range, ranges: Callable[[str], Range], horizon: float) -> Push | None:
+def forcing_of(
+    sha: SHA, location: Location, m: Range, ranges: Callable[[str], Range], horizon: float
+) -> Forcing | None:
     """What acts in the location; None where nothing does. `ranges` gives that of each signal that is read there.
 
     `m` is the range of the mode parameter, `horizon` (s) how long wear goes on. Raises UnboundedEffect, naming the
@@ -85,7 +87,7 @@ def push_of(sha: SHA, location: Location, m: Range, ranges: Callable[[str], Rang
                 least, most = least + low, most + high
             case Structural(feature="housing" | "thermostat" | "radiation" as feature):
                 features[feature] = effect
-            case Refusal(reason=reason):
+            case EffectRefusal(reason=reason):
                 raise UnboundedEffect(f"effects of the kind {effect.kind!r} are not bounded: {reason}")
             case _:
                 raise UnboundedEffect(str(unknown("the verification", effect.kind, bound)))
@@ -105,7 +107,7 @@ def push_of(sha: SHA, location: Location, m: Range, ranges: Callable[[str], Rang
             for side in (0, 1):
                 chosen[side].setdefault(name, ranges(name)[side])
     housing = features.get("housing")
-    return Push(
+    return Forcing(
         heat=(low, high),
         signals=chosen,
         losses=tuple(loss for _, loss in losses),
@@ -116,32 +118,32 @@ def push_of(sha: SHA, location: Location, m: Range, ranges: Callable[[str], Rang
     )
 
 
-def drift_of(flow: Flow, m: Range, push: Push, *, up: bool, housing: float | None) -> Drift:
+def drift_of(flow: Flow, m: Range, forcing: Forcing, *, up: bool, housing: float | None) -> DriftBound:
     """The greatest (`up`) or the least drift in X, for a mode parameter within `m`.
 
     `housing` (degC) is the highest or lowest temperature that the housing may have; None leaves it out.
     """
     side = int(up)
-    parts = [_alone(flow, m, push.heat, side)]
-    parts += [_pull(one, up=up) for one in push.losses]
-    if push.coupling and housing is not None:
-        parts.append(Drift((), ((push.coupling * housing, push.coupling),)))
-    if push.thermostat is not None:
-        parts.append(_valve(push.thermostat, up=up))
-    if push.radiation is not None:
-        parts.append(_radiated(push.radiation, push.around[side], up=up))
+    parts = [_alone(flow, m, forcing.heat, side)]
+    parts += [_loss_drift(one, up=up) for one in forcing.losses]
+    if forcing.coupling and housing is not None:
+        parts.append(DriftBound((), ((forcing.coupling * housing, forcing.coupling),)))
+    if forcing.thermostat is not None:
+        parts.append(_valve(forcing.thermostat, up=up))
+    if forcing.radiation is not None:
+        parts.append(_radiated(forcing.radiation, forcing.around[side], up=up))
     return added(parts)
 
 
-def _alone(flow: Flow, m: Range, heat: Range, side: int) -> Drift:
+def _alone(flow: Flow, m: Range, heat: Range, side: int) -> DriftBound:
     """The flow and the heats without anything lost."""
     if flow.kind in RELAXING:
-        return Drift((), ((flow.params["k"] * m[side] + heat[side], flow.params["k"]),))
+        return DriftBound((), ((flow.params["k"] * m[side] + heat[side], flow.params["k"]),))
     drive = m[side] if flow.kind == "linear" else 0.0
     if flow.kind == "logarithmic":  # it fades from this to 0
         entered = m[side] / flow.params["t0"]
         drive = max(entered, 0.0) if side else min(entered, 0.0)
-    return Drift((), ((drive + heat[side], 0.0),))
+    return DriftBound((), ((drive + heat[side], 0.0),))
 
 
 # ------------------------------------------------------------------ heats
@@ -208,7 +210,7 @@ def _temperature(effect: Effect, role: str, fixed: str, ranges: Callable[[str], 
 
 
 def _loss_signals(
-    effect: Effect, sink: Range, ranges: Callable[[str], Range], alone: Drift, side: int
+    effect: Effect, sink: Range, ranges: Callable[[str], Range], alone: DriftBound, side: int
 ) -> dict[str, float]:
     """The values that drive outwards: warm (cold) sinks, and least pumping where the drift `alone` goes beyond them."""
     a, b = alone.at(sink[side])
@@ -222,29 +224,29 @@ def _loss_signals(
     return found
 
 
-def _pull(one: Loss, *, up: bool) -> Drift:
+def _loss_drift(one: Loss, *, up: bool) -> DriftBound:
     """Below the sink a loss warms, above it cools: which of its strengths is the bound changes there."""
     sink = one.sink[int(up)]
     least, most = one.loss
     below, above = (most, least) if up else (least, most)
-    return Drift((sink,), ((below * sink, below), (above * sink, above)))
+    return DriftBound((sink,), ((below * sink, below), (above * sink, above)))
 
 
-def _valve(effect: Effect, *, up: bool) -> Drift:
+def _valve(effect: Effect, *, up: bool) -> DriftBound:
     """Open at `opens` and above, closed at `closes` and below, between the two whichever does the more."""
     loss, sink = effect.params["loss"], effect.params["sink"]
     opens, closes = effect.params["opens"], effect.params["closes"]
     cooled, idle = (loss * sink, loss), (0.0, 0.0)
     if not up:
-        return Drift((max(closes, sink),), (idle, cooled))
+        return DriftBound((max(closes, sink),), (idle, cooled))
     if sink <= closes:
-        return Drift((opens,), (idle, cooled))
+        return DriftBound((opens,), (idle, cooled))
     if sink >= opens:
-        return Drift((), (cooled,))
-    return Drift((sink, opens), (cooled, idle, cooled))
+        return DriftBound((), (cooled,))
+    return DriftBound((sink, opens), (cooled, idle, cooled))
 
 
-def _radiated(effect: Effect, around: float, *, up: bool) -> Drift:
+def _radiated(effect: Effect, around: float, *, up: bool) -> DriftBound:
     """Tangents (`up`) or chords of -gain ((X - zero)^4 - (around - zero)^4), which is concave above zero.
 
     Below the absolute zero of X's scale nothing is radiated.
@@ -259,11 +261,11 @@ def _radiated(effect: Effect, around: float, *, up: bool) -> Drift:
         return _lowest([(received, 0.0), *map(tuple, lines[1:].tolist())])
     slopes = np.append(-np.diff(heats) / np.diff(depths), STEEP)
     lines = np.column_stack([heats + slopes * (depths + zero), slopes])
-    return Drift(tuple((depths + zero).tolist()), ((received, 0.0), *map(tuple, lines.tolist())))
+    return DriftBound(tuple((depths + zero).tolist()), ((received, 0.0), *map(tuple, lines.tolist())))
 
 
-def _lowest(lines: Sequence[Pair]) -> Drift:
+def _lowest(lines: Sequence[Pair]) -> DriftBound:
     """The lowest of lines that grow steeper from one to the next: each begins where it meets the one before it."""
     steeper = [lines[0], *(after for before, after in pairwise(lines) if after[1] > before[1])]
     knots = tuple((after[0] - before[0]) / (after[1] - before[1]) for before, after in pairwise(steeper))
-    return Drift(knots, tuple(steeper))
+    return DriftBound(knots, tuple(steeper))
