@@ -94,7 +94,7 @@ def sensor_offsets(sha: SHA, times: Array) -> Array:
     return total
 
 
-def summary(effect: Effect) -> str:
+def effect_summary(effect: Effect) -> str:
     """One line that says all of an effect: kind, parameters, signals, locations and event."""
     parts = [f"{name} {value:g}" for name, value in effect.params.items()]
     parts += [f"{role} {signal}" for role, signal in effect.signals.items()]

@@ -7,7 +7,7 @@ import pytest
 
 from sim.effects.check import check_effect, check_effects, check_sha
 from sim.effects.correction import in_sensor_scale
-from sim.effects.kinds import EFFECTS, refusal, summary
+from sim.effects.kinds import EFFECTS, effect_summary, refusal
 from sim.engine.moments import moments
 from sim.engine.schedule import schedule, step_coefficients
 from sim.sha.automaton import SHA, Effect
@@ -81,8 +81,8 @@ def test_the_signal_of_a_role_takes_the_place_of_its_parameter() -> None:
 
 
 def test_an_effect_is_told_in_one_line() -> None:
-    assert summary(replace(PUMP, locations=("on",))) == "pump-cooling: loss 0.01; sink 20; pump P; in on"
-    assert summary(START) == "startup-churning: gain 0.1; tau 60; shape 1; since W_ON"
+    assert effect_summary(replace(PUMP, locations=("on",))) == "pump-cooling: loss 0.01; sink 20; pump P; in on"
+    assert effect_summary(START) == "startup-churning: gain 0.1; tau 60; shape 1; since W_ON"
 
 
 def test_what_cannot_do_effects_says_so_in_one_sentence() -> None:
