@@ -20,12 +20,12 @@ from sim.checking.proof.envelope import Envelope, envelopes
 from sim.checking.proof.structure import moves
 from sim.checking.proof.verify import DEFAULT, Verification, verify
 from sim.checking.proof.word import Step, TimedWord, parse_word, replay, word_text
+from sim.effects.correction import in_sensor_scale
 from sim.learning.bins.learn import learn_bins
 from sim.learning.lsha.learn import learn_lsha
 from sim.learning.structure import LearningError
 from sim.plant.scenarios import SCENARIOS, history_and_day, scenario
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input
-from sim.sha.correction import in_sensor_scale
 from sim.sha.events import DECANTER, Alphabet, alphabet_symbols
 from sim.sha.model import Correction, Model
 from sim.sha.trace import UNKNOWN, Trace

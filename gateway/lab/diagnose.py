@@ -20,7 +20,6 @@ from sim.artefacts.find import find_model
 from sim.artefacts.model_json import model_hash
 from sim.checking.proof.verify import verify
 from sim.discrepancy.augment import augmented
-from sim.discrepancy.catalogue import ROLES
 from sim.discrepancy.diagnosis import Diagnosis
 from sim.discrepancy.fitting.record import overlapping
 from sim.discrepancy.heat_map import span
@@ -29,6 +28,7 @@ from sim.discrepancy.output.folder import MODEL, check_folder, write_diagnosis
 from sim.discrepancy.output.report import Occasion
 from sim.discrepancy.workflow import Outcome
 from sim.discrepancy.workflow import diagnose as diagnose_model
+from sim.effects.kinds import ROLES
 from sim.sha.model import Model
 from sim.sha.trace import Trace, joint_hash
 from sim.traces.column_map import ColumnMap, load_map

@@ -11,7 +11,7 @@ from gateway.console.options import json_option
 from gateway.console.output import emit, table
 from sim.artefacts.find import Found, find_model
 from sim.artefacts.model_json import model_hash
-from sim.effects.kinds import told
+from sim.effects.kinds import effect_summary
 from sim.sha import distributions
 from sim.sha.automaton import SHA
 from sim.sha.model import Model, Stay
@@ -119,7 +119,7 @@ def show_model(shown: Model) -> None:
         [list(row.values()) for row in rows],
     )
     for effect in shown.sha.effects:
-        click.echo(f"effect {told(effect)}")
+        click.echo(f"effect {effect_summary(effect)}")
     origin = shown.provenance
     click.echo(f"temperature {shown.temperature}, sensor sigma {shown.sensor_sigma:.3g} °C, method {origin.method}")
     if shown.calibration:

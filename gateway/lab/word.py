@@ -8,8 +8,8 @@ from gateway.console.exits import sentences
 from gateway.console.output import emit, table
 from sim.artefacts.find import find_model
 from sim.checking.proof.word import Replay, parse_word, replay
+from sim.effects.correction import in_sensor_scale
 from sim.engine.schedule import Policy
-from sim.sha.correction import in_sensor_scale
 
 COLUMNS = ("time", "symbol", "location", "seconds", "m", "offset", "entered", "left", "clamped")
 

@@ -26,8 +26,8 @@ from sim.artefacts.flow_file import FlowFile
 from sim.artefacts.flow_kinds import flow_of, same_equation
 from sim.artefacts.histogram import evidence, fit
 from sim.artefacts.report import EFFECT, ReportedLaw, ReportedLocation
+from sim.effects.check import check_sha
 from sim.sha.automaton import SHA, Distribution, Entry, Flow, Input, Location, nondeterminism
-from sim.sha.entry import check_sha
 from sim.sha.flows import FIXED, FLOWS, RELAXING
 
 Parameter = Literal["rate", "target"]

@@ -10,7 +10,7 @@ from sim.artefacts.flow_file import FlowFile, parse_equation
 from sim.artefacts.flow_kinds import equation_text, quoted
 from sim.artefacts.histogram import Histogram
 from sim.artefacts.report import EFFECT, EMPTY_WORD, UNOBSERVED, Report, ReportedLaw, ReportedLocation, Row, Table
-from sim.effects.kinds import told
+from sim.effects.kinds import effect_summary
 from sim.learning.lsha.table import ObservationTable, TableRow
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
@@ -52,7 +52,7 @@ def to_artefacts(
 
 
 def _effects(sha: SHA) -> Iterator[tuple[str, str]]:
-    return ((f"{EFFECT} {number}", told(effect)) for number, effect in enumerate(sha.effects, start=1))
+    return ((f"{EFFECT} {number}", effect_summary(effect)) for number, effect in enumerate(sha.effects, start=1))
 
 
 def _numbered(keys: Iterator[K]) -> dict[K, int]:

@@ -32,10 +32,10 @@ from sim.artefacts.model_parts import (
     stay_of,
     stay_part,
 )
+from sim.effects.check import check_sha
+from sim.effects.correction import in_sensor_scale
 from sim.sha.automaton import SHA
-from sim.sha.correction import in_sensor_scale
 from sim.sha.distributions import check_distribution
-from sim.sha.entry import check_sha
 from sim.sha.events import check_alphabet
 from sim.sha.model import Model
 

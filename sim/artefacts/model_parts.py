@@ -6,7 +6,7 @@ from typing import Any
 
 from sim.artefacts.files import ArtefactError
 from sim.artefacts.json_reading import Node, written_number
-from sim.effects.kinds import check_effect
+from sim.effects.check import check_effect
 from sim.sha.automaton import Distribution, Edge, Effect, Entry, Flow, Input, Location
 from sim.sha.events import Alphabet, Bins, Switch
 from sim.sha.model import Correction, Provenance, Stay

@@ -1,35 +1,18 @@
-"""From named effects to a model and back: the augmented automaton is an ordinary one, effects beside its flows."""
+"""From a fit to a model: the augmented automaton is an ordinary one, effects beside its flows."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from sim.discrepancy.catalogue import CATALOGUE
-from sim.discrepancy.fitting.course import Named
 from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.forms import BLURRED
-from sim.effects.kinds import EFFECTS
+from sim.discrepancy.fitting.named import effects_of
 from sim.learning.free_run import RATES
-from sim.learning.runs import first_switch
 from sim.learning.semi_markov import with_inputs
-from sim.learning.structure import contexts
 from sim.sha import distributions
-from sim.sha.automaton import SHA, Distribution, Effect, Flow, Input, Location
+from sim.sha.automaton import SHA, Distribution, Flow, Input, Location
 from sim.sha.model import Model, Provenance
 from sim.sha.trace import Trace
-
-RUNNING_ONLY = (
-    "current-heating",
-    "quadratic-current-heating",
-    "current-saturation",
-    "torque-friction",
-    "speed-friction",
-    "vibration-friction",
-    "startup-churning",
-    "wear-drift",
-)
-"""Effects that heat only while the machine runs."""
 
 
 def augmented(
@@ -69,73 +52,6 @@ def augmented(
         ),
     )
     return with_inputs(new, readings) if readings else new
-
-
-def effects_of(named: Named, model: Model) -> tuple[Effect, ...]:
-    """A named effect as the automaton takes it; the blur of a dead time is a lag of the sensor there."""
-    blur = named.params.get("blur", 0.0) * named.strength
-    lag = (Effect("sensor-lag", {"tau": blur, "order": float(BLURRED)}),) if blur > 0 else ()
-    return effect_of(named, model), *lag
-
-
-def effect_of(named: Named, model: Model) -> Effect:
-    """The effect that bears a named one's name."""
-    kind = EFFECTS[named.entry.name]
-    params = {key: value for key, value in named.params.items() if key in kind.params}
-    switch = first_switch(model.alphabet)
-    where: tuple[str, ...] = ()
-    if not kind.everywhere:
-        names = tuple(location.name for location in model.sha.locations)
-        where = _where_known(model, running_locations(model) if named.entry.name in RUNNING_ONLY else names)
-    return Effect(
-        named.entry.name,
-        params,
-        {} if named.params.get("walls") else dict(named.signals),
-        locations=where if len(where) < len(model.sha.locations) else (),
-        event=switch.rising if kind.event and switch is not None else "",
-    )
-
-
-def named_of(model: Model) -> tuple[Named, ...]:
-    """The effects that a model has already, as the catalogue speaks of them."""
-    entries = {entry.name: entry for entry in CATALOGUE}
-    found = []
-    for effect in model.sha.effects:
-        entry = entries[effect.kind]
-        extra = (
-            {"power": 2.0 if effect.kind.startswith("quadratic") else 1.0} if "current-heating" in effect.kind else {}
-        )
-        found.append(Named(entry, dict(effect.signals), {**EFFECTS[effect.kind].defaults, **extra, **effect.params}))
-    return tuple(found)
-
-
-def _where_known(model: Model, names: Sequence[str]) -> tuple[str, ...]:
-    """Those whose flow says how the temperature moves: a constant one holds what is not known and adds up a heat."""
-    flows = model.sha.by_name
-    return tuple(name for name in names if flows[name].flow.kind != "constant") or tuple(names)
-
-
-def running_locations(model: Model) -> tuple[str, ...]:
-    """The locations in which the machine runs: all without a switch, or where the names are not the alphabet's."""
-    switch = first_switch(model.alphabet)
-    if switch is None:
-        return tuple(location.name for location in model.sha.locations)
-    place = model.alphabet.channels.index(switch)
-    known = contexts(model.alphabet)
-    running = [one.name for one in model.sha.locations if known.get(one.name, ())[place : place + 1] == (1,)]
-    if running:
-        return tuple(running)
-    return tuple(sorted(_reached_running(model, switch.rising, switch.falling)))
-
-
-def _reached_running(model: Model, rising: str, falling: str) -> set[str]:
-    """Locations entered by `rising`, or from those by anything but `falling`."""
-    found = {edge.target for edge in model.sha.edges if edge.symbol == rising}
-    while True:
-        more = {e.target for e in model.sha.edges if e.source in found and e.symbol not in (falling, "UNKNOWN")} - found
-        if not more:
-            return found
-        found |= more
 
 
 def _with_parameters(fitted: Fitted) -> SHA:

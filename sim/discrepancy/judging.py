@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.discrepancy.catalogue import CATALOGUE
 from sim.discrepancy.diagnosis import Ceiling, HeldOut, Verdict
+from sim.discrepancy.fitting.catalogue import catalogue
 from sim.discrepancy.fitting.fit import Fitted
 from sim.discrepancy.gap import Excess
 from sim.discrepancy.held_out import Trial
@@ -166,7 +166,7 @@ def verdict_of(
 def untested(present: Mapping[str, str], roles: Mapping[str, str]) -> dict[str, str]:
     """The effects that were off the table, with the reason."""
     out = {}
-    for entry in CATALOGUE:
+    for entry in catalogue():
         missing = [role for role in entry.needs if role not in present]
         if missing:
             signal = roles.get(missing[0], missing[0])

@@ -6,9 +6,9 @@ from itertools import product
 
 import numpy as np
 
-from sim.discrepancy.catalogue import CATALOGUE, Entry
-from sim.discrepancy.fitting.course import Named
+from sim.discrepancy.fitting.catalogue import CatalogueEntry, catalogue
 from sim.discrepancy.fitting.fit import Fitted, fit
+from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.screen import (
     Projector,
     Screen,
@@ -45,7 +45,7 @@ class Evidence:
     `amplitude` is its rms (degC) beyond what the parameters imitate.
     """
 
-    entry: Entry
+    entry: CatalogueEntry
     shape: Shape
     gain: float
     visible: float
@@ -99,7 +99,7 @@ class Step:
         return self.best.gain - max(others, default=0.0)
 
 
-def step(before: Fitted, entries: Sequence[Entry], roles: Mapping[str, str], seed: int) -> Step:
+def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], seed: int) -> Step:
     """Screen and confirm `entries` on top of a fit."""
     found = screen(before, entries, roles)
     threshold = max(float(np.quantile(null_maximum(found, seed), SURE)), LEAST_GAIN)
@@ -206,8 +206,8 @@ def _cosines(before: Fitted, evidence: Sequence[Evidence]) -> dict[str, float]:
     return {one.entry.name: float(cosine[number]) for number, one in enumerate(evidence) if number}
 
 
-def entries_besides(named: Sequence[Named], besides: Sequence[str] = ()) -> tuple[Entry, ...]:
+def entries_besides(named: Sequence[Named], besides: Sequence[str] = ()) -> tuple[CatalogueEntry, ...]:
     """The catalogue without the effects that are named already, what they rule out, and others by name."""
     taken = {one.entry.name for one in named} | set(besides)
     taken |= ONE_CHAIN if taken & ONE_CHAIN else set()
-    return tuple(entry for entry in CATALOGUE if entry.name not in taken)
+    return tuple(entry for entry in catalogue() if entry.name not in taken)

@@ -13,11 +13,13 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from sim.discrepancy.catalogue import Entry, signals_of
-from sim.discrepancy.fitting.course import Named, as_read, filtered
+from sim.discrepancy.fitting.catalogue import CatalogueEntry, signals_of
+from sim.discrepancy.fitting.course import as_read, filtered
+from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, on_sensor
 from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.forms import Params, Signals
+from sim.discrepancy.fitting.named import Named, effects_of
 from sim.discrepancy.fitting.noise import Weigher
+from sim.effects.kind import MachineLog
 from sim.sha.trace import Array
 
 DRAWS = 20_000
@@ -32,8 +34,8 @@ LEAST_BAND = 0.2
 class Shape:
     """One shape of an entry: signals by role, `params` without (in a `whole` entry: with) the strength."""
 
-    entry: Entry
-    signals: Signals
+    entry: CatalogueEntry
+    signals: Mapping[str, str]
     params: Mapping[str, float]
 
     def named(self, strength: float) -> Named:
@@ -138,30 +140,42 @@ def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
     record, state = fitted.frame.record, fitted.state
     out = []
     for shape in shapes:
-        if shape.entry.drive is not None:
-            loss, heat = shape.entry.drive(record, shape.signals, shape.params, smooth)
-            added = filtered(fitted.frame, state, heat - loss * smooth)[:, 0]
-            out.append(record.windowed(as_read(fitted.frame, state, added)))
-        if shape.entry.sense is not None:
-            sensed = shape.entry.sense(record, shape.named(1.0).params, state.mean)
+        effects = effects_of(shape.named(1.0), record.model)
+        if on_sensor(effects[0]):
+            sensed = state.mean
+            for effect in effects:
+                sensed = as_sensed(record, effect, sensed)
             out.append(record.windowed(sensed - state.mean))
+            continue
+        heat, loss = heat_and_loss(record, effects[0], smooth)
+        added = filtered(fitted.frame, state, heat - loss * smooth)[:, 0]
+        out.append(record.windowed(as_read(fitted.frame, state, added)))
     return np.column_stack(out)
 
 
-def shapes_of(fitted: Fitted, entries: Sequence[Entry], roles: Mapping[str, str], smooth: Array) -> Iterator[Shape]:
+def shapes_of(
+    fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], smooth: Array
+) -> Iterator[Shape]:
     """Every shape of every entry whose signals are there."""
     record = fitted.frame.record
-    pull = Projector(fitted).weighed_residual
+    score = Projector(fitted).weighed_residual
     for entry in entries:
         signals = signals_of(entry, roles)
         if signals is None:
             continue
-        further = entry.scan(record, pull) if entry.scan is not None else []
-        for params in [*entry.shapes(record, signals, smooth), *further]:
+        log = MachineLog(
+            time=record.runs.time,
+            dt=record.runs.dt,
+            running=record.running,
+            smooth=smooth,
+            signals={role: held(record, signal) for role, signal in signals.items()},
+        )
+        further = entry.candidate.scan(record.times, score) if entry.candidate.scan is not None else []
+        for params in [*entry.candidate.shapes(log), *further]:
             yield Shape(entry, signals, params)
 
 
-def screen(fitted: Fitted, entries: Sequence[Entry], roles: Mapping[str, str]) -> Screen:
+def screen(fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str]) -> Screen:
     """Every shape of every entry against what the fit leaves."""
     smooth = smooth_course(fitted)
     shapes = tuple(shapes_of(fitted, entries, roles, smooth))
@@ -183,7 +197,13 @@ def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
     np.add.at(parts, cycles, cleaned * projector.weighed_residual[:, None])
     np.add.at(shares, cycles, cleaned * weighed)
     return Screen(
-        shapes, scale, 0.5 * (normal + normal.T), scaled.T @ projector.weighed_residual, visible, parts, shares
+        shapes=shapes,
+        scale=scale,
+        normal=0.5 * (normal + normal.T),
+        score=scaled.T @ projector.weighed_residual,
+        visible=visible,
+        by_cycle=parts,
+        information=shares,
     )
 
 
@@ -191,7 +211,7 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
     """The effect with its shape where the gain is greatest, searched from a shape of the screen."""
     smooth = smooth_course(fitted)
     projector = Projector(fitted)
-    names = [name for name in shape.entry.refine if name in shape.params]
+    names = [name for name in shape.entry.candidate.refine if name in shape.params]
     if not names:
         return shape.named(strength)
     best: list[tuple[float, Shape, float]] = []
@@ -227,10 +247,10 @@ def _point(shape: Shape, names: Sequence[str]) -> Array:
     return np.array([np.log(max(v, 1.0)) if _is_time(n) else v / 10.0 for n, v in zip(names, values, strict=True)])
 
 
-def _values(shape: Shape, names: Sequence[str], point: Array) -> Params:
+def _values(shape: Shape, names: Sequence[str], point: Array) -> dict[str, float]:
     values = {}
     for name, coordinate in zip(names, point.tolist(), strict=True):
-        low, high = shape.entry.refine[name]
+        low, high = shape.entry.candidate.refine[name]
         value = float(np.exp(min(coordinate, 20.0))) if _is_time(name) else 10.0 * coordinate
         values[name] = min(max(value, low), high)
     if "closes" in values:

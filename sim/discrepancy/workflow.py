@@ -9,13 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.discrepancy.augment import named_of
-from sim.discrepancy.catalogue import ROLES
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.diagnosis import Ceiling, Diagnosis
 from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.course import Named
 from sim.discrepancy.fitting.fit import Fitted, fit
+from sim.discrepancy.fitting.named import Named, named_of
 from sim.discrepancy.fitting.record import Record, in_order, patiently, record_of
 from sim.discrepancy.gap import Excess, excess, spread_of
 from sim.discrepancy.held_out import by_cycles, compared
@@ -25,7 +23,8 @@ from sim.discrepancy.moved import shifts
 from sim.discrepancy.output.evidence import candidates_of, effect_of
 from sim.discrepancy.output.story import course_of, sentence_of
 from sim.discrepancy.path import name
-from sim.sha.correction import in_sensor_scale
+from sim.effects.correction import in_sensor_scale
+from sim.effects.kinds import ROLES
 from sim.sha.model import Model
 from sim.sha.trace import Trace
 

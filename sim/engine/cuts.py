@@ -1,24 +1,26 @@
 """Where stays must be cut into segments, besides events, outputs and changed signals, for the stated accuracy.
 
-Start-up heat is cut where its exponent reaches the values of `_EXPONENTS` (the rest after the last is below 1e-9 of its
-start), a logarithmic drive where it has fallen by a fifth, wear where it begins. Where thermostat or radiation act no
-segment is longer than a part of the fastest time constant of X there (`longest`).
+A heat that varies by itself is cut at the knots of its law, a logarithmic drive where it has fallen by a fifth: between
+two cuts each is close to a parabola (`terms`). Where thermostat or radiation act no segment is longer than a part of
+the fastest time constant of X there (`longest`), which bounds what a tangent or a missed excursion can be wrong by.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from sim.effects.kinds import ABSOLUTE_ZERO, parameter
+from sim.effects.exchange import ABSOLUTE_ZERO
+from sim.effects.kind import VaryingLaw, unknown
+from sim.effects.kinds import kind_of, parameter
 from sim.engine.plant import Acting, Indices, Plant
+from sim.engine.terms import held
 from sim.sha.automaton import Effect
 from sim.sha.trace import Array
 
-_EXPONENTS = np.array(
-    [0.05, 0.15, 0.3, 0.5, 0.75, 1, 1.3, 1.7, 2.1, 2.6, 3.2, 3.9, 4.7, 5.7, 7, 8.5, 10.5, 13, 16.5, 21]
-)
 _FALL = 1.25
+"""By how much t0 + age grows from one cut of a logarithmic drive to the next."""
 _SWITCHED, _RADIATING = 0.2, 0.1
+"""Parts of X's fastest time constant that a segment is long at most, under a thermostat and under radiation."""
 _WARM = 100.0 - ABSOLUTE_ZERO
 """The temperature (K) at which radiation's speed is taken."""
 
@@ -41,9 +43,9 @@ def cuts(plant: Plant, stays: Stays) -> Array:
     """The times (s) inside the stays at which a segment must end; in no order, some perhaps twice."""
     found = [np.empty(0)]
     for acting, starts in zip(plant.startups, stays.starts, strict=True):
-        found.append(_within(_startup(acting.effect, starts), stays, acting))
+        found.append(_within(_knots(acting.effect, starts), stays, acting))
     for acting in plant.wears:
-        found.append(_within(np.array([acting.effect.params["since"]]), stays, acting))
+        found.append(_within(_knots(acting.effect, np.empty(0)), stays, acting))
     if np.isfinite(plant.t0).any():
         found.append(_logarithmic(plant, stays))
     if not plant.linear:
@@ -51,13 +53,11 @@ def cuts(plant: Plant, stays: Stays) -> Array:
     return np.concatenate(found)
 
 
-def _startup(effect: Effect, starts: Array) -> Array:
-    if not starts.size:
-        return starts
-    after = effect.params["tau"] * _EXPONENTS ** (1.0 / effect.params["shape"])
-    following = np.append(starts[1:], np.inf)
-    times = starts[:, None] + after
-    return np.asarray(times[times < following[:, None]])
+def _knots(effect: Effect, starts: Array) -> Array:
+    law = kind_of(effect).law
+    if not isinstance(law, VaryingLaw):
+        raise unknown("the cutting of stays", effect.kind, law)
+    return law.knots(effect, starts)
 
 
 def _within(times: Array, stays: Stays, acting: Acting) -> Array:
@@ -68,6 +68,8 @@ def _within(times: Array, stays: Stays, acting: Acting) -> Array:
 
 
 def _logarithmic(plant: Plant, stays: Stays) -> Array:
+    # The cuts t0 (fall^n - 1) after entry are the same for all stays in a location, so that equal segments recur and
+    # are worked out once.
     t0 = plant.t0[stays.location]
     rows = np.flatnonzero(np.isfinite(t0) & (stays.ends > stays.begins))
     t0, begin, end = t0[rows], stays.begins[rows] - stays.entered[rows], stays.ends[rows] - stays.entered[rows]
@@ -104,11 +106,14 @@ def longest(plant: Plant) -> Array:
 
 
 def fastest(plant: Plant) -> Array:
-    """(L,) the greatest relaxation rate of X (1/s) by location, with every pump at 1 and every valve open."""
+    """(L,) the greatest relaxation rate of X (1/s) by location, with every signal at 1 and every valve open."""
     speed = plant.rate + plant.coupling
-    lossy = [*plant.steady, *([] if plant.thermostat is None else [plant.thermostat])]
-    for acting in lossy:
-        speed = speed + acting.there * acting.effect.params.get("loss", 0.0)
+    for acting in plant.steady:
+        # A pump's signal is 0 to 1: at 1 its loss is the parameter itself.
+        _, loss = held(acting.effect, {name: np.ones(1) for name in acting.effect.signals.values()})
+        speed = speed + acting.there * loss
+    if plant.thermostat is not None:
+        speed = speed + plant.thermostat.there * plant.thermostat.effect.params["loss"]
     if plant.radiation is not None:
         effect = plant.radiation.effect
         warm = _WARM * parameter(effect, "scale")

@@ -18,7 +18,10 @@ from sim.sha.trace import Array, Mask
 Rows = int | slice
 
 _SECANTS = 4
+"""Steps of the secant search for a crossing. Inside a segment, at most a fifth of X's fastest time constant long
+(`cuts`), X is nearly a straight line, on which the first step is exact; the method's order is 1.6 from there."""
 _MOST_SWITCHES = 8
+"""Switches of one run in one segment at most: a valve that hunts faster than that is finer than any record shows."""
 
 
 def switched(plant: Plant, x: Array, opened: Mask) -> Mask:
@@ -50,18 +53,34 @@ def move(
     `row` is one step for all runs, or a slice of N steps, one for each. `mode` (N,) is m, `opened` (N,) the thermostat
     after the last step, `push` (N, d) the step's noise.
     """
-    opened = switched(plant, s[:, 0], opened)
+    opened = switched(plant, s[:, 0], opened)  # a jump of X, or the range's clamp, may have passed a threshold
     rest = _left_out(plant, steps, row, s[:, 0])
-    after, met = _either(plant, steps, row, s, mode, opened, rest)
+    if steps.open is None or not opened.any():
+        after = _affine(steps.closed, row, s, mode, rest)
+    elif opened.all():
+        after = _affine(steps.open, row, s, mode, rest)
+    else:
+        both = (_affine(half, row, s, mode, rest) for half in (steps.open, steps.closed))
+        after = np.where(opened[:, None], *both)
+    after, met = _limited(plant.sha.max_rate, steps.dt[row], s, after)
     after = after + push
     now = switched(plant, after[:, 0], opened)
     at = np.flatnonzero(now != opened)
+    # Most runs switch in few segments: only those that crossed are cut, the others have their whole step already.
     if steps.open is None or not at.size:
         return Moved(after, opened, met, opened.astype(float))
     which = np.arange(steps.dt.size)[row][at] if isinstance(row, slice) else np.full(at.size, row)
     spread = push[at] if isinstance(push, np.ndarray) else np.zeros((at.size, plant.size))
     rests = np.zeros(at.size) if rest is None else rest[at]
-    run = _Run(which, s[at], mode[at], rests, opened[at], spread, np.zeros(at.size))
+    run = _Run(
+        which=which,
+        s=s[at],
+        mode=mode[at],
+        rest=rests,
+        opened=opened[at],
+        push=spread,
+        share=np.zeros(at.size),
+    )
     share = opened.astype(float)
     after[at], opened = _switching(plant, steps, run, after[at]), opened.copy()
     opened[at], share[at] = run.opened, run.share
@@ -72,22 +91,10 @@ def _left_out(plant: Plant, steps: Tables, row: Rows, x: Array) -> Array | None:
     """(N,) the heat that the tangent leaves out, taken at the step's start."""
     if steps.about is None or steps.radiated is None or plant.radiation is None:
         return None
+    # (a + y)^4 less its tangent in y: what is left of the binomial is a heat of second order in y.
     away = steps.about[row] - parameter(plant.radiation.effect, "zero")
     y = x - steps.about[row]
     return np.asarray(-steps.radiated[row] * y * y * (6.0 * away * away + 4.0 * away * y + y * y))
-
-
-def _either(
-    plant: Plant, steps: Tables, row: Rows, s: Array, mode: Array, opened: Mask, rest: Array | None
-) -> tuple[Array, Mask]:
-    if steps.open is None or not opened.any():
-        after = _affine(steps.closed, row, s, mode, rest)
-    elif opened.all():
-        after = _affine(steps.open, row, s, mode, rest)
-    else:
-        both = (_affine(half, row, s, mode, rest) for half in (steps.open, steps.closed))
-        after = np.where(opened[:, None], *both)
-    return _limited(plant.sha.max_rate, steps.dt[row], s, after)
 
 
 def _affine(half: Half, row: Rows, s: Array, mode: Array, rest: Array | None) -> Array:
@@ -105,6 +112,8 @@ def _transported(phi: Array, s: Array) -> Array:
 
 def _limited(rate: float, dt: Array, s: Array, after: Array) -> tuple[Array, Mask]:
     """X moved by no more than the greatest rate allows over the step."""
+    # The limit holds for the mean slope of a step, as in `sim.sha.flows`; the slack is rounding, so that a step that
+    # runs exactly at the limit is not counted as limited.
     if rate == inf:
         return after, np.zeros(len(s), dtype=np.bool_)
     way = after[:, 0] - s[:, 0]
@@ -154,12 +163,19 @@ def _switching(plant: Plant, steps: Tables, run: _Run, end: Array) -> Array:
 
 
 def _met(plant: Plant, steps: Tables, run: _Run, begin: Array, end: Array) -> tuple[Array, Array]:
-    """(part of the step, state) at which each run meets its threshold, by the secant method on its exact course."""
+    """(part of the step, state) at which each run meets its threshold, by the secant method on its exact course.
+
+    The secant method (Press et al., Numerical Recipes, 9.2) needs no derivative of the course, which with a housing, a
+    lag and a varying heat has no short form, and evaluates it once a step; all runs are searched at once. The bracket
+    is the piece from where the run last switched to the segment's end, and a step that leaves it is cut to its border:
+    the crossing is known to lie inside.
+    """
     p = plant.thermostat.effect.params if plant.thermostat is not None else {}
     threshold = np.where(run.opened, p["closes"], p["opens"])
     old, part, there = begin, np.ones_like(begin), end
     old_error, error = run.s[:, 0] - threshold, end[:, 0] - threshold
     for _ in range(_SECANTS):
+        # Two equal errors (a run that is there already) would divide by 0; any way will do, as the error is 0 too.
         way = np.where(error == old_error, 1.0, error - old_error)
         old, part, old_error = part, np.clip(part - error * (part - old) / way, begin, 1.0), error
         there = _piece(plant, steps, run, begin, part)
@@ -175,6 +191,7 @@ def _piece(plant: Plant, steps: Tables, run: _Run, begin: Array, until: Array) -
     heat = np.where(opened[:, None], other.heat[which], closed.heat[which]) + run.mode[:, None] * closed.drive[which]
     heat[:, 0] += run.rest
     if closed.powers > 1:
+        # The heat is a parabola in the whole step's v; on a piece v = begin + length w it is one in w.
         first, second = heat[:, 1].copy(), heat[:, 2].copy()
         heat[:, 0] += (first + second * begin) * begin
         heat[:, 1], heat[:, 2] = (first + 2.0 * second * begin) * length, second * length * length

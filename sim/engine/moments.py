@@ -5,6 +5,7 @@ from math import isfinite, nan
 
 import numpy as np
 
+from sim.effects.check import check_sha
 from sim.effects.kinds import sensor_offset, sensor_offsets
 from sim.engine.course import Course, Drawn, covariance, mean_course, start_state
 from sim.engine.plant import Plant, compile_plant
@@ -12,7 +13,7 @@ from sim.engine.recursion import linear_recursion
 from sim.engine.schedule import Indices, Schedule, step_coefficients
 from sim.sha import distributions, flows
 from sim.sha.automaton import Location
-from sim.sha.entry import check_sha, drawn_temperature, mode_parameter
+from sim.sha.entry import drawn_temperature, mode_parameter
 from sim.sha.trace import Array, Mask
 
 

@@ -14,7 +14,8 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.effects.kinds import acts_in, of_kind
+from sim.effects.kind import FEATURES, Feature, HeldLaw, Structural, VaryingLaw, unknown
+from sim.effects.kinds import acts_in, kind_of
 from sim.sha.automaton import SHA, Effect, Flow
 from sim.sha.flows import RELAXING
 from sim.sha.trace import Array, Mask
@@ -35,7 +36,8 @@ class Plant:
     """The tables, each (L,) by location: `rate` (k of the flow, 1/s), `noise`, `drive` (what m is multiplied by).
 
     `t0` is NaN except for logarithmic flows, whose drive is 1/(t0 + age). `coupling` (1/s) is that of the housing.
-    `lags` first-order lags of the rate `lag_rate` (1/s) follow X.
+    `lags` first-order lags of the rate `lag_rate` (1/s) follow X. `steady` are the effects with a held law, `startups`
+    those that vary since an event, `wears` those that vary with the time alone.
     """
 
     sha: SHA
@@ -70,43 +72,44 @@ class Plant:
 
 
 def compile_plant(sha: SHA) -> Plant:
-    """The tables of an automaton (its effects must have been checked: `entry.check_sha`)."""
-    housing, lag = of_kind(sha, "housing-thermal-mass"), of_kind(sha, "sensor-lag")
+    """The tables of an automaton (its effects must have been checked: `check.check_sha`).
+
+    Raises ValueError, naming the kind, for an effect whose law these engines do not know.
+    """
     flows = [location.flow for location in sha.locations]
-    coupled = np.zeros(len(flows))
-    if housing is not None:
-        coupled[_acting(sha, housing).there] = housing.params["coupling"]
-    order = int(lag.params["order"]) if lag is not None else 0
+    held: list[Acting] = []
+    startups: list[Acting] = []
+    wears: list[Acting] = []
+    features: dict[Feature, Acting] = {}
+    for effect in sha.effects:
+        acting = Acting(effect, np.array([acts_in(effect, location.name) for location in sha.locations]))
+        match kind_of(effect).law:
+            case HeldLaw():
+                held.append(acting)
+            case VaryingLaw(from_event=from_event):
+                (startups if from_event else wears).append(acting)
+            case Structural(feature=feature) if feature in FEATURES:
+                features[feature] = acting
+            case law:
+                raise unknown("the simulation", effect.kind, law)
+    housing, lag = features.get("housing"), features.get("sensor lag")
+    order = int(lag.effect.params["order"]) if lag is not None else 0
     return Plant(
         sha=sha,
         rate=np.array([flow.params["k"] if flow.kind in RELAXING else 0.0 for flow in flows]),
         noise=np.array([flow.params["noise"] for flow in flows]),
         drive=np.array([_drive(flow) for flow in flows]),
         t0=np.array([flow.params["t0"] if flow.kind == "logarithmic" else np.nan for flow in flows]),
-        coupling=coupled,
-        housing_tau=inf if housing is None else housing.params["tau"],
+        coupling=np.where(housing.there, housing.effect.params["coupling"], 0.0) if housing else np.zeros(len(flows)),
+        housing_tau=inf if housing is None else housing.effect.params["tau"],
         lags=order,
-        lag_rate=order / lag.params["tau"] if lag is not None else 0.0,
-        steady=_all(sha, *STEADY),
-        startups=_all(sha, "startup-churning"),
-        wears=_all(sha, "wear-drift"),
-        thermostat=next(iter(_all(sha, "thermostatic-cooling")), None),
-        radiation=next(iter(_all(sha, "radiation-loss")), None),
+        lag_rate=order / lag.effect.params["tau"] if lag is not None else 0.0,
+        steady=tuple(held),
+        startups=tuple(startups),
+        wears=tuple(wears),
+        thermostat=features.get("thermostat"),
+        radiation=features.get("radiation"),
     )
-
-
-STEADY = (
-    "current-heating",
-    "quadratic-current-heating",
-    "current-saturation",
-    "torque-friction",
-    "speed-friction",
-    "vibration-friction",
-    "ambient-coupling",
-    "feed-temperature-coupling",
-    "pump-cooling",
-)
-"""The effects whose heat and loss stay while the signals do."""
 
 
 def _drive(flow: Flow) -> float:
@@ -114,11 +117,3 @@ def _drive(flow: Flow) -> float:
     if flow.kind in RELAXING:
         return flow.params["k"]
     return 1.0 if flow.kind == "linear" else 0.0
-
-
-def _acting(sha: SHA, effect: Effect) -> Acting:
-    return Acting(effect, np.array([acts_in(effect, location.name) for location in sha.locations]))
-
-
-def _all(sha: SHA, *kinds: str) -> tuple[Acting, ...]:
-    return tuple(_acting(sha, effect) for effect in sha.effects if effect.kind in kinds)

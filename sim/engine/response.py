@@ -21,7 +21,7 @@ have no more, and equal segments are worked out once."""
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class SegmentResponse:
     """For n segments of d states: `phi` (n, d, d), `poly` (n, d, q), `noise` (n, d, d).
 
     `poly` are the states (degC) that heats of 1, v and v^2 degC/s leave behind (q = 1 for the first alone), `noise` the
@@ -33,7 +33,7 @@ class Response:
     noise: Array
 
 
-def respond(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) -> Response:
+def respond(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) -> SegmentResponse:
     """The answers of segments with dX/dt = -`loss` X + `coupling` (H - X) + heat over `dt` seconds, each (n,)."""
     if plant.size == 1:
         return _scalar(loss, dt, powers)
@@ -41,14 +41,14 @@ def respond(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) 
     keys, back = np.unique(same, axis=0, return_inverse=True)
     back = back.reshape(-1)
     phi, poly = _transition(plant, keys, powers)
-    return Response(phi[back], poly[back], _noise(plant, keys)[back])
+    return SegmentResponse(phi[back], poly[back], _noise(plant, keys)[back])
 
 
-def _scalar(loss: Array, dt: Array, powers: int) -> Response:
+def _scalar(loss: Array, dt: Array, powers: int) -> SegmentResponse:
     z = loss * dt
     poly = dt[:, None] * weights(z, powers)
     noise = dt * weights(2.0 * z, 1)[:, 0]
-    return Response(np.exp(-z)[:, None, None], poly[:, None, :], noise[:, None, None])
+    return SegmentResponse(np.exp(-z)[:, None, None], poly[:, None, :], noise[:, None, None])
 
 
 def weights(z: Array, powers: int) -> Array:
@@ -56,6 +56,7 @@ def weights(z: Array, powers: int) -> Array:
     small = z < 0.5
     if small.all():
         return _series(z, powers)
+    # The recursion subtracts numbers that are nearly equal for small z: there the series stands in.
     large = np.maximum(z, 0.5)
     value = -np.expm1(-large) / large
     columns = [value]
@@ -95,7 +96,11 @@ def drift_matrix(plant: Plant, loss: Array, coupling: Array) -> Array:
 
 
 def _transition(plant: Plant, keys: Array, powers: int) -> tuple[Array, Array]:
-    """(phi, poly) from one exponential: the heat and its derivatives by v are states of their own."""
+    """(phi, poly) from one exponential: the heat and its derivatives by v are states of their own (Van Loan 1978).
+
+    The exponential is Taylor's series of the matrix halved until its norm is at most 1/2, squared back (scaling and
+    squaring: Moler and Van Loan 2003, method 3).
+    """
     loss, coupling, dt = keys.T
     d = plant.size
     a = np.zeros((len(keys), d + powers, d + powers))

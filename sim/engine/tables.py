@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim.effects.exchange import in_scale_of_x, radiation_tangent
 from sim.effects.kinds import parameter
 from sim.engine.plant import Acting, Plant
 from sim.engine.response import respond
-from sim.engine.terms import Segments, Terms, temperature, terms
+from sim.engine.terms import Segments, Terms, terms
 from sim.sha.trace import Array
 
 
@@ -55,10 +56,11 @@ def tables(plant: Plant, segments: Segments, about: Array | None = None) -> Tabl
     coupling = plant.coupling[segments.location]
     closed = _half(plant, segments, found)
     if plant.thermostat is None:
-        return Tables(closed, None, segments.dt, coupling, about, gain)
+        return Tables(closed=closed, open=None, dt=segments.dt, coupling=coupling, about=about, radiated=gain)
     p, there = plant.thermostat.effect.params, plant.thermostat.there[segments.location].astype(float)
     cooled = _more(found, there * p["loss"], there * p["loss"] * p["sink"])
-    return Tables(closed, _half(plant, segments, cooled), segments.dt, coupling, about, gain)
+    opened = _half(plant, segments, cooled)
+    return Tables(closed=closed, open=opened, dt=segments.dt, coupling=coupling, about=about, radiated=gain)
 
 
 def _more(found: Terms, loss: Array, heat: Array) -> Terms:
@@ -85,14 +87,14 @@ def _radiation(acting: Acting, segments: Segments, about: Array) -> tuple[Array,
     effect = acting.effect
     zero = parameter(effect, "zero")
     if "ambient" in effect.signals and acting.there[segments.location].any():
-        around = temperature(effect, "ambient", segments.signals)
+        around = in_scale_of_x(effect, "ambient", segments.signals)
     else:
         around = np.full(about.shape, effect.params.get("surroundings", np.nan))
     there = acting.there[segments.location] & np.isfinite(around)
     gain = np.where(there, effect.params["gain"], 0.0)
-    loss = 4.0 * gain * (about - zero) ** 3
-    radiated = gain * ((about - zero) ** 4 - (np.where(there, around, zero) - zero) ** 4)
-    return gain, loss, loss * about - radiated
+    # Walls that were never read have no temperature; where nothing is radiated any will do.
+    loss, heat = radiation_tangent(gain=gain, zero=zero, about=about, around=np.where(there, around, zero))
+    return gain, loss, heat
 
 
 def chosen(steps: Tables, opened: Array) -> Half:
@@ -105,10 +107,10 @@ def chosen(steps: Tables, opened: Array) -> Half:
     a, b = steps.closed, steps.open
     flat, square = opened[:, None], opened[:, None, None]
     return Half(
-        a.phi + square * (b.phi - a.phi),
-        a.pull + flat * (b.pull - a.pull),
-        a.added + flat * (b.added - a.added),
-        a.unit + flat * (b.unit - a.unit),
-        a.noise + square * (b.noise - a.noise),
-        a.terms,
+        phi=a.phi + square * (b.phi - a.phi),
+        pull=a.pull + flat * (b.pull - a.pull),
+        added=a.added + flat * (b.added - a.added),
+        unit=a.unit + flat * (b.unit - a.unit),
+        noise=a.noise + square * (b.noise - a.noise),
+        terms=a.terms,
     )

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.effects.kinds import parameter
+from sim.effects.kind import HeldLaw, VaryingLaw, unknown
+from sim.effects.kinds import kind_of
 from sim.engine.plant import Indices, Plant
 from sim.sha.automaton import Effect
 from sim.sha.trace import Array, Mask
@@ -41,13 +42,13 @@ class Segments:
     def rows(self, rows: slice | Indices | Mask) -> "Segments":
         """Some of the segments."""
         return Segments(
-            self.location[rows],
-            self.time[rows],
-            self.age[rows],
-            self.dt[rows],
-            self.offset[rows],
-            {name: column[rows] for name, column in self.signals.items()},
-            tuple(column[rows] for column in self.since),
+            location=self.location[rows],
+            time=self.time[rows],
+            age=self.age[rows],
+            dt=self.dt[rows],
+            offset=self.offset[rows],
+            signals={name: column[rows] for name, column in self.signals.items()},
+            since=tuple(column[rows] for column in self.since),
         )
 
 
@@ -75,93 +76,36 @@ def terms(plant: Plant, segments: Segments) -> Terms:
     for acting in plant.steady:
         if not acting.there[place].any():
             continue  # its signals were perhaps not asked for
-        gained, lost = steady(acting.effect, segments.signals)
+        gained, lost = held(acting.effect, segments.signals)
         there = acting.there[place] & np.isfinite(gained) & np.isfinite(lost)
         loss = loss + np.where(there, lost, 0.0)
         heat = heat + np.where(there, gained, 0.0)
     if not (np.isfinite(plant.t0).any() or plant.startups or plant.wears):
         return Terms(loss, heat[:, None], plant.drive[place][:, None])
+    # Each column is a Gauss point; the parabola through the three is found by one small inverse, made once.
     v = segments.dt[:, None] * GAUSS
+    time = segments.time[:, None] + v
     heats = np.repeat(heat[:, None], 3, axis=1)
     for acting, since in zip(plant.startups, segments.since, strict=True):
-        heats += acting.there[place][:, None] * _startup(acting.effect, since[:, None] + v)
+        heats += acting.there[place][:, None] * varying(acting.effect, time, since[:, None] + v)
     for acting in plant.wears:
-        heats += acting.there[place][:, None] * _wear(acting.effect, segments.time[:, None] + v)
+        heats += acting.there[place][:, None] * varying(acting.effect, time, time)
     t0 = plant.t0[place][:, None]
     drives = np.where(np.isnan(t0), plant.drive[place][:, None], 1.0 / (t0 + segments.age[:, None] + v))
     return Terms(loss, heats @ _TO_POWERS, drives @ _TO_POWERS)
 
 
-def steady(effect: Effect, signals: Mapping[str, Array]) -> "Steady":
+def held(effect: Effect, signals: Mapping[str, Array]) -> tuple[Array, Array]:
     """(heat, loss) of an effect that stays while its signals do: dX/dt = heat - loss X; NaN where one is not read."""
-    return _STEADY[effect.kind](effect, signals)
+    law = kind_of(effect).law
+    if not isinstance(law, HeldLaw):
+        raise unknown("a step of held signals", effect.kind, law)
+    return law.heat_and_loss(effect, signals)
 
 
-def _startup(effect: Effect, u: Array) -> Array:
-    p = effect.params
-    return np.asarray(p["gain"] * np.exp(-((np.maximum(u, 0.0) / p["tau"]) ** p["shape"])))
-
-
-def _wear(effect: Effect, time: Array) -> Array:
-    return np.asarray(effect.params["gain"] * np.maximum(time - effect.params["since"], 0.0))
-
-
-Steady = tuple[Array, Array]
-"""(heat, loss); NaN where a signal was not read yet."""
-
-
-def _current(effect: Effect, signals: Mapping[str, Array]) -> Steady:
-    current = signals[effect.signals["current"]]
-    return effect.params["gain"] * (current - effect.params["reference"]), np.zeros_like(current)
-
-
-def _quadratic(effect: Effect, signals: Mapping[str, Array]) -> Steady:
-    current = signals[effect.signals["current"]]
-    return effect.params["gain"] * (current**2 - effect.params["reference"] ** 2), np.zeros_like(current)
-
-
-def _saturation(effect: Effect, signals: Mapping[str, Array]) -> Steady:
-    current = signals[effect.signals["current"]]
-    return -effect.params["gain"] * np.maximum(current - effect.params["knee"], 0.0), np.zeros_like(current)
-
-
-def _friction(effect: Effect, signals: Mapping[str, Array]) -> Steady:
-    p, signal = effect.params, signals[next(iter(effect.signals.values()))]
-    reference = max(p["reference"], 0.0) ** p["power"]
-    return p["gain"] * (np.maximum(signal, 0.0) ** p["power"] - reference), np.zeros_like(signal)
-
-
-def _ambient(effect: Effect, signals: Mapping[str, Array]) -> Steady:
-    ambient = signals[effect.signals["ambient"]]
-    return effect.params["gain"] * (ambient - effect.params["reference"]), np.zeros_like(ambient)
-
-
-def _feed(effect: Effect, signals: Mapping[str, Array]) -> Steady:
-    feed = temperature(effect, "feed", signals)
-    pump = signals[effect.signals["pump"]] if "pump" in effect.signals else np.ones_like(feed)
-    loss = effect.params["loss"] * np.maximum(pump, 0.0)
-    return loss * feed, loss
-
-
-def _pump(effect: Effect, signals: Mapping[str, Array]) -> Steady:
-    loss = effect.params["loss"] * np.maximum(signals[effect.signals["pump"]], 0.0)
-    sink = temperature(effect, "sink", signals) if "sink" in effect.signals else effect.params["sink"]
-    return loss * sink, loss
-
-
-def temperature(effect: Effect, role: str, signals: Mapping[str, Array]) -> Array:
-    """A temperature signal in the scale of X."""
-    return parameter(effect, "scale") * signals[effect.signals[role]] + parameter(effect, "shift")
-
-
-_STEADY = {
-    "current-heating": _current,
-    "quadratic-current-heating": _quadratic,
-    "current-saturation": _saturation,
-    "torque-friction": _friction,
-    "speed-friction": _friction,
-    "vibration-friction": _friction,
-    "ambient-coupling": _ambient,
-    "feed-temperature-coupling": _feed,
-    "pump-cooling": _pump,
-}
+def varying(effect: Effect, time: Array, since: Array) -> Array:
+    """The heat of an effect that varies by itself at absolute times (s), `since` its event (s)."""
+    law = kind_of(effect).law
+    if not isinstance(law, VaryingLaw):
+        raise unknown("a step of varying heat", effect.kind, law)
+    return law.heat(effect, time, since)

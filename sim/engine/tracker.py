@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from math import expm1, isfinite, log1p
 from typing import Literal
 
+from sim.effects.check import check_sha
+from sim.effects.correction import in_sensor_scale
 from sim.effects.kinds import signals_of
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.schedule import resync_targets
 from sim.sha import distributions
 from sim.sha.automaton import Location, transitions
-from sim.sha.correction import in_sensor_scale
-from sim.sha.entry import check_sha, drawn_temperature, mode_parameter
+from sim.sha.entry import drawn_temperature, mode_parameter
 from sim.sha.flows import mean_step
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN

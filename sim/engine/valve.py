@@ -48,10 +48,11 @@ def follow(sha: SHA, effect: Effect, steps: Iterator[Row], valve: Valve, n: int)
     opens, closes, rate = effect.params["opens"], effect.params["closes"], sha.max_rate
     found, parts = np.empty(n), np.zeros(n)
     for row, (closed, other, dt, fresh, checked) in enumerate(steps):
-        x = valve.x if fresh != fresh else fresh
+        x = valve.x if fresh != fresh else fresh  # NaN is the one number that is not itself
         valve.opened = (valve.opened and x > closes) or x >= opens
         decay, gain, _, _ = other if valve.opened else closed
         end, share = decay * x + gain, float(valve.opened)
+        # X is monotone between switches, so that it has passed its threshold if and only if its end lies beyond.
         if dt > 0 and ((end <= closes) if valve.opened else (end >= opens)):
             end, share = _switching(valve, (closed, other), (opens, closes), x, dt)
         if rate < inf and abs(end - x) > rate * dt * (1.0 + 1e-12):
@@ -88,6 +89,7 @@ def _switching(
 def _until(wanted: float, x: float, loss: float, heat: float) -> float:
     """Seconds until X, which gets there, is at `wanted`."""
     settled = heat / loss if loss > 0 else inf
+    # X(t) - settled decays as exp(-loss t); without a loss X moves in a straight line.
     if wanted == x:
         return 0.0
     if settled == inf:

@@ -12,6 +12,8 @@ from math import ceil, inf, isfinite, sqrt
 import numpy as np
 from scipy.special import ndtri
 
+from sim.effects.kind import VaryingLaw
+from sim.effects.kinds import kind_of
 from sim.engine.belief import Belief, advance, on_event
 from sim.engine.cuts import fastest as relaxation
 from sim.engine.particles import Runs, Steps, lay_out, run, survival
@@ -201,7 +203,11 @@ def _points(tracker: Tracker, horizon: float) -> int:
         elif location.flow.kind == "logarithmic":
             fastest = max(fastest, 1.0 / params["t0"])
     if tracker.plant is not None:
-        starts = [1.0 / acting.effect.params["tau"] for acting in tracker.plant.startups]
+        starts = [
+            law.speed(acting.effect)
+            for acting in tracker.plant.startups
+            if isinstance(law := kind_of(acting.effect).law, VaryingLaw)
+        ]
         fastest = max(fastest, float(relaxation(tracker.plant).max()), *starts)
     return int(min(max(ceil(horizon * fastest / 0.1), LEAST_GRID), MOST_GRID))
 

@@ -1,10 +1,8 @@
 """What entering a location does to the mode parameter m and to the temperature X, in one place for all who need it."""
 
-from sim.effects.kinds import check_effects
 from sim.sha import distributions
-from sim.sha.automaton import SHA, Distribution, Location
-from sim.sha.distributions import check_distribution
-from sim.sha.flows import FIXED, RELAXING, check_flow
+from sim.sha.automaton import Distribution, Location
+from sim.sha.flows import FIXED, RELAXING
 
 
 def drawn_parameter(location: Location) -> Distribution | None:
@@ -34,25 +32,3 @@ def mode_parameter(location: Location) -> tuple[float, float]:
     if location.distribution is not None and usable:
         return distributions.mean(location.distribution), 0.0
     return 0.0, 0.0
-
-
-def check_sha(sha: SHA) -> None:
-    """Raises ValueError, naming the location or effect, unless all flows, laws, entry modes and effects can be run."""
-    for location in sha.locations:
-        try:
-            check_flow(location.flow)
-            if location.distribution is not None:
-                check_distribution(location.distribution)
-            _check_entry(location)
-        except ValueError as error:
-            raise ValueError(f"SHA {sha.name!r}, location {location.name!r}: {error}") from None
-    check_effects(sha)
-
-
-def _check_entry(location: Location) -> None:
-    if location.entry not in ("parameter", "resample", "none"):
-        raise ValueError(f"unknown entry mode {location.entry!r}: known are parameter, resample, none")
-    if location.entry == "resample" and location.distribution is None:
-        raise ValueError("entry mode 'resample' needs a distribution from which the temperature is drawn")
-    if FIXED in location.flow.params and location.entry == "parameter" and location.distribution is not None:
-        raise ValueError("the flow fixes m and the entry draws it: leave out the flow's m or the distribution")

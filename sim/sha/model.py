@@ -65,7 +65,7 @@ class Model:
     `semi_markov` the stay of each location by its name, `calibration` the factor by which the forecast's standard
     deviation at each horizon (s) must be multiplied to cover what it says (learned on held-out cycles). `correction`
     leads from the automaton's temperature to the sensor's; whoever runs a model speaks of the sensor's
-    (`sim.sha.correction`), while `sha` alone is the automaton's own.
+    (`sim.effects.correction`), while `sha` alone is the automaton's own.
     """
 
     sha: SHA

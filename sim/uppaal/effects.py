@@ -4,10 +4,11 @@
 `Temp` less what the sensor reads too much. A dead time is in the times of events and readings already (`replay`).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.effects.kinds import acts_in, of_kind, parameter
+from sim.effects.kind import EffectRefusal, Structural, TextLaw, unknown
+from sim.effects.kinds import acts_in, kind_of, of_feature, parameter
 from sim.engine.plant import Plant, compile_plant
 from sim.sha.automaton import SHA, Effect
 from sim.uppaal.document import Arrow, number
@@ -23,7 +24,7 @@ NEVER = 1e12
 
 
 @dataclass(frozen=True, slots=True)
-class Augmented:
+class EffectTexts:
     """The texts that effects add to a machine.
 
     `x` is the expression of X, `clock` the hybrid clock that moves at X's rate. `constants` are lines for the global
@@ -64,15 +65,21 @@ class Augmented:
 
 
 def augmented(
-    sha: SHA, names: Names, inputs: Inputs, own: tuple[str, str], channels: Mapping[str, str], clocks: Clocks
-) -> Augmented:
+    sha: SHA,
+    names: Names,
+    inputs: Inputs,
+    *,
+    own: tuple[str, str],
+    channels: Mapping[str, str],
+    clocks: Clocks,
+) -> EffectTexts:
     """The texts of an automaton's effects; those of a plain machine without any.
 
     `own` are the machine's variables for the jump and for the seconds since the last one.
     """
     if not sha.effects:
-        return Augmented(settled=(f"Temp = {own[0]}",))
-    return _Writer(sha, names, inputs, own, channels, clocks).written()
+        return EffectTexts(settled=(f"Temp = {own[0]}",))
+    return _Writer(sha, names, inputs, own=own, channels=channels, clocks=clocks).written()
 
 
 class _Writer:
@@ -83,12 +90,13 @@ class _Writer:
         sha: SHA,
         names: Names,
         inputs: Inputs,
+        *,
         own: tuple[str, str],
         channels: Mapping[str, str],
         clocks: Clocks,
     ) -> None:
         self.sha, self.names, self.inputs = sha, names, inputs
-        self.jump, self.since = own
+        self.jump, self.age = own
         self.channels, self.clocks = channels, clocks
         self.plant: Plant = compile_plant(sha)
         self.constants: list[str] = ["// What acts on top of the flows."]
@@ -106,16 +114,16 @@ class _Writer:
         self.constants.append(f"const double {name} = {number(value)};")
         return name
 
-    def written(self) -> Augmented:
+    def written(self) -> EffectTexts:
         bounds, arrows = self._sensor()
-        heats = [(effect, self._heat(effect)) for effect in self.sha.effects if effect.kind in _HEATS]
+        heats = [(effect, self._heat(effect)) for effect in self.sha.effects]
         terms = {
             place.name: "".join(text for effect, text in heats if acts_in(effect, place.name))
             for place in self.sha.locations
         }
         shown = f"Temp = {self.jump} + {self.offset}" if self.offset else f"Temp = {self.jump}"
         settled = [f"{self.x} = {self.jump}" if self.plant.lags else shown, *self.following]
-        return Augmented(
+        return EffectTexts(
             x=self.x,
             clock=self.x if self.plant.lags else "Temp",
             constants=tuple(self.constants),
@@ -155,9 +163,7 @@ class _Writer:
 
     def _steps(self) -> tuple[tuple[str, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
         steps = sorted(
-            (one.params["at"] - self.clocks.start, one.params["size"])
-            for one in self.sha.effects
-            if one.kind == "sensor-offset-step"
+            (one.params["at"] - self.clocks.start, one.params["size"]) for one in of_feature(self.sha, "sensor offset")
         )
         if not steps:
             return (), ()
@@ -178,8 +184,38 @@ class _Writer:
     # -------------------------------------------------------------- heats
 
     def _heat(self, effect: Effect) -> str:
-        """The term of a rate, with its sign."""
-        return _HEATS[effect.kind](self, effect)
+        """The term of a rate, with its sign; "" for what acts on the sensor alone. Raises ValueError."""
+        match kind_of(effect).uppaal:
+            case TextLaw(term=term):
+                return term(self, effect)
+            case Structural(feature="housing"):
+                return _housing(self, effect)
+            case Structural(feature="thermostat"):
+                return _thermostat(self, effect)
+            case Structural(feature="dead time" | "sensor lag" | "sensor offset"):
+                return ""  # in the replay's times, and in `_sensor`
+            case EffectRefusal(reason=reason):
+                raise ValueError(f"effects of the kind {effect.kind!r} have no text: {reason}")
+            case text:
+                raise unknown("the UPPAAL export", effect.kind, text)
+
+    def since(self, effect: Effect) -> tuple[str, str]:
+        """(flag that the effect's event was there, clock of the seconds since)."""
+        clock, begun = self.names.fresh("running"), self.names.fresh("begun")
+        number_of = [acting.effect for acting in self.plant.startups].index(effect)
+        since = self.clocks.since[number_of]
+        known = since < NEVER
+        self.declared += [f"// Since {effect.event}.", f"clock {clock};", f"int {begun} = {int(known)};"]
+        if known:
+            self.opening.append(f"{clock} = {number(since)}")
+        channel = self.channels.get(effect.event)
+        if channel is not None:
+            self.resets.setdefault(channel, []).extend([f"{clock} = 0", f"{begun} = 1"])
+        return begun, clock
+
+    def moment(self, name: str, time: float) -> str:
+        """Declares an absolute time (s) as a constant on the document's `time`."""
+        return self.constant(name, time - self.clocks.start)
 
     def read(self, effect: Effect, role: str) -> tuple[str, str]:
         """(value, flag) of the signal that fills a role."""
@@ -196,70 +232,6 @@ class _Writer:
 
 def _hybrid(clock: str) -> str:
     return f"hybrid clock {clock};"
-
-
-def _against_reference(writer: _Writer, effect: Effect) -> str:
-    (role,) = effect.signals
-    value, read = writer.read(effect, role)
-    gain, reference = (writer.constant(name.upper(), effect.params[name]) for name in ("gain", "reference"))
-    if effect.kind == "quadratic-current-heating":
-        return f" + {read} * {gain} * ({value} * {value} - {reference} * {reference})"
-    return f" + {read} * {gain} * ({value} - {reference})"
-
-
-def _saturation(writer: _Writer, effect: Effect) -> str:
-    value, read = writer.read(effect, "current")
-    gain, knee = (writer.constant(name.upper(), effect.params[name]) for name in ("gain", "knee"))
-    return f" - {read} * {gain} * fmax({value} - {knee}, 0.0)"
-
-
-def _friction(writer: _Writer, effect: Effect) -> str:
-    (role,) = effect.signals
-    value, read = writer.read(effect, role)
-    p = effect.params
-    gain, power = writer.constant("GAIN", p["gain"]), writer.constant("POWER", p["power"])
-    usual = writer.constant("USUAL", max(p["reference"], 0.0) ** p["power"])
-    return f" + {read} * {gain} * (pow(fmax({value}, 0.0), {power}) - {usual})"
-
-
-def _feed(writer: _Writer, effect: Effect) -> str:
-    feed, read = writer.degrees(effect, "feed"), writer.read(effect, "feed")[1]
-    loss = writer.constant("LOSS", effect.params["loss"])
-    pumped = ""
-    if "pump" in effect.signals:
-        value, known = writer.read(effect, "pump")
-        pumped = f"{known} * fmax({value}, 0.0) * "
-    return f" - {read} * {pumped}{loss} * ({writer.x} - {feed})"
-
-
-def _pump(writer: _Writer, effect: Effect) -> str:
-    value, read = writer.read(effect, "pump")
-    loss = writer.constant("LOSS", effect.params["loss"])
-    if "sink" in effect.signals:
-        sink, read = writer.degrees(effect, "sink"), f"{read} * {writer.read(effect, 'sink')[1]}"
-    else:
-        sink = writer.constant("SINK", effect.params["sink"])
-    return f" - {read} * {loss} * fmax({value}, 0.0) * ({writer.x} - {sink})"
-
-
-def _startup(writer: _Writer, effect: Effect) -> str:
-    gain, tau, shape = (writer.constant(name.upper(), effect.params[name]) for name in ("gain", "tau", "shape"))
-    clock, begun = writer.names.fresh("running"), writer.names.fresh("begun")
-    number_of = [one for one in writer.sha.effects if one.kind == effect.kind].index(effect)
-    since = writer.clocks.since[number_of]
-    known = since < NEVER
-    writer.declared += [f"// Since {effect.event}.", f"clock {clock};", f"int {begun} = {int(known)};"]
-    if known:
-        writer.opening.append(f"{clock} = {number(since)}")
-    channel = writer.channels.get(effect.event)
-    if channel is not None:
-        writer.resets.setdefault(channel, []).extend([f"{clock} = 0", f"{begun} = 1"])
-    return f" + {begun} * {gain} * exp(-pow({clock} / {tau}, {shape}))"
-
-
-def _wear(writer: _Writer, effect: Effect) -> str:
-    gain = writer.constant("GAIN", effect.params["gain"])
-    return f" + {gain} * fmax(time - {writer.constant('SINCE', effect.params['since'] - writer.clocks.start)}, 0.0)"
 
 
 def _housing(writer: _Writer, effect: Effect) -> str:
@@ -285,9 +257,9 @@ def _thermostat(writer: _Writer, effect: Effect) -> str:
         f"int {turn} = 0;",
         f"double {last} = 0.0;",
     ]
-    jump, since = writer.jump, writer.since
+    jump, age = writer.jump, writer.age
     looked = f"({jump} >= {opens} || ({valve} == 1 && {jump} > {closes}) ? 1 : 0)"
-    over = f"{since} * ({jump} - ({turn} == 1 ? {opens} : {closes})) / ({jump} - {last})"
+    over = f"{age} * ({jump} - ({turn} == 1 ? {opens} : {closes})) / ({jump} - {last})"
     back = f"({turn} == 0 ? {jump} : {jump} - {turn} * {over} * {loss} * ({jump} - {sink}))"
     turned = (f"{turn} = {looked} - {valve}", f"{valve} = {valve} + {turn}", f"{jump} = {back}")
     for place in writer.sha.locations:
@@ -297,36 +269,9 @@ def _thermostat(writer: _Writer, effect: Effect) -> str:
     return f" - {valve} * {loss} * ({writer.x} - {sink})"
 
 
-def _radiation(writer: _Writer, effect: Effect) -> str:
-    gain, zero = writer.constant("GAIN", effect.params["gain"]), writer.constant("ZERO", parameter(effect, "zero"))
-    if "ambient" in effect.signals:
-        around, read = writer.degrees(effect, "ambient"), f"{writer.read(effect, 'ambient')[1]} * "
-    else:
-        around, read = writer.constant("AROUND", effect.params["surroundings"]), ""
-    return f" - {read}{gain} * (pow({writer.x} - {zero}, 4.0) - pow({around} - {zero}, 4.0))"
-
-
-_HEATS: dict[str, Callable[[_Writer, Effect], str]] = {
-    "current-heating": _against_reference,
-    "quadratic-current-heating": _against_reference,
-    "current-saturation": _saturation,
-    "torque-friction": _friction,
-    "speed-friction": _friction,
-    "vibration-friction": _friction,
-    "ambient-coupling": _against_reference,
-    "feed-temperature-coupling": _feed,
-    "pump-cooling": _pump,
-    "startup-churning": _startup,
-    "wear-drift": _wear,
-    "housing-thermal-mass": _housing,
-    "thermostatic-cooling": _thermostat,
-    "radiation-loss": _radiation,
-}
-
-
 def refused(sha: SHA, tick: int, dropped: Sequence[str]) -> str:
     """Why these effects cannot be exported so ("": they can)."""
-    if of_kind(sha, "thermostatic-cooling") is not None and not tick:
+    if of_feature(sha, "thermostat") and not tick:
         return "the thermostat is looked at once a tick; give a tick of at least 1 s"
     starts = [effect.event for effect in sha.effects if effect.event in dropped]
     if starts:

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from sim.artefacts.files import refused, replace_durably
+from sim.effects.check import check_sha
+from sim.effects.correction import in_sensor_scale
 from sim.effects.kinds import signals_of
 from sim.engine.open_loop import Start, open_loop
 from sim.engine.schedule import Policy
 from sim.sha import distributions
 from sim.sha.automaton import SHA, transitions
-from sim.sha.correction import in_sensor_scale
-from sim.sha.entry import check_sha
 from sim.sha.events import alphabet_symbols
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Trace
@@ -131,7 +131,14 @@ def _main(model: Model, replay: Replay, tick: int, questions: tuple[Question, ..
     law = replay.x0
     drawn = distributions.variance(law) > 0
     begin = Beginning(replay.location, replay.age, distributions.mean(law), law if drawn else None)
-    more = augmented(sha, names, known.inputs, (known.jump, known.since), channels, replay.clocks)
+    more = augmented(
+        sha,
+        names,
+        known.inputs,
+        own=(known.jump, known.since),
+        channels=channels,
+        clocks=replay.clocks,
+    )
     constants, template = machine(sha, names, known, moves, begin, tick, more)
     ids = {symbol: index for index, symbol in enumerate(channels)}
     feeder = input_player(replay.readings, known.inputs)

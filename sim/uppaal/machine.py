@@ -8,7 +8,7 @@ from sim.sha.automaton import SHA, Distribution, Flow, Location
 from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
 from sim.sha.flows import RELAXING
 from sim.uppaal.document import Arrow, Place, Template, number, plain
-from sim.uppaal.effects import Augmented
+from sim.uppaal.effects import EffectTexts
 from sim.uppaal.words import Names, spelled
 
 Move = tuple[str, str, str]
@@ -67,7 +67,7 @@ class Part:
     noisy: bool
 
 
-def part(location: Location, names: Names, known: Variables, max_rate: float, more: Augmented) -> Part:
+def part(location: Location, names: Names, known: Variables, max_rate: float, more: EffectTexts) -> Part:
     """The texts of one location. Raises ValueError for numbers that UPPAAL has no word for."""
     identifier = names.locations[location.name]
     word = spelled([identifier])[identifier]
@@ -168,7 +168,7 @@ def machine(
     moves: Sequence[Move],
     begin: Beginning,
     tick: int,
-    more: Augmented,
+    more: EffectTexts,
 ) -> tuple[str, Template]:
     """The machine's constants (for the global declarations) and its template `Machine`, not laid out yet.
 
@@ -224,13 +224,13 @@ def _declarations(known: Variables, temperature: float) -> str:
     )
 
 
-def _place(location: Location, names: Names, known: Variables, each: Part, tick: int, more: Augmented) -> Place:
+def _place(location: Location, names: Names, known: Variables, each: Part, tick: int, more: EffectTexts) -> Place:
     bound = f"{known.since} <= {known.tick} && " if tick and (each.noisy or more.polled) else ""
     comment = f"{plain(location.name)}: {location.flow.kind}, entry {location.entry}"
     return Place(names.locations[location.name], invariant=f"{bound}{more.invariant(each.rate)}", comment=comment)
 
 
-def _tick(place: str, known: Variables, each: Part, more: Augmented) -> Arrow:
+def _tick(place: str, known: Variables, each: Part, more: EffectTexts) -> Arrow:
     """Draws the noise of the seconds gone by; the stay goes on."""
     text = joined(*each.leave, *more.settled, f"{known.since} = 0")
     return Arrow(place, place, guard=f"{known.since} >= {known.tick}", update=text)

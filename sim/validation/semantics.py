@@ -13,11 +13,11 @@ from typing import Literal
 
 import numpy as np
 
+from sim.effects.correction import in_sensor_scale
 from sim.engine.open_loop import measured
 from sim.engine.schedule import schedule
 from sim.sha import distributions, flows
 from sim.sha.automaton import SHA, Distribution, Flow, Location
-from sim.sha.correction import in_sensor_scale
 from sim.sha.entry import mode_parameter
 from sim.sha.events import encode
 from sim.sha.flows import FIXED, RELAXING

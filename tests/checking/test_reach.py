@@ -13,10 +13,10 @@ from sim.checking.proof.bounds import BEYOND, Bounds, find_bounds, noise_band
 from sim.checking.proof.envelope import Assumptions, Envelope, Sojourn, UnboundedInput, envelopes, quantiles
 from sim.checking.proof.structure import Move, moves
 from sim.checking.proof.word import parse_word, replay, word_text
+from sim.effects.correction import in_sensor_scale
 from sim.engine.schedule import resync_targets, schedule
 from sim.engine.simulate import simulate
 from sim.sha.automaton import Distribution, Edge, Flow, Input, Location
-from sim.sha.correction import in_sensor_scale
 from sim.sha.events import Alphabet, Bins, alphabet_symbols
 from sim.sha.flows import mean_step
 from sim.sha.model import Correction, Model, Stay

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.checking.proof.bounds import find_bounds
-from sim.checking.proof.drift import Drift, added
+from sim.checking.proof.drift import DriftBound, added
 from sim.checking.proof.envelope import DAY, Assumptions, envelopes
 from sim.checking.proof.structure import moves
 from sim.checking.proof.verify import verify
@@ -225,8 +225,8 @@ pieces = st.lists(
 def test_a_drift_runs_one_way_keeps_order_and_agrees_with_small_steps(
     given_pieces: list[tuple[float, float, float]], heat: float, dt: float, rate: float
 ) -> None:
-    bends = [Drift((sink,), ((b * sink, b), (b * sink - drop, b))) for b, sink, drop in given_pieces]
-    drift = added([Drift((), ((heat, 0.0),)), *bends])
+    bends = [DriftBound((sink,), ((b * sink, b), (b * sink - drop, b))) for b, sink, drop in given_pieces]
+    drift = added([DriftBound((), ((heat, 0.0),)), *bends])
     starts = np.linspace(-100.0, 150.0, 11)
     ends = np.array([drift.after(float(x), dt, rate) for x in starts])
     assert np.all(np.diff(ends) >= -1e-9) and np.all(np.diff(ends) <= np.diff(starts) + 1e-9)

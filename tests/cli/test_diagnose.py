@@ -13,8 +13,8 @@ from gateway.machine.records import Keeper
 from gateway.store.historian import open_historian
 from gateway.store.history import recent
 from sim.artefacts.find import find_model
-from sim.discrepancy.catalogue import ROLES
 from sim.discrepancy.workflow import diagnose
+from sim.effects.kinds import ROLES
 from sim.plant.cooled import EPOCH, CooledPlant, cooled_days
 from sim.plant.scenarios import scenario
 from sim.sha.trace import Trace

@@ -7,9 +7,8 @@ import pytest
 
 from benchmarks.rig import TARGETS, known_model
 from sim.checking.proof.verify import verify
-from sim.discrepancy.augment import RUNNING_ONLY, effect_of
-from sim.discrepancy.catalogue import CATALOGUE
-from sim.discrepancy.fitting.course import Named
+from sim.discrepancy.fitting.catalogue import catalogue
+from sim.discrepancy.fitting.named import Named, effect_of
 from sim.effects.kinds import EFFECTS
 from sim.learning.semi_markov import fit_stays, with_inputs
 from sim.sha.automaton import Effect
@@ -18,24 +17,24 @@ from sim.sha.trace import Event, Trace
 
 
 def named(kind: str) -> Named:
-    entry = next(entry for entry in CATALOGUE if entry.name == kind)
-    signals = {role: role.capitalize() for role in EFFECTS[kind].roles}
-    params = {name: max(given.low, 1.0) for name, given in EFFECTS[kind].params.items()}
+    entry = next(entry for entry in catalogue() if entry.name == kind)
+    signals = {role: role.capitalize() for role in EFFECTS[kind].needed}
+    params = {name: max(given.low, 1.0) for name, given in EFFECTS[kind].parameters.items()}
     return Named(entry, signals, params)
 
 
-@pytest.mark.parametrize("kind", [entry.name for entry in CATALOGUE])
+@pytest.mark.parametrize("kind", [entry.name for entry in catalogue()])
 def test_no_effect_acts_where_the_flow_says_nothing(kind: str) -> None:
     model = known_model()
     effect = effect_of(named(kind), model)
     silent = {place.name for place in model.sha.locations if place.flow.kind == "constant"}
     assert "ON/?" in silent
-    if EFFECTS[kind].everywhere:
+    if EFFECTS[kind].acts == "everywhere":
         assert effect.locations == ()
         return
     assert effect.locations and not silent & set(effect.locations)
     running = {name for name in TARGETS if name.startswith("ON/")}
-    assert set(effect.locations) == (running if kind in RUNNING_ONLY else set(TARGETS))
+    assert set(effect.locations) == (running if EFFECTS[kind].acts_with(effect.signals) == "running" else set(TARGETS))
 
 
 def test_the_signals_of_effects_are_learned_per_stay_and_make_the_model_deployable() -> None:

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from sim.discrepancy.catalogue import CATALOGUE
 from sim.discrepancy.fitting.baseline import Frame, frame_of
-from sim.discrepancy.fitting.course import Named, State, at, grid_at, scattered, sensitivity
+from sim.discrepancy.fitting.catalogue import catalogue
+from sim.discrepancy.fitting.course import State, at, grid_at, scattered, sensitivity
+from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.record import record_of
 from sim.sha.trace import Array
 from tests.discrepancy.plants import model, plant
@@ -20,7 +21,7 @@ def frame() -> Frame:
 
 
 def state_with(frame: Frame, kind: str, params: dict[str, float], guess: Array | None = None) -> State:
-    named = Named(next(entry for entry in CATALOGUE if entry.name == kind), {}, params)
+    named = Named(next(entry for entry in catalogue() if entry.name == kind), {}, params)
     start = frame.record.reading[frame.record.window_first]
     return at(frame, np.concatenate([frame.centre, [named.strength]]), start, [named], guess)
 

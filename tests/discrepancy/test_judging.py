@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.catalogue import CATALOGUE
 from sim.discrepancy.diagnosis import HeldOut
 from sim.discrepancy.fitting.baseline import frame_of, on
+from sim.discrepancy.fitting.catalogue import catalogue
 from sim.discrepancy.fitting.fit import Fitted, fit
 from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.heat import REACH, implied_heat
@@ -24,7 +24,7 @@ def base() -> Fitted:
 
 
 def confirmed(base: Fitted, name: str) -> Step:
-    found = step(base, [one for one in CATALOGUE if one.name == name], {"pump": "MarciaPmpFango"}, 0)
+    found = step(base, [one for one in catalogue() if one.name == name], {"pump": "MarciaPmpFango"}, 0)
     assert found.best is not None
     return replace(found, evidence=(confirm(base, found.best),))
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.augment import augmented, named_of
+from sim.discrepancy.augment import augmented
+from sim.discrepancy.fitting.named import named_of
 from sim.discrepancy.workflow import Outcome, diagnose
 from sim.engine.open_loop import open_loop
 from sim.learning.structure import LearningError

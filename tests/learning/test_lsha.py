@@ -15,6 +15,7 @@ from benchmarks.known_automata import random_automaton, traces_of
 from sim.artefacts.bundle import read_artefacts
 from sim.artefacts.model_directory import read_model_directory, write_model_directory
 from sim.artefacts.model_json import model_hash
+from sim.effects.check import check_sha
 from sim.engine.open_loop import measured, open_loop
 from sim.learning.lsha.flow_hypotheses import choose_flow
 from sim.learning.lsha.ground import ground_of
@@ -25,7 +26,6 @@ from sim.learning.lsha.structures import choose_structure
 from sim.learning.structure import LearningError, name_of
 from sim.plant.scenarios import scenario
 from sim.sha.automaton import nondeterminism, transitions
-from sim.sha.entry import check_sha
 from sim.sha.events import DECANTER, Alphabet, Bins, Switch, alphabet_symbols, encode
 from sim.sha.trace import UNKNOWN, Event, Trace
 from tests.learning.lsha_plants import PLANT, by_context, by_direction, random_traces

@@ -4,8 +4,9 @@ from math import nan
 
 import pytest
 
+from sim.effects.check import check_sha
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Location, nondeterminism, transitions
-from sim.sha.entry import check_sha, mode_parameter
+from sim.sha.entry import mode_parameter
 
 STILL = Flow("constant", {"noise": 0.1})
 LAW = Distribution("normal", {"mu": 30.0, "sigma": 2.0})

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from sim.artefacts.files import ArtefactError
 from sim.artefacts.model_json import model_document, model_hash, model_text, parse_model
+from sim.effects.correction import corrected, in_sensor_scale
 from sim.engine.belief import filter_trace, start
 from sim.engine.moments import moments
 from sim.engine.open_loop import open_loop
@@ -18,7 +19,6 @@ from sim.engine.simulate import simulate
 from sim.engine.tracker import compile_model
 from sim.forecast.forecast import forecast
 from sim.sha.automaton import SHA, Distribution, Location
-from sim.sha.correction import corrected, in_sensor_scale
 from sim.sha.events import DECANTER
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Event, Trace

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.effects.kinds import EFFECTS, check_effect, check_effects, refusal, told
+from sim.effects.check import check_effect, check_effects, check_sha
+from sim.effects.correction import in_sensor_scale
+from sim.effects.kinds import EFFECTS, effect_summary, refusal
 from sim.engine.moments import moments
 from sim.engine.schedule import schedule, step_coefficients
 from sim.sha.automaton import SHA, Effect
-from sim.sha.correction import in_sensor_scale
-from sim.sha.entry import check_sha
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Correction, Model
 from tests.sha.effect_reference import EFFECTS as CASES
@@ -22,7 +22,6 @@ START = Effect("startup-churning", {"gain": 0.1, "tau": 60.0, "shape": 1.0}, {},
 
 
 def test_every_kind_of_the_catalogue_is_there_and_is_exercised_by_the_tests() -> None:
-    assert len(EFFECTS) == 17
     assert {effect.kind for effects in CASES.values() for effect in effects} == set(EFFECTS)
 
 
@@ -82,8 +81,8 @@ def test_the_signal_of_a_role_takes_the_place_of_its_parameter() -> None:
 
 
 def test_an_effect_is_told_in_one_line() -> None:
-    assert told(replace(PUMP, locations=("on",))) == "pump-cooling: loss 0.01; sink 20; pump P; in on"
-    assert told(START) == "startup-churning: gain 0.1; tau 60; shape 1; since W_ON"
+    assert effect_summary(replace(PUMP, locations=("on",))) == "pump-cooling: loss 0.01; sink 20; pump P; in on"
+    assert effect_summary(START) == "startup-churning: gain 0.1; tau 60; shape 1; since W_ON"
 
 
 def test_what_cannot_do_effects_says_so_in_one_sentence() -> None:

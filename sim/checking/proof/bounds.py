@@ -13,9 +13,9 @@ from sim.checking.proof.reach import Bound, Graph, Side, climb, intervals, make_
 from sim.checking.proof.structure import moves
 from sim.checking.proof.word import TimedWord, parse_word, replay, word_text
 from sim.checking.proof.word_effects import offset_range
-from sim.effects.kinds import dead_time, of_kind
+from sim.effects.correction import in_sensor_scale
+from sim.effects.kinds import dead_time, of_feature
 from sim.sha.automaton import Location
-from sim.sha.correction import in_sensor_scale
 from sim.sha.distributions import mean
 from sim.sha.entry import drawn_temperature, mode_parameter
 from sim.sha.events import alphabet_symbols
@@ -75,7 +75,7 @@ class Bounds:
 def find_bounds(
     model: Model, low: float, high: float, assumptions: Assumptions, *, doubt: float | None = None
 ) -> Bounds:
-    """The claim decided for a model that can be run; temperatures are the sensor's (`sim.sha.correction`).
+    """The claim decided for a model that can be run; temperatures are the sensor's (`sim.effects.correction`).
 
     With `doubt` (degC) the start and what is drawn are at their means, and only a target that lies outside of
     `low`..`high` is moved towards it, by as much as the location's own law allows at z but at most by `doubt`; inputs
@@ -98,7 +98,7 @@ def find_bounds(
     least, most = offset_range(model.sha)
     (top, upper), (bottom, lower) = _bound(graph, start[1] - least, up=True), _bound(graph, start[0] - most, up=False)
     escapes = [
-        _escape(model, side, bound, start[int(up)], (low, high), assumptions)
+        _escape(model, side, bound, start=start[int(up)], within=(low, high), assumptions=assumptions)
         for side, bound, up in ((top, upper, True), (bottom, lower, False))
         if bound.peak.max() > (high - most if up else least - low) + BEYOND
     ]
@@ -106,7 +106,15 @@ def find_bounds(
     verdict: Verdict = "proven" if settled and not escapes else "not decided"
     if any(one.word is not None for one in escapes):
         verdict = "refuted"
-    return Bounds(low, high, start, verdict, _read(model, graph, upper, lower), tuple(escapes), settled)
+    return Bounds(
+        low=low,
+        high=high,
+        start=start,
+        verdict=verdict,
+        intervals=_read(model, graph, upper, lower),
+        escapes=tuple(escapes),
+        settled=settled,
+    )
 
 
 _ROUNDS = 200
@@ -121,7 +129,7 @@ def _bound(graph: Graph, start: float, *, up: bool) -> tuple[Side, Bound]:
     sign = 1.0 if up else -1.0
     side = side_of(graph, up=up)
     found = climb(side, sign * start)
-    if not any(room.push is not None and room.push.coupling for room in graph.envelopes):
+    if not any(room.forcing is not None and room.forcing.coupling for room in graph.envelopes):
         return side, found
     reach = float(found.peak.max())
     for _ in range(_ROUNDS):
@@ -140,7 +148,7 @@ def _read(model: Model, graph: Graph, upper: Bound, lower: Bound) -> dict[str, R
     """What the sensor may read in each location: after a lag what was anywhere, after a dead time what was before."""
     least, most = offset_range(model.sha)
     found = {name: (low + least, high + most) for name, (low, high) in intervals(graph, upper, lower).items()}
-    if of_kind(model.sha, "sensor-lag") is None and not dead_time(model.sha):
+    if not of_feature(model.sha, "sensor lag") and not dead_time(model.sha):
         return found
     lows, highs = zip(*found.values(), strict=True)
     return dict.fromkeys(found, (min(lows), max(highs)))
@@ -155,7 +163,7 @@ def _kindest(room: Envelope, location: Location, within: Range, doubt: float) ->
     plain = replace(room, m=(middle, middle), fresh=None if law is None else (mean(law), mean(law)))
     if room.flow.kind not in RELAXING:
         return plain
-    if room.push is not None:
+    if room.forcing is not None:
         lowest, highest = (_nearest(room, middle, within[int(up)], doubt, up=up) for up in (False, True))
         return replace(plain, m=(lowest, highest))
     below, above = (min(max(way, 0.0), doubt) for way in (middle - room.m[0], room.m[1] - middle))
@@ -184,7 +192,7 @@ def _nearest(room: Envelope, middle: float, border: float, doubt: float, *, up: 
     return end
 
 
-def _escape(model: Model, side: Side, bound: Bound, start: float, within: Range, assumptions: Assumptions) -> Escape:
+def _escape(model: Model, side: Side, bound: Bound, *, start: float, within: Range, assumptions: Assumptions) -> Escape:
     """The way out on one side; a word counts only when its text, read and replayed, really leaves."""
     up = side.sign > 0
     shift = offset_range(model.sha)[int(up)]

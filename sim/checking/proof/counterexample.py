@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sim.checking.proof.envelope import DAY, Envelope
 from sim.checking.proof.reach import Graph, Side, best_moves
 from sim.checking.proof.word import Step, TimedWord
+from sim.effects.kinds import growing_from, offset_times
 from sim.sha.flows import RELAXING
 from sim.sha.model import Model
 
@@ -54,8 +55,7 @@ def variants(model: Model, graph: Graph, word: TimedWord, horizon: float) -> Ite
     if not sha.effects:
         yield word
         return
-    marks = [one.params["at"] for one in sha.effects if one.kind == "sensor-offset-step"]
-    worn = [one.params["since"] for one in sha.effects if one.kind == "wear-drift"]
+    marks, worn = offset_times(sha), growing_from(sha)
     # Path and places are one to one, so the last stay's own limit is that of where the word's moves lead.
     most = max((room.sojourn[1] for room in graph.envelopes), default=inf)
     for more in _LONGER if isinf(most) else _LONGER[:1]:
@@ -105,7 +105,7 @@ def _cut(room: Envelope, patience: float, longest: float, rate: float) -> Envelo
     least, most = room.sojourn
     if not isinf(most):
         return room
-    if room.push is not None:
+    if room.forcing is not None:
         return replace(room, sojourn=(least, max(least, _slowly(room, patience, longest))))
     if room.flow.kind in RELAXING:
         ramp = 0.0 if isinf(rate) else 1e3 / rate  # under a limited rate the first 1000 degC are run through evenly

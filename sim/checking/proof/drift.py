@@ -15,7 +15,7 @@ Pair = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Drift:
+class DriftBound:
     """The pieces from left to right, `pairs[i]` between the ascending `knots` i - 1 and i; it may fall at a knot.
 
     `rest` has the least and the greatest X at which a run stays: below it rises, above it falls. It is infinite where
@@ -33,9 +33,11 @@ class Drift:
         """The piece of a temperature; at a knot the one to its right."""
         return self.pairs[bisect_right(self.knots, x)]
 
-    def mirrored(self) -> "Drift":
+    def mirrored(self) -> "DriftBound":
         """That of -X."""
-        return Drift(tuple(-knot for knot in reversed(self.knots)), tuple((-a, b) for a, b in reversed(self.pairs)))
+        return DriftBound(
+            tuple(-knot for knot in reversed(self.knots)), tuple((-a, b) for a, b in reversed(self.pairs))
+        )
 
     def after(self, x: float, dt: float, rate: float) -> float:
         """X after `dt` s (perhaps infinite) from `x`, no faster than `rate` (degC/s).
@@ -95,7 +97,7 @@ def _rest(knots: tuple[float, ...], pairs: tuple[Pair, ...]) -> tuple[float, flo
     return low, high
 
 
-def added(parts: Iterable[Drift]) -> Drift:
+def added(parts: Iterable[DriftBound]) -> DriftBound:
     """The sum of bounds."""
     drifts = tuple(parts)
     knots = tuple(sorted({knot for each in drifts for knot in each.knots}))
@@ -103,7 +105,7 @@ def added(parts: Iterable[Drift]) -> Drift:
     for left in (-inf, *knots):
         pieces = [each.at(left) if left > -inf else each.pairs[0] for each in drifts]
         pairs.append((sum(a for a, _ in pieces), sum(b for _, b in pieces)))
-    return Drift(knots, tuple(pairs))
+    return DriftBound(knots, tuple(pairs))
 
 
 def _seconds(a: float, b: float, x: float, end: float) -> float:

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from scipy.special import log_ndtr
 
-from sim.checking.proof.drift import Drift
-from sim.checking.proof.push import Push, drift_of, push_of
+from sim.checking.proof.drift import DriftBound
+from sim.checking.proof.forcing import Forcing, drift_of, forcing_of
 from sim.checking.proof.structure import Move
 from sim.effects.kinds import dead_time, signals_of
 from sim.engine.schedule import Policy
@@ -75,7 +75,7 @@ class Envelope:
     """All stays that a location may have: ranges of m (its flow's unit), inputs, sojourn (s), and X on entry (degC).
 
     `fresh` is None where X goes on. Inputs may move within their ranges during a stay, m may not; what is proven holds
-    for both. `push` is what effects add; None where none acts.
+    for both. `forcing` is what effects add; None where none acts.
     """
 
     location: str
@@ -84,13 +84,13 @@ class Envelope:
     inputs: Mapping[str, Range]
     sojourn: Range
     fresh: Range | None = None
-    push: Push | None = None
+    forcing: Forcing | None = None
 
     def corner(self, up: bool) -> tuple[float, dict[str, float]]:
         """(m, inputs) of the highest target, or of the lowest one."""
         side = int(up)
-        if self.push is not None:
-            return self.m[side], dict(self.push.signals[side])
+        if self.forcing is not None:
+            return self.m[side], dict(self.forcing.signals[side])
         signals = {one.signal: self.inputs[one.signal][side if one.gain > 0 else 1 - side] for one in self.flow.inputs}
         return self.m[side], signals
 
@@ -99,9 +99,9 @@ class Envelope:
         m, signals = self.corner(up)
         return m + sum(one.gain * (signals[one.signal] - one.reference) for one in self.flow.inputs)
 
-    def drift(self, up: bool, housing: float | None = None) -> Drift | None:
+    def drift(self, up: bool, housing: float | None = None) -> DriftBound | None:
         """The highest or lowest drift where effects act, with a housing at `housing` (degC); None without effects."""
-        return None if self.push is None else drift_of(self.flow, self.m, self.push, up=up, housing=housing)
+        return None if self.forcing is None else drift_of(self.flow, self.m, self.forcing, up=up, housing=housing)
 
 
 def worn_for(assumptions: Assumptions) -> float:
@@ -146,13 +146,13 @@ def _envelope(model: Model, location: Location, assumptions: Assumptions, known:
         return _signal(model, location.name, name, assumptions, known)
 
     return Envelope(
-        location.name,
-        location.flow,
-        m,
-        {one.signal: signal(one.signal) for one in location.flow.inputs},
-        _sojourn(model, location.name, assumptions),
-        None if fresh is None else quantiles(fresh, assumptions.z),
-        push_of(model.sha, location, m, signal, worn_for(assumptions)),
+        location=location.name,
+        flow=location.flow,
+        m=m,
+        inputs={one.signal: signal(one.signal) for one in location.flow.inputs},
+        sojourn=_sojourn(model, location.name, assumptions),
+        fresh=None if fresh is None else quantiles(fresh, assumptions.z),
+        forcing=forcing_of(model.sha, location, m, signal, worn_for(assumptions)),
     )
 
 

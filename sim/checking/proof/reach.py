@@ -19,7 +19,7 @@ from math import inf, isinf, nan
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.checking.proof.drift import Drift
+from sim.checking.proof.drift import DriftBound
 from sim.checking.proof.envelope import Envelope, Range
 from sim.checking.proof.structure import Move
 from sim.sha.flows import RELAXING, mean_step
@@ -63,7 +63,7 @@ class Side:
     sign: float
     target: Array
     fresh: Array
-    drifts: tuple[Drift | None, ...]
+    drifts: tuple[DriftBound | None, ...]
 
     def after(self, place: int, x: float, dt: float) -> float:
         """The temperature `dt` s after an entry at `x`; `dt` may be infinite, and `x` too."""

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from math import isfinite
 
 from sim.checking.proof.structure import guarded
+from sim.effects.check import check_sha
+from sim.effects.correction import in_sensor_scale
 from sim.sha.automaton import SHA, Location
-from sim.sha.correction import in_sensor_scale
 from sim.sha.distributions import check_distribution, mean, variance
-from sim.sha.entry import check_sha
 from sim.sha.events import alphabet_symbols, check_alphabet
 from sim.sha.model import Model
 from sim.sha.semi_markov import compile_chain

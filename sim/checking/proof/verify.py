@@ -14,12 +14,13 @@ from sim.checking.proof import structure
 from sim.checking.proof.bounds import Bounds, Verdict, find_bounds, noise_band
 from sim.checking.proof.counterexample import MOST_STAYS
 from sim.checking.proof.envelope import DAY, Assumptions, Range, UnboundedInput, describe
+from sim.checking.proof.forcing import UnboundedEffect
 from sim.checking.proof.runnable import announced, faults, unexecuted
 from sim.checking.proof.wear import worn
 from sim.checking.proof.word import TimedWord
-from sim.effects.kinds import signals_of
+from sim.effects.correction import corrected, in_sensor_scale
+from sim.effects.kinds import growing_from, signals_of
 from sim.sha.automaton import SHA, nondeterminism
-from sim.sha.correction import corrected, in_sensor_scale
 from sim.sha.events import alphabet_symbols
 from sim.sha.flows import RELAXING
 from sim.sha.model import Model
@@ -157,15 +158,7 @@ class _Stopwatch:
 
     def __call__(self, check: Check) -> Check:
         before, self.last = self.last, self.clock()
-        return Check(
-            check.name,
-            check.verdict,
-            check.evidence,
-            check.details,
-            check.words,
-            check.blocking,
-            self.last - before,
-        )
+        return replace(check, seconds=self.last - before)
 
 
 # ------------------------------------------------------------------ structure
@@ -249,7 +242,7 @@ def _lasting(
 
     Where there is none, or the horizon is given, it is said for that of a year, or for the given one.
     """
-    if not any(effect.kind == "wear-drift" for effect in model.sha.effects):
+    if not growing_from(model.sha):
         return _decided(model, claimed, assumptions, timed)
     given = assumptions.horizon
     horizons = [days * DAY for days in HORIZONS] if given is None else [given]
@@ -267,11 +260,11 @@ def _lasting(
 def _decided(
     model: Model, claimed: Range | None, assumptions: Assumptions, timed: _Stopwatch
 ) -> tuple[Bounds | None, list[Check]]:
-    """All that is said of temperatures; not decided where an input has no range or numbers overflow."""
+    """All that is said of temperatures; not decided without a range, without a bound, or where numbers overflow."""
     try:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
             return _temperature(model, claimed, assumptions, timed)
-    except UnboundedInput as error:
+    except (UnboundedInput, UnboundedEffect) as error:
         return None, [Check("growth", "not decided", str(error))]
     except ArithmeticError as error:
         said = f"the model's numbers lead beyond what can be computed ({error}); give parameters of a usual size"
@@ -305,7 +298,7 @@ def _within(found: Bounds, model: Model, assumptions: Assumptions, *, blocking: 
     hidden = in_sensor_scale(model).sha
     clamp = f"; the model's clamp to [{hidden.low:g}, {hidden.high:g}] would hide it and is left out here"
     words = tuple(one.word for one in found.escapes if one.word is not None)
-    return Check("bounds", found.verdict, f"T can leave {claim}: {said}{clamp}", details, words, blocking)
+    return Check("bounds", found.verdict, f"T can leave {claim}: {said}{clamp}", details, words, blocking=blocking)
 
 
 def _way_out(found: Bounds, up: bool) -> str:

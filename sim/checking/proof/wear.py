@@ -2,6 +2,7 @@
 
 from datetime import UTC, datetime
 
+from sim.effects.kinds import growing_from
 from sim.sha.automaton import SHA
 
 DAY = 86_400.0
@@ -11,8 +12,7 @@ _FIRST_CLOCK, _LAST_CLOCK = 3.0e7, 2.5e11
 
 def worn(sha: SHA, horizon: float, longest: float) -> str:
     """The sentence: until when what is proven holds, and that it does not hold for `longest` where that is so (s)."""
-    begins = [effect.params["since"] for effect in sha.effects if effect.kind == "wear-drift"]
-    until = min(begins) + horizon
+    until = min(growing_from(sha)) + horizon
     said = f"what is said of temperatures holds for {horizon / DAY:g} days of wear, until {_moment(until)}"
     if horizon < longest:
         return f"{said}, and not for {longest / DAY:g}: diagnose or learn anew before then"

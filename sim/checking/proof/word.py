@@ -17,11 +17,12 @@ from itertools import pairwise
 from math import inf, isfinite, nan
 
 from sim.checking.proof.word_effects import Given, felt_at_once, passed
+from sim.effects.check import check_sha
+from sim.effects.correction import in_sensor_scale
 from sim.engine.schedule import Policy, resync_targets
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Location, transitions
-from sim.sha.correction import in_sensor_scale
-from sim.sha.entry import check_sha, drawn_temperature, mode_parameter
+from sim.sha.entry import drawn_temperature, mode_parameter
 from sim.sha.flows import mean_step, offset
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event

@@ -10,7 +10,7 @@ from math import inf, nan
 
 import numpy as np
 
-from sim.effects.kinds import sensor_offset, sensor_offsets, signals_of
+from sim.effects.kinds import of_feature, offset_times, sensor_offset, sensor_offsets, signals_of
 from sim.engine.course import Drawn, mean_course, start_state
 from sim.engine.cuts import longest
 from sim.engine.moments import stay_draws
@@ -73,7 +73,8 @@ def passed(sha: SHA, stays: Sequence[Given], end: float, x: float, clock: float)
 
 def felt_at_once(sha: SHA) -> SHA:
     """The automaton without its dead time."""
-    return replace(sha, effects=tuple(effect for effect in sha.effects if effect.kind != "dead-time"))
+    late = of_feature(sha, "dead time")
+    return replace(sha, effects=tuple(effect for effect in sha.effects if effect not in late))
 
 
 def _check_length(sha: SHA, stays: Sequence[Given], ends: Sequence[float]) -> None:
@@ -112,6 +113,6 @@ def _readings(steps: Schedule, stays: Sequence[Given], x: float, *, checked: boo
 
 def offset_range(sha: SHA) -> tuple[float, float]:
     """The least and the greatest that the sensor ever reads too much (degC)."""
-    times = np.array([-inf, *(one.params["at"] for one in sha.effects if one.kind == "sensor-offset-step")])
+    times = np.array([-inf, *offset_times(sha)])
     values = sensor_offsets(sha, times)
     return float(values.min()), float(values.max())

@@ -5,40 +5,24 @@ whose heat or loss depends on the course (a housing, a thermostat, radiation) ar
 it stands still; the iteration contracts because what they add is fed back through a relaxation.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from sim.discrepancy.catalogue import Entry
 from sim.discrepancy.fitting.baseline import Frame
+from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, on_sensor
+from sim.discrepancy.fitting.named import Named, effects_of
 from sim.discrepancy.fitting.noise import Grid, decay_and_pull
 from sim.engine.recursion import linear_recursion
 from sim.learning.free_run import RATES, steps
+from sim.sha.automaton import Effect
 from sim.sha.trace import Array
 
 ITERATIONS, STILL = 60, 1e-6
 """Passes at most, and the change (degC) below which a course stands still."""
 TAIL = 4
 """Cycles over which the heat of one is followed, itself included: about a day."""
-
-
-@dataclass(frozen=True, slots=True)
-class Named:
-    """An effect in the model: its catalogue `entry`, the signal of each role, and all its parameters by name."""
-
-    entry: Entry
-    signals: Mapping[str, str]
-    params: Mapping[str, float]
-
-    @property
-    def strength(self) -> float:
-        """The parameter that scales it."""
-        return self.params[self.entry.strength]
-
-    def scaled(self, strength: float) -> "Named":
-        """The same effect at another strength."""
-        return replace(self, params={**self.params, self.entry.strength: strength})
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,23 +58,34 @@ def run_free(
     decay, pull = steps(runs, frame.shape, log_rates)
     target = frame.load @ linear
     k = rates_of(frame, log_rates)
-    drives = [one for one in named if one.entry.drive is not None]
+    effects = [effect for one in named for effect in effects_of(one, frame.record.model)]
+    heating = [effect for effect in effects if not on_sensor(effect)]
     push = pull * target
     push[runs.first] = start
     course = linear_recursion(decay, push, 0.0)
     loss = np.zeros(len(runs))
-    if drives:
+    if heating:
         flow = (decay, np.where(runs.first, start[np.cumsum(runs.first) - 1], push), k)
-        course, loss = _driven(frame, drives, flow, course if guess is None else guess)
+        course, loss = _driven(frame, heating, flow, course if guess is None else guess)
     mean = course
-    for one in named:
-        if one.entry.sense is not None:
-            mean = one.entry.sense(frame.record, one.params, mean)
-    return State(linear, log_rates, tuple(named), course, mean, decay, k, target, loss)
+    for effect in effects:
+        if on_sensor(effect):
+            mean = as_sensed(frame.record, effect, mean)
+    return State(
+        linear=linear,
+        log_rates=log_rates,
+        named=tuple(named),
+        course=course,
+        mean=mean,
+        decay=decay,
+        k=k,
+        target=target,
+        loss=loss,
+    )
 
 
 def _driven(
-    frame: Frame, drives: Sequence[Named], flow: tuple[Array, Array, Array], course: Array
+    frame: Frame, effects: Sequence[Effect], flow: tuple[Array, Array, Array], course: Array
 ) -> tuple[Array, Array]:
     """(course, loss) with the effects; `flow` is (decay, what the flow adds, k) without them."""
     record = frame.record
@@ -101,10 +96,10 @@ def _driven(
     for _ in range(ITERATIONS):
         loss, heat = np.zeros(len(runs)), own_heat.copy()
         middle = np.where(runs.first, course, 0.5 * (course + np.concatenate([course[:1], course[:-1]])))
-        for one in drives:
-            lost, added = one.entry.drive(record, one.signals, one.params, middle)  # type: ignore[misc]
-            loss += one.strength * lost
-            heat += one.strength * added
+        for effect in effects:
+            added, lost = heat_and_loss(record, effect, middle)
+            loss += lost
+            heat += added
         decay, pull = decay_and_pull(k + loss, runs.dt)
         before = course
         course = linear_recursion(np.where(runs.first, 0.0, decay), np.where(runs.first, own_push, pull * heat), 0.0)
@@ -173,7 +168,7 @@ def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: 
     p, r = frame.count
     strengths = point[p + r :].tolist()
     moved = [one.scaled(value) for one, value in zip(named, strengths, strict=True)]
-    return run_free(frame, point[:p], point[p : p + r], start, moved, guess)
+    return run_free(frame, point[:p], point[p : p + r], start, named=moved, guess=guess)
 
 
 def grid_at(frame: Frame, state: State) -> Grid:
@@ -210,9 +205,9 @@ def scattered(frame: Frame, state: State) -> Array:
 
 def as_read(frame: Frame, state: State, column: Array) -> Array:
     """(n,) degC what the sensor shows of a part (n,) of the bearing's temperature: as late as it shows the whole."""
-    for one in state.named:
-        if one.entry.sense is not None and one.entry.whole:
-            column = one.entry.sense(frame.record, one.params, column)
+    model = frame.record.model
+    for effect in (effect for one in state.named if one.entry.whole for effect in effects_of(one, model)):
+        column = as_sensed(frame.record, effect, column)
     return column
 
 

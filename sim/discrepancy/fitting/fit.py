@@ -13,7 +13,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
-from sim.discrepancy.fitting.course import Named, State, at, grid_at, sensitivity
+from sim.discrepancy.fitting.course import State, at, grid_at, sensitivity
+from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.noise import Belief, Grid, Noise, Weigher, fit_noise
 from sim.discrepancy.fitting.record import Record
 from sim.sha.model import Model

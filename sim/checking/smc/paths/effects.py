@@ -14,7 +14,8 @@ import numpy as np
 from sim.checking.smc.paths.known import MOST_ROWS, Cuts, crossings, notes_of
 from sim.checking.smc.paths.plan import FINE, LEAST_DECAY, LONGEST, Indices, Piece, State, World
 from sim.checking.smc.paths.tilting import Tilts
-from sim.effects.kinds import dead_time, sensor_offsets
+from sim.effects.kind import ABSOLUTE_SECONDS, Structural
+from sim.effects.kinds import dead_time, kind_of, offset_times, sensor_offsets
 from sim.engine.belief_state import Hidden
 from sim.engine.course import start_state
 from sim.engine.cuts import fastest
@@ -150,10 +151,13 @@ def relative(sha: SHA, begin: float) -> SHA:
 
 
 def _moved(effect: Effect, begin: float) -> Effect:
-    params = {name: value - begin if name in ("since", "at") else value for name, value in effect.params.items()}
-    if effect.kind == "dead-time":
-        params = {"delay": 0.0}
-    return replace(effect, params=params)
+    kind = kind_of(effect)
+    if kind.law == Structural("dead time"):
+        return replace(effect, params={"delay": 0.0})
+    absolute = {name for name, each in kind.parameters.items() if each.unit == ABSOLUTE_SECONDS}
+    return replace(
+        effect, params={name: value - begin if name in absolute else value for name, value in effect.params.items()}
+    )
 
 
 def _felt(world: World, events: list[Event]) -> list[Event]:
@@ -173,11 +177,7 @@ def _outputs(coarse: Schedule, cuts: Cuts, sha: SHA) -> Array:
     part = FINE / np.maximum(_fast(sha), 1e-12)
     points = [np.array([cuts.bound])]
     instants = {time for time in cuts.instants if 0.0 <= time <= cuts.bound}
-    instants |= {
-        one.params["at"]
-        for one in sha.effects
-        if one.kind == "sensor-offset-step" and 0.0 < one.params["at"] < cuts.bound
-    }
+    instants |= {at for at in offset_times(sha) if 0.0 < at < cuts.bound}
     for first, dt, age, place in zip(begins, coarse.dt, coarse.age, coarse.location, strict=True):
         longest = min(LONGEST, float(part[place]), cuts.longest)
         for low, high in cuts.looked:

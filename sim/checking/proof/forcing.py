@@ -10,9 +10,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim.checking.proof.drift import Drift, Pair, added
-from sim.effects.kinds import acts_in, parameter
-from sim.engine.terms import steady
+from sim.checking.proof.drift import DriftBound, Pair, added
+from sim.effects.kind import EffectRefusal, Feature, HeatBound, LossBound, Structural, VaryingBound, unknown
+from sim.effects.kinds import acts_in, kind_of, parameter
+from sim.engine.terms import held
 from sim.sha.automaton import SHA, Effect, Flow, Location
 from sim.sha.flows import RELAXING
 from sim.sha.trace import Array
@@ -26,18 +27,6 @@ HOTTEST = 1e4
 """Kelvins up to which radiation is bounded closely."""
 STEEP = 1e3
 """1/s: how a lower bound falls beyond."""
-_HEATS = (
-    "current-heating",
-    "quadratic-current-heating",
-    "current-saturation",
-    "torque-friction",
-    "speed-friction",
-    "vibration-friction",
-    "ambient-coupling",
-)
-_LOSSES = ("feed-temperature-coupling", "pump-cooling")
-_OTHERS = ("startup-churning", "wear-drift", "housing-thermal-mass", "thermostatic-cooling", "radiation-loss")
-_ALL = (*_HEATS, *_LOSSES, *_OTHERS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +38,7 @@ class Loss:
 
 
 @dataclass(frozen=True, slots=True)
-class Push:
+class Forcing:
     """What effects add in one location: `heat` (degC/s), the flow's own inputs among it; `losses`; `coupling` (1/s).
 
     `signals` are the values that give the least and the greatest drift, as far as constant ones can. `around` (degC) is
@@ -65,67 +54,96 @@ class Push:
     around: Range = (0.0, 0.0)
 
 
-def push_of(sha: SHA, location: Location, m: Range, ranges: Callable[[str], Range], horizon: float) -> Push | None:
+class UnboundedEffect(ValueError):
+    """An effect of a kind of which no bound is known, so that nothing can be proven of temperatures."""
+
+
+def forcing_of(
+    sha: SHA, location: Location, m: Range, ranges: Callable[[str], Range], horizon: float
+) -> Forcing | None:
     """What acts in the location; None where nothing does. `ranges` gives that of each signal that is read there.
 
-    `m` is the range of the mode parameter, `horizon` (s) how long wear goes on.
+    `m` is the range of the mode parameter, `horizon` (s) how long wear goes on. Raises UnboundedEffect, naming the
+    kind, where an effect cannot be bounded: what is not bounded is never left out.
     """
-    acting = {kind: [one for one in sha.effects if one.kind == kind and acts_in(one, location.name)] for kind in _ALL}
-    if not any(acting.values()):
+    heats: list[Effect] = []
+    losses: list[tuple[Effect, Loss]] = []
+    features: dict[Feature, Effect] = {}
+    least = most = 0.0
+    nothing = True
+    for effect in sha.effects:
+        bound = kind_of(effect).bound
+        match bound:
+            case Structural(feature="dead time" | "sensor lag" | "sensor offset"):
+                continue  # they move no heat; `bounds` adds them to what the sensor may read
+            case HeatBound() | LossBound() | VaryingBound() | Structural() if not acts_in(effect, location.name):
+                continue
+            case HeatBound():
+                heats.append(effect)
+            case LossBound():
+                losses.append((effect, _loss(effect, bound, ranges)))
+            case VaryingBound():
+                low, high = bound.extremes(effect, horizon)
+                least, most = least + low, most + high
+            case Structural(feature="housing" | "thermostat" | "radiation" as feature):
+                features[feature] = effect
+            case EffectRefusal(reason=reason):
+                raise UnboundedEffect(f"effects of the kind {effect.kind!r} are not bounded: {reason}")
+            case _:
+                raise UnboundedEffect(str(unknown("the verification", effect.kind, bound)))
+        nothing = False
+    if nothing:
         return None
-    losses = [one for kind in _LOSSES for one in acting[kind]]
-    low, high, chosen = _heated(location.flow, [one for kind in _HEATS for one in acting[kind]], ranges)
-    for effect in (*acting["startup-churning"], *acting["wear-drift"]):
-        most = effect.params["gain"] * (horizon if effect.kind == "wear-drift" else 1.0)
-        low, high = low + min(most, 0.0), high + max(most, 0.0)
-    pulls = tuple(_loss(effect, ranges) for effect in losses)
+    low, high, chosen = _heated(location.flow, heats, ranges)
+    low, high = low + least, high + most
     for side in (0, 1):
         alone = _alone(location.flow, m, (low, high), side)
-        for effect, pull in zip(losses, pulls, strict=True):
-            chosen[side].update(_loss_signals(effect, pull.sink, ranges, alone, side))
-    radiation, around = next(iter(acting["radiation-loss"]), None), (0.0, 0.0)
+        for effect, loss in losses:
+            chosen[side].update(_loss_signals(effect, loss.sink, ranges, alone, side))
+    radiation, around = features.get("radiation"), (0.0, 0.0)
     if radiation is not None:
         around = _temperature(radiation, "ambient", "surroundings", ranges)
         for name in radiation.signals.values():
             for side in (0, 1):
                 chosen[side].setdefault(name, ranges(name)[side])
-    return Push(
+    housing = features.get("housing")
+    return Forcing(
         heat=(low, high),
         signals=chosen,
-        losses=pulls,
-        coupling=sum(one.params["coupling"] for one in acting["housing-thermal-mass"]),
-        thermostat=next(iter(acting["thermostatic-cooling"]), None),
+        losses=tuple(loss for _, loss in losses),
+        coupling=0.0 if housing is None else housing.params["coupling"],
+        thermostat=features.get("thermostat"),
         radiation=radiation,
         around=around,
     )
 
 
-def drift_of(flow: Flow, m: Range, push: Push, *, up: bool, housing: float | None) -> Drift:
+def drift_of(flow: Flow, m: Range, forcing: Forcing, *, up: bool, housing: float | None) -> DriftBound:
     """The greatest (`up`) or the least drift in X, for a mode parameter within `m`.
 
     `housing` (degC) is the highest or lowest temperature that the housing may have; None leaves it out.
     """
     side = int(up)
-    parts = [_alone(flow, m, push.heat, side)]
-    parts += [_pull(one, up=up) for one in push.losses]
-    if push.coupling and housing is not None:
-        parts.append(Drift((), ((push.coupling * housing, push.coupling),)))
-    if push.thermostat is not None:
-        parts.append(_valve(push.thermostat, up=up))
-    if push.radiation is not None:
-        parts.append(_radiated(push.radiation, push.around[side], up=up))
+    parts = [_alone(flow, m, forcing.heat, side)]
+    parts += [_loss_drift(one, up=up) for one in forcing.losses]
+    if forcing.coupling and housing is not None:
+        parts.append(DriftBound((), ((forcing.coupling * housing, forcing.coupling),)))
+    if forcing.thermostat is not None:
+        parts.append(_valve(forcing.thermostat, up=up))
+    if forcing.radiation is not None:
+        parts.append(_radiated(forcing.radiation, forcing.around[side], up=up))
     return added(parts)
 
 
-def _alone(flow: Flow, m: Range, heat: Range, side: int) -> Drift:
+def _alone(flow: Flow, m: Range, heat: Range, side: int) -> DriftBound:
     """The flow and the heats without anything lost."""
     if flow.kind in RELAXING:
-        return Drift((), ((flow.params["k"] * m[side] + heat[side], flow.params["k"]),))
+        return DriftBound((), ((flow.params["k"] * m[side] + heat[side], flow.params["k"]),))
     drive = m[side] if flow.kind == "linear" else 0.0
     if flow.kind == "logarithmic":  # it fades from this to 0
         entered = m[side] / flow.params["t0"]
         drive = max(entered, 0.0) if side else min(entered, 0.0)
-    return Drift((), ((drive + heat[side], 0.0),))
+    return DriftBound((), ((drive + heat[side], 0.0),))
 
 
 # ------------------------------------------------------------------ heats
@@ -142,7 +160,7 @@ def _heated(
         readers = [_reader(one) for one in effects if name in one.signals.values()]
         k = flow.params.get("k", 0.0)
         readers += [_input(k * one.gain, one.reference) for one in flow.inputs if one.signal == name]
-        bends = [parameter(one, "knee") for one in effects if "knee" in one.params and name in one.signals.values()]
+        bends = [bend for one in effects if name in one.signals.values() for bend in _bends(one)]
         grid = _grid(ranges(name), [0.0, *bends])
         values = np.array([reader(grid) for reader in readers])
         inside = np.minimum(values[:, :-1], values[:, 1:]), np.maximum(values[:, :-1], values[:, 1:])
@@ -159,9 +177,14 @@ def _grid(limits: Range, bends: Sequence[float]) -> Array:
     return np.array(sorted(points) if high > low else [low, low])
 
 
+def _bends(effect: Effect) -> Sequence[float]:
+    bound = kind_of(effect).bound
+    return bound.bends(effect) if isinstance(bound, HeatBound) else ()
+
+
 def _reader(effect: Effect) -> Reader:
     (name,) = effect.signals.values()
-    return lambda grid: np.asarray(steady(effect, {name: grid})[0])
+    return lambda grid: np.asarray(held(effect, {name: grid})[0])
 
 
 def _input(gain: float, reference: float) -> Reader:
@@ -171,12 +194,10 @@ def _input(gain: float, reference: float) -> Reader:
 # ------------------------------------------------------------------ losses
 
 
-def _loss(effect: Effect, ranges: Callable[[str], Range]) -> Loss:
-    pumps = ranges(effect.signals["pump"]) if "pump" in effect.signals else (1.0, 1.0)
+def _loss(effect: Effect, bound: LossBound, ranges: Callable[[str], Range]) -> Loss:
+    pumps = ranges(effect.signals[bound.strength]) if bound.strength in effect.signals else (1.0, 1.0)
     least, most = (effect.params["loss"] * max(pump, 0.0) for pump in pumps)
-    if effect.kind == "pump-cooling":
-        return Loss((least, most), _temperature(effect, "sink", "sink", ranges))
-    return Loss((least, most), _temperature(effect, "feed", "", ranges))
+    return Loss((least, most), _temperature(effect, bound.sink, bound.sink, ranges))
 
 
 def _temperature(effect: Effect, role: str, fixed: str, ranges: Callable[[str], Range]) -> Range:
@@ -189,42 +210,43 @@ def _temperature(effect: Effect, role: str, fixed: str, ranges: Callable[[str], 
 
 
 def _loss_signals(
-    effect: Effect, sink: Range, ranges: Callable[[str], Range], alone: Drift, side: int
+    effect: Effect, sink: Range, ranges: Callable[[str], Range], alone: DriftBound, side: int
 ) -> dict[str, float]:
     """The values that drive outwards: warm (cold) sinks, and least pumping where the drift `alone` goes beyond them."""
     a, b = alone.at(sink[side])
     outward = (a - b * sink[side]) * (1.0 if side else -1.0) > 0
-    found = {}
+    bound, found = kind_of(effect).bound, {}
     for role, signal in effect.signals.items():
         low, high = ranges(signal)
         pumping = max(low if outward else high, 0.0)
-        found[signal] = pumping if role == "pump" else (high if side else low)
+        strength = isinstance(bound, LossBound) and role == bound.strength
+        found[signal] = pumping if strength else (high if side else low)
     return found
 
 
-def _pull(one: Loss, *, up: bool) -> Drift:
+def _loss_drift(one: Loss, *, up: bool) -> DriftBound:
     """Below the sink a loss warms, above it cools: which of its strengths is the bound changes there."""
     sink = one.sink[int(up)]
     least, most = one.loss
     below, above = (most, least) if up else (least, most)
-    return Drift((sink,), ((below * sink, below), (above * sink, above)))
+    return DriftBound((sink,), ((below * sink, below), (above * sink, above)))
 
 
-def _valve(effect: Effect, *, up: bool) -> Drift:
+def _valve(effect: Effect, *, up: bool) -> DriftBound:
     """Open at `opens` and above, closed at `closes` and below, between the two whichever does the more."""
     loss, sink = effect.params["loss"], effect.params["sink"]
     opens, closes = effect.params["opens"], effect.params["closes"]
     cooled, idle = (loss * sink, loss), (0.0, 0.0)
     if not up:
-        return Drift((max(closes, sink),), (idle, cooled))
+        return DriftBound((max(closes, sink),), (idle, cooled))
     if sink <= closes:
-        return Drift((opens,), (idle, cooled))
+        return DriftBound((opens,), (idle, cooled))
     if sink >= opens:
-        return Drift((), (cooled,))
-    return Drift((sink, opens), (cooled, idle, cooled))
+        return DriftBound((), (cooled,))
+    return DriftBound((sink, opens), (cooled, idle, cooled))
 
 
-def _radiated(effect: Effect, around: float, *, up: bool) -> Drift:
+def _radiated(effect: Effect, around: float, *, up: bool) -> DriftBound:
     """Tangents (`up`) or chords of -gain ((X - zero)^4 - (around - zero)^4), which is concave above zero.
 
     Below the absolute zero of X's scale nothing is radiated.
@@ -239,11 +261,11 @@ def _radiated(effect: Effect, around: float, *, up: bool) -> Drift:
         return _lowest([(received, 0.0), *map(tuple, lines[1:].tolist())])
     slopes = np.append(-np.diff(heats) / np.diff(depths), STEEP)
     lines = np.column_stack([heats + slopes * (depths + zero), slopes])
-    return Drift(tuple((depths + zero).tolist()), ((received, 0.0), *map(tuple, lines.tolist())))
+    return DriftBound(tuple((depths + zero).tolist()), ((received, 0.0), *map(tuple, lines.tolist())))
 
 
-def _lowest(lines: Sequence[Pair]) -> Drift:
+def _lowest(lines: Sequence[Pair]) -> DriftBound:
     """The lowest of lines that grow steeper from one to the next: each begins where it meets the one before it."""
     steeper = [lines[0], *(after for before, after in pairwise(lines) if after[1] > before[1])]
     knots = tuple((after[0] - before[0]) / (after[1] - before[1]) for before, after in pairwise(steeper))
-    return Drift(knots, tuple(steeper))
+    return DriftBound(knots, tuple(steeper))

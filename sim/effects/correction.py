@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from math import log
 
-from sim.effects.kinds import EFFECTS, parameter
+from sim.effects.kinds import kind_of
 from sim.sha.automaton import SHA, Distribution, Effect, Flow, Input, Location
 from sim.sha.flows import FIXED, RELAXING
 from sim.sha.model import Correction, Model
@@ -68,30 +68,30 @@ def _flow(flow: Flow, correction: Correction) -> Flow:
     return Flow(flow.kind, params, inputs)
 
 
-_TEMPERATURES = ("sink", "opens", "closes", "surroundings", "zero")
-
-
 def _effect(effect: Effect, correction: Correction) -> Effect:
-    """Heats and offsets are multiplied, temperatures of X mapped; losses, times and what signals mean stay.
+    """Each parameter as its kind says that it is rescaled; temperature signals keep their own scale.
 
-    Temperature signals keep their own scale: `scale` and `shift` map them to X's. A radiated heat falls with the fourth
-    power of temperatures that are all k times as far from absolute zero, so its gain is divided by k^3.
+    A radiated heat falls with the fourth power of temperatures that are all k times as far from absolute zero, so its
+    gain is divided by k^3. Raises ValueError for a parameter of which it is not known.
     """
-    params = {name: parameter(effect, name) for name in EFFECTS[effect.kind].params if _has(effect, name)}
-    k = correction.gain
-    for name in ("gain", "size"):
-        if name in params:
-            params[name] *= k**-3 if effect.kind == "radiation-loss" else k
-    for name in _TEMPERATURES:
-        if name in params:
-            params[name] = corrected(correction, params[name])
-    if "scale" in params:
-        params["scale"], params["shift"] = k * params["scale"], corrected(correction, params["shift"])
+    k, kind = correction.gain, kind_of(effect)
+    params = {}
+    for name, each in kind.parameters.items():
+        value = effect.params.get(name, each.default)
+        if value is None:
+            continue
+        match each.rescaled:
+            case "stays":
+                params[name] = value
+            case "scaled":
+                params[name] = k * value
+            case "mapped":
+                params[name] = corrected(correction, value)
+            case "inverse cube":
+                params[name] = value * k**-3
+            case strange:
+                raise ValueError(f"the correction does not know effects of the kind {effect.kind!r} ({name} {strange})")
     return replace(effect, params=params)
-
-
-def _has(effect: Effect, name: str) -> bool:
-    return name in effect.params or name in EFFECTS[effect.kind].defaults
 
 
 def _law(law: Distribution, gain: float, offset: float) -> Distribution:

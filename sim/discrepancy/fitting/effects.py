@@ -1,0 +1,115 @@
+"""The law of effects over a record: the heat and the loss of each step, and what a sensor makes of a course.
+
+The laws are those of `sim.effects`, which the automaton executes too. Here each is held over a step of the record (at
+the step's middle where it varies by itself), while the automaton's own engine is exact inside a step: over steps that
+are short against the plant's time constants both have one course (`tests/effects` has by how much they differ).
+"""
+
+from itertools import pairwise
+
+import numpy as np
+
+from sim.discrepancy.fitting.record import Record
+from sim.effects.exchange import in_scale_of_x, radiation_tangent
+from sim.effects.kind import HeldLaw, Structural, VaryingLaw, unknown
+from sim.effects.kinds import acts_in, kind_of, parameter
+from sim.engine.recursion import linear_recursion
+from sim.sha.automaton import Effect
+from sim.sha.trace import Array, Mask
+
+ON_SENSOR = ("dead time", "sensor lag", "sensor offset")
+"""Features that act between the temperature and its reading."""
+
+
+def on_sensor(effect: Effect) -> bool:
+    """Whether an effect acts between the temperature and its reading, and so has no heat."""
+    law = kind_of(effect).law
+    return isinstance(law, Structural) and law.feature in ON_SENSOR
+
+
+def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array, Array]:
+    """(heat, loss) of each step (n,), degC/s and 1/s, as dX/dt += heat - loss X along a course (n,) degC.
+
+    Nothing acts outside the effect's locations, or before its signals were read. Raises ValueError, naming the kind,
+    for a law that is not known here.
+    """
+    runs = record.runs
+    signals = {name: record.signal(name) for name in effect.signals.values()}
+    nothing = np.zeros(len(runs))
+    match kind_of(effect).law:
+        case HeldLaw() as law:
+            heat, loss = law.heat_and_loss(effect, signals)
+        case VaryingLaw() as law:
+            middle = runs.dt / 2.0
+            heat, loss = law.heat(effect, runs.time - middle, record.since + middle), nothing
+        case Structural(feature="housing"):
+            coupling = effect.params["coupling"]
+            heat, loss = coupling * lagged(record, course, effect.params["tau"]), nothing + coupling
+        case Structural(feature="thermostat"):
+            opened = hysteresis(course, effect.params["opens"], effect.params["closes"], runs.first)
+            # A step later, as causes are: a valve that moved within the step could close itself by opening, and no
+            # course would stand still.
+            opened = np.where(runs.first, 0.0, np.concatenate([opened[:1], opened[:-1]]))
+            loss = effect.params["loss"] * opened
+            heat = loss * effect.params["sink"]
+        case Structural(feature="radiation"):
+            room = "ambient" in effect.signals
+            around = in_scale_of_x(effect, "ambient", signals) if room else nothing + effect.params["surroundings"]
+            zero = parameter(effect, "zero")
+            loss, heat = radiation_tangent(gain=effect.params["gain"], zero=zero, about=course, around=around)
+        case law:
+            raise unknown("a diagnosis", effect.kind, law)
+    there = np.array([acts_in(effect, location.name) for location in record.model.sha.locations])[runs.place]
+    acting = there & np.isfinite(heat) & np.isfinite(loss)
+    return np.where(acting, heat, 0.0), np.where(acting, loss, 0.0)
+
+
+def as_sensed(record: Record, effect: Effect, course: Array) -> Array:
+    """The course (n,) degC as it is read through an effect that acts between temperature and reading."""
+    match kind_of(effect).law:
+        case Structural(feature="dead time"):
+            return delayed(record, course, effect.params["delay"])
+        case Structural(feature="sensor lag"):
+            order = round(effect.params["order"])
+            for _ in range(order):
+                course = lagged(record, course, effect.params["tau"] / order)
+            return course
+        case Structural(feature="sensor offset"):
+            return course + effect.params["size"] * (record.runs.time >= effect.params["at"])
+        case law:
+            raise unknown("a diagnosis", effect.kind, law)
+
+
+def held(record: Record, name: str) -> Array:
+    """(n,) a signal over each step, its mean where it was never read yet."""
+    column = record.signal(name)
+    known = np.isfinite(column)
+    return np.where(known, column, float(np.mean(column[known])) if known.any() else 0.0)
+
+
+def lagged(record: Record, column: Array, lag: float) -> Array:
+    """A column (n,) through a first-order lag (s), from its first value in each run."""
+    if lag <= 0:
+        return column
+    runs = record.runs
+    keep = np.where(runs.first, 0.0, np.exp(-runs.dt / lag))
+    return linear_recursion(keep, (1.0 - keep) * column, 0.0)
+
+
+def delayed(record: Record, column: Array, delay: float) -> Array:
+    """A course (n,) `delay` seconds later: as its inputs would come so much later, from the same start."""
+    runs = record.runs
+    out = np.empty(column.size)
+    edges = [*np.flatnonzero(runs.first).tolist(), len(runs)]
+    for begin, end in pairwise(edges):
+        part = slice(begin, end)
+        out[part] = np.interp(runs.time[part] - delay, runs.time[part], column[part])
+    return out
+
+
+def hysteresis(course: Array, opens: float, closes: float, first: Mask) -> Array:
+    """(n,) 1 while open: from a value of at least `opens` until one of at most `closes`; closed at a run's first."""
+    decided = np.where(course >= opens, 1, np.where(course <= closes, 0, -1))
+    decided = np.where(first & (decided < 0), 0, decided)
+    last = np.maximum.accumulate(np.where(decided >= 0, np.arange(decided.size), 0))
+    return np.maximum(decided[last], 0).astype(float)

@@ -1,0 +1,109 @@
+"""A named effect and the effects of the automaton that it stands for: what is fitted is what will be executed."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from sim.discrepancy.fitting.catalogue import CatalogueEntry, entry_of
+from sim.effects.kinds import kind_of
+from sim.learning.runs import first_switch
+from sim.learning.structure import contexts
+from sim.sha.automaton import Effect
+from sim.sha.model import Model
+from sim.sha.trace import UNKNOWN
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """An effect in the model: its catalogue `entry`, the signal of each role, and all its parameters by name.
+
+    `given` is the effect that the model had before, whose signals, locations and event it keeps.
+    """
+
+    entry: CatalogueEntry
+    signals: Mapping[str, str]
+    params: Mapping[str, float]
+    given: Effect | None = None
+
+    @property
+    def strength(self) -> float:
+        """The parameter that scales it."""
+        return self.params[self.entry.strength]
+
+    def scaled(self, strength: float) -> "Named":
+        """The same effect at another strength."""
+        return replace(self, params={**self.params, self.entry.strength: strength})
+
+
+def named_of(model: Model) -> tuple[Named, ...]:
+    """The effects that a model has already. Raises ValueError for a kind that cannot be fitted."""
+    found = []
+    for effect in model.sha.effects:
+        defaults = {name: each.default for name, each in kind_of(effect).parameters.items() if each.default is not None}
+        params = {**defaults, **effect.params}
+        found.append(Named(entry_of(effect.kind), dict(effect.signals), params, effect))
+    return tuple(found)
+
+
+def effects_of(named: Named, model: Model) -> tuple[Effect, ...]:
+    """A named effect as the automaton takes it, and what else its shape stands for (the blur of a dead time: a lag)."""
+    besides = named.entry.candidate.besides
+    more = None if besides is None else besides(named.params)
+    return (effect_of(named, model), *(() if more is None else (Effect(*more),)))
+
+
+def effect_of(named: Named, model: Model) -> Effect:
+    """The effect that bears a named one's name."""
+    kind, candidate = named.entry.kind, named.entry.candidate
+    if named.given is not None:
+        return replace(named.given, params={**named.given.params, candidate.strength: named.strength})
+    unread = candidate.unread != "" and bool(named.params.get(candidate.unread))
+    signals = {role: signal for role, signal in named.signals.items() if role in kind.needed or not unread}
+    acts, everywhere = kind.acts_with(signals), tuple(location.name for location in model.sha.locations)
+    where: tuple[str, ...] = ()
+    if acts != "everywhere":
+        where = _where_known(model, running_locations(model) if acts == "running" else everywhere)
+    switch = first_switch(model.alphabet)
+    return Effect(
+        named.entry.name,
+        {name: value for name, value in named.params.items() if name in kind.parameters},
+        signals,
+        locations=where if len(where) < len(everywhere) else (),
+        event=switch.rising if kind.from_event and switch is not None else "",
+    )
+
+
+def _where_known(model: Model, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Those whose flow says how the temperature moves: a constant one holds what is not known and adds up a heat."""
+    flows = model.sha.by_name
+    return tuple(name for name in names if flows[name].flow.kind != "constant") or names
+
+
+def running_locations(model: Model) -> tuple[str, ...]:
+    """The locations in which the machine runs: all without a switch, or where the names are not the alphabet's.
+
+    Both learners begin a location's name with what the alphabet has announced there; L*_SHA adds to it ("ON/200+ #2",
+    "ON/200-300 rising"). Where no name begins so, the edges decide (`_reached_running`).
+    """
+    switch = first_switch(model.alphabet)
+    if switch is None:
+        return tuple(location.name for location in model.sha.locations)
+    place = model.alphabet.channels.index(switch)
+    known = contexts(model.alphabet)
+    running = []
+    for location in model.sha.locations:
+        named = [name for name in known if location.name == name or location.name.startswith(f"{name} ")]
+        if named and known[max(named, key=len)][place] == 1:
+            running.append(location.name)
+    if running:
+        return tuple(running)
+    return tuple(sorted(_reached_running(model, switch.rising, switch.falling)))
+
+
+def _reached_running(model: Model, rising: str, falling: str) -> set[str]:
+    """Locations entered by `rising`, or from those by anything but `falling` and UNKNOWN, after which nothing is."""
+    found = {edge.target for edge in model.sha.edges if edge.symbol == rising}
+    while True:
+        more = {e.target for e in model.sha.edges if e.source in found and e.symbol not in (falling, UNKNOWN)} - found
+        if not more:
+            return found
+        found |= more

@@ -1,0 +1,236 @@
+"""Heat exchanged with something of a temperature of its own: a feed, a sink, a housing, a cooler, the walls."""
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+
+from sim.effects.kind import (
+    EffectCandidate,
+    EffectKind,
+    HeldLaw,
+    LossBound,
+    MachineLog,
+    OptionalRole,
+    Parameter,
+    Params,
+    Roles,
+    Signals,
+    Structural,
+    TextLaw,
+    TextWriter,
+)
+from sim.effects.roles import AMBIENT, FEED, PUMP, SINK, TO_SCALE_OF_X
+from sim.sha.automaton import Effect
+from sim.sha.trace import Array
+
+ABSOLUTE_ZERO = -273.15
+"""degC."""
+
+_LOSS = Parameter(unit="1/s per unit of the pump", low=0.0, rescaled="stays")
+_DEGREES = Parameter(unit="degC", rescaled="mapped")
+
+
+def in_scale_of_x(effect: Effect, role: str, signals: Signals) -> Array:
+    """The temperature signal of a role in the scale of X."""
+    scale, shift = effect.params.get("scale", 1.0), effect.params.get("shift", 0.0)
+    return np.asarray(scale * signals[effect.signals[role]] + shift)
+
+
+def _feed(effect: Effect, signals: Signals) -> tuple[Array, Array]:
+    """Heat -loss pump (X - feed), the pump counting as 1 where it has no signal, and as 0 below 0."""
+    feed = in_scale_of_x(effect, "feed", signals)
+    pump = signals[effect.signals["pump"]] if "pump" in effect.signals else np.ones_like(feed)
+    loss = effect.params["loss"] * np.maximum(pump, 0.0)
+    return loss * feed, loss
+
+
+def _feed_text(writer: TextWriter, effect: Effect) -> str:
+    feed, read = writer.degrees(effect, "feed"), writer.read(effect, "feed")[1]
+    loss = writer.constant("LOSS", effect.params["loss"])
+    pumped = ""
+    if "pump" in effect.signals:
+        value, known = writer.read(effect, "pump")
+        pumped = f"{known} * fmax({value}, 0.0) * "
+    return f" - {read} * {pumped}{loss} * ({writer.x} - {feed})"
+
+
+def _pump(effect: Effect, signals: Signals) -> tuple[Array, Array]:
+    """Heat -loss pump (X - sink), sink the signal of that role or the parameter."""
+    loss = effect.params["loss"] * np.maximum(signals[effect.signals["pump"]], 0.0)
+    sink = in_scale_of_x(effect, "sink", signals) if "sink" in effect.signals else effect.params["sink"]
+    return loss * sink, loss
+
+
+def _pump_text(writer: TextWriter, effect: Effect) -> str:
+    value, read = writer.read(effect, "pump")
+    loss = writer.constant("LOSS", effect.params["loss"])
+    if "sink" in effect.signals:
+        sink, read = writer.degrees(effect, "sink"), f"{read} * {writer.read(effect, 'sink')[1]}"
+    else:
+        sink = writer.constant("SINK", effect.params["sink"])
+    return f" - {read} * {loss} * fmax({value}, 0.0) * ({writer.x} - {sink})"
+
+
+def _sinks(log: MachineLog) -> Sequence[Params]:
+    cold, span = log.cold, float(np.ptp(log.smooth))
+    return [{"sink": sink} for sink in (cold - 10.0 * span, cold - 0.5 * span, cold, cold + 0.3 * span)]
+
+
+def _valves(log: MachineLog) -> Sequence[Params]:
+    running, cold = log.running > 0.5, log.cold
+    span = float(np.quantile(log.smooth[running] if running.any() else log.smooth, 0.98)) - cold
+    return [
+        {"opens": cold + share * span, "closes": cold + (share - width) * span, "sink": cold}
+        for share, width in product((0.4, 0.55, 0.7, 0.8, 0.9), (0.03, 0.1, 0.2))
+    ]
+
+
+def _opens_above(params: Params) -> str:
+    if params["closes"] < params["opens"]:
+        return ""
+    return f"must close below where it opens: closes {params['closes']:g}, opens {params['opens']:g} degC"
+
+
+def radiation_tangent(*, gain: Array | float, zero: float, about: Array, around: Array) -> tuple[Array, Array]:
+    """(loss, heat) of the tangent at `about` to -gain ((X - zero)^4 - (around - zero)^4), by X."""
+    loss = 4.0 * gain * (about - zero) ** 3
+    radiated = gain * ((about - zero) ** 4 - (around - zero) ** 4)
+    return loss, loss * about - radiated
+
+
+def _radiation_text(writer: TextWriter, effect: Effect) -> str:
+    gain = writer.constant("GAIN", effect.params["gain"])
+    zero = writer.constant("ZERO", effect.params.get("zero", ABSOLUTE_ZERO))
+    if "ambient" in effect.signals:
+        around, read = writer.degrees(effect, "ambient"), f"{writer.read(effect, 'ambient')[1]} * "
+    else:
+        around, read = writer.constant("AROUND", effect.params["surroundings"]), ""
+    return f" - {read}{gain} * (pow({writer.x} - {zero}, 4.0) - pow({around} - {zero}, 4.0))"
+
+
+def _walls(log: MachineLog) -> Sequence[Params]:
+    """Against walls of one temperature, or against the room's where it is measured."""
+    choices = (1.0, 0.0) if "ambient" in log.signals else (1.0,)
+    return [{"surroundings": log.cold, "walls": walls} for walls in choices]
+
+
+FLOWING = (
+    EffectKind(
+        name="feed-temperature-coupling",
+        meaning="what is fed draws the measured part towards its own temperature",
+        parameters={"loss": _LOSS, **TO_SCALE_OF_X},
+        roles=Roles(
+            needed=(FEED,),
+            # Without a pump's signal something is fed while the machine runs, and nothing while it stands.
+            optional=(OptionalRole(role=PUMP, without="the pump counts as 1", acts="running"),),
+        ),
+        acts="anywhere",
+        law=HeldLaw(_feed),
+        bound=LossBound(strength="pump", sink="feed"),
+        uppaal=TextLaw(_feed_text),
+        candidate=EffectCandidate(
+            strength="loss",
+            sign=1.0,
+            experiment="feed at two temperatures at one load",
+            shapes=lambda _: [{}],
+        ),
+    ),
+    EffectKind(
+        name="pump-cooling",
+        meaning="the pump cools the measured part while it runs",
+        parameters={
+            "loss": _LOSS,
+            "sink": Parameter(unit="degC", rescaled="mapped", role="sink"),
+            **TO_SCALE_OF_X,
+        },
+        roles=Roles(
+            needed=(PUMP,), optional=(OptionalRole(role=SINK, without="the sink has the temperature of the parameter"),)
+        ),
+        acts="anywhere",
+        law=HeldLaw(_pump),
+        bound=LossBound(strength="pump", sink="sink"),
+        uppaal=TextLaw(_pump_text),
+        candidate=EffectCandidate(
+            strength="loss",
+            sign=1.0,
+            experiment="run for half an hour at one load with the pump on, then off",
+            shapes=_sinks,
+            refine={"sink": (-1000.0, 100.0)},
+        ),
+    ),
+)
+
+HOUSING = EffectKind(
+    name="housing-thermal-mass",
+    # heat coupling (H - X), dH/dt = (X - H) / tau, H starts at X
+    meaning="a second mass (the housing) stores heat and gives it back",
+    parameters={
+        "coupling": Parameter(unit="1/s", low=0.0, rescaled="stays"),
+        "tau": Parameter(unit="s", positive=True, rescaled="stays"),
+    },
+    roles=Roles(),
+    acts="anywhere",
+    law=Structural("housing"),
+    bound=Structural("housing"),
+    uppaal=Structural("housing"),
+    candidate=EffectCandidate(
+        strength="coupling",
+        sign=1.0,
+        experiment="log the room for three days, or a second sensor: a housing lags, a room does not",
+        shapes=lambda _: [{"tau": tau} for tau in (900.0, 1800.0, 3600.0, 7200.0, 14400.0)],
+        refine={"tau": (300.0, 40000.0)},
+    ),
+)
+
+BENDING = (
+    EffectKind(
+        name="thermostatic-cooling",
+        # heat -loss (X - sink) while open; opens at X >= opens, closes at X <= closes, closed at the start
+        meaning="a cooling that switches on above one temperature and off below another",
+        parameters={
+            "loss": Parameter(unit="1/s", low=0.0, rescaled="stays"),
+            "sink": _DEGREES,
+            "opens": _DEGREES,
+            "closes": _DEGREES,
+        },
+        roles=Roles(),
+        acts="anywhere",
+        law=Structural("thermostat"),
+        bound=Structural("thermostat"),
+        uppaal=Structural("thermostat"),
+        consistent=_opens_above,
+        candidate=EffectCandidate(
+            strength="loss",
+            sign=1.0,
+            experiment="a slow ramp of the load up and down: a hysteresis loop",
+            shapes=_valves,
+            refine={"opens": (-50.0, 200.0), "closes": (-50.0, 200.0)},
+        ),
+    ),
+    EffectKind(
+        name="radiation-loss",
+        # heat -gain ((X - zero)^4 - (Ts - zero)^4), Ts the ambient signal or `surroundings`
+        meaning="a loss that grows faster than the temperature difference",
+        parameters={
+            "gain": Parameter(unit="1/(s degC^3)", low=0.0, rescaled="inverse cube"),
+            "surroundings": Parameter(unit="degC", rescaled="mapped", role="ambient"),
+            "zero": Parameter(unit="degC", default=ABSOLUTE_ZERO, rescaled="mapped"),
+            **TO_SCALE_OF_X,
+        },
+        roles=Roles(
+            optional=(OptionalRole(role=AMBIENT, without="the walls have the temperature `surroundings`"),),
+        ),
+        acts="anywhere",
+        law=Structural("radiation"),
+        bound=Structural("radiation"),
+        uppaal=TextLaw(_radiation_text),
+        candidate=EffectCandidate(
+            strength="gain",
+            sign=1.0,
+            experiment="a slow ramp of the load up and down: no loop, but a bend",
+            shapes=_walls,
+            unread="walls",
+        ),
+    ),
+)

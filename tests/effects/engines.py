@@ -1,0 +1,155 @@
+"""One effect on one record through every engine that executes it: the fit of a diagnosis and four of the automaton."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sim.discrepancy.fitting.baseline import frame_of
+from sim.discrepancy.fitting.catalogue import entry_of
+from sim.discrepancy.fitting.course import at
+from sim.discrepancy.fitting.named import Named, effects_of
+from sim.discrepancy.fitting.record import record_of
+from sim.engine.belief import advance, compile_model, on_event, start, with_inputs
+from sim.engine.open_loop import open_loop
+from sim.engine.schedule import schedule
+from sim.engine.simulate import simulate
+from sim.learning.structure import contexts, product_sha
+from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
+from sim.sha.events import Alphabet, Bins, Switch
+from sim.sha.model import Model
+from sim.sha.trace import UNKNOWN, Array, Event, Trace
+from sim.uppaal.export import export
+from tests.uppaal.support import courses, middle
+
+ALPHABET = Alphabet((Switch("on", "W_ON", "W_OFF"), Bins("I", (120.0,), ("A_0", "A_1"))), gap=600.0)
+LENGTH, STEP = 2400.0, 0.5
+"""Seconds of the record, and between its rows: so short that a law held over a step is nearly exact."""
+OUTPUTS: Array = np.arange(60.0, LENGTH + 1.0, 60.0)
+REST = 22.0
+STILL = Flow("constant", {"noise": 0.0})
+TARGETS = {"rest": (REST, 0.003), "low": (45.0, 0.004), "high": (60.0, 0.004)}
+"""(degC, 1/s)."""
+NAMES = {
+    "lsha": {"rest": "OFF/0-120", "low": "ON/0-120 rising", "high": "ON/120+ #2"},
+    "own names": {"rest": "q0", "low": "q1", "high": "q2"},
+}
+EVENTS = (
+    Event(0.0, "W_OFF"),
+    Event(0.0, "A_0"),
+    Event(200.0, "W_ON"),
+    Event(400.0, "A_1"),
+    Event(900.0, "A_0"),
+    Event(1200.0, "W_OFF"),
+    Event(1500.0, "W_ON"),
+    Event(1500.0, "A_1"),
+    Event(2100.0, "W_OFF"),
+)
+
+
+def location(name: str, which: str) -> Location:
+    """A location that relaxes to the target of one of TARGETS, without any noise."""
+    target, k = TARGETS[which]
+    law = Distribution("normal", {"mu": target, "sigma": 0.0})
+    return Location(name, Flow("exponential", {"k": k, "noise": 0.0}), law)
+
+
+def model_of(learner: str) -> Model:
+    """The same plant as the learners write it: a product of contexts, classes of words, or names of somebody's own.
+
+    In all of them UNKNOWN leads to the initial location.
+    """
+    if learner == "bins":
+        known = {name: Location(name, STILL) for name in contexts(ALPHABET)}
+        for name, context in contexts(ALPHABET).items():
+            if None not in context:
+                known[name] = location(name, "rest" if context[0] == 0 else "low" if context[1] == 0 else "high")
+        return Model(product_sha(ALPHABET, known, "small"), ALPHABET, "T", 0.1)
+    names = NAMES[learner]
+    rest, low, high = names["rest"], names["low"], names["high"]
+    edges = [Edge(place, symbol, rest) for place in names.values() for symbol in ("W_OFF", UNKNOWN)]
+    edges += [Edge(rest, "W_ON", low), Edge(rest, "A_0", rest), Edge(rest, "A_1", rest)]
+    edges += [
+        Edge(place, symbol, low if symbol == "A_0" else high) for place in (low, high) for symbol in ("A_0", "A_1")
+    ]
+    edges += [Edge(place, "W_ON", place) for place in (low, high)]
+    places = tuple(location(names[which], which) for which in TARGETS)
+    return Model(SHA("small", places, tuple(edges), rest), ALPHABET, "T", 0.1)
+
+
+def trace_of(first: float = 0.0) -> Trace:
+    """The record: at rest, running low and high, at rest again; signals that change every 100 s, read from `first`."""
+    rng = np.random.default_rng(3)
+    times: Array = np.arange(0.0, LENGTH + STEP / 2, STEP)
+    rows = np.flatnonzero((times % 100.0 == 0) & (times >= first))
+    values = {
+        "I": rng.uniform(50.0, 200.0, rows.size),
+        "M": rng.uniform(0.0, 40.0, rows.size),
+        "Ta": rng.uniform(10.0, 30.0, rows.size),
+        "P": rng.integers(-1, 2, rows.size).astype(float),
+    }
+    signals = {"T": np.full(times.size, REST)}
+    for name, column in values.items():
+        signals[name] = np.full(times.size, np.nan)
+        signals[name][rows] = column
+    return Trace("record", times, signals, EVENTS)
+
+
+def named(kind: str, signals: dict[str, str], params: dict[str, float]) -> Named:
+    """The effect as a diagnosis has it."""
+    return Named(entry_of(kind), signals, params)
+
+
+def with_effects(model: Model, one: Named) -> Model:
+    """The model to which a diagnosis would have added the effect."""
+    return replace(model, sha=replace(model.sha, effects=effects_of(one, model), low=-500.0, high=500.0))
+
+
+def fitted(model: Model, one: Named, trace: Trace) -> Array:
+    """(n,) what the free run of the fit reads at the OUTPUTS."""
+    record = record_of(model, [trace], tuple(name for name in trace.signals if name != "T"))
+    frame = frame_of(record)
+    state = at(frame, np.append(frame.centre, one.strength), np.array([REST]), [one])
+    return np.interp(OUTPUTS, record.runs.time, state.mean)
+
+
+def automaton(model: Model, trace: Trace) -> Array:
+    """(n,) the mean course of the automaton."""
+    run = open_loop(model, trace, "resync")
+    return np.interp(OUTPUTS, run.times, run.mean)
+
+
+def filtered(model: Model, trace: Trace) -> Array:
+    """(n,) what the filter predicts when nothing is measured after the start."""
+    tracker = compile_model(model)
+    belief = start(tracker, 0.0, REST)
+    rows = np.flatnonzero(np.isfinite(trace.signals["I"]))
+    coming = [(event.time, 0, event) for event in trace.events]
+    coming += [(float(trace.times[row]), 1, int(row)) for row in rows]
+    coming += [(time, 2, None) for time in OUTPUTS.tolist()]
+    found = []
+    for time, _, what in sorted(coming, key=lambda each: each[:2]):
+        if isinstance(what, Event):
+            belief = on_event(tracker, belief, what)
+        elif what is not None:
+            belief = with_inputs(
+                tracker, belief, time, {n: float(c[what]) for n, c in trace.signals.items() if n != "T"}
+            )
+        else:
+            belief = advance(tracker, belief, time)
+            found.append(belief.x)
+    return np.array(found)
+
+
+def sampled(model: Model, trace: Trace) -> Array:
+    """(n,) a run of the sampler, which without noise is the mean."""
+    steps = schedule(model, trace.events, np.append(0.0, OUTPUTS), inputs=trace, policy="resync")
+    return np.asarray(simulate(steps, REST, 2, np.random.default_rng(0)).temperatures[0, 1:])
+
+
+def exported(model: Model, trace: Trace) -> tuple[Array, Array]:
+    """(times, what the interpreted text of the export reads at them), wherever something happens in it."""
+    thermostat = any(effect.kind == "thermostatic-cooling" for effect in model.sha.effects)
+    made = export(model, trace, tick=1 if thermostat else 0)
+    _, seen = courses(made.main.xml, made.replay.duration, middle, most=1.0)
+    times = sorted({*made.replay.times, made.replay.duration} & set(seen))
+    return np.array(times), np.array([float(np.mean(seen[time])) for time in times])
