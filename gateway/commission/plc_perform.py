@@ -13,7 +13,8 @@ import click
 
 from drivers.errors import DriverError
 from gateway.commission.plc_options import Given
-from gateway.console.output import Exit, as_json, exit_code, fail, sentence, sentences
+from gateway.console.output import Exit, exit_code, fail, sentence, sentences
+from sim.strict_json import json_text
 
 if TYPE_CHECKING:
     from gateway.commission.outcome import Outcome, Site
@@ -119,7 +120,7 @@ def login() -> str:
 def _show(site: "Site", given: Given, outcome: "Outcome", show: Show) -> None:
     if given.as_json:
         extra = {"exchanges": site.exchanges.plain(), "frames": site.evidence.plain(), "notes": site.notes}
-        click.echo(as_json({"ok": not outcome.code, "exit": int(outcome.code), **outcome.data, **extra}))
+        click.echo(json_text({"ok": not outcome.code, "exit": int(outcome.code), **outcome.data, **extra}))
         return
     if set(outcome.data) - {"reason"}:
         if site.target.place:

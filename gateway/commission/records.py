@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from gateway.plant.status import strict
+from sim.strict_json import json_text
 
 LIBRARIES = ("decanter-gateway", "pymodbus", "python-can", "canopen", "cantools", "pyserial")
 
@@ -57,7 +57,7 @@ def append(path: Path, record: Record) -> str:
     with path.open("a+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         plain = {**asdict(record), "previous": _last_hash(file.fileno())}
-        line = json.dumps(strict(plain), ensure_ascii=False, allow_nan=False, default=str).encode()
+        line = json_text(plain).encode()
         file.write(line + b"\n")
         file.flush()
         os.fsync(file.fileno())

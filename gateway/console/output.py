@@ -1,6 +1,5 @@
 """What all commands share: one sentence for an error, JSON or text, tables, progress that is quiet off a terminal."""
 
-import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ from drivers.errors import (
     ReplyTimeout,
     WriteForbidden,
 )
+from sim.strict_json import json_text
 
 
 class Exit(IntEnum):
@@ -92,24 +92,6 @@ def make_folder(path: Path) -> None:
         raise ValueError(f"{path}: no folder can be made there ({reason}); give one that this user may write") from None
 
 
-def _plain(value: object) -> object:
-    """Numbers that JSON has no word for become null; numpy scalars become Python's."""
-    if hasattr(value, "item"):
-        value = value.item()
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
-    return value
-
-
-def as_json(value: object) -> str:
-    """One line of strict JSON; infinite and undefined numbers are null."""
-    return json.dumps(_plain(value), ensure_ascii=False, allow_nan=False, default=str)
-
-
 def _cell(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}" if isfinite(value) else "–"
@@ -157,6 +139,6 @@ def progress(title: str) -> Iterator[Callable[[str, float], None]]:
 def emit(data: Mapping[str, Any], show: Callable[[], None], *, as_json_line: bool) -> None:
     """One JSON object for machines, or what `show` prints for people."""
     if as_json_line:
-        click.echo(as_json(data))
+        click.echo(json_text(data))
     else:
         show()

@@ -1,6 +1,5 @@
 """`decanter model learn`: a model from traces, written with all its artefacts."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, sentences, table
 from gateway.console.traces import load
 from gateway.lab.show import show_model, summary
+from sim.strict_json import json_text
 
 if TYPE_CHECKING:
     from sim.learning.bins.learn import Learned
@@ -131,7 +131,7 @@ def _lsha(
     )
     document = report_document(learned.report)
     more = {
-        f"{REPORT}.json": json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+        f"{REPORT}.json": json_text(document, indent=1) + "\n",
         f"{REPORT}.md": report_text(learned.report, name),
     }
     table_of = learned.report.table

@@ -12,9 +12,9 @@ from gateway.machine.alarms import Alarm
 from gateway.machine.predict import Prediction
 from gateway.machine.scan import Scan
 from gateway.machine.writeback import Attempt
-from gateway.plant.status import strict
 from gateway.store.historian import Row
 from sim.forecast.forecast import Forecast
+from sim.strict_json import json_text
 
 
 @dataclass(slots=True)
@@ -87,7 +87,7 @@ def event_rows(prediction: Prediction) -> list[Row]:
 
 def guard_row(now: float, report: Mapping[str, Any] | None) -> Row:
     """A row of `guards`: the report as JSON, numbers that are not finite as null."""
-    return (now, json.dumps(strict(report), ensure_ascii=False))
+    return (now, json_text(report))
 
 
 def alarm_row(alarm: Alarm, value: float | None, now: float) -> Row:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from drivers.tag import DType, Order, Sample, Tag
 from gateway.machine.arming import ArmingError
 from gateway.machine.redundant import Redundant
-from gateway.plant.status import strict
+from sim.strict_json import json_text
 
 if TYPE_CHECKING:
     from gateway.machine.core import Gateway
@@ -110,7 +110,7 @@ class Control:
         try:
             while _is_ours(writer) and (line := await reader.readline()):
                 reply = await answer(self._gateway, line, self._snapshot)
-                writer.write(json.dumps(strict(reply), ensure_ascii=False, allow_nan=False).encode() + b"\n")
+                writer.write(json_text(reply).encode() + b"\n")
                 await writer.drain()
         except (OSError, ValueError, asyncio.CancelledError):
             pass  # the client has gone, sends without end, or the gateway stops: nobody waits for an answer

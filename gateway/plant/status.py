@@ -1,13 +1,13 @@
 """What the gateway shows of itself: one snapshot, rewritten as one JSON line that a reader never sees half."""
 
-import json
 import os
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import isfinite
 from pathlib import Path
 from typing import Any
+
+from sim.strict_json import json_text
 
 OUTAGES, EVENTS, LATENCIES = 50, 20, 10_000
 
@@ -68,19 +68,8 @@ class Tally:
     latencies: deque[float] = field(default_factory=lambda: deque(maxlen=LATENCIES))
 
 
-def strict(value: Any) -> Any:
-    """JSON's own types: infinite and undefined numbers become null."""
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {str(key): strict(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple | deque):
-        return [strict(inner) for inner in value]
-    return value
-
-
 def write_status(path: Path, status: Mapping[str, Any]) -> None:
     """Replace the file by one JSON line, in one step. Raises OSError."""
     draft = path.with_name(f".{path.name}.{os.getpid()}")
-    draft.write_text(json.dumps(strict(status), ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    draft.write_text(json_text(status) + "\n", encoding="utf-8")
     draft.replace(path)

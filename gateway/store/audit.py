@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gateway.plant.status import strict
+from sim.strict_json import json_text
 
 APPLICATION_ID = 0x6465_6175
 """Marks the file as a decanter audit log (SQLite's application_id)."""
@@ -219,7 +219,7 @@ def head(path: Path) -> str:
 
 
 def _detail(entry: Entry) -> str:
-    return json.dumps(strict(entry.detail), ensure_ascii=False, sort_keys=True, allow_nan=False, default=str)
+    return json_text(entry.detail, sort_keys=True)
 
 
 def _hash(before: bytes, *plain: object) -> bytes:

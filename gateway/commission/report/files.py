@@ -15,7 +15,7 @@ from gateway.commission.records import hash_of
 from gateway.commission.report.blocks import blocks
 from gateway.commission.report.page import page
 from gateway.commission.report.paper import paper
-from gateway.plant.status import strict
+from sim.strict_json import json_text
 
 JSON, HTML, PDF, RECORDS, LIST = "report.json", "report.html", "report.pdf", "records.jsonl", "report.sha256"
 FILES = (JSON, HTML, PDF, RECORDS)
@@ -26,7 +26,7 @@ _SEAL = re.compile(r"# seal ([0-9a-f]{64})")
 def write(folder: Path, data: Mapping[str, Any], records: bytes) -> str:
     """Write all files of the report; gives the seal. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    content = (json.dumps(strict(data), ensure_ascii=False, allow_nan=False, indent=1) + "\n").encode()
+    content = (json_text(data, indent=1) + "\n").encode()
     digest = hash_of(content)
     made, title = blocks(json.loads(content), digest), f"Site acceptance report: {data['site']}"
     footer = f"{title}    data SHA-256 {digest}"
