@@ -1,7 +1,7 @@
 """Statistical checking: agreement with quadrature on first passage, and runs per second against scalar C.
 
 The table of parameter sets (`--table --seeds 5`) is the proof of agreement: for each, the probability by quadrature
-(`tests.checking.quadrature`), the answer's interval, and how often the one lies in the other. The speeds are those of
+(`tests.rig.quadrature`), the answer's interval, and how often the one lies in the other. The speeds are those of
 47 events in 444 s, looked at when the run ends, and on 400 bridged steps. The C program (`smc.c`) walks the same steps
 and is compiled here; without a compiler the method's own figures stand in its place, and the row says so.
 """
@@ -24,7 +24,7 @@ from rich.table import Table
 
 from benchmarks.figures import Figure, give
 from benchmarks.simulation import EVENTS, ROWS, SECONDS, SYMBOLS, plant
-from sim.checking.query.tree import Compare, Eventually, Number, Probability, Quantity, Span
+from sim.checking.query.tree import Compare, Eventually, Number, Probability, Quantity, TimeSpan
 from sim.checking.smc.answer import Answer, Settings, Start, answer, initial
 from sim.checking.smc.estimates import prepared
 from sim.checking.smc.paths.known import Known
@@ -33,7 +33,7 @@ from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
-from tests.checking.quadrature import Stretch, first_passage
+from tests.rig.quadrature import Stretch, first_passage
 
 REFERENCE = {"events": 2.25e6, "dense": 3.2e5}
 """Runs per second of the reference in scalar C, one thread, measured elsewhere."""
@@ -97,7 +97,7 @@ def start_of(case: Case) -> Start:
 def question(limit: float, bound: float, low: float = 0.0) -> Probability:
     """Is the limit reached between `low` and the bound?"""
     reached = Compare(">=", Quantity("temperature"), Number(limit))
-    return Probability(bound, Eventually(reached, Span(low, bound)))
+    return Probability(bound, Eventually(reached, TimeSpan(low, bound)))
 
 
 def checked(

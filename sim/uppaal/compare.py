@@ -94,7 +94,7 @@ def compare(questions: Sequence[Question], answers: Sequence[Answer], native: Na
                 rows.append(_expectation(question, answer, native, extreme))
             case q.Probability(path=(q.Eventually() | q.Always()) as path) if (seen := _seen(path, native)) is not None:
                 rows.append(_probability(question, answer, seen))
-            case q.Probability() | q.Hypothesis() | q.Compared() if native.answers is not None:
+            case q.Probability() | q.Hypothesis() | q.PairedComparison() if native.answers is not None:
                 rows.append(_checked(question, query, answer, native.answers))
             case _:
                 rows.append(_verdict(question, answer, native))
@@ -170,7 +170,7 @@ def _half_width(answer: Answer) -> float:
 def _seen(path: q.Eventually | q.Always, native: Native) -> int | None:
     """In how many of the native runs the path holds, where it is one comparison of the temperature over all time."""
     inner = path.inner
-    if path.span != q.Span() or not isinstance(inner, q.Compare) or inner.left != q.Quantity("temperature"):
+    if path.span != q.TimeSpan() or not isinstance(inner, q.Compare) or inner.left != q.Quantity("temperature"):
         return None
     if not isinstance(inner.right, q.Number):
         return None

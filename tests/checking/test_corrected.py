@@ -8,6 +8,7 @@ import pytest
 from sim.checking.query.tree import (
     Always,
     At,
+    BoundedResponse,
     Either,
     Expectation,
     Formula,
@@ -16,9 +17,8 @@ from sim.checking.query.tree import (
     Operation,
     Path,
     Probability,
-    Response,
     Simulation,
-    Span,
+    TimeSpan,
     Until,
 )
 from sim.checking.smc.answer import Answer, Settings, Start, answer, believed, initial
@@ -30,8 +30,8 @@ from sim.sha.automaton import Distribution
 from sim.sha.correction import in_sensor_scale
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Event, Trace
-from tests.checking.quadrature import Stretch, first_passage
 from tests.checking.worlds import TEMP, compare, eventually, flow, model, normal
+from tests.rig.quadrature import Stretch, first_passage
 
 GAIN, OFFSET, SECONDS = 1.25, -7.0, 300.0
 PLAIN = model(
@@ -79,14 +79,14 @@ def starts(model: Model) -> dict[str, Start]:
 
 def paths(at: "dict[float, float]") -> list[Path]:
     """Each kind of path about limits that `at` maps."""
-    whole = Span(0.0, 120.0)
+    whole = TimeSpan(0.0, 120.0)
     hot, warm, mild = compare(">=", at[43.0]), compare(">=", at[42.0]), compare("<=", at[41.0])
     within: Formula = Either(mild, At("q_1"))
     return [
         eventually(hot, 120.0).path,
         Always(compare("<=", at[42.0]), whole),
         Until(compare("<=", at[43.0]), warm, whole),
-        Response(warm, within, Span(0.0, 30.0)),
+        BoundedResponse(warm, within, TimeSpan(0.0, 30.0)),
     ]
 
 

@@ -10,8 +10,8 @@ from sim.checking.smc.estimates import prepared
 from sim.checking.smc.paths import known as paths_known
 from sim.checking.smc.paths import plan as paths
 from sim.checking.smc.runs import sampler
-from tests.checking.quadrature import Stretch, brownian, first_passage
 from tests.checking.worlds import TEMP, along, compare, eventually, flow, model, normal
+from tests.rig.quadrature import Stretch, brownian, first_passage
 
 CASES = parameter_sets()
 RARE = (("no drift", 49.0), ("relaxing", 46.0), ("relaxing, m drawn", 48.0))

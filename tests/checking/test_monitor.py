@@ -9,6 +9,7 @@ from sim.checking.query.tree import (
     Always,
     At,
     Both,
+    BoundedResponse,
     Compare,
     Constant,
     Deadlock,
@@ -22,9 +23,8 @@ from sim.checking.query.tree import (
     Operation,
     Path,
     Probability,
-    Response,
     Simulation,
-    Span,
+    TimeSpan,
     Until,
 )
 from sim.checking.smc.answer import Settings, answer, initial
@@ -37,7 +37,7 @@ from tests.checking.worlds import AGE, TEMP, TIME, along, compare, eventually, f
 RISING = model([flow("linear", 0.0), flow("linear", 0.0)], [normal(0.1), normal(-0.1)])
 """Up by 0.1 degC/s in q_0, down in q_1, without noise."""
 
-WHOLE = Span(0.0, 100.0)
+WHOLE = TimeSpan(0.0, 100.0)
 
 
 def holds(path: Path, events: Sequence[float] = (50.0,), bound: float = 100.0) -> bool:
@@ -54,11 +54,11 @@ def holds(path: Path, events: Sequence[float] = (50.0,), bound: float = 100.0) -
     [
         (Eventually(compare(">=", 24.99), WHOLE), True),
         (Eventually(compare(">", 25.01), WHOLE), False),
-        (Eventually(compare(">=", 24.0), Span(0.0, 39.0)), False),
-        (Eventually(compare(">=", 24.0), Span(39.0, 41.0)), True),
-        (Eventually(compare("<=", 21.0), Span(11.0, 100.0)), True),
+        (Eventually(compare(">=", 24.0), TimeSpan(0.0, 39.0)), False),
+        (Eventually(compare(">=", 24.0), TimeSpan(39.0, 41.0)), True),
+        (Eventually(compare("<=", 21.0), TimeSpan(11.0, 100.0)), True),
         (Eventually(compare("==", 23.456), WHOLE), True),
-        (Eventually(Both(compare(">=", 22.0), compare("<=", 22.001)), Span(0.0, 30.0)), True),
+        (Eventually(Both(compare(">=", 22.0), compare("<=", 22.001)), TimeSpan(0.0, 30.0)), True),
         (Always(compare("<=", 25.01), WHOLE), True),
         (Always(compare("<=", 24.99), WHOLE), False),
         (Always(Either(compare("<=", 23.0), compare(">=", 23.0)), WHOLE), True),
@@ -101,9 +101,9 @@ def test_clocks_and_moving_lines(inner: Formula, expected: bool) -> None:
         (Until(compare("<", 23.0), compare(">=", 23.0), WHOLE), True),
         (Until(At("q_0"), compare(">=", 24.9), WHOLE), True),
         (Until(At("q_0"), At("q_1"), WHOLE), True),
-        (Until(At("q_0"), At("q_1"), Span(0.0, 49.0)), False),
-        (Until(At("q_0"), compare("<=", 20.5), Span(60.0, 100.0)), False),
-        (Until(Constant(True), compare("<=", 20.5), Span(60.0, 100.0)), True),
+        (Until(At("q_0"), At("q_1"), TimeSpan(0.0, 49.0)), False),
+        (Until(At("q_0"), compare("<=", 20.5), TimeSpan(60.0, 100.0)), False),
+        (Until(Constant(True), compare("<=", 20.5), TimeSpan(60.0, 100.0)), True),
     ],
 )
 def test_until_needs_the_condition_up_to_the_goal(path: Path, expected: bool) -> None:
@@ -127,17 +127,17 @@ def test_until_needs_the_condition_up_to_the_goal(path: Path, expected: bool) ->
 def test_every_cause_is_answered_in_time(
     cause: Formula, effect: Formula, low: float, high: float, expected: bool
 ) -> None:
-    assert holds(Response(cause, effect, Span(low, high))) is expected
+    assert holds(BoundedResponse(cause, effect, TimeSpan(low, high))) is expected
 
 
 def test_a_cause_too_late_to_tell_counts_as_answered() -> None:
-    assert holds(Response(compare(">=", 98.0, TIME), compare(">=", 99.0), Span(0.0, 30.0)))
+    assert holds(BoundedResponse(compare(">=", 98.0, TIME), compare(">=", 99.0), TimeSpan(0.0, 30.0)))
 
 
 @pytest.mark.parametrize(("deadline", "expected"), [(26.0, False), (34.0, True)])
 def test_the_moment_of_a_crossing_is_known_to_within_a_step_of_4_s(deadline: float, expected: bool) -> None:
     """22 degC at 20 s, q_1 at 50 s: 30 s between them."""
-    assert holds(Response(compare(">=", 22.0), At("q_1"), Span(0.0, deadline))) is expected
+    assert holds(BoundedResponse(compare(">=", 22.0), At("q_1"), TimeSpan(0.0, deadline))) is expected
 
 
 def test_bent_conditions_on_clocks_are_seen_to_within_a_step_of_4_s() -> None:
@@ -160,7 +160,7 @@ def test_until_is_low_by_what_it_says_it_left_undecided() -> None:
     start = along(model([flow("constant", 0.1)], [None]), 40.0, 400.0)
     for distance, most in ((0.3, 0.002), (0.6, 0.0001)):
         inside = Both(compare(">", 40.0 - distance), compare("<", 40.0 + distance))
-        path = Until(inside, compare(">=", 40.0 + distance), Span(0.0, 400.0))
+        path = Until(inside, compare(">=", 40.0 + distance), TimeSpan(0.0, 400.0))
         query = Probability(400.0, path)
         drawn = sampler(start.world, (prepared(query, start),), 5)
         share = float(drawn.draw(40_000).mean())
@@ -181,7 +181,7 @@ def test_the_noise_of_a_step_at_the_maximum_rate_is_low_by_less_than_3_percent()
 
 def test_runs_whose_steps_are_kept_come_in_smaller_chunks() -> None:
     start = along(RISING, 20.0, 12_000.0, (50.0,))
-    path = Response(compare(">=", 24.0), compare("<=", 23.0), Span(0.0, 5000.0))
+    path = BoundedResponse(compare(">=", 24.0), compare("<=", 23.0), TimeSpan(0.0, 5000.0))
     drawn = sampler(start.world, (prepared(Probability(12_000.0, path), start),), 0)
     drawn.draw(1500)
     assert drawn.engine.clock.size > 3000 and drawn.largest * drawn.engine.clock.size * 3 <= MOST_KEPT * 1.01

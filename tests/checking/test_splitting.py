@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from sim.checking.query.tree import Always, At, Both, Either, Probability, Span, Until
+from sim.checking.query.tree import Always, At, Both, Either, Probability, TimeSpan, Until
 from sim.checking.smc.answer import Settings, answer, initial
 from sim.checking.smc.estimates import prepared
 from sim.checking.smc.monitors.path import cuts
 from sim.checking.smc.paths.known import Cuts
 from sim.checking.smc.runs import engine
 from sim.checking.smc.splitting.levels import Split, skewed_interval, split
-from tests.checking.quadrature import Stretch, brownian, first_passage
 from tests.checking.worlds import along, compare, eventually, flow, model, normal
+from tests.rig.quadrature import Stretch, brownian, first_passage
 
 START = along(model([flow("linear")], [normal(0.0)]), 40.0, 400.0)
 
@@ -112,7 +112,7 @@ def test_falling_below_a_limit_and_breaking_an_always_are_split_too() -> None:
     exact = brownian(40.0, 0.0, 0.1, 48.0, 400.0)
     down = answer(eventually(compare("<=", 32.0), 400.0), START, Settings(rare=True))
     assert down.numbers["low"] <= exact <= down.numbers["high"]
-    always = Probability(400.0, Always(compare("<", 48.0), Span(0.0, 400.0)))
+    always = Probability(400.0, Always(compare("<", 48.0), TimeSpan(0.0, 400.0)))
     kept = answer(always, START, Settings(rare=True))
     assert kept.numbers["violation_low"] <= exact <= kept.numbers["violation_high"]
     assert kept.numbers["probability"] == pytest.approx(1.0 - kept.numbers["violation"])
@@ -142,7 +142,7 @@ def test_splitting_takes_over_after_many_runs_without_the_event_and_says_so() ->
 
 def test_what_cannot_be_split_is_refused_with_the_reason() -> None:
     both = Both(compare(">=", 50.0), compare("<=", 51.0))
-    until = Probability(400.0, Until(compare("<=", 60.0), compare(">=", 50.0), Span(0.0, 400.0)))
+    until = Probability(400.0, Until(compare("<=", 60.0), compare(">=", 50.0), TimeSpan(0.0, 400.0)))
     for query, words in (
         (eventually(both, 400.0), "one direction"),
         (eventually(At("q_0"), 400.0), "needs a temperature"),

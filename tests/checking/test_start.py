@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from sim.checking.query.tree import At, Both, Comparison, Eventually, Probability, Span
+from sim.checking.query.tree import At, Both, Comparison, Eventually, Probability, TimeSpan
 from sim.checking.smc.answer import Settings, Start, answer, believed, initial
 from sim.sha.automaton import Distribution, Effect
 from sim.sha.model import Model
@@ -88,7 +88,7 @@ def test_runs_from_a_belief_have_its_joint_law_of_temperature_and_mode(recorded:
     spread = decay**2 * belief.xx + 2.0 * decay * (1.0 - decay) * belief.xm + (1.0 - decay) ** 2 * belief.mm
     sigma = sqrt(spread + noise**2 * (1.0 - decay**2) / (2.0 * k))
     for shift in (-1.0, 0.5):
-        query = Probability(seconds, Eventually(compare(op, mean + shift * sigma, TEMP), Span(seconds, seconds)))
+        query = Probability(seconds, Eventually(compare(op, mean + shift * sigma, TEMP), TimeSpan(seconds, seconds)))
         found = answer(query, start, FIXED)
         exact = float(ndtr(-shift if op == ">=" else shift))
         assert found.numbers["low"] <= exact <= found.numbers["high"]
@@ -98,7 +98,7 @@ def test_a_model_with_effects_is_refused_without_a_trace_that_drives_it_not_half
     made = model([flow("constant")], [None], first=normal(40.0))
     lag = Effect("sensor-lag", {"tau": 30.0, "order": 1.0})
     with_effect: Model = replace(made, sha=replace(made.sha, effects=(lag,)))
-    query = Probability(10.0, Eventually(compare(">=", 50.0, TEMP), Span(0.0, 10.0)))
+    query = Probability(10.0, Eventually(compare(">=", 50.0, TEMP), TimeSpan(0.0, 10.0)))
     for start in (initial(with_effect), believed(with_effect, quiet_trace(100.0), 50.0)):
         with pytest.raises(ValueError, match=r"has effects, .* let a trace drive the runs"):
             answer(query, start, FIXED)

@@ -36,7 +36,7 @@ def answer(query: q.Query, start: Start, settings: Settings | None = None, repor
         return probability(query, start, chosen, report)
     if isinstance(query, q.Hypothesis):
         return hypothesis(query, start, chosen, report)
-    if isinstance(query, q.Compared):
+    if isinstance(query, q.PairedComparison):
         return comparison(query, start, chosen, report)
     if isinstance(query, q.Expectation):
         return expectation(query, start, chosen, report)
@@ -44,10 +44,10 @@ def answer(query: q.Query, start: Start, settings: Settings | None = None, repor
 
 
 def _check_size(
-    query: q.Probability | q.Hypothesis | q.Compared | q.Expectation | q.Simulation, settings: Settings
+    query: q.Probability | q.Hypothesis | q.PairedComparison | q.Expectation | q.Simulation, settings: Settings
 ) -> None:
     """Raises ValueError for more runs, or longer ones, than can be made."""
-    if isinstance(query, q.Compared):
+    if isinstance(query, q.PairedComparison):
         parts: tuple[q.Probability | q.Expectation | q.Simulation, ...] = (query.left, query.right)
     else:
         parts = (query.question if isinstance(query, q.Hypothesis) else query,)

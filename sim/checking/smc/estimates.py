@@ -79,7 +79,7 @@ _ORDERS = {
 }
 
 
-def comparison(query: q.Compared, start: Start, settings: Settings, report: Report) -> Answer:
+def comparison(query: q.PairedComparison, start: Start, settings: Settings, report: Report) -> Answer:
     """Which of two probabilities is greater, both seen on the same runs (common random numbers)."""
     drawn = sampler(start.world, (prepared(query.left, start), prepared(query.right, start)), settings.seed)
 

@@ -5,7 +5,7 @@ from math import inf, isfinite
 
 import numpy as np
 
-from sim.checking.query.tree import Always, Not, Operation, Path, Response, Until
+from sim.checking.query.tree import Always, BoundedResponse, Not, Operation, Path, Until
 from sim.checking.smc.monitors.formula import Lines, affine, compile_formulas
 from sim.checking.smc.monitors.monitor import Answered, Holds, Monitor, Reach
 from sim.checking.smc.paths.known import Affine, Cuts
@@ -27,7 +27,7 @@ class Watch:
         high = min(span.high, self.bound)
         if isinstance(self.path, Until):
             return Holds(self.lines, span.low, high, none, none.copy(), never)
-        if isinstance(self.path, Response):
+        if isinstance(self.path, BoundedResponse):
             return Answered(self.lines, span.low, span.high, self.bound, runs)
         return Reach(self.lines, span.low, high, none, never)
 
@@ -48,7 +48,7 @@ def watch(path: Path, names: tuple[str, ...], bound: float) -> Watch:
     """The path made ready for a model with the locations `names`. Raises ValueError for what cannot be followed."""
     if isinstance(path, Until):
         return Watch(path, compile_formulas((Not(path.hold), path.goal), names), bound)
-    if isinstance(path, Response):
+    if isinstance(path, BoundedResponse):
         return Watch(path, compile_formulas((path.cause, path.effect), names), bound)
     inner = Not(path.inner) if isinstance(path, Always) else path.inner
     return Watch(path, compile_formulas((inner,), names), bound)
@@ -61,8 +61,8 @@ def cuts(watches: tuple[Watch, ...], bound: float) -> Cuts:
     looked = []
     for one in watches:
         span = one.path.span
-        whole = isinstance(one.path, Until | Response)
-        low, high = (0.0, bound) if isinstance(one.path, Response) else (span.low, min(span.high, bound))
+        whole = isinstance(one.path, Until | BoundedResponse)
+        low, high = (0.0, bound) if isinstance(one.path, BoundedResponse) else (span.low, min(span.high, bound))
         instants |= {time for time in (low, high) if isfinite(time) and 0.0 < time <= bound}
         if one.lines.lines or _bent(one):
             looked.append((0.0 if whole else min(low, bound), high))
@@ -72,7 +72,7 @@ def cuts(watches: tuple[Watch, ...], bound: float) -> Cuts:
                 clocks.add(found)
         instants |= {-line[0] / line[1] for line in clocks if line[2] == 0.0}
     mixed = tuple(sorted(line for line in clocks if line[2] != 0.0))
-    ordered = any(isinstance(one.path, Until | Response) and one.lines.lines for one in watches)
+    ordered = any(isinstance(one.path, Until | BoundedResponse) and one.lines.lines for one in watches)
     longest = LONGEST if ordered or any(map(_bent, watches)) else inf
     inside = tuple(sorted(time for time in instants if 0.0 <= time <= bound))
     return Cuts(bound, inside, mixed, tuple(looked), longest)
@@ -90,6 +90,6 @@ def approximations(one: Watch) -> tuple[str, ...]:
         said.append("a condition on clocks that is not linear in them is looked at once in each step of at most 4 s")
     if len({up for _, up in one.lines.watched}) == 2:
         said.append("a rise and a fall of the temperature within one step are drawn as if independent")
-    if isinstance(one.path, Response) and one.lines.lines:
+    if isinstance(one.path, BoundedResponse) and one.lines.lines:
         said.append("the moment at which a temperature is crossed is known to within a step of at most 4 s")
     return tuple(said)
