@@ -25,8 +25,7 @@ from rich.table import Table
 from benchmarks.figures import Figure, give
 from benchmarks.simulation import EVENTS, ROWS, SECONDS, SYMBOLS, plant
 from sim.checking.query.tree import Compare, Eventually, Number, Probability, Quantity, TimeSpan
-from sim.checking.smc.answer import Answer, Settings, Start, answer, initial
-from sim.checking.smc.estimates import prepared
+from sim.checking.smc.answer import Answer, QuerySettings, Start, answer, initial, prepared
 from sim.checking.smc.paths.known import Known
 from sim.checking.smc.runs import LARGEST, Sampler, sampler
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
@@ -106,7 +105,7 @@ def checked(
     """(the probability by quadrature, the answer of each seed) of a case; a rare one is split."""
     exact = first_passage(case.stretches, case.x0, case.limit, points=points, nodes=nodes)
     asked, start = question(case.limit, sum(one.seconds for one in case.stretches)), start_of(case)
-    settings = Settings(rule="fixed", runs=None if exact < RARE else runs, rare=exact < RARE)
+    settings = QuerySettings(rule="fixed", runs=None if exact < RARE else runs, rare=exact < RARE)
     return exact, [answer(asked, start, replace(settings, seed=seed)) for seed in seeds]
 
 
@@ -167,7 +166,7 @@ def memory(runs: int) -> Figure:
     start, sizes = speed_start(0.004), []
     for some in (runs // 10, runs):
         tracemalloc.start()
-        answer(question(32.0, SECONDS, SECONDS), start, Settings(rule="fixed", runs=some))
+        answer(question(32.0, SECONDS, SECONDS), start, QuerySettings(rule="fixed", runs=some))
         sizes.append(tracemalloc.get_traced_memory()[1] / 1e6)
         tracemalloc.stop()
     return Figure(f"events: memory of {runs:,} runs", sizes[1], "MB", f"of {runs // 10:,}", sizes[0])

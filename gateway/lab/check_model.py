@@ -13,7 +13,7 @@ from gateway.console.output import Exit, emit, progress, sentences, table
 from gateway.console.traces import load
 
 if TYPE_CHECKING:
-    from sim.checking.smc.answer import Answer, Rule, Settings, Start
+    from sim.checking.smc.answer import Answer, QuerySettings, Rule, Start
     from sim.sha.events import Alphabet
     from sim.sha.model import Model
     from sim.sha.trace import Trace
@@ -122,9 +122,9 @@ def check(
     Exit codes: 0 answered or it holds, 1 a test, comparison or symbolic query whose answer is no, or stays open within
     the runs allowed, 2 wrong usage or input.
     """
-    from sim.checking.smc.answer import Settings
+    from sim.checking.smc.answer import QuerySettings
 
-    settings = Settings(alpha, epsilon, rule, runs, delta, seed=seed, rare=rare)
+    settings = QuerySettings(alpha, epsilon, rule, runs, delta, seed=seed, rare=rare)
     with sentences(), progress("checking") as report:
         found = _answered(model_name, query_text, _Origin(events, map_name, origin, future), settings, report)
         _written(found, query_text, csv, picture)
@@ -144,7 +144,7 @@ class _Origin:
 
 
 def _answered(
-    name: str, text: str, origin: _Origin, settings: "Settings", report: Callable[[str, float], None]
+    name: str, text: str, origin: _Origin, settings: "QuerySettings", report: Callable[[str, float], None]
 ) -> "Answer":
     """The answer. Raises ValueError, the sentences' way."""
     from sim.artefacts.find import find_model

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sim.checking.query.tree import Always, Expression, Hypothesis, Indicator, Probability, Quantity, Simulation
-from sim.checking.smc.rules.sequential import one_or_two_sided
+from sim.checking.smc.rules.estimation import one_or_two_sided
 
 if TYPE_CHECKING:
     from sim.checking.smc.answer import Answer

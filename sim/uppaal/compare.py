@@ -10,7 +10,7 @@ from scipy import stats
 
 from sim.checking.query import tree as q
 from sim.checking.query.parse import QueryError, parse_query
-from sim.checking.smc.answer import Settings, Start, initial
+from sim.checking.smc.answer import QuerySettings, Start, initial
 from sim.checking.smc.answer import answer as native_answer
 from sim.engine.moments import Prediction, moments
 from sim.engine.schedule import Policy, Schedule, schedule
@@ -194,7 +194,7 @@ def _probability(question: Question, answer: Answer, seen: int) -> Row:
 
 def _checked(question: Question, query: q.Query, answer: Answer, start: Start) -> Row:
     """A query that only the checker (docs/queries.md) answers here: its figure, or its verdict."""
-    own = native_answer(query, start, Settings(runs=None if isinstance(query, q.Hypothesis) else NATIVE_RUNS))
+    own = native_answer(query, start, QuerySettings(runs=None if isinstance(query, q.Hypothesis) else NATIVE_RUNS))
     if own.verdict is not None:
         same = answer.satisfied == own.verdict
         return replace(_row(question.formula, nan, (nan, nan), nan, (nan, nan)), agree=same, note=_said(answer))
