@@ -92,9 +92,9 @@ def _write(
     """Write the new model; returns the path of its file, or the name of its version in a store."""
     import time
 
-    from sim.artefacts.model_directory import write_model_directory
     from sim.artefacts.model_json import model_hash
-    from sim.artefacts.store import STORE_FILE, save
+    from sim.artefacts.store import STORE_FILE
+    from sim.artefacts.write_model import save, write_model_directory
     from sim.learning.correction import corrected_model
     from sim.learning.max_rate import with_max_rate
     from sim.sha.trace import joint_hash

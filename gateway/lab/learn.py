@@ -100,7 +100,7 @@ def learn_from(traces: "Sequence[Trace]", column_map: "ColumnMap", *, name: str,
 
 def write(out: Path, learned: "Learned") -> Path:
     """Write the model directory; returns the path of its model.json."""
-    from sim.artefacts.model_directory import write_model_directory
+    from sim.artefacts.write_model import write_model_directory
 
     return write_model_directory(out, learned.model, learned.values)
 
@@ -115,7 +115,7 @@ def _lsha(
     out: Path,
 ) -> tuple[dict[str, Any], Callable[[], None]]:
     """(what the command says in JSON, what it shows to people), once the model directory is written."""
-    from sim.artefacts.model_directory import write_model_directory
+    from sim.artefacts.write_model import write_model_directory
     from sim.learning.lsha.learn import learn_lsha
     from sim.learning.lsha.report import report_document, report_text
     from sim.learning.lsha.settings import LshaSettings

@@ -31,11 +31,12 @@ def promote(
         raise click.UsageError("--force REASON and --by NAME belong together, and neither is empty")
     from sim.artefacts import store as shelf
     from sim.artefacts.find import find_model
+    from sim.artefacts.write_model import save
 
     with sentences():
         now = time.time()
         if model is not None:
-            version = shelf.save(store, find_model(model).runnable(), created=now)
+            version = save(store, find_model(model).runnable(), created=now)
         chosen = str(version)
         shelf.promote(store, chosen, shelf.Force(str(by), reason, now) if reason is not None else None)
         force = shelf.forced(store)

@@ -104,7 +104,7 @@ def _traces(paths: Sequence[str], map_name: str, *, cycles: bool) -> "tuple[list
 def _write(
     found: "Tuning", traces: "Sequence[Trace]", column_map: "ColumnMap", plan: "Plan", name: str, out: Path
 ) -> Path:
-    from sim.artefacts.model_directory import write_model_directory
+    from sim.artefacts.write_model import write_model_directory
     from sim.ranking.tuning import final_model
 
     if found.best is None:

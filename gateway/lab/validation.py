@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
 
-from sim.artefacts.model_directory import write_model_directory
+from sim.artefacts.write_model import write_model_directory
 from sim.ranking.tuning_methods import METHODS, Task
 from sim.sha.trace import Trace
 from sim.traces.column_map import ColumnMap, load_map

@@ -15,7 +15,7 @@ from gateway.console.places import shipped
 from gateway.console.traces import load
 
 if TYPE_CHECKING:
-    from sim.artefacts.find import Found
+    from sim.artefacts.find import FoundModel
     from sim.checking.proof.envelope import Assumptions, Sojourn
     from sim.checking.proof.verify import Check, Verification
     from sim.checking.proof.word import TimedWord
@@ -138,7 +138,7 @@ def _named_map(map_name: str) -> "ColumnMap | None":
 
 
 def _verified(
-    found: "Found", traces: Sequence[Any], bounds: tuple[float, float] | None, assumptions: "Assumptions"
+    found: "FoundModel", traces: Sequence[Any], bounds: tuple[float, float] | None, assumptions: "Assumptions"
 ) -> "Verification":
     """The verification; the alphabet of artefacts is the one that their report lists, if it lists one."""
     from sim.checking.proof.verify import verify as check
@@ -161,7 +161,7 @@ def _save(out: Path, word: "TimedWord") -> None:
     out.write_text(word_text(word) + "\n", encoding="utf-8")
 
 
-def plain(result: "Verification", found: "Found") -> dict[str, Any]:
+def plain(result: "Verification", found: "FoundModel") -> dict[str, Any]:
     """The verification as plain values for JSON."""
     from sim.checking.proof.word import word_text
 
@@ -188,7 +188,7 @@ def plain(result: "Verification", found: "Found") -> dict[str, Any]:
     }
 
 
-def _show(result: "Verification", found: "Found", model: str, out: Path | None) -> None:
+def _show(result: "Verification", found: "FoundModel", model: str, out: Path | None) -> None:
     seconds = sum(one.seconds for one in result.checks)
     rows = [[one.name, one.verdict, "" if one.blocking else "no", f"{1e3 * one.seconds:.1f}"] for one in result.checks]
     table(f"{found.name}: verified in {seconds:.2f} s", ("check", "verdict", "decides", "ms"), rows)

@@ -19,8 +19,8 @@ from gateway.machine.predict import Predictor
 from gateway.machine.scan import Scan
 from gateway.plant.config import Config
 from gateway.plant.startup import LoadedModel, load_model
-from sim.artefacts.files import ArtefactError
 from sim.artefacts.store import current, promotion
+from sim.files import ArtefactError
 
 POLL_SECONDS = 2.0
 """Plant seconds between two looks at the store."""

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.artefacts.files import refused, replace_durably
 from sim.effects.kinds import signals_of
 from sim.engine.open_loop import Start, open_loop
 from sim.engine.schedule import Policy
+from sim.files import refused, replace_durably
 from sim.sha import distributions
 from sim.sha.automaton import SHA, transitions
 from sim.sha.correction import in_sensor_scale

@@ -12,10 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from sim.artefacts import files
-from sim.artefacts.bundle import read_artefacts
-from sim.artefacts.files import ArtefactError
-from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, write_model_directory
+from sim import files
+from sim.artefacts.formats.bundle import read_artefacts
+from sim.artefacts.model_directory import MANIFEST, MODEL_FILE
 from sim.artefacts.store import (
     CURRENT,
     VERSIONS,
@@ -24,10 +23,11 @@ from sim.artefacts.store import (
     load,
     promote,
     read_model,
-    save,
     version_directory,
     versions,
 )
+from sim.artefacts.write_model import save, write_model_directory
+from sim.files import ArtefactError
 from sim.sha.model import Model
 from tests.artefacts.models import decanter_model
 
@@ -107,7 +107,8 @@ def test_a_version_that_is_not_there_is_told_with_those_that_are(tmp_path: Path)
 WRITER = """
 import sys
 from pathlib import Path
-from sim.artefacts.store import promote, save
+from sim.artefacts.store import promote
+from sim.artefacts.write_model import save
 from tests.artefacts.test_store import FORCE, numbered
 store = Path(sys.argv[1])
 number = 0

@@ -19,13 +19,13 @@ from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Literal
 
-from sim.artefacts.bundle import Artefacts
-from sim.artefacts.dot import INIT, Source, SourceLocation
-from sim.artefacts.files import ArtefactError
-from sim.artefacts.flow_file import FlowFile
-from sim.artefacts.flow_kinds import flow_of, same_equation
-from sim.artefacts.histogram import evidence, fit
-from sim.artefacts.report import EFFECT, ReportedLaw, ReportedLocation
+from sim.artefacts.formats.bundle import Artefacts
+from sim.artefacts.formats.dot import INIT, Source, SourceLocation
+from sim.artefacts.formats.flow_file import FlowFile
+from sim.artefacts.formats.flow_kinds import flow_of, same_equation
+from sim.artefacts.formats.histogram import evidence, fit
+from sim.artefacts.formats.report import EFFECT, ReportedLaw, ReportedLocation
+from sim.files import ArtefactError
 from sim.sha.automaton import SHA, Distribution, Entry, Flow, Input, Location, nondeterminism
 from sim.sha.entry import check_sha
 from sim.sha.flows import FIXED, FLOWS, RELAXING
