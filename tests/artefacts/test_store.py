@@ -237,3 +237,13 @@ def test_what_is_no_model_is_told_with_what_is_there(tmp_path: Path) -> None:
         read_model(tmp_path / "gone.json")
     with pytest.raises(ArtefactError, match=r"is no model store \(no store\.json in it\)"):
         versions(tmp_path)
+
+
+def test_reading_a_model_loads_no_grammar_and_no_learner() -> None:
+    """The running gateway reads models; the public formats and the learner's tables are for those who write them."""
+    code = (
+        "import sys, sim.artefacts.store; "
+        "print([name for name in sys.modules if name.partition('.')[0] == 'lark' or name.startswith('sim.learning')])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert found.stdout == "[]\n"

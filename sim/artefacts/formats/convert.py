@@ -72,8 +72,8 @@ def to_sha(artefacts: Artefacts, parameter: Parameter = "rate") -> Converted:
             if node.name in lines:
                 location = _from_line(node, lines[node.name], artefacts.flows)
             else:
-                location, told = _from_equation(node, artefacts.flows, laws, parameter)
-                notes += told
+                location, more = _from_equation(node, artefacts.flows, laws, parameter)
+                notes += more
         except ArtefactError as error:
             raise ArtefactError(f"{artefacts.name}, location {node.name!r}: {error}") from None
         locations.append(location)

@@ -157,7 +157,7 @@ def evidence(histogram: Histogram, laws: tuple[ReportedLaw, ...], tolerance: flo
     """The values that the report was made from: the run, or the pool of different runs, with the report's means.
 
     Tried in this order: the last run (the report was written with it), earlier runs from the newest, all different runs
-    pooled. Where none agrees it is the last run, and the disagreements are told.
+    pooled. Where none agrees it is the last run, and the disagreements are given.
     """
     distinct = distinct_runs(histogram)
     if not histogram.runs:
@@ -169,7 +169,7 @@ def evidence(histogram: Histogram, laws: tuple[ReportedLaw, ...], tolerance: flo
         if not disagreements(values, laws, tolerance):
             return HistogramEvidence(values, len(histogram.runs), len(distinct), origin)
     last = histogram.runs[-1]
-    told = disagreements(last, laws, tolerance)
+    origin = "the last run, though no run agrees with the report"
     return HistogramEvidence(
-        last, len(histogram.runs), len(distinct), "the last run, though no run agrees with the report", told
+        last, len(histogram.runs), len(distinct), origin, disagreements=disagreements(last, laws, tolerance)
     )
