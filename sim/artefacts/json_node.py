@@ -45,7 +45,7 @@ class JsonNode:
         """A finite number, or the texts "inf" and "-inf"."""
         if isinstance(self.value, str) and self.value in INFINITE:
             return INFINITE[self.value]
-        if isinstance(self.value, bool) or not isinstance(self.value, int | float):
+        if isinstance(self.value, bool) or not isinstance(self.value, int | float):  # true is an int to Python
             raise self.error(f'a number is needed (or "inf"), but this is {_shown(self.value)}')
         try:
             return float(self.value)
@@ -108,6 +108,7 @@ def _no_constant(name: str) -> float:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> Mapping[str, Any]:
+    # json keeps the last of two equal keys without a word; a model edited by hand would lose a value.
     table = dict(pairs)
     if len(table) < len(pairs):
         doubled = next(key for index, (key, _) in enumerate(pairs) if key in dict(pairs[:index]))
@@ -118,6 +119,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> Mapping[str, Any]:
 def written_number(value: float) -> float | str:
     """The number as JSON has it; -0.0 becomes 0.0, as equal models must have one text. ArtefactError for NaN."""
     number = float(value) + 0.0
-    if number != number:
+    if number != number:  # a NaN differs from itself
         raise ArtefactError("a NaN cannot be written into a model; every number of a model must be known")
     return number if abs(number) != inf else ("inf" if number > 0 else "-inf")

@@ -100,6 +100,7 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
     """The model in a JSON text. Raises ArtefactError with file and key path."""
     root = parse_json(text, file)
     _check_header(root)
+    # The automaton first: what the other parts name (locations, signals) is checked against it.
     sha = _sha(root)
     model = Model(
         sha=sha,

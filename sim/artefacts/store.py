@@ -121,6 +121,7 @@ def is_store(path: Path) -> bool:
 
 def promotion(store: Path) -> tuple[tuple[int, int] | None, ...]:
     """What changes when a version is promoted or forced, and else does not: to be compared, cheap enough to poll."""
+    # Inode and time, not content: a running gateway asks this again and again.
     return tuple(_stamp(store / name) for name in (CURRENT, FORCED))
 
 
@@ -171,7 +172,7 @@ def locked(store: Path) -> Iterator[None]:
     """One writer at a time; the system releases the lock when a process dies. Raises OSError."""
     handle = os.open(store / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
+        fcntl.flock(handle, fcntl.LOCK_EX)  # waits for whoever holds it
         yield
     finally:
         os.close(handle)

@@ -67,6 +67,7 @@ def write_model_directory(
     try:
         out.mkdir(parents=True, exist_ok=True)
         stale = set(_earlier_files(out)) - set(files)
+        # Without a manifest the directory claims nothing of its files: a kill from here on leaves no wrong claim.
         (out / MANIFEST).unlink(missing_ok=True)
         for name, content in (*files.items(), (MANIFEST, manifest)):
             replace_durably(out / name, content)
@@ -112,6 +113,7 @@ def save(store: Path, model: Model, histogram: RawValues | None = None, *, creat
 
 def _write_version(directory: Path, version: str, files: Mapping[str, str]) -> None:
     """All files under a dotted name, then one rename. Raises OSError, and leaves nothing behind then."""
+    # The dot hides it from `versions`; the rename on one file system is the moment at which the version exists.
     unfinished = directory / f".{version}"
     try:
         unfinished.mkdir()

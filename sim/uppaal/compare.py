@@ -73,6 +73,7 @@ def native_runs(
 def _steps(model: Model, trace: Trace, replay: TraceReplay, policy: Policy, tick: int) -> Schedule:
     """Outputs at each event and, from there on, every `tick` seconds, as the exported model's clock has it."""
     begin = float(trace.times[np.isfinite(trace.signals[model.temperature])][0])
+    # The exported clock starts anew at each event, and so do the ticks.
     borders = np.unique(np.array([0.0, *replay.times, replay.duration, replay.bound]))
     ticks = [np.arange(low, high, tick) for low, high in pairwise(borders)] if tick else []
     outputs = np.unique(np.concatenate([borders, *ticks]))
@@ -134,6 +135,7 @@ def _courses(answer: VerifytaAnswer, native: Native) -> list[ComparisonRow]:
     courses = answer.courses.get("m_1.Temp", ())
     if not courses or not all(course.points for course in courses):
         return [_row("simulate m_1.Temp", note="no courses were printed")]
+    # A run that UPPAAL stopped early ends the comparison for all.
     span = min(native.replay.duration, *(course.points[-1][0] for course in courses))
     rows = []
     clock = native.moments.times - native.moments.times[0]

@@ -115,6 +115,7 @@ def _deviation(flow: Flow, own: Mapping[str, str], since: str, constant: Constan
         return ""
     noise = constant("NOISE", flow.params["noise"])
     if flow.kind in RELAXING:
+        # Ornstein-Uhlenbeck: the variance gathered in s seconds is noise^2 (1 - exp(-2 k s)) / (2 k), exactly.
         return f"{noise} * sqrt((1.0 - exp(-2.0 * {own['k']} * {since})) / (2.0 * {own['k']}))"
     return f"{noise} * sqrt({since})"
 
@@ -138,6 +139,7 @@ def draw(law: Distribution, constant: Constant) -> str:
         return f"exp({normal})" if law.kind == "lognormal" else normal
     if law.kind == "exponential":
         return f"-{constant('MEAN', p['mean'])} * ln(1.0 - random(1.0))"
+    # Weibull by its inverse, from random(1.0) alone: u lies in [0, 1), so that ln is never asked for 0.
     shape, scale = constant("SHAPE", p["shape"]), constant("SCALE", p["scale"])
     return f"{scale} * pow(-ln(1.0 - random(1.0)), 1.0 / {shape})"
 

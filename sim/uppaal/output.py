@@ -86,6 +86,7 @@ def parse_output(stdout: str, stderr: str = "") -> Output:
     unread: list[str] = []
     licence = expression = ""
     for line in (*_lines(stdout), *_lines(stderr)):
+        # Errors before results: an error may quote a line that looks like one.
         if found := _FORMULA.search(line):
             answers.append(VerifytaAnswer(int(found[1]), found[2].strip()))
             expression = ""

@@ -78,6 +78,7 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
     """
     steps = open_loop_schedule(model, trace, policy)
     law = start_law(model, trace, start)
+    # Under a dead time the model follows events and readings when they are felt, so the exported arrays have them then.
     begin, end = steps.start, float(steps.times[-1])
     felt = _later(trace, dead_time(model.sha))
     events = [event for event in felt.events if begin <= event.time <= end]
@@ -167,5 +168,6 @@ def _readings(model: Model, trace: Trace, begin: float, end: float) -> InputRead
 
 def _held(column: Array) -> Array:
     """Each reading until the next one; NaN before the first."""
+    # The index of the latest row that was read, -1 before there is one.
     last = np.maximum.accumulate(np.where(np.isnan(column), -1, np.arange(column.size)))
     return np.where(last < 0, np.nan, column[last])

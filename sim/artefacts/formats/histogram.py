@@ -118,6 +118,7 @@ def fit(values: tuple[float, ...]) -> ParameterFit:
     """Mean and standard deviation. Raises ValueError without values."""
     if not values:
         raise ValueError("nothing can be fitted without values")
+    # fsum rounds once, so that the mean does not depend on the order of the values.
     mean = fsum(values) / len(values)
     return ParameterFit(
         mean, sqrt(fsum((value - mean) ** 2 for value in values) / len(values)), len(values), len(set(values))

@@ -37,7 +37,7 @@ def engine(world: World, where: Cuts) -> Engine:
 
 def chunk_size(number: int, largest: int = LARGEST) -> int:
     """Runs of chunk `number`, from 0."""
-    return min(SMALLEST << min(number, 20), largest)
+    return min(SMALLEST << min(number, 20), largest)  # beyond 20 the shift would only make a large number
 
 
 def generator(seed: int, number: int) -> np.random.Generator:
@@ -208,6 +208,7 @@ def _sorted(monitor: TrajectoryMonitor, runs: int) -> tuple[Trajectory, ...]:
 
 def _thinned(times: Array, values: Array) -> Trajectory:
     """Without the rows that repeat the one before them."""
+    # A piece ends where the next one begins; only at a jump do the two rows of that instant differ.
     same = (np.diff(times) == 0) & np.all(np.isclose(np.diff(values, axis=1), 0.0, atol=1e-12), axis=0)
     keep = np.concatenate([[True], ~same])
     return Trajectory(times[keep], values[:, keep])

@@ -141,6 +141,7 @@ def linear_in_temperature(expression: Expression) -> tuple[float, Expression]:
         return (a + b if expression.op == "+" else a - b), Operation(expression.op, rest, other)
     if a == b == 0.0:
         return 0.0, expression
+    # A product or quotient: one side has the temperature, the other must be a plain number.
     factor, scaled = (expression.right, a) if b == 0.0 else (expression.left, b)
     if quantities(factor) or (expression.op == "/" and b != 0.0):
         raise ValueError(

@@ -119,6 +119,7 @@ def mixture_interval(successes: Array, runs: NDArray[np.int_], level: float) -> 
     that have not made him 1 / (1 - level) times richer (Ville 1939; Robbins 1970, Ann. Math. Statist. 41; as betting:
     Waudby-Smith & Ramdas 2024, J. R. Stat. Soc. B 86). For weights in [0, 1] the wealth is a supermartingale.
     """
+    # In logarithms: the wealth itself leaves the floats after some hundred runs.
     rich = np.log(1.0 / (1.0 - level))
     wealth = betaln(successes + 0.5, runs - successes + 0.5) - betaln(0.5, 0.5) - rich
     middle = successes / runs
@@ -133,7 +134,7 @@ def mixture_interval(successes: Array, runs: NDArray[np.int_], level: float) -> 
 
 def _edge(kept: Callable[[Array], Mask], outside: Array, inside: Array) -> Array:
     """Where `kept` begins between the two, by bisection; the outer side, so that nothing is left out."""
-    for _ in range(52):
+    for _ in range(52):  # the bits of a float's mantissa
         halfway = (outside + inside) / 2.0
         hit = kept(halfway)
         outside, inside = np.where(hit, outside, halfway), np.where(hit, halfway, inside)
@@ -145,6 +146,7 @@ def one_or_two_sided(successes: Array, runs: NDArray[np.int_], level: float) -> 
     extreme = (successes <= 0) | (successes >= runs)
     tail = np.where(extreme, 1.0 - level, (1.0 - level) / 2.0)
     failures = runs - successes
+    # Quantiles of the beta law; 1e-9 only keeps its parameter positive where the result is not used.
     low = np.where(successes > 0, betaincinv(np.maximum(successes, 1e-9), failures + 1, tail), 0.0)
     high = np.where(failures > 0, betaincinv(successes + 1, np.maximum(failures, 1e-9), 1.0 - tail), 1.0)
     return low, high

@@ -139,6 +139,7 @@ def _difference(count: _Count, level: float) -> tuple[float, float]:
     half = (1.0 + level) / 2.0
     few, many = _interval(alone, count.runs, half)
     low, high = _interval(count.left_alone, alone, half) if alone else (0.0, 1.0)
+    # r (2q - 1) grows with q; with r it grows or falls by the sign of 2q - 1, so both ends of r are tried.
     worst, best = 2.0 * low - 1.0, 2.0 * high - 1.0
     return min(few * worst, many * worst), max(few * best, many * best)
 

@@ -116,6 +116,7 @@ def skewed_interval(values: Array, confidence: float) -> tuple[float, float]:
     skewness = float(np.mean((values - mean) ** 3) / values.std() ** 3)
     if abs(skewness) < LEAST_SKEWNESS:  # the cubic is the straight line then, and the quotient 0 / 0
         skewness = LEAST_SKEWNESS
+    # The cubic in the studentised mean has one real root, in closed form: the cube root in `place`.
     reach = float(stdtrit(values.size - 1, 0.5 + confidence / 2.0)) / root
 
     def place(x: float) -> float:
