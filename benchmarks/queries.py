@@ -16,9 +16,9 @@ from benchmarks.figures import Figure, best, give
 from sim.checking.proof.symbolic import decide
 from sim.checking.query.parse import parse_query
 from sim.checking.query.tree import Symbolic
+from sim.checking.smc.rules.estimation import Draw, mixture_interval, one_or_two_sided, to_half_width
 from sim.checking.smc.rules.paired import compare
-from sim.checking.smc.rules.ratio import acceptance, expected_runs, sprt, wald_test
-from sim.checking.smc.rules.sequential import Draw, mixture_interval, one_or_two_sided, to_half_width
+from sim.checking.smc.rules.sprt import acceptance, expected_runs, sprt, wald_test
 from sim.sha.automaton import SHA, Edge, Flow, Location
 from sim.sha.trace import Array
 

@@ -1,7 +1,7 @@
 """Statistical checking: agreement with quadrature on first passage, and runs per second against scalar C.
 
 The table of parameter sets (`--table --seeds 5`) is the proof of agreement: for each, the probability by quadrature
-(`tests.checking.quadrature`), the answer's interval, and how often the one lies in the other. The speeds are those of
+(`tests.rig.quadrature`), the answer's interval, and how often the one lies in the other. The speeds are those of
 47 events in 444 s, looked at when the run ends, and on 400 bridged steps. The C program (`smc.c`) walks the same steps
 and is compiled here; without a compiler the method's own figures stand in its place, and the row says so.
 """
@@ -24,16 +24,15 @@ from rich.table import Table
 
 from benchmarks.figures import Figure, give
 from benchmarks.simulation import EVENTS, ROWS, SECONDS, SYMBOLS, plant
-from sim.checking.query.tree import Compare, Eventually, Number, Probability, Quantity, Span
-from sim.checking.smc.answer import Answer, Settings, Start, answer, initial
-from sim.checking.smc.estimates import prepared
+from sim.checking.query.tree import Compare, Eventually, Number, Probability, Quantity, TimeSpan
+from sim.checking.smc.answer import Answer, QuerySettings, Start, answer, initial, prepared
 from sim.checking.smc.paths.known import Known
 from sim.checking.smc.runs import LARGEST, Sampler, sampler
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
-from tests.checking.quadrature import Stretch, first_passage
+from tests.rig.quadrature import Stretch, first_passage
 
 REFERENCE = {"events": 2.25e6, "dense": 3.2e5}
 """Runs per second of the reference in scalar C, one thread, measured elsewhere."""
@@ -97,7 +96,7 @@ def start_of(case: Case) -> Start:
 def question(limit: float, bound: float, low: float = 0.0) -> Probability:
     """Is the limit reached between `low` and the bound?"""
     reached = Compare(">=", Quantity("temperature"), Number(limit))
-    return Probability(bound, Eventually(reached, Span(low, bound)))
+    return Probability(bound, Eventually(reached, TimeSpan(low, bound)))
 
 
 def checked(
@@ -106,7 +105,7 @@ def checked(
     """(the probability by quadrature, the answer of each seed) of a case; a rare one is split."""
     exact = first_passage(case.stretches, case.x0, case.limit, points=points, nodes=nodes)
     asked, start = question(case.limit, sum(one.seconds for one in case.stretches)), start_of(case)
-    settings = Settings(rule="fixed", runs=None if exact < RARE else runs, rare=exact < RARE)
+    settings = QuerySettings(rule="fixed", runs=None if exact < RARE else runs, rare=exact < RARE)
     return exact, [answer(asked, start, replace(settings, seed=seed)) for seed in seeds]
 
 
@@ -167,7 +166,7 @@ def memory(runs: int) -> Figure:
     start, sizes = speed_start(0.004), []
     for some in (runs // 10, runs):
         tracemalloc.start()
-        answer(question(32.0, SECONDS, SECONDS), start, Settings(rule="fixed", runs=some))
+        answer(question(32.0, SECONDS, SECONDS), start, QuerySettings(rule="fixed", runs=some))
         sizes.append(tracemalloc.get_traced_memory()[1] / 1e6)
         tracemalloc.stop()
     return Figure(f"events: memory of {runs:,} runs", sizes[1], "MB", f"of {runs // 10:,}", sizes[0])

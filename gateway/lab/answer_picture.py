@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from sim.checking.query.tree import Always, Expression, Hypothesis, Indicator, Probability, Quantity, Simulation
 from sim.checking.smc.answer import Answer
-from sim.checking.smc.rules.sequential import one_or_two_sided
+from sim.checking.smc.rules.estimation import one_or_two_sided
 
 MOST_DRAWN = 100
 """Courses in one picture; more are a black surface."""

@@ -18,7 +18,7 @@ from gateway.store.history import reading, to_trace
 from sim.artefacts.find import find_model
 from sim.checking.query.parse import parse_query
 from sim.checking.query.tree import Simulation, Symbolic
-from sim.checking.smc.answer import Answer, Rule, Settings, Start, answer, believed, decided, initial
+from sim.checking.smc.answer import Answer, QuerySettings, Rule, Start, answer, believed, decided, initial
 from sim.sha.events import Alphabet, encode
 from sim.sha.model import Model
 from sim.sha.trace import Trace
@@ -125,7 +125,7 @@ def check(
     Exit codes: 0 answered or it holds, 1 a test, comparison or symbolic query whose answer is no, or stays open within
     the runs allowed, 2 wrong usage or input.
     """
-    settings = Settings(alpha, epsilon, rule, runs, delta, seed=seed, rare=rare)
+    settings = QuerySettings(alpha, epsilon, rule, runs, delta, seed=seed, rare=rare)
     with sentences(), progress("checking") as report:
         found = _answered(model_name, query_text, _Origin(events, map_name, origin, future), settings, report)
         _written(found, query_text, csv, picture)
@@ -145,7 +145,7 @@ class _Origin:
 
 
 def _answered(
-    name: str, text: str, origin: _Origin, settings: Settings, report: Callable[[str, float], None]
+    name: str, text: str, origin: _Origin, settings: QuerySettings, report: Callable[[str, float], None]
 ) -> Answer:
     """The answer. Raises ValueError, the sentences' way."""
     report("model and query", 0.0)

@@ -13,9 +13,9 @@ from gateway.console.exits import Exit, fail, sentences
 from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, table
 from gateway.lab.traces.load import load
-from sim.artefacts.bundle import file_names, write_artefacts
-from sim.artefacts.find import Found, find_model
-from sim.artefacts.from_model import to_artefacts
+from sim.artefacts.find import FoundModel, find_model
+from sim.artefacts.formats.bundle import file_names, write_artefacts
+from sim.artefacts.formats.from_model import to_artefacts
 from sim.engine.open_loop import Start
 from sim.engine.schedule import Policy
 from sim.sha.model import Model
@@ -67,7 +67,7 @@ def export_uppaal(
 
     A missing or failing engine is told in `engine`, and the files stand. Raises ValueError for a model that is none.
     """
-    found: Found = find_model(where, alphabet=column_map.alphabet, temperature=column_map.temperature)
+    found: FoundModel = find_model(where, alphabet=column_map.alphabet, temperature=column_map.temperature)
     model = found.runnable()
     _check_names(model, traces)
     engine, missing = None, ""

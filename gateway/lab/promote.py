@@ -9,8 +9,9 @@ from gateway.console.exits import sentences
 from gateway.console.options import json_option
 from gateway.console.output import emit
 from sim.artefacts.find import find_model
-from sim.artefacts.store import Force, forced, save
+from sim.artefacts.store import Force, forced
 from sim.artefacts.store import promote as promote_version
+from sim.artefacts.write_model import save
 
 
 @click.command(short_help="Make a version of a store current, if its model verifies.")

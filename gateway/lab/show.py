@@ -9,7 +9,7 @@ import click
 from gateway.console.exits import sentences
 from gateway.console.options import json_option
 from gateway.console.output import emit, table
-from sim.artefacts.find import Found, find_model
+from sim.artefacts.find import FoundModel, find_model
 from sim.artefacts.model_json import model_hash
 from sim.effects.kinds import effect_summary
 from sim.sha import distributions
@@ -34,7 +34,7 @@ def show(name: str, as_json: bool) -> None:
         emit(summary(shown), lambda: show_model(shown), as_json_line=as_json)
 
 
-def _artefacts(found: Found) -> dict[str, Any]:
+def _artefacts(found: FoundModel) -> dict[str, Any]:
     edges = [
         {"source": e.source, "symbol": e.symbol, "target": e.target, "guard": e.guard} for e in found.structure.edges
     ]
@@ -49,7 +49,7 @@ def _artefacts(found: Found) -> dict[str, Any]:
     }
 
 
-def _show_artefacts(found: Found) -> None:
+def _show_artefacts(found: FoundModel) -> None:
     sha = found.structure
     if found.model is None:
         table(f"{found.name}: {len(sha.locations)} locations", ["location"], [[each.name] for each in sha.locations])

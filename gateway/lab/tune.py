@@ -12,7 +12,7 @@ from gateway.console.interrupt import interruptible
 from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, table
 from gateway.lab.traces.load import load
-from sim.artefacts.model_directory import write_model_directory
+from sim.artefacts.write_model import write_model_directory
 from sim.ranking.tuning import Objective, Plan, Tuning, final_model
 from sim.ranking.tuning import tune as searched
 from sim.traces.cycles import split_cycles

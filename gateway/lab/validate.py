@@ -18,7 +18,7 @@ from gateway.console.interrupt import interruptible
 from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, table
 from gateway.console.places import shipped
-from sim.artefacts.model_directory import write_model_directory
+from sim.artefacts.write_model import write_model_directory
 from sim.engine.schedule import Policy
 from sim.ranking.tuning_methods import METHODS, Task
 from sim.sha.trace import Trace

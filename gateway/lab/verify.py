@@ -14,7 +14,7 @@ from gateway.console.options import finite, json_option, map_option
 from gateway.console.output import emit, table
 from gateway.console.places import shipped
 from gateway.lab.traces.load import load
-from sim.artefacts.find import Found, find_model
+from sim.artefacts.find import FoundModel, find_model
 from sim.checking.proof.envelope import DAY, Assumptions, Sojourn
 from sim.checking.proof.verify import Check, Verification
 from sim.checking.proof.verify import verify as check
@@ -141,7 +141,7 @@ def _named_map(map_name: str) -> ColumnMap | None:
 
 
 def _verified(
-    found: Found, traces: Sequence[Any], bounds: tuple[float, float] | None, assumptions: Assumptions
+    found: FoundModel, traces: Sequence[Any], bounds: tuple[float, float] | None, assumptions: Assumptions
 ) -> Verification:
     """The verification; the alphabet of artefacts is the one that their report lists, if it lists one."""
     reported = tuple(name for name, _ in found.artefacts.report.events) if found.artefacts else ()
@@ -156,7 +156,7 @@ def _verified(
     )
 
 
-def plain(result: Verification, found: Found) -> dict[str, Any]:
+def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
     """The verification as plain values for JSON."""
     rows = [
         {
@@ -181,7 +181,7 @@ def plain(result: Verification, found: Found) -> dict[str, Any]:
     }
 
 
-def _show(result: Verification, found: Found, model: str, out: Path | None) -> None:
+def _show(result: Verification, found: FoundModel, model: str, out: Path | None) -> None:
     seconds = sum(one.seconds for one in result.checks)
     rows = [[one.name, one.verdict, "" if one.blocking else "no", f"{1e3 * one.seconds:.1f}"] for one in result.checks]
     table(f"{found.name}: verified in {seconds:.2f} s", ("check", "verdict", "decides", "ms"), rows)

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.artefacts.bundle import SUFFIXES, Artefacts, read_artefacts
-from sim.artefacts.convert import Parameter, structure, to_sha
-from sim.artefacts.files import ArtefactError, at
+from sim.artefacts.formats.bundle import SUFFIXES, Artefacts, read_artefacts
+from sim.artefacts.formats.convert import Parameter, structure, to_sha
 from sim.artefacts.model_directory import MODEL_FILE
 from sim.artefacts.store import STORE_FILE, load, read_model
+from sim.files import ArtefactError, at
 from sim.sha.automaton import SHA
 from sim.sha.events import Alphabet
 from sim.sha.model import Model, Provenance
@@ -17,7 +17,7 @@ OPTIONAL = ("report", "histogram", "flows")
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundModel:
     """What lies under a name. `structure` is always there: locations and edges; `model` is what can be run.
 
     `model` is None where artefacts describe no automaton that can be run, and `refusal` is then the sentence why.
@@ -44,7 +44,7 @@ def find_model(
     alphabet: Alphabet | None = None,
     temperature: str = "Temp",
     parameter: Parameter = "rate",
-) -> Found:
+) -> FoundModel:
     """The model under `where`, which is one of:
 
     a model directory, a store (its current version), `STORE@VERSION`, a `model.json`; `DIR/NAME` for the artefacts
@@ -57,13 +57,13 @@ def find_model(
     base = artefact_base(path)
     if base is None:
         model = _own_model(path)
-        return Found(model.sha.name, model.sha, model)
+        return FoundModel(model.sha.name, model.sha, model)
     artefacts = read_artefacts(base[0], base[1], OPTIONAL)
     bare = structure(artefacts.source, artefacts.name)
     try:
         converted = to_sha(artefacts, parameter)
     except ArtefactError as error:
-        return Found(artefacts.name, bare, None, artefacts, (), f"{base[0] / base[1]}: {error}")
+        return FoundModel(artefacts.name, bare, None, artefacts, refusal=f"{base[0] / base[1]}: {error}")
     model = Model(
         sha=converted.sha,
         alphabet=alphabet if alphabet is not None else Alphabet(()),
@@ -71,7 +71,7 @@ def find_model(
         sensor_sigma=0.0,
         provenance=Provenance(method="artefacts"),
     )
-    return Found(artefacts.name, converted.sha, model, artefacts, converted.notes)
+    return FoundModel(artefacts.name, converted.sha, model, artefacts, converted.notes)
 
 
 def _own_model(path: Path) -> Model:

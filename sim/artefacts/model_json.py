@@ -8,36 +8,18 @@ the reader reads back as an equal model; what the reader would refuse the writer
 import hashlib
 import json
 from collections.abc import Mapping
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from sim.artefacts.files import ArtefactError, read_text
-from sim.artefacts.json_reading import Node, parse_json, written_number
-from sim.artefacts.model_parts import (
-    alphabet_of,
-    alphabet_part,
-    correction_of,
-    correction_part,
-    edge_of,
-    edge_part,
-    effects_of,
-    effects_part,
-    law_of,
-    law_part,
-    location_of,
-    location_part,
-    numbers_part,
-    provenance_of,
-    provenance_part,
-    stay_of,
-    stay_part,
-)
-from sim.effects.check import check_sha
+from sim.artefacts.json_node import JsonNode, parse_json, written_number
+from sim.effects.check import check_effect, check_sha
 from sim.effects.correction import in_sensor_scale
-from sim.sha.automaton import SHA
+from sim.files import ArtefactError, read_text
+from sim.sha.automaton import SHA, Distribution, Edge, Effect, Entry, Flow, Input, Location
 from sim.sha.distributions import check_distribution
-from sim.sha.events import check_alphabet
-from sim.sha.model import Model
+from sim.sha.events import Alphabet, Bins, Switch, check_alphabet
+from sim.sha.model import Correction, Model, Provenance, Stay
 
 FORMAT = "decanter-sha-model"
 VERSION = 1
@@ -52,6 +34,7 @@ UNITS: Mapping[str, str] = {
     "gain": "degC per unit of the signal",
     "m": "degC (exponential, driven, logarithmic), degC/s (linear)",
 }
+ENTRIES: dict[str, Entry] = {"parameter": "parameter", "resample": "resample", "none": "none"}
 KEYS = (
     "format",
     "version",
@@ -95,20 +78,20 @@ def model_document(model: Model) -> dict[str, Any]:
         "name": sha.name,
         "temperature": model.temperature,
         "sensor_sigma": written_number(model.sensor_sigma),
-        "limits": numbers_part({"low": sha.low, "high": sha.high, "max_rate": sha.max_rate}),
+        "limits": _numbers_part({"low": sha.low, "high": sha.high, "max_rate": sha.max_rate}),
         "initial_location": sha.initial,
-        "locations": [location_part(location) for location in sha.locations],
-        "edges": [edge_part(edge) for edge in sha.edges],
-        **effects_part(sha.effects),
-        "alphabet": alphabet_part(model.alphabet),
-        "initial_temperature": law_part(model.initial) if model.initial else None,
-        "semi_markov": {name: stay_part(stay) for name, stay in sorted(model.semi_markov.items())},
+        "locations": [_location_part(location) for location in sha.locations],
+        "edges": [_edge_part(edge) for edge in sha.edges],
+        **_effects_part(sha.effects),
+        "alphabet": _alphabet_part(model.alphabet),
+        "initial_temperature": _law_part(model.initial) if model.initial else None,
+        "semi_markov": {name: _stay_part(stay) for name, stay in sorted(model.semi_markov.items())},
         "calibration": [
             {"horizon": written_number(horizon), "factor": written_number(factor)}
             for horizon, factor in sorted(model.calibration.items())
         ],
-        **correction_part(model.correction),
-        "provenance": provenance_part(model.provenance),
+        **_correction_part(model.correction),
+        "provenance": _provenance_part(model.provenance),
     }
 
 
@@ -116,17 +99,18 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
     """The model in a JSON text. Raises ArtefactError with file and key path."""
     root = parse_json(text, file)
     _check_header(root)
+    # The automaton first: what the other parts name (locations, signals) is checked against it.
     sha = _sha(root)
     model = Model(
         sha=sha,
-        alphabet=alphabet_of(root.get("alphabet")),
+        alphabet=_alphabet_of(root.get("alphabet")),
         temperature=root.get("temperature").text(),
         sensor_sigma=root.get("sensor_sigma").number(),
-        initial=root.get("initial_temperature").optional(law_of),
-        semi_markov=root.get("semi_markov").table(stay_of),
+        initial=root.get("initial_temperature").optional(_law_of),
+        semi_markov=root.get("semi_markov").table(_stay_of),
         calibration=_calibration(root.get("calibration")),
-        provenance=provenance_of(root.get("provenance")),
-        correction=correction_of(root),
+        provenance=_provenance_of(root.get("provenance")),
+        correction=_correction_of(root),
     )
     try:
         _check(model)
@@ -140,7 +124,7 @@ def read_model_file(path: Path) -> Model:
     return parse_model(read_text(path), path)
 
 
-def _check_header(root: Node) -> None:
+def _check_header(root: JsonNode) -> None:
     """Format and version first, so that another version is not blamed for its keys."""
     form, version = root.get("format").text(), root.get("version").integer()
     if form != FORMAT:
@@ -151,25 +135,25 @@ def _check_header(root: Node) -> None:
     root.only(KEYS)
     if version == VERSION and "effects" in root.value:
         raise root.get("effects").error(f"a model with effects has version {EFFECTS_VERSION}, here it is {version}")
-    units = root.get("units").table(Node.text)
+    units = root.get("units").table(JsonNode.text)
     if units != UNITS:
         raise root.get("units").error(f"the units must be {dict(UNITS)}; convert the model's numbers and say so here")
 
 
-def _sha(root: Node) -> SHA:
+def _sha(root: JsonNode) -> SHA:
     limits = root.get("limits").only(("low", "high", "max_rate"))
     name, initial = root.get("name").text(), root.get("initial_location").text()
-    locations = tuple(location_of(node) for node in root.get("locations").each())
-    edges = tuple(edge_of(node) for node in root.get("edges").each())
+    locations = tuple(_location_of(node) for node in root.get("locations").each())
+    edges = tuple(_edge_of(node) for node in root.get("edges").each())
     bounds = {key: limits.get(key).number() for key in ("max_rate", "low", "high")}
-    effects = effects_of(root)
+    effects = _effects_of(root)
     try:
         return SHA(name, locations, edges, initial, effects=effects, **bounds)
     except ValueError as error:
         raise root.error(str(error)) from None
 
 
-def _calibration(node: Node) -> dict[float, float]:
+def _calibration(node: JsonNode) -> dict[float, float]:
     pairs = [entry.only(("horizon", "factor")) for entry in node.each()]
     factors = {entry.get("horizon").number(): entry.get("factor").number() for entry in pairs}
     if len(factors) < len(pairs):
@@ -193,3 +177,248 @@ def _check(model: Model) -> None:
                 raise ArtefactError(f"semi_markov.{name} names the location {strange[0]!r}, which is not defined")
     except ValueError as error:
         raise ArtefactError(str(error)) from None
+
+
+# ------------------------------------------------------------------ the parts, each with its reader beside its writer
+
+
+def _numbers_part(values: Mapping[str, float]) -> dict[str, float | str]:
+    """A mapping of names to numbers, sorted by name."""
+    return {name: written_number(value) for name, value in sorted(values.items())}
+
+
+def _law_part(law: Distribution) -> dict[str, Any]:
+    """A distribution."""
+    return {"kind": law.kind, "params": _numbers_part(law.params)}
+
+
+def _law_of(node: JsonNode) -> Distribution:
+    """The distribution that `_law_part` wrote."""
+    node.only(("kind", "params"))
+    return Distribution(node.get("kind").text(), node.get("params").table(JsonNode.number))
+
+
+def _location_part(location: Location) -> dict[str, Any]:
+    """A location with its flow."""
+    flow = location.flow
+    inputs = [
+        {"signal": one.signal, "gain": written_number(one.gain), "reference": written_number(one.reference)}
+        for one in flow.inputs
+    ]
+    return {
+        "name": location.name,
+        "flow": {"kind": flow.kind, "params": _numbers_part(flow.params), "inputs": inputs},
+        "distribution": _law_part(location.distribution) if location.distribution else None,
+        "entry": location.entry,
+    }
+
+
+def _location_of(node: JsonNode) -> Location:
+    """The location that `_location_part` wrote."""
+    node.only(("name", "flow", "distribution", "entry"))
+    entry = node.get("entry").text()
+    if entry not in ENTRIES:
+        raise node.get("entry").error(f"the entry mode {entry!r} is unknown; known are {', '.join(ENTRIES)}")
+    flow = node.get("flow").only(("kind", "params", "inputs"))
+    inputs = tuple(_input_of(one) for one in flow.get("inputs").each())
+    return Location(
+        node.get("name").text(),
+        Flow(flow.get("kind").text(), flow.get("params").table(JsonNode.number), inputs),
+        node.get("distribution").optional(_law_of),
+        ENTRIES[entry],
+    )
+
+
+def _input_of(node: JsonNode) -> Input:
+    node.only(("signal", "gain", "reference"))
+    return Input(node.get("signal").text(), node.get("gain").number(), node.get("reference").number())
+
+
+def _edge_part(edge: Edge) -> dict[str, Any]:
+    """An edge; `guard` only where there is one."""
+    guard = {} if edge.guard is None else {"guard": edge.guard}
+    return {"source": edge.source, "symbol": edge.symbol, "target": edge.target} | guard
+
+
+def _edge_of(node: JsonNode) -> Edge:
+    """The edge that `_edge_part` wrote."""
+    node.only(("source", "symbol", "target", "guard"))
+    guard = node.get("guard").text() if "guard" in node.value else None
+    return Edge(node.get("source").text(), node.get("symbol").text(), node.get("target").text(), guard)
+
+
+def _effects_part(effects: tuple[Effect, ...]) -> dict[str, Any]:
+    """The entry of the effects; none without them, so that a model without any keeps its text and its hash."""
+    if not effects:
+        return {}
+    return {
+        "effects": [
+            {
+                "kind": effect.kind,
+                "params": _numbers_part(effect.params),
+                "signals": dict(sorted(effect.signals.items())),
+                "locations": list(effect.locations),
+                "event": effect.event,
+            }
+            for effect in effects
+        ]
+    }
+
+
+def _effects_of(root: JsonNode) -> tuple[Effect, ...]:
+    """The effects of a model's document; none where it says nothing."""
+    if "effects" not in root.value:
+        return ()
+    return tuple(_effect_of(node) for node in root.get("effects").each())
+
+
+def _effect_of(node: JsonNode) -> Effect:
+    node.only(("kind", "params", "signals", "locations", "event"))
+    effect = Effect(
+        node.get("kind").text(),
+        node.get("params").table(JsonNode.number),
+        node.get("signals").table(JsonNode.text),
+        tuple(one.text() for one in node.get("locations").each()),
+        node.get("event").text(),
+    )
+    try:
+        check_effect(effect)
+    except ValueError as error:
+        raise node.error(str(error)) from None
+    return effect
+
+
+def _alphabet_part(alphabet: Alphabet) -> dict[str, Any]:
+    """The alphabet with its channels in order."""
+    return {
+        "channels": [_channel_part(channel) for channel in alphabet.channels],
+        "gap": written_number(alphabet.gap),
+        "debounce": written_number(alphabet.debounce),
+        "uppaal": [list(pair) for pair in alphabet.uppaal],
+    }
+
+
+def _channel_part(channel: Switch | Bins) -> dict[str, Any]:
+    if isinstance(channel, Switch):
+        names = {"kind": "switch", "signal": channel.signal, "rising": channel.rising, "falling": channel.falling}
+        return names | {"on_change": channel.on_change}
+    return {
+        "kind": "bins",
+        "signal": channel.signal,
+        "thresholds": [written_number(threshold) for threshold in channel.thresholds],
+        "symbols": list(channel.symbols),
+        "hysteresis": written_number(channel.hysteresis),
+        "on_change": channel.on_change,
+    }
+
+
+def _alphabet_of(node: JsonNode) -> Alphabet:
+    """The alphabet that `_alphabet_part` wrote."""
+    node.only(("channels", "gap", "debounce", "uppaal"))
+    channels = tuple(_channel_of(channel) for channel in node.get("channels").each())
+    uppaal = tuple(_pair_of(pair) for pair in node.get("uppaal").each())
+    return Alphabet(channels, node.get("gap").number(), node.get("debounce").number(), uppaal)
+
+
+def _pair_of(node: JsonNode) -> tuple[str, str]:
+    texts = [text.text() for text in node.each()]
+    if len(texts) != 2:
+        raise node.error(f"a pair [symbol, channel] is needed, but this has {len(texts)} elements")
+    return texts[0], texts[1]
+
+
+def _channel_of(node: JsonNode) -> Switch | Bins:
+    kind = node.get("kind").text()
+    signal = node.get("signal").text()
+    on_change = node.get("on_change").flag()
+    if kind == "switch":
+        node.only(("kind", "signal", "rising", "falling", "on_change"))
+        return Switch(signal, node.get("rising").text(), node.get("falling").text(), on_change)
+    if kind != "bins":
+        raise node.get("kind").error(f"the channel {kind!r} is unknown; known are switch, bins")
+    node.only(("kind", "signal", "thresholds", "symbols", "hysteresis", "on_change"))
+    thresholds = tuple(one.number() for one in node.get("thresholds").each())
+    symbols = tuple(one.text() for one in node.get("symbols").each())
+    if len(symbols) != len(thresholds) + 1:
+        raise node.error(f"{len(thresholds)} thresholds need {len(thresholds) + 1} symbols, here are {len(symbols)}")
+    return Bins(signal, thresholds, symbols, node.get("hysteresis").number(), on_change)
+
+
+def _stay_part(stay: Stay) -> dict[str, Any]:
+    """A stay: sojourn law, next locations, input signals."""
+    inputs = {
+        signal: {"mean": written_number(mean), "sigma": written_number(sigma)}
+        for signal, (mean, sigma) in sorted(stay.inputs.items())
+    }
+    return {"law": _law_part(stay.law), "to": _numbers_part(stay.to), "inputs": inputs}
+
+
+def _stay_of(node: JsonNode) -> Stay:
+    """The stay that `_stay_part` wrote."""
+    node.only(("law", "to", "inputs"))
+    return Stay(_law_of(node.get("law")), node.get("to").table(JsonNode.number), node.get("inputs").table(_moments_of))
+
+
+def _moments_of(node: JsonNode) -> tuple[float, float]:
+    node.only(("mean", "sigma"))
+    return node.get("mean").number(), node.get("sigma").number()
+
+
+def _correction_part(correction: Correction) -> dict[str, Any]:
+    """The entry of a correction; none for the identity, so that a model without one keeps its text and its hash."""
+    if correction.identity:
+        return {}
+    return {"correction": _numbers_part({"gain": correction.gain, "offset": correction.offset})}
+
+
+def _correction_of(root: JsonNode) -> Correction:
+    """The correction of a model's document; the identity where it says nothing."""
+    if "correction" not in root.value:
+        return Correction()
+    node = root.get("correction").only(("gain", "offset"))
+    try:
+        return Correction(node.get("gain").number(), node.get("offset").number())
+    except ValueError as error:
+        raise node.error(str(error)) from None
+
+
+def _provenance_part(provenance: Provenance) -> dict[str, Any]:
+    """Where the model comes from."""
+    return {
+        "method": provenance.method,
+        "data_hash": provenance.data_hash,
+        "traces": list(provenance.traces),
+        "synthetic": provenance.synthetic,
+        "settings": {name: _setting(name, value) for name, value in sorted(provenance.settings.items())},
+        "scores": _numbers_part(provenance.scores),
+        "parent": provenance.parent,
+    }
+
+
+def _setting(name: str, value: str | float | int | bool) -> str | float | int | bool:
+    """A setting as it is. Raises ArtefactError for an infinite one, which would come back as a text."""
+    if isinstance(value, float) and not isfinite(value):
+        raise ArtefactError(f"provenance.settings.{name} is {value}; a setting is a finite number, a text or a flag")
+    return value
+
+
+def _provenance_of(node: JsonNode) -> Provenance:
+    """The provenance that `_provenance_part` wrote."""
+    node.only(("method", "data_hash", "traces", "synthetic", "settings", "scores", "parent"))
+    return Provenance(
+        method=node.get("method").text(),
+        data_hash=node.get("data_hash").text(),
+        traces=tuple(one.text() for one in node.get("traces").each()),
+        synthetic=node.get("synthetic").flag(),
+        settings=node.get("settings").table(_setting_of),
+        scores=node.get("scores").table(JsonNode.number),
+        parent=node.get("parent").text(),
+    )
+
+
+def _setting_of(node: JsonNode) -> str | float | int | bool:
+    """A setting keeps its own type."""
+    value = node.value
+    if not isinstance(value, str | float | int):
+        raise node.error(f"a text, a number, true or false is needed, but this is {value!r}")
+    return value

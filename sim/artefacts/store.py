@@ -7,40 +7,34 @@
     STORE/.lock               held while a version is written or promoted
 
 A version is written under a name that begins with a dot and renamed when all of it is on the disk; `current` is
-replaced by a rename. A kill at any moment leaves at most such a dotted directory, which the next save removes.
+replaced by a rename. A kill at any moment leaves at most such a dotted directory, which the next save removes. Versions
+are saved by `write_model`; here they are read and promoted.
 """
 
 import fcntl
 import json
 import os
 import re
-import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from sim.artefacts.files import at, read_text, refused, replace_durably, sync_directory
-from sim.artefacts.from_model import RawValues
-from sim.artefacts.json_reading import Node, parse_json
+from sim.artefacts.json_node import JsonNode, parse_json
 from sim.artefacts.model_directory import (
-    MANIFEST,
     MODEL_FILE,
     check_hashes,
-    directory_files,
-    manifest_text,
     read_model_directory,
-    write_files,
 )
-from sim.artefacts.model_json import model_hash, read_model_file
+from sim.artefacts.model_json import read_model_file
 from sim.checking.proof.verify import verify
+from sim.files import at, read_text, refused, replace_durably
 from sim.sha.model import Model
 
 STORE_FILE = "store.json"
 CURRENT = "current"
 FORCED = "forced.json"
 VERSIONS = "versions"
-STORE_TEXT = json.dumps({"format": "decanter-model-store", "version": 1}) + "\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,46 +46,11 @@ class Force:
     time: float
 
 
-def save(store: Path, model: Model, histogram: RawValues | None = None, *, created: float, parent: str = "") -> str:
-    """Writes the model with all its artefacts as a new version and returns the version's name; promotes nothing.
-
-    `histogram` has the raw parameter values by location, `created` the time in seconds UTC, `parent` the version that
-    this one was derived from (by default the one in the model's provenance). Raises ArtefactError.
-    """
-    files = directory_files(model, histogram)
-    facts: dict[str, str | float] = {"created": created, "parent": parent or model.provenance.parent}
-    files[MANIFEST] = manifest_text(model, files, facts)
-    try:
-        _refuse_strange(store)
-        store.mkdir(parents=True, exist_ok=True)
-        with _locked(store):
-            _prepare(store)
-            _remove_leftovers(store)
-            version = f"{_last_number(store) + 1:04d}-{model_hash(model)[:8]}"
-            _write_version(store / VERSIONS, version, files)
-    except OSError as error:
-        raise refused(store, error) from None
-    return version
-
-
-def _write_version(directory: Path, version: str, files: Mapping[str, str]) -> None:
-    """All files under a dotted name, then one rename. Raises OSError, and leaves nothing behind then."""
-    unfinished = directory / f".{version}"
-    try:
-        unfinished.mkdir()
-        write_files(unfinished, files)
-        unfinished.rename(directory / version)
-    except OSError:
-        shutil.rmtree(unfinished, ignore_errors=True)
-        raise
-    sync_directory(directory)
-
-
 def versions(store: Path) -> tuple[str, ...]:
     """The versions of a store, oldest first; none for a new one. Raises ArtefactError when it is no store."""
-    _check_store(store)
+    check_store(store)
     names = [path.name for path in (store / VERSIONS).iterdir() if re.fullmatch(r"\d{4,}-[0-9a-f]{8}", path.name)]
-    return tuple(sorted(names, key=_number))
+    return tuple(sorted(names, key=number_of))
 
 
 def current(store: Path) -> str:
@@ -138,7 +97,7 @@ def promote(store: Path, version: str, force: Force | None = None) -> None:
             "another model, or force it with a name and a reason",
         )
     try:
-        with _locked(store):
+        with locked(store):
             if reason and force is not None:
                 known = {name: asdict(one) for name, one in _forces(store).items()}
                 replace_durably(store / FORCED, json.dumps(known | {version: asdict(force)}, indent=2) + "\n")
@@ -162,6 +121,7 @@ def is_store(path: Path) -> bool:
 
 def promotion(store: Path) -> tuple[tuple[int, int] | None, ...]:
     """What changes when a version is promoted or forced, and else does not: to be compared, cheap enough to poll."""
+    # Inode and time, not content: a running gateway asks this again and again.
     return tuple(_stamp(store / name) for name in (CURRENT, FORCED))
 
 
@@ -181,7 +141,7 @@ def _forces(store: Path) -> dict[str, Force]:
     return parse_json(read_text(file), file).table(_force_of)
 
 
-def _force_of(node: Node) -> Force:
+def _force_of(node: JsonNode) -> Force:
     node.only(("by", "reason", "time"))
     return Force(node.get("by").text(), node.get("reason").text(), node.get("time").number())
 
@@ -198,24 +158,7 @@ def read_model(path: Path) -> Model:
     return read_model_file(path)
 
 
-def _prepare(store: Path) -> None:
-    """Makes the directory of versions and the file that says that this is a store. Raises OSError."""
-    (store / VERSIONS).mkdir(exist_ok=True)
-    if not (store / STORE_FILE).exists():
-        replace_durably(store / STORE_FILE, STORE_TEXT)
-    _check_store(store)
-
-
-def _refuse_strange(store: Path) -> None:
-    """Raises ArtefactError for a directory that is used for something else."""
-    # One listing decides: another writer may be making the store at this very moment.
-    names = {path.name for path in store.iterdir()} if store.is_dir() else set()
-    strange = sorted(name for name in names - {VERSIONS} if not name.startswith("."))
-    if strange and STORE_FILE not in names:
-        raise at(store, None, f"is no store (it has {strange[0]}); give a new directory or an empty one")
-
-
-def _check_store(store: Path) -> None:
+def check_store(store: Path) -> None:
     file = store / STORE_FILE
     if not file.is_file():
         raise at(store, None, f"is no model store (no {STORE_FILE} in it); save a model there first, or give another")
@@ -225,26 +168,15 @@ def _check_store(store: Path) -> None:
 
 
 @contextmanager
-def _locked(store: Path) -> Iterator[None]:
+def locked(store: Path) -> Iterator[None]:
     """One writer at a time; the system releases the lock when a process dies. Raises OSError."""
     handle = os.open(store / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
+        fcntl.flock(handle, fcntl.LOCK_EX)  # waits for whoever holds it
         yield
     finally:
         os.close(handle)
 
 
-def _remove_leftovers(store: Path) -> None:
-    """Removes what killed writers left. Only under the lock: nobody else is writing."""
-    for path in (store / VERSIONS).iterdir():
-        if path.name.startswith("."):
-            shutil.rmtree(path)
-
-
-def _last_number(store: Path) -> int:
-    return max((_number(name) for name in versions(store)), default=0)
-
-
-def _number(name: str) -> int:
+def number_of(name: str) -> int:
     return int(name.partition("-")[0])

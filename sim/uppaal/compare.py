@@ -10,7 +10,7 @@ from scipy import stats
 
 from sim.checking.query import tree as q
 from sim.checking.query.parse import QueryError, parse_query
-from sim.checking.smc.answer import Settings, Start, initial
+from sim.checking.smc.answer import QuerySettings, Start, initial
 from sim.checking.smc.answer import answer as native_answer
 from sim.engine.moments import Prediction, moments
 from sim.engine.schedule import Policy, Schedule, schedule
@@ -18,10 +18,10 @@ from sim.engine.simulate import Runs, simulate
 from sim.sha import distributions
 from sim.sha.model import Model
 from sim.sha.trace import Array, Trace
-from sim.uppaal.document import Question
-from sim.uppaal.output import Answer, Course
+from sim.uppaal.document import ExportedQuery
+from sim.uppaal.output import PrintedCourse, VerifytaAnswer
 from sim.uppaal.queries import compatibility
-from sim.uppaal.replay import Replay
+from sim.uppaal.replay import TraceReplay
 
 LEVEL = 0.95
 NATIVE_RUNS = 4000
@@ -29,8 +29,8 @@ INSTANTS = 4
 """Times at which the simulated courses are compared, evenly over the replay, its end included."""
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparisonRow:
     """One quantity: both figures, their difference (UPPAAL - native), and the interval of each (95 %, NaN: none).
 
     `agree` says whether the intervals overlap; None where there is nothing to compare.
@@ -53,14 +53,14 @@ class Native:
     `answers` is where the checker's runs start; None where its policy for events without an edge is another.
     """
 
-    replay: Replay
+    replay: TraceReplay
     runs: Runs
     moments: Prediction
     answers: Start | None = None
 
 
 def native_runs(
-    model: Model, trace: Trace, replay: Replay, policy: Policy, tick: int, rng: np.random.Generator
+    model: Model, trace: Trace, replay: TraceReplay, policy: Policy, tick: int, rng: np.random.Generator
 ) -> Native:
     """Runs with outputs where the exported model draws its noise; from the same start, along the same events."""
     steps = _steps(model, trace, replay, policy, tick)
@@ -70,18 +70,21 @@ def native_runs(
     return Native(replay, simulate(steps, law, NATIVE_RUNS, rng), own, initial(model, trace) if known else None)
 
 
-def _steps(model: Model, trace: Trace, replay: Replay, policy: Policy, tick: int) -> Schedule:
+def _steps(model: Model, trace: Trace, replay: TraceReplay, policy: Policy, tick: int) -> Schedule:
     """Outputs at each event and, from there on, every `tick` seconds, as the exported model's clock has it."""
     begin = float(trace.times[np.isfinite(trace.signals[model.temperature])][0])
+    # The exported clock starts anew at each event, and so do the ticks.
     borders = np.unique(np.array([0.0, *replay.times, replay.duration, replay.bound]))
     ticks = [np.arange(low, high, tick) for low, high in pairwise(borders)] if tick else []
     outputs = np.unique(np.concatenate([borders, *ticks]))
     return schedule(model, trace.events, begin + outputs, inputs=trace, policy=policy)
 
 
-def compare(questions: Sequence[Question], answers: Sequence[Answer], native: Native, model: Model) -> list[Row]:
+def compare(
+    questions: Sequence[ExportedQuery], answers: Sequence[VerifytaAnswer], native: Native, model: Model
+) -> list[ComparisonRow]:
     """One row for each quantity that both have; a query that only UPPAAL can answer gets its verdict alone."""
-    rows: list[Row] = []
+    rows: list[ComparisonRow] = []
     for question, answer in zip(questions, answers, strict=False):
         try:
             query = parse_query(question.formula, model)
@@ -94,26 +97,45 @@ def compare(questions: Sequence[Question], answers: Sequence[Answer], native: Na
                 rows.append(_expectation(question, answer, native, extreme))
             case q.Probability(path=(q.Eventually() | q.Always()) as path) if (seen := _seen(path, native)) is not None:
                 rows.append(_probability(question, answer, seen))
-            case q.Probability() | q.Hypothesis() | q.Compared() if native.answers is not None:
+            case q.Probability() | q.Hypothesis() | q.PairedComparison() if native.answers is not None:
                 rows.append(_checked(question, query, answer, native.answers))
             case _:
                 rows.append(_verdict(question, answer, native))
     return rows
 
 
+_NONE = (nan, nan)
+"""No interval."""
+
+
 def _row(
-    quantity: str, native: float, own: tuple[float, float], uppaal: float, theirs: tuple[float, float], note: str = ""
-) -> Row:
+    quantity: str,
+    native: float = nan,
+    own: tuple[float, float] = _NONE,
+    uppaal: float = nan,
+    theirs: tuple[float, float] = _NONE,
+    *,
+    note: str = "",
+) -> ComparisonRow:
     known = bool(np.isfinite([*own, *theirs]).all())
-    agree = own[0] <= theirs[1] and theirs[0] <= own[1] if known else None
-    return Row(quantity, native, uppaal, uppaal - native, own, theirs, agree, note)
+    return ComparisonRow(
+        quantity=quantity,
+        native=native,
+        uppaal=uppaal,
+        difference=uppaal - native,
+        native_interval=own,
+        uppaal_interval=theirs,
+        agree=own[0] <= theirs[1] and theirs[0] <= own[1] if known else None,
+        note=note,
+    )
 
 
-def _courses(answer: Answer, native: Native) -> list[Row]:
+def _courses(answer: VerifytaAnswer, native: Native) -> list[ComparisonRow]:
     """Mean temperature over UPPAAL's runs against the closed form, at instants that every run has reached."""
     courses = answer.courses.get("m_1.Temp", ())
     if not courses or not all(course.points for course in courses):
-        return [_row("simulate m_1.Temp", nan, (nan, nan), nan, (nan, nan), "no courses were printed")]
+        return [_row("simulate m_1.Temp", note="no courses were printed")]
+    # A run that UPPAAL stopped early ends the comparison for all.
     span = min(native.replay.duration, *(course.points[-1][0] for course in courses))
     rows = []
     clock = native.moments.times - native.moments.times[0]
@@ -126,7 +148,7 @@ def _courses(answer: Answer, native: Native) -> list[Row]:
     return rows
 
 
-def _value(course: Course, time: float) -> float:
+def _value(course: PrintedCourse, time: float) -> float:
     """A course at a time; of several points at one instant the last counts, after the jump."""
     times, values = (np.array(column) for column in zip(*course.points, strict=True))
     before = int(np.searchsorted(times, time + 1e-6, side="right")) - 1
@@ -144,18 +166,18 @@ def _mean_interval(values: Array) -> tuple[float, tuple[float, float]]:
     return mean, (mean - half, mean + half)
 
 
-def _expectation(question: Question, answer: Answer, native: Native, extreme: str) -> Row:
+def _expectation(question: ExportedQuery, answer: VerifytaAnswer, native: Native, extreme: str) -> ComparisonRow:
     """The mean extreme of the runs; UPPAAL's interval is its half-width, or comes from its histogram."""
     values = native.runs.temperatures.max(axis=1) if extreme == "max" else native.runs.temperatures.min(axis=1)
     mean, own = _mean_interval(values)
     if answer.mean is None:
-        return _row(question.formula, mean, own, nan, (nan, nan), "no estimate was printed")
+        return _row(question.formula, mean, own, note="no estimate was printed")
     half = answer.half_width if answer.half_width is not None else _half_width(answer)
     theirs = (answer.mean - half, answer.mean + half)
     return _row(question.formula, mean, own, answer.mean, theirs)
 
 
-def _half_width(answer: Answer) -> float:
+def _half_width(answer: VerifytaAnswer) -> float:
     """From the histogram, whose bins stand for their middles; 0 where all values are one; NaN without a histogram."""
     bins = answer.histogram
     total = sum(bins.counts) if bins else 0
@@ -170,7 +192,7 @@ def _half_width(answer: Answer) -> float:
 def _seen(path: q.Eventually | q.Always, native: Native) -> int | None:
     """In how many of the native runs the path holds, where it is one comparison of the temperature over all time."""
     inner = path.inner
-    if path.span != q.Span() or not isinstance(inner, q.Compare) or inner.left != q.Quantity("temperature"):
+    if path.span != q.TimeSpan() or not isinstance(inner, q.Compare) or inner.left != q.Quantity("temperature"):
         return None
     if not isinstance(inner.right, q.Number):
         return None
@@ -181,37 +203,36 @@ def _seen(path: q.Eventually | q.Always, native: Native) -> int | None:
     return int((held.any(axis=1) if isinstance(path, q.Eventually) else held.all(axis=1)).sum())
 
 
-def _probability(question: Question, answer: Answer, seen: int) -> Row:
+def _probability(question: ExportedQuery, answer: VerifytaAnswer, seen: int) -> ComparisonRow:
     """The share of runs; UPPAAL's own is successes / runs where it says so, else the middle of its interval."""
     share = stats.binomtest(seen, NATIVE_RUNS).proportion_ci(LEVEL, method="exact")
     own = (float(share.low), float(share.high))
     if answer.low is None or answer.high is None:
-        return _row(question.formula, seen / NATIVE_RUNS, own, nan, (nan, nan), "no interval was printed")
+        return _row(question.formula, seen / NATIVE_RUNS, own, note="no interval was printed")
     counted = answer.successes is not None and bool(answer.runs)
     theirs = (answer.successes or 0) / (answer.runs or 1) if counted else (answer.low + answer.high) / 2
     return _row(question.formula, seen / NATIVE_RUNS, own, theirs, (answer.low, answer.high))
 
 
-def _checked(question: Question, query: q.Query, answer: Answer, start: Start) -> Row:
+def _checked(question: ExportedQuery, query: q.Query, answer: VerifytaAnswer, start: Start) -> ComparisonRow:
     """A query that only the checker (docs/queries.md) answers here: its figure, or its verdict."""
-    own = native_answer(query, start, Settings(runs=None if isinstance(query, q.Hypothesis) else NATIVE_RUNS))
+    own = native_answer(query, start, QuerySettings(runs=None if isinstance(query, q.Hypothesis) else NATIVE_RUNS))
     if own.verdict is not None:
-        same = answer.satisfied == own.verdict
-        return replace(_row(question.formula, nan, (nan, nan), nan, (nan, nan)), agree=same, note=_said(answer))
+        return replace(_row(question.formula, note=_verdict_words(answer)), agree=answer.satisfied == own.verdict)
     figures = (own.numbers.get("low", nan), own.numbers.get("high", nan))
     low, high = (nan if end is None else end for end in (answer.low, answer.high))
     return _row(question.formula, own.numbers.get("probability", nan), figures, (low + high) / 2, (low, high))
 
 
-def _said(answer: Answer) -> str:
+def _verdict_words(answer: VerifytaAnswer) -> str:
     return {True: "UPPAAL: satisfied", False: "UPPAAL: NOT satisfied", None: "UPPAAL: not decided"}[answer.satisfied]
 
 
-def _verdict(question: Question, answer: Answer, native: Native) -> Row:
+def _verdict(question: ExportedQuery, answer: VerifytaAnswer, native: Native) -> ComparisonRow:
     """What only the exported model can be asked: UPPAAL's figure and verdict, and ours about acceptance."""
     figure = answer.mean if answer.mean is not None else nan
-    row = Row(question.formula, nan, figure, nan, (nan, nan), (nan, nan), None, _said(answer))
+    row = _row(question.formula, uppaal=figure, note=_verdict_words(answer))
     if question.formula != compatibility().formula:
         return row
-    said = "accepts every event" if native.replay.accepted else "does not accept every event"
-    return replace(row, agree=answer.satisfied == native.replay.accepted, note=f"{row.note}; native: {said}")
+    accepts = "accepts every event" if native.replay.accepted else "does not accept every event"
+    return replace(row, agree=answer.satisfied == native.replay.accepted, note=f"{row.note}; native: {accepts}")

@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import Literal
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
 DOCTYPE = (
     "<!DOCTYPE nta PUBLIC '-//Uppaal Team//DTD Flat System 1.6//EN' "
     "'http://www.it.uu.se/research/group/darts/uppaal/flat-1_6.dtd'>"
@@ -13,7 +15,7 @@ Point = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class TemplateLocation:
     """A location of a template: its identifier, where it is drawn, its invariant (rates included) and its kind."""
 
     name: str
@@ -42,13 +44,13 @@ class Template:
 
     name: str
     declaration: str
-    places: tuple[Place, ...]
+    places: tuple[TemplateLocation, ...]
     arrows: tuple[Arrow, ...]
     initial: str
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class ExportedQuery:
     """A query in UPPAAL's words and what it asks for."""
 
     formula: str
@@ -63,13 +65,11 @@ class System:
     declaration: str
     templates: tuple[Template, ...]
     instances: tuple[tuple[str, str], ...]
-    questions: tuple[Question, ...] = field(default=())
+    questions: tuple[ExportedQuery, ...] = field(default=())
 
 
 def xml_text(system: System) -> str:
     """The document as UPPAAL's graphical editor and verifyta read it; all text is escaped by the template engine."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     engine = Environment(
         loader=PackageLoader("sim.uppaal"),
         autoescape=True,
@@ -78,6 +78,7 @@ def xml_text(system: System) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    # The file format refers to locations by ids, which are unique within a template only.
     numbers = {
         template.name: {place.name: f"id{index}" for index, place in enumerate(template.places)}
         for template in system.templates
@@ -92,10 +93,10 @@ def number(value: float) -> str:
     """
     if not isfinite(value):
         raise ValueError(f"UPPAAL has no literal for the number {value}; give the model finite parameters")
-    return repr(float(value) + 0.0)
+    return repr(float(value) + 0.0)  # -0.0 becomes 0.0
 
 
-def plain(text: str) -> str:
+def comment_text(text: str) -> str:
     """Free text (names from files) as ASCII on one line, fit for a comment in UPPAAL's declarations."""
     ascii_text = text.encode("ascii", "backslashreplace").decode("ascii")
     return " ".join("".join(sign if sign.isprintable() else " " for sign in ascii_text).split()).replace("*/", "* /")

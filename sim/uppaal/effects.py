@@ -14,7 +14,7 @@ from sim.sha.automaton import SHA, Effect
 from sim.uppaal.document import Arrow, number
 from sim.uppaal.players import array
 from sim.uppaal.replay import Clocks
-from sim.uppaal.words import Names
+from sim.uppaal.words import FreshNames
 
 Inputs = Mapping[str, tuple[str, str]]
 """signal -> (its value, the flag that it was read)."""
@@ -65,13 +65,7 @@ class EffectTexts:
 
 
 def augmented(
-    sha: SHA,
-    names: Names,
-    inputs: Inputs,
-    *,
-    own: tuple[str, str],
-    channels: Mapping[str, str],
-    clocks: Clocks,
+    sha: SHA, names: FreshNames, inputs: Inputs, own: tuple[str, str], channels: Mapping[str, str], clocks: Clocks
 ) -> EffectTexts:
     """The texts of an automaton's effects; those of a plain machine without any.
 
@@ -88,7 +82,7 @@ class _Writer:
     def __init__(
         self,
         sha: SHA,
-        names: Names,
+        names: FreshNames,
         inputs: Inputs,
         *,
         own: tuple[str, str],

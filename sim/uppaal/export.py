@@ -7,27 +7,27 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.artefacts.files import refused, replace_durably
 from sim.effects.check import check_sha
 from sim.effects.correction import in_sensor_scale
 from sim.effects.kinds import signals_of
 from sim.engine.open_loop import Start, open_loop
 from sim.engine.schedule import Policy
+from sim.files import refused, replace_durably
 from sim.sha import distributions
 from sim.sha.automaton import SHA, transitions
 from sim.sha.events import alphabet_symbols
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Trace
-from sim.uppaal.document import Question, System, number, plain, xml_text
+from sim.uppaal.document import ExportedQuery, System, comment_text, number, xml_text
 from sim.uppaal.effects import augmented
 from sim.uppaal.effects import refused as refused_effects
 from sim.uppaal.layout import in_a_row, on_a_circle
-from sim.uppaal.machine import Beginning, Move, Variables, machine, variables
+from sim.uppaal.machine import Beginning, Move, machine, variables
 from sim.uppaal.players import event_arrays, input_declarations, input_player, player, skeleton
 from sim.uppaal.queries import asked, compatibility, default_questions, query_file
-from sim.uppaal.replay import Replay, replay_of
+from sim.uppaal.replay import TraceReplay, replay_of
 from sim.uppaal.rules import check_rules
-from sim.uppaal.words import Names, spelled
+from sim.uppaal.words import FreshNames, spelled
 
 TICK = 1
 """Seconds between two draws of the noise, at most: also between them the temperature may cross a limit."""
@@ -41,7 +41,7 @@ class Document:
 
     name: str
     xml: str
-    questions: tuple[Question, ...]
+    questions: tuple[ExportedQuery, ...]
     notes: tuple[str, ...] = ()
 
 
@@ -51,7 +51,7 @@ class Exported:
 
     main: Document
     minimal: Document
-    replay: Replay = field(repr=False)
+    replay: TraceReplay = field(repr=False)
 
 
 class ExportError(ValueError):
@@ -122,47 +122,25 @@ def base_name(model: str, trace: str) -> str:
     )
 
 
-def _main(model: Model, replay: Replay, tick: int, questions: tuple[Question, ...]) -> Document:
+def _main(model: Model, replay: TraceReplay, tick: int, questions: tuple[ExportedQuery, ...]) -> Document:
     sha = model.sha
-    names = Names(location.name for location in sha.locations)
+    names = FreshNames(location.name for location in sha.locations)
     known = variables(names, _signals(sha))
     channels = _channels(model, replay.symbols, names)
     moves = [*_edges(sha, channels), *((source, channels[symbol], target) for source, symbol, target in replay.added)]
     law = replay.x0
     drawn = distributions.variance(law) > 0
     begin = Beginning(replay.location, replay.age, distributions.mean(law), law if drawn else None)
-    more = augmented(
-        sha,
-        names,
-        known.inputs,
-        own=(known.jump, known.since),
-        channels=channels,
-        clocks=replay.clocks,
-    )
-    constants, template = machine(sha, names, known, moves, begin, tick, more)
+    more = augmented(sha, names, known.inputs, own=(known.jump, known.since), channels=channels, clocks=replay.clocks)
+    constants, template = machine(sha, names, known, moves=moves, begin=begin, tick=tick, more=more)
     ids = {symbol: index for index, symbol in enumerate(channels)}
     feeder = input_player(replay.readings, known.inputs)
     templates = [on_a_circle(template), in_a_row(player(channels, ids, replay.symbols, timed=True))]
     templates += [in_a_row(feeder)] if feeder else []
     instances = [("m_1", "Machine"), ("p_1", "Player"), *([("i_1", "Inputs")] if feeder else [])]
-    declared = _declared(sha, known, replay, channels, ids, constants, tick)
-    name = base_name(sha.name, replay.trace)
-    system = System(plain(f"{sha.name} along {replay.trace}"), declared, tuple(templates), tuple(instances), questions)
-    return Document(name, xml_text(system), questions, _notes(model, replay))
-
-
-def _declared(
-    sha: SHA,
-    known: Variables,
-    replay: Replay,
-    channels: Mapping[str, str],
-    ids: Mapping[str, int],
-    constants: str,
-    tick: int,
-) -> str:
-    """The global declarations of the main model."""
+    title = f"{comment_text(sha.name)} along {comment_text(replay.trace)}"
     lines = [
-        f"// {plain(sha.name)} along {plain(replay.trace)}. Temperatures in degC, times in seconds since the start.",
+        f"// {title}. Temperatures in degC, times in seconds since the start.",
         f"const double {known.low} = {number(sha.low)};",
         f"const double {known.high} = {number(sha.high)};",
     ]
@@ -176,13 +154,18 @@ def _declared(
     lines += [_chan("broadcast chan", channels, ids), event_arrays(replay.symbols, replay.times, ids)]
     if known.inputs:
         lines.append(input_declarations(replay.readings, known.inputs))
-    return "\n".join([*lines, constants])
+    declared = "\n".join([*lines, constants])
+    name = base_name(sha.name, replay.trace)
+    system = System(
+        comment_text(f"{sha.name} along {replay.trace}"), declared, tuple(templates), tuple(instances), questions
+    )
+    return Document(name, xml_text(system), questions, _notes(model, replay))
 
 
-def _minimal(model: Model, replay: Replay, questions: tuple[Question, ...]) -> Document:
+def _minimal(model: Model, replay: TraceReplay, questions: tuple[ExportedQuery, ...]) -> Document:
     """Binary channels: over broadcast ones an event that no edge takes would be lost, and the question vacuous."""
     sha = model.sha
-    names = Names(location.name for location in sha.locations)
+    names = FreshNames(location.name for location in sha.locations)
     channels = _channels(model, replay.all_symbols, names)
     ids = {symbol: index for index, symbol in enumerate(channels)}
     moves = _edges(sha, channels)
@@ -192,7 +175,7 @@ def _minimal(model: Model, replay: Replay, questions: tuple[Question, ...]) -> D
         on_a_circle(skeleton([location.name for location in sha.locations], names, moves, sha.initial)),
         in_a_row(player(channels, ids, replay.all_symbols, timed=False)),
     )
-    title = f"{plain(sha.name)} along {plain(replay.trace)}: does it accept every event?"
+    title = f"{comment_text(sha.name)} along {comment_text(replay.trace)}: does it accept every event?"
     declared = "\n".join([f"// {title}", _chan("chan", channels, ids), event_arrays(replay.all_symbols, None, ids)])
     system = System(title, declared, templates, (("m_1", "Machine"), ("p_1", "Player")), questions)
     return Document(f"{base_name(sha.name, replay.trace)}_val", xml_text(system), questions)
@@ -208,7 +191,7 @@ def _edges(sha: SHA, channels: Mapping[str, str]) -> list[Move]:
     return [(source, channels[symbol], target) for (source, symbol), target in moves.items() if symbol != UNKNOWN]
 
 
-def _channels(model: Model, played: Iterable[str], names: Names) -> dict[str, str]:
+def _channels(model: Model, played: Iterable[str], names: FreshNames) -> dict[str, str]:
     """symbol -> channel, in the alphabet's order, then the edges', then the trace's."""
     edges = [edge.symbol for edge in model.sha.edges]
     symbols = list(dict.fromkeys([*alphabet_symbols(model.alphabet), *edges, *played]))
@@ -219,10 +202,12 @@ def _channels(model: Model, played: Iterable[str], names: Names) -> dict[str, st
 
 def _chan(kind: str, channels: Mapping[str, str], ids: Mapping[str, int]) -> str:
     """The channels' declarations, one a line, with the symbol and the number that EVENTS uses."""
-    return "\n".join(f"{kind} {channel};  // {ids[symbol]}: {plain(symbol)}" for symbol, channel in channels.items())
+    return "\n".join(
+        f"{kind} {channel};  // {ids[symbol]}: {comment_text(symbol)}" for symbol, channel in channels.items()
+    )
 
 
-def _notes(model: Model, replay: Replay) -> tuple[str, ...]:
+def _notes(model: Model, replay: TraceReplay) -> tuple[str, ...]:
     """What the reader of the main model should know, one sentence each."""
     found = []
     own = [move for move in replay.added if move[1] != UNKNOWN]

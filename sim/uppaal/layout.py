@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import cos, hypot, pi, sin
 
-from sim.uppaal.document import Arrow, Place, Point, Template
+from sim.uppaal.document import Arrow, Point, Template, TemplateLocation
 
 STEP = 380
 """Distance of neighbouring locations on the circle, in UPPAAL's pixels: room for an invariant between them."""
@@ -31,7 +31,7 @@ def _circle(count: int) -> list[Point]:
     return [(round(radius * cos(angle)), round(radius * sin(angle))) for angle in angles]
 
 
-def _arrows(places: Sequence[Place], arrows: Sequence[Arrow]) -> tuple[Arrow, ...]:
+def _arrows(places: Sequence[TemplateLocation], arrows: Sequence[Arrow]) -> tuple[Arrow, ...]:
     at = {place.name: place.at for place in places}
     number: Counter[tuple[str, str]] = Counter()
     drawn = []

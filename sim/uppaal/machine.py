@@ -7,9 +7,9 @@ from math import isfinite
 from sim.sha.automaton import SHA, Distribution, Flow, Location
 from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
 from sim.sha.flows import RELAXING
-from sim.uppaal.document import Arrow, Place, Template, number, plain
+from sim.uppaal.document import Arrow, Template, TemplateLocation, comment_text, number
 from sim.uppaal.effects import EffectTexts
-from sim.uppaal.words import Names, spelled
+from sim.uppaal.words import FreshNames, spelled
 
 Move = tuple[str, str, str]
 """Source (a location's name), the channel on which it receives, target."""
@@ -34,7 +34,7 @@ class Variables:
     inputs: Mapping[str, tuple[str, str]]
 
 
-def variables(names: Names, signals: Iterable[str]) -> Variables:
+def variables(names: FreshNames, signals: Iterable[str]) -> Variables:
     """Names for the machine's own variables: what a location is called already is avoided."""
     inputs = {
         signal: (names.fresh(f"u_{word}"), names.fresh(f"known_{word}")) for signal, word in spelled(signals).items()
@@ -67,7 +67,7 @@ class Part:
     noisy: bool
 
 
-def part(location: Location, names: Names, known: Variables, max_rate: float, more: EffectTexts) -> Part:
+def part(location: Location, names: FreshNames, known: Variables, max_rate: float, more: EffectTexts) -> Part:
     """The texts of one location. Raises ValueError for numbers that UPPAAL has no word for."""
     identifier = names.locations[location.name]
     word = spelled([identifier])[identifier]
@@ -115,6 +115,7 @@ def _deviation(flow: Flow, own: Mapping[str, str], since: str, constant: Constan
         return ""
     noise = constant("NOISE", flow.params["noise"])
     if flow.kind in RELAXING:
+        # Ornstein-Uhlenbeck: the variance gathered in s seconds is noise^2 (1 - exp(-2 k s)) / (2 k), exactly.
         return f"{noise} * sqrt((1.0 - exp(-2.0 * {own['k']} * {since})) / (2.0 * {own['k']}))"
     return f"{noise} * sqrt({since})"
 
@@ -138,6 +139,7 @@ def draw(law: Distribution, constant: Constant) -> str:
         return f"exp({normal})" if law.kind == "lognormal" else normal
     if law.kind == "exponential":
         return f"-{constant('MEAN', p['mean'])} * ln(1.0 - random(1.0))"
+    # Weibull by its inverse, from random(1.0) alone: u lies in [0, 1), so that ln is never asked for 0.
     shape, scale = constant("SHAPE", p["shape"]), constant("SCALE", p["scale"])
     return f"{scale} * pow(-ln(1.0 - random(1.0)), 1.0 / {shape})"
 
@@ -163,8 +165,9 @@ class Beginning:
 
 def machine(
     sha: SHA,
-    names: Names,
+    names: FreshNames,
     known: Variables,
+    *,
     moves: Sequence[Move],
     begin: Beginning,
     tick: int,
@@ -176,8 +179,19 @@ def machine(
     Raises ValueError for numbers that UPPAAL has no word for.
     """
     parts = {location.name: part(location, names, known, sha.max_rate, more) for location in sha.locations}
-    places = [_place(location, names, known, parts[location.name], tick, more) for location in sha.locations]
-    start = Place(names.fresh("start"), kind="committed")
+    places = []
+    for location in sha.locations:
+        each = parts[location.name]
+        # Time may not pass the moment at which the noise is due: the tick's edge is taken then.
+        bound = f"{known.since} <= {known.tick} && " if tick and (each.noisy or more.polled) else ""
+        places.append(
+            TemplateLocation(
+                names.locations[location.name],
+                invariant=f"{bound}{more.invariant(each.rate)}",
+                comment=f"{comment_text(location.name)}: {location.flow.kind}, entry {location.entry}",
+            )
+        )
+    start = TemplateLocation(names.fresh("start"), kind="committed")
     extra: list[str] = []
 
     def constant(kind: str, value: float) -> str:
@@ -198,7 +212,7 @@ def machine(
         if tick and (each.noisy or more.polled):
             arrows.append(_tick(names.locations[name], known, each, more))
         arrows += more.loops(names.locations[name])
-    comments = [f"// {names.locations[one.name]}: {plain(one.name)}, {one.flow.kind}" for one in sha.locations]
+    comments = [f"// {names.locations[one.name]}: {comment_text(one.name)}, {one.flow.kind}" for one in sha.locations]
     constants = [
         line for comment, each in zip(comments, parts.values(), strict=True) for line in (comment, *each.constants)
     ]
@@ -222,12 +236,6 @@ def _declarations(known: Variables, temperature: float) -> str:
             f"int {known.taken} = 0;",
         )
     )
-
-
-def _place(location: Location, names: Names, known: Variables, each: Part, tick: int, more: EffectTexts) -> Place:
-    bound = f"{known.since} <= {known.tick} && " if tick and (each.noisy or more.polled) else ""
-    comment = f"{plain(location.name)}: {location.flow.kind}, entry {location.entry}"
-    return Place(names.locations[location.name], invariant=f"{bound}{more.invariant(each.rate)}", comment=comment)
 
 
 def _tick(place: str, known: Variables, each: Part, more: EffectTexts) -> Arrow:

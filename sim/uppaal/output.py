@@ -26,7 +26,7 @@ _REMARK = re.compile(r"^(?:--|Options for|Generating|Search order|Using|Seed is|
 
 
 @dataclass(frozen=True, slots=True)
-class Histogram:
+class ValueHistogram:
     """The values of an estimate in bins from `low` to `high`. `width` is the width of a bin, no confidence interval."""
 
     low: float
@@ -37,7 +37,7 @@ class Histogram:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class PrintedCourse:
     """One simulated run of one expression: (time, value) points, joined by straight lines."""
 
     run: int
@@ -45,7 +45,7 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class VerifytaAnswer:
     """What the engine said of one formula.
 
     `satisfied` is None where it said neither; `kind` is "Pr", "E(max)", "E(min)", "H" (a hypothesis), "simulate" or ""
@@ -65,15 +65,15 @@ class Answer:
     high: float | None = None
     level: float | None = None
     statement: str = ""
-    histogram: Histogram | None = None
-    courses: dict[str, tuple[Course, ...]] = field(default_factory=dict)
+    histogram: ValueHistogram | None = None
+    courses: dict[str, tuple[PrintedCourse, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
     """All that was printed: answers in order, error lines (with their file positions), lines that were not read."""
 
-    answers: tuple[Answer, ...]
+    answers: tuple[VerifytaAnswer, ...]
     errors: tuple[str, ...] = ()
     licence: str = ""
     unread: tuple[str, ...] = ()
@@ -81,13 +81,14 @@ class Output:
 
 def parse_output(stdout: str, stderr: str = "") -> Output:
     """Reads what verifyta printed. Nothing is raised for text that it never prints: such lines are in `unread`."""
-    answers: list[Answer] = []
+    answers: list[VerifytaAnswer] = []
     errors: list[str] = []
     unread: list[str] = []
     licence = expression = ""
     for line in (*_lines(stdout), *_lines(stderr)):
+        # Errors before results: an error may quote a line that looks like one.
         if found := _FORMULA.search(line):
-            answers.append(Answer(int(found[1]), found[2].strip()))
+            answers.append(VerifytaAnswer(int(found[1]), found[2].strip()))
             expression = ""
         elif _ERROR.search(line):
             errors.append(line)
@@ -109,7 +110,7 @@ def _lines(text: str) -> Iterator[str]:
             yield bare
 
 
-def _read(answer: Answer, line: str, expression: str) -> Answer | None:
+def _read(answer: VerifytaAnswer, line: str, expression: str) -> VerifytaAnswer | None:
     """The answer with what the line adds; None for a line that adds nothing to an answer."""
     if expression and (found := _COURSE.match(line)):
         return _course(answer, found, expression)
@@ -119,11 +120,11 @@ def _read(answer: Answer, line: str, expression: str) -> Answer | None:
     return None
 
 
-def _verdict(answer: Answer, found: re.Match[str]) -> Answer:
+def _verdict(answer: VerifytaAnswer, found: re.Match[str]) -> VerifytaAnswer:
     return replace(answer, satisfied={"is satisfied": True, "is NOT satisfied": False}.get(found[1]))
 
 
-def _estimate(answer: Answer, found: re.Match[str]) -> Answer:
+def _estimate(answer: VerifytaAnswer, found: re.Match[str]) -> VerifytaAnswer:
     counted = replace(answer, successes=None if found[1] is None else int(found[1]), runs=int(found[2]))
     rest = found[3]
     if interval := _INTERVAL.match(rest):
@@ -139,24 +140,24 @@ def _estimate(answer: Answer, found: re.Match[str]) -> Answer:
     return replace(counted, statement=rest)
 
 
-def _confidence(answer: Answer, found: re.Match[str]) -> Answer:
+def _confidence(answer: VerifytaAnswer, found: re.Match[str]) -> VerifytaAnswer:
     return replace(answer, level=float(found[1]))
 
 
-def _histogram(answer: Answer, found: re.Match[str]) -> Answer:
+def _histogram(answer: VerifytaAnswer, found: re.Match[str]) -> VerifytaAnswer:
     counts = tuple(int(part) for part in found[5].split() if part.isdecimal())
     low, high, mean, width = (float(found[group]) for group in range(1, 5))
-    return replace(answer, histogram=Histogram(low, high, mean, width, counts))
+    return replace(answer, histogram=ValueHistogram(low, high, mean, width, counts))
 
 
-def _course(answer: Answer, found: re.Match[str], expression: str) -> Answer:
+def _course(answer: VerifytaAnswer, found: re.Match[str], expression: str) -> VerifytaAnswer:
     points = tuple((float(time), float(value)) for time, value in _POINT.findall(found[2]))
     courses = dict(answer.courses)
-    courses[expression] = (*courses.get(expression, ()), Course(int(found[1]), points))
+    courses[expression] = (*courses.get(expression, ()), PrintedCourse(int(found[1]), points))
     return replace(answer, kind="simulate", runs=max(answer.runs or 0, len(courses[expression])), courses=courses)
 
 
-READERS: tuple[tuple[re.Pattern[str], Callable[[Answer, re.Match[str]], Answer]], ...] = (
+READERS: tuple[tuple[re.Pattern[str], Callable[[VerifytaAnswer, re.Match[str]], VerifytaAnswer]], ...] = (
     (_VERDICT, _verdict),
     (_ESTIMATE, _estimate),
     (_CONFIDENCE, _confidence),

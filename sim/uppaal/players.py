@@ -5,9 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from sim.sha.trace import Array
-from sim.uppaal.document import Arrow, Place, Template, number
-from sim.uppaal.replay import Readings
-from sim.uppaal.words import Names
+from sim.uppaal.document import Arrow, Template, TemplateLocation, number
+from sim.uppaal.replay import InputReadings
+from sim.uppaal.words import FreshNames
 
 PER_LINE = 12
 
@@ -33,8 +33,12 @@ def event_arrays(symbols: Sequence[str], times: Sequence[float] | None, ids: Map
 def player(channels: Mapping[str, str], ids: Mapping[str, int], symbols: Iterable[str], *, timed: bool) -> Template:
     """The event player `Player`: sends the channel of each event in turn, at its time (timed) or as soon as taken."""
     used = sorted(set(symbols), key=lambda symbol: ids[symbol])
-    choose = Place("Choose", kind="committed")
-    wait = Place("Wait", invariant="time <= EVENT_TIMES[next_i]") if timed else Place("Wait", kind="urgent")
+    choose = TemplateLocation("Choose", kind="committed")
+    wait = (
+        TemplateLocation("Wait", invariant="time <= EVENT_TIMES[next_i]")
+        if timed
+        else TemplateLocation("Wait", kind="urgent")
+    )
     due = "time >= EVENT_TIMES[next_i] && " if timed else ""
     arrows = [
         Arrow("Choose", "Wait", guard="next_i < N_E"),
@@ -49,10 +53,10 @@ def player(channels: Mapping[str, str], ids: Mapping[str, int], symbols: Iterabl
     declared = "// The index of the event that comes next.\nint next_i = 0;"
     if timed:
         declared += "\n// Never reset: the seconds since the start.\nclock time;"
-    return Template("Player", declared, (choose, wait, Place("Done")), tuple(arrows), "Choose")
+    return Template("Player", declared, (choose, wait, TemplateLocation("Done")), tuple(arrows), "Choose")
 
 
-def input_declarations(readings: Readings, inputs: Mapping[str, tuple[str, str]]) -> str:
+def input_declarations(readings: InputReadings, inputs: Mapping[str, tuple[str, str]]) -> str:
     """The input signals' variables and, where readings come, the arrays of their held values."""
     lines = ["// The inputs of driven flows: each reading is held until the next; known = 0 before the first one."]
     for signal, (value, known) in inputs.items():
@@ -67,12 +71,12 @@ def input_declarations(readings: Readings, inputs: Mapping[str, tuple[str, str]]
     return "\n".join(lines)
 
 
-def _columns(readings: Readings, inputs: Mapping[str, tuple[str, str]]) -> dict[str, Array]:
+def _columns(readings: InputReadings, inputs: Mapping[str, tuple[str, str]]) -> dict[str, Array]:
     """The signals that have readings; NaN (not read yet) becomes 0, which its known flag hides."""
     return {signal: np.nan_to_num(readings.values[signal]) for signal in inputs if signal in readings.values}
 
 
-def input_player(readings: Readings, inputs: Mapping[str, tuple[str, str]]) -> Template | None:
+def input_player(readings: InputReadings, inputs: Mapping[str, tuple[str, str]]) -> Template | None:
     """The player `Inputs` of the held readings; None where none comes after the start."""
     if not readings.times.size:
         return None
@@ -82,9 +86,9 @@ def input_player(readings: Readings, inputs: Mapping[str, tuple[str, str]]) -> T
         updates.append(f"{value} = READINGS_{value}[next_r]")
         updates.append(f"{known} = (next_r >= FIRST_{value} ? 1 : 0)")
     places = (
-        Place("Choose", kind="committed"),
-        Place("Wait", invariant="time <= READING_TIMES[next_r]"),
-        Place("Done"),
+        TemplateLocation("Choose", kind="committed"),
+        TemplateLocation("Wait", invariant="time <= READING_TIMES[next_r]"),
+        TemplateLocation("Done"),
     )
     arrows = (
         Arrow("Choose", "Wait", guard="next_r < N_R"),
@@ -96,9 +100,11 @@ def input_player(readings: Readings, inputs: Mapping[str, tuple[str, str]]) -> T
     )
 
 
-def skeleton(locations: Sequence[str], names: Names, moves: Iterable[tuple[str, str, str]], initial: str) -> Template:
+def skeleton(
+    locations: Sequence[str], names: FreshNames, moves: Iterable[tuple[str, str, str]], initial: str
+) -> Template:
     """The automaton without clocks: locations and edges, for the compatibility question."""
-    places = tuple(Place(names.locations[name]) for name in locations)
+    places = tuple(TemplateLocation(names.locations[name]) for name in locations)
     arrows = tuple(
         Arrow(names.locations[source], names.locations[target], sync=f"{channel}?") for source, channel, target in moves
     )

@@ -7,8 +7,8 @@ from sim.checking.query.parse import QueryError, parse_query
 from sim.checking.query.printing import query_text, uppaal_refusal
 from sim.checking.query.tree import Symbolic
 from sim.sha.model import Model
-from sim.uppaal.document import Question, number
-from sim.uppaal.replay import Replay
+from sim.uppaal.document import ExportedQuery, number
+from sim.uppaal.replay import TraceReplay
 
 RUNS = 1000
 """Runs of an expectation in the default set."""
@@ -17,37 +17,39 @@ _OWN = re.compile(r"\b(?:[pi]_1\.|N_E\b|N_R\b|m_1\.(?:clamps|taken)\b)")
 """What only the exported model has: queries about it are passed on in UPPAAL's words."""
 
 
-def compatibility() -> Question:
+def compatibility() -> ExportedQuery:
     """The minimal model's question: does the automaton take every event of the trace?"""
-    return Question("A<> p_1.next_i == N_E", "the automaton accepts every event of the trace")
+    return ExportedQuery("A<> p_1.next_i == N_E", "the automaton accepts every event of the trace")
 
 
-def default_questions(replay: Replay, peak: float) -> tuple[Question, ...]:
+def default_questions(replay: TraceReplay, peak: float) -> tuple[ExportedQuery, ...]:
     """Course, limits, extremes and the replay's own health; `peak` (degC) is a temperature worth asking about."""
     bound, level = replay.bound, number(peak)
     questions = [
-        Question(f"simulate [<={bound}; 10] {{m_1.Temp}}", "ten courses of the temperature"),
-        Question(f"Pr[<={bound}](<> m_1.Temp >= {level})", "the temperature reaches the model's own mean peak"),
-        Question(f"E[<={bound}; {RUNS}](max: m_1.Temp)", "the mean highest temperature"),
-        Question(f"E[<={bound}; {RUNS}](min: m_1.Temp)", "the mean lowest temperature"),
-        Question(f"E[<={bound}; {RUNS}](max: m_1.clamps)", "how often a run is put back into its range"),
-        Question(f"Pr[<={bound}](<> p_1.next_i == N_E) >= 0.99", "every event is played in time"),
+        ExportedQuery(f"simulate [<={bound}; 10] {{m_1.Temp}}", "ten courses of the temperature"),
+        ExportedQuery(f"Pr[<={bound}](<> m_1.Temp >= {level})", "the temperature reaches the model's own mean peak"),
+        ExportedQuery(f"E[<={bound}; {RUNS}](max: m_1.Temp)", "the mean highest temperature"),
+        ExportedQuery(f"E[<={bound}; {RUNS}](min: m_1.Temp)", "the mean lowest temperature"),
+        ExportedQuery(f"E[<={bound}; {RUNS}](max: m_1.clamps)", "how often a run is put back into its range"),
+        ExportedQuery(f"Pr[<={bound}](<> p_1.next_i == N_E) >= 0.99", "every event is played in time"),
     ]
     if not replay.dropped:
-        taken = Question(f"Pr[<={bound}](<> m_1.taken == N_E) >= 0.99", "no event is lost on its broadcast channel")
+        taken = ExportedQuery(
+            f"Pr[<={bound}](<> m_1.taken == N_E) >= 0.99", "no event is lost on its broadcast channel"
+        )
         questions.append(taken)
     return tuple(questions)
 
 
-def asked(texts: Sequence[str], model: Model) -> tuple[tuple[Question, ...], tuple[Question, ...]]:
+def asked(texts: Sequence[str], model: Model) -> tuple[tuple[ExportedQuery, ...], tuple[ExportedQuery, ...]]:
     """Queries in the program's own language (docs/queries.md) as (main, minimal) questions of the export.
 
     Symbolic ones go to the minimal model, since UPPAAL decides none over hybrid clocks. A query about the players or
     the counters (`p_1.next_i`, `m_1.taken` ...) is UPPAAL's alone and passed on as it is. Raises QueryError for text
     that cannot be read, and for a query that UPPAAL has no form for.
     """
-    main: list[Question] = []
-    minimal: list[Question] = []
+    main: list[ExportedQuery] = []
+    minimal: list[ExportedQuery] = []
     for text in texts:
         if _OWN.search(text):
             formula, symbolic = " ".join(text.split()), re.match(r"\s*(?:[AE]\s*(?:<>|\[\]))", text) is not None
@@ -57,10 +59,10 @@ def asked(texts: Sequence[str], model: Model) -> tuple[tuple[Question, ...], tup
             if refusal:
                 raise QueryError(f"query {text!r}: {refusal}")
             formula, symbolic = query_text(query, model), isinstance(query, Symbolic)
-        (minimal if symbolic else main).append(Question(formula, "asked for"))
+        (minimal if symbolic else main).append(ExportedQuery(formula, "asked for"))
     return tuple(main), tuple(minimal)
 
 
-def query_file(questions: Sequence[Question]) -> str:
+def query_file(questions: Sequence[ExportedQuery]) -> str:
     """The `.q` file: each query on a line of its own below a comment, as verifyta reads it."""
     return "".join(f"// {question.comment}\n{question.formula}\n\n" for question in questions)

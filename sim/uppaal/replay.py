@@ -18,7 +18,7 @@ DIGITS = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Readings:
+class InputReadings:
     """The input signals of driven flows: rows (n,) at `times` (s since the start), each held until the next.
 
     `first` holds the values at the start; a signal that was not read by then is missing there.
@@ -38,7 +38,7 @@ class Clocks:
 
 
 @dataclass(frozen=True, slots=True)
-class Replay:
+class TraceReplay:
     """One trace as the exported model plays it; times in seconds since the first reading of the temperature.
 
     `location` is where the run starts and `age` for how long it has been there (s); `x0` the law of the first
@@ -56,7 +56,7 @@ class Replay:
     times: tuple[float, ...]
     symbols: tuple[str, ...]
     duration: float
-    readings: Readings
+    readings: InputReadings
     added: tuple[tuple[str, str, str], ...]
     dropped: int
     passed_over: tuple[str, ...]
@@ -70,7 +70,7 @@ class Replay:
         return max(1, ceil(self.duration))
 
 
-def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Start = "measured") -> Replay:
+def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Start = "measured") -> TraceReplay:
     """The replay of an encoded trace, over the span and from the start that `open_loop` has.
 
     Raises ValueError as `open_loop_schedule` and `start_law` do: a model that is not deterministic or has guards, an
@@ -78,12 +78,13 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
     """
     steps = open_loop_schedule(model, trace, policy)
     law = start_law(model, trace, start)
+    # Under a dead time the model follows events and readings when they are felt, so the exported arrays have them then.
     begin, end = steps.start, float(steps.times[-1])
     felt = _later(trace, dead_time(model.sha))
     events = [event for event in felt.events if begin <= event.time <= end]
     added, passed_over = _moves(model.sha, felt.events, begin, end, policy)
     since = () if steps.segments is None else tuple(float(column[0]) for column in steps.segments.since)
-    return Replay(
+    return TraceReplay(
         trace=trace.name,
         location=model.sha.locations[int(steps.location[0])].name,
         age=round(float(steps.age[0]), DIGITS),
@@ -142,7 +143,7 @@ def _later(trace: Trace, delay: float) -> Trace:
     return replace(trace, times=trace.times + delay, events=events)
 
 
-def _readings(model: Model, trace: Trace, begin: float, end: float) -> Readings:
+def _readings(model: Model, trace: Trace, begin: float, end: float) -> InputReadings:
     """The rows in which a reading of a driving signal changed, from `begin` on."""
     driving = {given.signal for location in model.sha.locations for given in location.flow.inputs}
     signals = sorted(driving | {*signals_of(model.sha)})
@@ -162,10 +163,11 @@ def _readings(model: Model, trace: Trace, begin: float, end: float) -> Readings:
         wanted |= ~np.isnan(later) & (later != previous)
         held[signal] = later
     times = np.round(trace.times[rows] - begin, DIGITS)
-    return Readings(times[wanted], {signal: column[wanted] for signal, column in held.items()}, first)
+    return InputReadings(times[wanted], {signal: column[wanted] for signal, column in held.items()}, first)
 
 
 def _held(column: Array) -> Array:
     """Each reading until the next one; NaN before the first."""
+    # The index of the latest row that was read, -1 before there is one.
     last = np.maximum.accumulate(np.where(np.isnan(column), -1, np.arange(column.size)))
     return np.where(last < 0, np.nan, column[last])

@@ -32,7 +32,7 @@ OWN = frozenset(
 """What every exported model declares under these names."""
 
 
-class Names:
+class FreshNames:
     """Gives each thing an identifier of its own; `fresh` remembers what it gave."""
 
     def __init__(self, locations: Iterable[str]) -> None:

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 
-from sim.artefacts.bundle import SUFFIXES, Artefacts, file_names, read_artefacts
-from sim.artefacts.files import at
 from sim.artefacts.find import artefact_base
-from sim.artefacts.from_model import to_artefacts
-from sim.artefacts.histogram import PRINTED, evidence, fit
+from sim.artefacts.formats.bundle import SUFFIXES, Artefacts, file_names, read_artefacts
+from sim.artefacts.formats.from_model import to_artefacts
+from sim.artefacts.formats.histogram import PRINTED, evidence, fit
 from sim.artefacts.model_directory import MANIFEST, MODEL_FILE
 from sim.artefacts.store import STORE_FILE, version_directory
+from sim.files import at
 from sim.sha.model import Model
 
 OPTIONAL = ("histogram", "flows")

@@ -7,7 +7,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
-from sim.artefacts.find import Found, find_model
+from sim.artefacts.find import FoundModel, find_model
 from sim.effects.check import check_sha
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Location, transitions
@@ -67,7 +67,7 @@ class Prepared:
 
     label: str
     where: str
-    found: Found
+    found: FoundModel
     skeleton: Model
     variants: Mapping[str, Model]
     refusals: Mapping[str, str]
@@ -143,7 +143,7 @@ def _discovery_details(where: str, discovery: Discovery) -> dict[str, Any]:
     }
 
 
-def _parsed(found: Found) -> tuple[str, dict[str, Any]]:
+def _parsed(found: FoundModel) -> tuple[str, dict[str, Any]]:
     sha = found.structure
     symbols = sorted({edge.symbol for edge in sha.edges})
     sentence = f"{len(sha.locations)} locations, {len(sha.edges)} edges, {len(symbols)} symbols, start {sha.initial}"
@@ -152,14 +152,14 @@ def _parsed(found: Found) -> tuple[str, dict[str, Any]]:
     return sentence, {"initial": sha.initial, "locations": names, "symbols": symbols, "edges": edges}
 
 
-def _checked(found: Found, discovery: Discovery) -> CrossCheck | None:
+def _checked(found: FoundModel, discovery: Discovery) -> CrossCheck | None:
     if found.artefacts:
         return cross_check(found.artefacts)
     beside = artefacts_beside(discovery)
     return own_check(beside, found.model) if beside and found.model else None
 
 
-def _laws_and_flows(found: Found, check: CrossCheck | None) -> tuple[str, dict[str, Any]]:
+def _laws_and_flows(found: FoundModel, check: CrossCheck | None) -> tuple[str, dict[str, Any]]:
     checked = check.sentence if check else "no artefacts with reported distributions"
     details: dict[str, Any] = {"cross_check": check, "notes": list(found.notes)}
     if found.model is None:
@@ -202,7 +202,7 @@ def _with_alphabet(model: Model, alphabet: Alphabet) -> Model:
 
 
 def _variants(
-    found: Found, model: Model, wanted: Wanted, training: Sequence[Trace] | None, seed: int
+    found: FoundModel, model: Model, wanted: Wanted, training: Sequence[Trace] | None, seed: int
 ) -> tuple[dict[str, Model], dict[str, str]]:
     """The models to run by semantics, and why others are not."""
     if found.refusal:
@@ -223,7 +223,9 @@ def _variants(
     return {name: each for name, each in both.items() if wanted in ("both", name)}, {}
 
 
-def _generated(found: Found, variants: Mapping[str, Model], refusals: Mapping[str, str]) -> tuple[str, dict[str, Any]]:
+def _generated(
+    found: FoundModel, variants: Mapping[str, Model], refusals: Mapping[str, str]
+) -> tuple[str, dict[str, Any]]:
     said = [f"runs as {name}{_entry_laws(model)}" for name, model in variants.items()]
     said += [f"not simulated{f' as {name}' if name else ''}: {reason}" for name, reason in refusals.items()]
     models = {

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.artefacts.convert import structure
-from sim.artefacts.dot import Source, SourceLocation, parse_source, source_text
-from sim.artefacts.files import ArtefactError
+from sim.artefacts.formats.convert import structure
+from sim.artefacts.formats.dot import Source, SourceLocation, parse_source, source_text
+from sim.files import ArtefactError
 from sim.sha.automaton import Edge, nondeterminism
 
 PUBLIC = """digraph hybrid_automaton {

@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.artefacts.files import ArtefactError
-from sim.artefacts.histogram import (
+from sim.artefacts.formats.histogram import (
     Histogram,
     disagreements,
     distinct_runs,
@@ -15,7 +14,8 @@ from sim.artefacts.histogram import (
     merge,
     parse_histogram,
 )
-from sim.artefacts.report import ReportedLaw
+from sim.artefacts.formats.report import ReportedLaw
+from sim.files import ArtefactError
 
 ONE = "D_0:\n1.0\n3.0\nD_1:\n0.5\n"
 OTHER = "D_0:\n10.0\nD_1:\n0.7\n"

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 
-from sim.artefacts.files import ArtefactError
 from sim.artefacts.model_json import model_document, model_hash, model_text, parse_model
+from sim.files import ArtefactError
 from sim.sha.automaton import Flow
 from sim.sha.model import Model
 from tests.artefacts.models import decanter_model, models

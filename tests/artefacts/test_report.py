@@ -4,8 +4,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.artefacts.files import ArtefactError
-from sim.artefacts.report import Report, ReportedLaw, ReportedLocation, Row, Table, parse_report, report_text
+from sim.artefacts.formats.report import (
+    Report,
+    ReportedLaw,
+    ReportedLocation,
+    ReportRow,
+    Table,
+    parse_report,
+    report_text,
+)
+from sim.files import ArtefactError
 
 PUBLIC = """--EVENT LABELS DICT--
 
@@ -51,8 +59,8 @@ def test_every_section_of_the_public_form_is_read() -> None:
     assert report.distributions == (ReportedLaw("D_0", 1.000003), ReportedLaw("N_1", -0.5, 0.25))
     assert report.table == Table(
         ("ε", "i_0"),
-        (Row("h_0", ("(f_1,D_0)", "(ε,ε)")), Row("h_0m_66", ("(f_1,N_1)", "(f_0,D_0)"))),
-        (Row("h_0i_0", ("(f_0,D_0)", "(ε,ε)")),),
+        (ReportRow("h_0", ("(f_1,D_0)", "(ε,ε)")), ReportRow("h_0m_66", ("(f_1,N_1)", "(f_0,D_0)"))),
+        (ReportRow("h_0i_0", ("(f_0,D_0)", "(ε,ε)")),),
     )
     assert report.performance[1] == ("RUNNING TIME", "1 day, 0:00:08.035976")
 
@@ -80,7 +88,7 @@ cells = st.sampled_from(["(ε,ε)", "(f_1,D_0)", "(f_12,N_3);(f_0,D_2)"])
 @st.composite
 def tables(draw: st.DrawFn) -> Table:
     columns = draw(st.integers(1, 3))
-    row = st.builds(Row, words, st.tuples(*[cells] * columns))
+    row = st.builds(ReportRow, words, st.tuples(*[cells] * columns))
     suffixes = tuple(draw(st.lists(words, min_size=columns, max_size=columns)))
     return Table(suffixes, tuple(draw(st.lists(row, max_size=3))), tuple(draw(st.lists(row, max_size=3))))
 
@@ -137,5 +145,5 @@ def test_what_is_wrong_in_a_report_is_told_with_its_line(text: str, line: int, r
 
 
 def test_a_symbol_with_a_blank_inside_stays_one_word() -> None:
-    table = Table(("ε", "load it"), (Row("load it", ("(f_0,D_0)", "(ε,ε)")),))
+    table = Table(("ε", "load it"), (ReportRow("load it", ("(f_0,D_0)", "(ε,ε)")),))
     assert parse_report(report_text(Report(table=table))).table == table

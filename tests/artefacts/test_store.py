@@ -12,10 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from sim.artefacts import files
-from sim.artefacts.bundle import read_artefacts
-from sim.artefacts.files import ArtefactError
-from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, write_model_directory
+from sim import files
+from sim.artefacts.formats.bundle import read_artefacts
+from sim.artefacts.model_directory import MANIFEST, MODEL_FILE
 from sim.artefacts.store import (
     CURRENT,
     VERSIONS,
@@ -24,10 +23,11 @@ from sim.artefacts.store import (
     load,
     promote,
     read_model,
-    save,
     version_directory,
     versions,
 )
+from sim.artefacts.write_model import save, write_model_directory
+from sim.files import ArtefactError
 from sim.sha.model import Model
 from tests.artefacts.models import decanter_model
 
@@ -107,7 +107,8 @@ def test_a_version_that_is_not_there_is_told_with_those_that_are(tmp_path: Path)
 WRITER = """
 import sys
 from pathlib import Path
-from sim.artefacts.store import promote, save
+from sim.artefacts.store import promote
+from sim.artefacts.write_model import save
 from tests.artefacts.test_store import FORCE, numbered
 store = Path(sys.argv[1])
 number = 0
@@ -236,3 +237,13 @@ def test_what_is_no_model_is_told_with_what_is_there(tmp_path: Path) -> None:
         read_model(tmp_path / "gone.json")
     with pytest.raises(ArtefactError, match=r"is no model store \(no store\.json in it\)"):
         versions(tmp_path)
+
+
+def test_reading_a_model_loads_no_grammar_and_no_learner() -> None:
+    """The running gateway reads models; the public formats and the learner's tables are for those who write them."""
+    code = (
+        "import sys, sim.artefacts.store; "
+        "print([name for name in sys.modules if name.partition('.')[0] == 'lark' or name.startswith('sim.learning')])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert found.stdout == "[]\n"

@@ -8,6 +8,7 @@ import pytest
 from sim.checking.query.tree import (
     Always,
     At,
+    BoundedResponse,
     Either,
     Expectation,
     Formula,
@@ -16,22 +17,20 @@ from sim.checking.query.tree import (
     Operation,
     Path,
     Probability,
-    Response,
     Simulation,
-    Span,
+    TimeSpan,
     Until,
 )
-from sim.checking.smc.answer import Answer, Settings, Start, answer, believed, initial
-from sim.checking.smc.estimates import prepared
+from sim.checking.smc.answer import Answer, QuerySettings, Start, answer, believed, initial, prepared
 from sim.checking.smc.paths.known import Cuts
 from sim.checking.smc.runs import engine
-from sim.checking.smc.splitting.levels import Split, split
+from sim.checking.smc.splitting.estimator import SplitEstimate, split
 from sim.effects.correction import in_sensor_scale
 from sim.sha.automaton import Distribution
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Event, Trace
-from tests.checking.quadrature import Stretch, first_passage
 from tests.checking.worlds import TEMP, compare, eventually, flow, model, normal
+from tests.rig.quadrature import Stretch, first_passage
 
 GAIN, OFFSET, SECONDS = 1.25, -7.0, 300.0
 PLAIN = model(
@@ -79,14 +78,14 @@ def starts(model: Model) -> dict[str, Start]:
 
 def paths(at: "dict[float, float]") -> list[Path]:
     """Each kind of path about limits that `at` maps."""
-    whole = Span(0.0, 120.0)
+    whole = TimeSpan(0.0, 120.0)
     hot, warm, mild = compare(">=", at[43.0]), compare(">=", at[42.0]), compare("<=", at[41.0])
     within: Formula = Either(mild, At("q_1"))
     return [
         eventually(hot, 120.0).path,
         Always(compare("<=", at[42.0]), whole),
         Until(compare("<=", at[43.0]), warm, whole),
-        Response(warm, within, Span(0.0, 30.0)),
+        BoundedResponse(warm, within, TimeSpan(0.0, 30.0)),
     ]
 
 
@@ -96,7 +95,7 @@ SENSOR_AT = {limit: read(limit) for limit in PLAIN_AT}
 
 @pytest.mark.parametrize("name", list(starts(PLAIN)))
 def test_probabilities_are_those_of_the_mapped_limits(name: str) -> None:
-    settings = Settings(rule="fixed", runs=500, seed=3)
+    settings = QuerySettings(rule="fixed", runs=500, seed=3)
     for plain, sensor in zip(paths(PLAIN_AT), paths(SENSOR_AT), strict=True):
         mine = answer(Probability(120.0, sensor), starts(SENSOR)[name], settings)
         other = answer(Probability(120.0, plain), starts(PLAIN)[name], settings)
@@ -108,8 +107,8 @@ def test_probabilities_are_those_of_the_mapped_limits(name: str) -> None:
 def test_means_of_extremes_and_courses_are_mapped(name: str) -> None:
     def ask(model: Model) -> tuple[Answer, Answer]:
         start = starts(model)[name]
-        top = answer(Expectation(120.0, 500, "max", TEMP), start, Settings(seed=4))
-        return top, answer(Simulation(120.0, 5, (TEMP,), ("Temp",)), start, Settings(seed=4))
+        top = answer(Expectation(120.0, 500, "max", TEMP), start, QuerySettings(seed=4))
+        return top, answer(Simulation(120.0, 5, (TEMP,), ("Temp",)), start, QuerySettings(seed=4))
 
     (top, courses), (plain_top, plain_courses) = ask(SENSOR), ask(PLAIN)
     assert top.numbers["mean"] == pytest.approx(read(plain_top.numbers["mean"]), abs=1e-6)
@@ -120,14 +119,14 @@ def test_means_of_extremes_and_courses_are_mapped(name: str) -> None:
 
 def test_a_query_about_clocks_and_temperature_together_is_mapped_too() -> None:
     moving = Operation("-", TEMP, Operation("*", Number(0.01), TEMP))
-    found = answer(Expectation(60.0, 300, "min", moving), starts(SENSOR)["initial"], Settings())
-    plain = answer(Expectation(60.0, 300, "min", TEMP), starts(PLAIN)["initial"], Settings())
+    found = answer(Expectation(60.0, 300, "min", moving), starts(SENSOR)["initial"], QuerySettings())
+    plain = answer(Expectation(60.0, 300, "min", TEMP), starts(PLAIN)["initial"], QuerySettings())
     assert found.numbers["mean"] == pytest.approx(0.99 * read(plain.numbers["mean"]), abs=1e-6)
 
 
 @pytest.mark.parametrize("name", ["initial", "belief along the trace"])
 def test_splitting_puts_its_levels_on_the_sensors_scale(name: str) -> None:
-    def levels(model: Model, limit: float) -> Split:
+    def levels(model: Model, limit: float) -> SplitEstimate:
         start = starts(model)[name]
         one = prepared(eventually(compare(">=", limit), 60.0), start)
         made = engine(start.world, Cuts(60.0, (), (), ((0.0, 60.0),), longest=2.0))
@@ -149,7 +148,7 @@ def test_quadrature_of_the_corrected_flow_agrees_with_its_runs() -> None:
     plain = Stretch(flow("exponential", k=0.01), 42.0, 400.0, 1.0)
     assert exact == pytest.approx(first_passage([plain], 40.0, 43.0, points=600))
     found = answer(
-        eventually(compare(">=", read(43.0)), 400.0), initial(sensor), Settings(rule="fixed", runs=20_000, seed=1)
+        eventually(compare(">=", read(43.0)), 400.0), initial(sensor), QuerySettings(rule="fixed", runs=20_000, seed=1)
     )
     assert found.numbers["low"] <= exact <= found.numbers["high"]
 
@@ -161,7 +160,7 @@ def test_a_hypothesis_is_decided_alike() -> None:
             (PLAIN, Probability(120.0, paths(PLAIN_AT)[0])),
         )
         verdicts = {
-            answer(Hypothesis(question, ">=", 0.3), starts(model)[name], Settings()).verdict
+            answer(Hypothesis(question, ">=", 0.3), starts(model)[name], QuerySettings()).verdict
             for model, question in questions
         }
         assert len(verdicts) == 1

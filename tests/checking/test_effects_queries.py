@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.checking.query.parse import parse_query
-from sim.checking.smc.answer import Settings, answer, believed, initial
+from sim.checking.smc.answer import QuerySettings, answer, believed, initial
 from sim.engine.belief import advance, filter_trace
 from sim.engine.open_loop import open_loop
 from sim.sha.automaton import Effect
@@ -42,7 +42,7 @@ def test_the_temperature_at_the_end_has_the_mean_and_spread_of_the_open_loop(nam
     model, trace = made(*EVERY[name]), recorded()
     start = initial(model, trace)
     query = parse_query("simulate [<=1000; 600] {Temp}", model.sha)
-    found = answer(query, start, Settings(seed=3))
+    found = answer(query, start, QuerySettings(seed=3))
     last = np.array([one.values[0, -1] for one in found.courses or ()])
     native = open_loop(model, trace, "resync")
     row = int(np.searchsorted(native.times, 1000.0, side="right")) - 1
@@ -59,9 +59,9 @@ def test_the_chance_of_a_peak_between_readings_is_that_of_a_fine_grid() -> None:
     """Half of the runs pass the mean of their highest temperatures, as two queries with grids of their own say."""
     model, trace = made(*EVERY["current-heating"]), recorded()
     start = initial(model, trace)
-    peak = answer(parse_query(f"E[<=900; {RUNS}](max: Temp)", model.sha), start, Settings(seed=1))
+    peak = answer(parse_query(f"E[<=900; {RUNS}](max: Temp)", model.sha), start, QuerySettings(seed=1))
     level = peak.numbers["mean"]
-    chance = answer(parse_query(f"Pr[<=900; {RUNS}](<> Temp >= {level:.4f})", model.sha), start, Settings(seed=2))
+    chance = answer(parse_query(f"Pr[<=900; {RUNS}](<> Temp >= {level:.4f})", model.sha), start, QuerySettings(seed=2))
     assert chance.numbers["probability"] == pytest.approx(0.5, abs=0.06)
 
 
@@ -69,7 +69,7 @@ def test_a_step_of_the_sensor_is_seen_at_its_moment() -> None:
     model = made(Effect("sensor-offset-step", {"size": 30.0, "at": BEGIN + 400.0}))
     start = initial(model, recorded(begin=BEGIN))
     seen = {
-        bound: answer(parse_query(f"Pr[<={bound}; 200](<> Temp >= 48)", model.sha), start, Settings()).numbers[
+        bound: answer(parse_query(f"Pr[<={bound}; 200](<> Temp >= 48)", model.sha), start, QuerySettings()).numbers[
             "probability"
         ]
         for bound in (399, 401)
@@ -83,7 +83,7 @@ def test_runs_from_a_belief_go_on_where_its_hidden_state_is() -> None:
     belief = start.world.belief
     assert belief is not None and belief.hidden is not None
     query = parse_query("simulate [<=400; 800] {Temp}", model.sha)
-    found = answer(query, start, Settings(seed=3))
+    found = answer(query, start, QuerySettings(seed=3))
     first, last = (np.array([one.values[0, at] for one in found.courses or ()]) for at in (0, -1))
     assert first.mean() == pytest.approx(belief.x, abs=5 * belief.sigma / np.sqrt(first.size) + 1e-3)
     blind = np.where(trace.times > BEGIN + 600.0, np.nan, trace.signals["Temp"])
@@ -97,7 +97,7 @@ def test_what_is_not_done_says_so_in_one_sentence() -> None:
     model, trace = made(*EVERY["current-heating"]), recorded()
     query = parse_query("Pr[<=100](<> Temp >= 90)", model.sha)
     with pytest.raises(ValueError, match="importance splitting does not follow effects"):
-        answer(query, initial(model, trace), Settings(rare=True))
+        answer(query, initial(model, trace), QuerySettings(rare=True))
     free = replace(model, initial=model.sha.locations[0].distribution)
     with pytest.raises(ValueError, match="the semi-Markov law does not give: let a trace drive the runs"):
-        answer(query, initial(free), Settings())
+        answer(query, initial(free), QuerySettings())

@@ -5,13 +5,12 @@ import pytest
 
 from benchmarks.smc import checked, contains, parameter_sets, question, start_of
 from sim.checking.query.tree import Expectation, Hypothesis
-from sim.checking.smc.answer import Settings, Start, answer, initial
-from sim.checking.smc.estimates import prepared
+from sim.checking.smc.answer import QuerySettings, Start, answer, initial, prepared
 from sim.checking.smc.paths import known as paths_known
 from sim.checking.smc.paths import plan as paths
 from sim.checking.smc.runs import sampler
-from tests.checking.quadrature import Stretch, brownian, first_passage
 from tests.checking.worlds import TEMP, along, compare, eventually, flow, model, normal
+from tests.rig.quadrature import Stretch, brownian, first_passage
 
 CASES = parameter_sets()
 RARE = (("no drift", 49.0), ("relaxing", 46.0), ("relaxing, m drawn", 48.0))
@@ -85,7 +84,7 @@ def test_walds_test_on_runs_is_wrong_about_as_seldom_as_it_says(shift: float) ->
     exact = brownian(40.0, 0.0, 0.1, 42.0, 400.0)
     start = along(model([flow("constant")], [None]), 40.0, 400.0)
     query = Hypothesis(eventually(compare(">=", 42.0), 400.0), ">=", exact + shift)
-    verdicts = [answer(query, start, Settings(delta=0.05, seed=seed)).verdict for seed in range(60)]
+    verdicts = [answer(query, start, QuerySettings(delta=0.05, seed=seed)).verdict for seed in range(60)]
     assert sum(verdict is not (shift < 0.0) for verdict in verdicts) <= 6
 
 
@@ -96,7 +95,7 @@ def test_unknown_events_agree_with_known_ones_where_the_law_has_no_choice() -> N
     exact = first_passage(
         [Stretch(flows[0], 42.0, 100.0, 0.5), Stretch(flows[1], 1.0, 100.0, 0.2)], 40.0, 43.5, points=300, nodes=8
     )
-    settings = Settings(rule="fixed", runs=10_000)
+    settings = QuerySettings(rule="fixed", runs=10_000)
     query = eventually(compare(">=", 43.5), 200.0)
     for start in (initial(made), along(made, 40.0, 200.0, (100.0,))):
         found = answer(query, start, settings)
@@ -108,7 +107,7 @@ def test_the_mean_maximum_is_that_of_brownian_motion() -> None:
     start = along(model([flow("constant")], [None]), 40.0, 400.0)
     for extreme, sign in (("max", 1.0), ("min", -1.0)):
         query = Expectation(400.0, 20_000, extreme, TEMP)  # type: ignore[arg-type]
-        found = answer(query, start, Settings())
+        found = answer(query, start, QuerySettings())
         exact = 40.0 + sign * 0.1 * np.sqrt(2.0 * 400.0 / np.pi)
         assert found.numbers["low"] <= exact <= found.numbers["high"]
 

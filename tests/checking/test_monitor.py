@@ -9,6 +9,7 @@ from sim.checking.query.tree import (
     Always,
     At,
     Both,
+    BoundedResponse,
     Compare,
     Constant,
     Deadlock,
@@ -22,13 +23,11 @@ from sim.checking.query.tree import (
     Operation,
     Path,
     Probability,
-    Response,
     Simulation,
-    Span,
+    TimeSpan,
     Until,
 )
-from sim.checking.smc.answer import Settings, answer, initial
-from sim.checking.smc.estimates import prepared
+from sim.checking.smc.answer import QuerySettings, answer, initial, prepared
 from sim.checking.smc.monitors.formula import compile_formulas
 from sim.checking.smc.runs import MOST_KEPT, sampler
 from sim.sha.automaton import Distribution
@@ -37,7 +36,7 @@ from tests.checking.worlds import AGE, TEMP, TIME, along, compare, eventually, f
 RISING = model([flow("linear", 0.0), flow("linear", 0.0)], [normal(0.1), normal(-0.1)])
 """Up by 0.1 degC/s in q_0, down in q_1, without noise."""
 
-WHOLE = Span(0.0, 100.0)
+WHOLE = TimeSpan(0.0, 100.0)
 
 
 def holds(path: Path, events: Sequence[float] = (50.0,), bound: float = 100.0) -> bool:
@@ -54,11 +53,11 @@ def holds(path: Path, events: Sequence[float] = (50.0,), bound: float = 100.0) -
     [
         (Eventually(compare(">=", 24.99), WHOLE), True),
         (Eventually(compare(">", 25.01), WHOLE), False),
-        (Eventually(compare(">=", 24.0), Span(0.0, 39.0)), False),
-        (Eventually(compare(">=", 24.0), Span(39.0, 41.0)), True),
-        (Eventually(compare("<=", 21.0), Span(11.0, 100.0)), True),
+        (Eventually(compare(">=", 24.0), TimeSpan(0.0, 39.0)), False),
+        (Eventually(compare(">=", 24.0), TimeSpan(39.0, 41.0)), True),
+        (Eventually(compare("<=", 21.0), TimeSpan(11.0, 100.0)), True),
         (Eventually(compare("==", 23.456), WHOLE), True),
-        (Eventually(Both(compare(">=", 22.0), compare("<=", 22.001)), Span(0.0, 30.0)), True),
+        (Eventually(Both(compare(">=", 22.0), compare("<=", 22.001)), TimeSpan(0.0, 30.0)), True),
         (Always(compare("<=", 25.01), WHOLE), True),
         (Always(compare("<=", 24.99), WHOLE), False),
         (Always(Either(compare("<=", 23.0), compare(">=", 23.0)), WHOLE), True),
@@ -101,9 +100,9 @@ def test_clocks_and_moving_lines(inner: Formula, expected: bool) -> None:
         (Until(compare("<", 23.0), compare(">=", 23.0), WHOLE), True),
         (Until(At("q_0"), compare(">=", 24.9), WHOLE), True),
         (Until(At("q_0"), At("q_1"), WHOLE), True),
-        (Until(At("q_0"), At("q_1"), Span(0.0, 49.0)), False),
-        (Until(At("q_0"), compare("<=", 20.5), Span(60.0, 100.0)), False),
-        (Until(Constant(True), compare("<=", 20.5), Span(60.0, 100.0)), True),
+        (Until(At("q_0"), At("q_1"), TimeSpan(0.0, 49.0)), False),
+        (Until(At("q_0"), compare("<=", 20.5), TimeSpan(60.0, 100.0)), False),
+        (Until(Constant(True), compare("<=", 20.5), TimeSpan(60.0, 100.0)), True),
     ],
 )
 def test_until_needs_the_condition_up_to_the_goal(path: Path, expected: bool) -> None:
@@ -127,17 +126,17 @@ def test_until_needs_the_condition_up_to_the_goal(path: Path, expected: bool) ->
 def test_every_cause_is_answered_in_time(
     cause: Formula, effect: Formula, low: float, high: float, expected: bool
 ) -> None:
-    assert holds(Response(cause, effect, Span(low, high))) is expected
+    assert holds(BoundedResponse(cause, effect, TimeSpan(low, high))) is expected
 
 
 def test_a_cause_too_late_to_tell_counts_as_answered() -> None:
-    assert holds(Response(compare(">=", 98.0, TIME), compare(">=", 99.0), Span(0.0, 30.0)))
+    assert holds(BoundedResponse(compare(">=", 98.0, TIME), compare(">=", 99.0), TimeSpan(0.0, 30.0)))
 
 
 @pytest.mark.parametrize(("deadline", "expected"), [(26.0, False), (34.0, True)])
 def test_the_moment_of_a_crossing_is_known_to_within_a_step_of_4_s(deadline: float, expected: bool) -> None:
     """22 degC at 20 s, q_1 at 50 s: 30 s between them."""
-    assert holds(Response(compare(">=", 22.0), At("q_1"), Span(0.0, deadline))) is expected
+    assert holds(BoundedResponse(compare(">=", 22.0), At("q_1"), TimeSpan(0.0, deadline))) is expected
 
 
 def test_bent_conditions_on_clocks_are_seen_to_within_a_step_of_4_s() -> None:
@@ -147,10 +146,10 @@ def test_bent_conditions_on_clocks_are_seen_to_within_a_step_of_4_s() -> None:
         if expected is not None:  # 80.1 to 80.6 s lies within one step: it may be missed
             assert holds(Eventually(inner, WHOLE)) is expected
     start = along(RISING, 20.0, 100.0, (50.0,))
-    found = answer(eventually(Compare(">=", square, Number(6400.0)), 100.0), start, Settings(runs=100))
+    found = answer(eventually(Compare(">=", square, Number(6400.0)), 100.0), start, QuerySettings(runs=100))
     assert any("at most 4 s" in note for note in found.notes)
     arch = Operation("*", TIME, Operation("-", Number(100.0), TIME))
-    top = answer(Expectation(100.0, 10, "max", arch), start, Settings())
+    top = answer(Expectation(100.0, 10, "max", arch), start, QuerySettings())
     assert top.numbers["mean"] == pytest.approx(2500.0, abs=5.0) and any("not linear" in note for note in top.notes)
 
 
@@ -160,7 +159,7 @@ def test_until_is_low_by_what_it_says_it_left_undecided() -> None:
     start = along(model([flow("constant", 0.1)], [None]), 40.0, 400.0)
     for distance, most in ((0.3, 0.002), (0.6, 0.0001)):
         inside = Both(compare(">", 40.0 - distance), compare("<", 40.0 + distance))
-        path = Until(inside, compare(">=", 40.0 + distance), Span(0.0, 400.0))
+        path = Until(inside, compare(">=", 40.0 + distance), TimeSpan(0.0, 400.0))
         query = Probability(400.0, path)
         drawn = sampler(start.world, (prepared(query, start),), 5)
         share = float(drawn.draw(40_000).mean())
@@ -173,7 +172,7 @@ def test_the_noise_of_a_step_at_the_maximum_rate_is_low_by_less_than_3_percent()
     made = model([flow("exponential", 0.1, k=0.05)], [normal(400.0)], max_rate=0.1)
     start = along(made, 20.0, 300.0)
     query = Expectation(300.0, 20_000, "max", Operation("-", TEMP, Operation("*", Number(0.1), TIME)))
-    found = answer(query, start, Settings(seed=1))
+    found = answer(query, start, QuerySettings(seed=1))
     exact = 20.0 + 0.1 * np.sqrt(2.0 * 300.0 / np.pi)
     assert 0.97 < (found.numbers["mean"] - 20.0) / (exact - 20.0) < 1.0
     assert any("maximum rate" in note for note in found.notes)
@@ -181,7 +180,7 @@ def test_the_noise_of_a_step_at_the_maximum_rate_is_low_by_less_than_3_percent()
 
 def test_runs_whose_steps_are_kept_come_in_smaller_chunks() -> None:
     start = along(RISING, 20.0, 12_000.0, (50.0,))
-    path = Response(compare(">=", 24.0), compare("<=", 23.0), Span(0.0, 5000.0))
+    path = BoundedResponse(compare(">=", 24.0), compare("<=", 23.0), TimeSpan(0.0, 5000.0))
     drawn = sampler(start.world, (prepared(Probability(12_000.0, path), start),), 0)
     drawn.draw(1500)
     assert drawn.engine.clock.size > 3000 and drawn.largest * drawn.engine.clock.size * 3 <= MOST_KEPT * 1.01
@@ -192,7 +191,7 @@ def test_conditions_are_0_and_1_in_courses() -> None:
     hot, there = Indicator(compare(">=", 24.0)), Indicator(At("q_1"))
     scaled = Operation("+", Number(5.0), Operation("*", Number(2.0), Indicator(Not(Both(At("q_0"), Constant(True))))))
     query = Simulation(100.0, 3, (hot, there, scaled), ("hot", "there", "scaled"))
-    for course in answer(query, start, Settings()).courses:
+    for course in answer(query, start, QuerySettings()).courses:
         times, (warm, place, other) = course.times, course.values
         assert set(warm) == {0.0, 1.0} == set(place)
         assert np.all(warm[times < 36.0] == 0.0) and np.all(warm[(times > 44.0) & (times < 56.0)] == 1.0)
@@ -221,7 +220,7 @@ def test_a_drawn_stay_ends_at_its_own_time_and_clock_conditions_are_seen_there()
     first = answer(
         eventually(Both(At("q_0"), compare(">=", 100.0, AGE)), 101.0),
         initial(made),
-        Settings(rule="fixed", runs=40_000),
+        QuerySettings(rule="fixed", runs=40_000),
     )
     assert first.numbers["low"] <= np.exp(-2.0) <= first.numbers["high"]
 
@@ -236,9 +235,9 @@ def test_two_lines_on_both_sides_are_right_to_within_a_stated_error() -> None:
     )
     band = Both(compare("<=", 30.0), compare(">=", 10.0))
     start = along(model([flow("constant", 1.0)], [None]), 20.0, 100.0)
-    coarse = answer(Probability(100.0, Always(band, WHOLE)), start, Settings(rule="fixed", runs=100_000))
+    coarse = answer(Probability(100.0, Always(band, WHOLE)), start, QuerySettings(rule="fixed", runs=100_000))
     inside = Until(band, compare("==", 100.0, TIME), WHOLE)
-    fine = answer(Probability(100.0, inside), start, Settings(rule="fixed", runs=100_000))
+    fine = answer(Probability(100.0, inside), start, QuerySettings(rule="fixed", runs=100_000))
     assert abs(coarse.numbers["probability"] - exact) < 0.03
     assert fine.numbers["low"] <= exact <= fine.numbers["high"]
     assert any("independent" in note for note in coarse.notes)
@@ -246,12 +245,12 @@ def test_two_lines_on_both_sides_are_right_to_within_a_stated_error() -> None:
 
 def test_clamps_rate_limits_and_resampled_entries_are_followed_and_counted() -> None:
     hot = model([flow("linear", 0.1)], [normal(1.0)], high=30.0)
-    found = answer(eventually(compare(">=", 29.9), 100.0), along(hot, 20.0, 100.0), Settings(runs=100))
+    found = answer(eventually(compare(">=", 29.9), 100.0), along(hot, 20.0, 100.0), QuerySettings(runs=100))
     assert found.numbers["probability"] == 1.0 and any("range" in note for note in found.notes)
     slow = model([flow("exponential", 0.0, k=0.1)], [normal(100.0)], max_rate=0.1)
-    found = answer(Expectation(100.0, 10, "max", TEMP), along(slow, 20.0, 100.0), Settings())
+    found = answer(Expectation(100.0, 10, "max", TEMP), along(slow, 20.0, 100.0), QuerySettings())
     assert found.numbers["mean"] == pytest.approx(30.0)
     assert any("maximum rate" in note for note in found.notes)
     fresh = model([flow("constant", 0.0)] * 2, [normal(40.0), normal(70.0)], entry="resample")
-    found = answer(eventually(compare(">=", 69.0), 100.0), along(fresh, 20.0, 100.0, (50.0,)), Settings(runs=100))
+    found = answer(eventually(compare(">=", 69.0), 100.0), along(fresh, 20.0, 100.0, (50.0,)), QuerySettings(runs=100))
     assert found.numbers["probability"] == 1.0

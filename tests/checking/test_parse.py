@@ -49,17 +49,20 @@ def refused(text: str) -> str:
 @pytest.mark.parametrize(
     ("text", "query"),
     [
-        ("Pr[<=444](<> Temp > 80)", q.Probability(444.0, q.Eventually(over(80.0), q.Span()))),
-        ("Pr [ <= 444 ; 10 ] ( [ ] OFF )", q.Probability(444.0, q.Always(OFF, q.Span()), 10)),
-        ("Pr[<=60](<>[10, 20.5] OFF)", q.Probability(60.0, q.Eventually(OFF, q.Span(10.0, 20.5)))),
-        ("Pr[<=60]([][0,60] OFF)", q.Probability(60.0, q.Always(OFF, q.Span(0.0, 60.0)))),
-        ("Pr[<=60](OFF U ON_300_plus)", q.Probability(60.0, q.Until(OFF, HIGH, q.Span()))),
-        ("Pr[<=60](OFF U[5,6] ON_300_plus)", q.Probability(60.0, q.Until(OFF, HIGH, q.Span(5.0, 6.0)))),
-        ("Pr(OFF U[5,6] ON_300_plus)", q.Probability(6.0, q.Until(OFF, HIGH, q.Span(5.0, 6.0)))),
-        ("Pr[<=60](OFF -->[1,9] ON_300_plus)", q.Probability(60.0, q.Response(OFF, HIGH, q.Span(1.0, 9.0)))),
-        ("Pr[<=60](OFF --> ON_300_plus within 9)", q.Probability(60.0, q.Response(OFF, HIGH, q.Span(0.0, 9.0)))),
-        ("Pr[<=60](<> OFF) >= 1", q.Hypothesis(q.Probability(60.0, q.Eventually(OFF, q.Span())), ">=", 1.0)),
-        ("Pr[<=60](<> OFF) ≤ 1e-3", q.Hypothesis(q.Probability(60.0, q.Eventually(OFF, q.Span())), "<=", 0.001)),
+        ("Pr[<=444](<> Temp > 80)", q.Probability(444.0, q.Eventually(over(80.0), q.TimeSpan()))),
+        ("Pr [ <= 444 ; 10 ] ( [ ] OFF )", q.Probability(444.0, q.Always(OFF, q.TimeSpan()), 10)),
+        ("Pr[<=60](<>[10, 20.5] OFF)", q.Probability(60.0, q.Eventually(OFF, q.TimeSpan(10.0, 20.5)))),
+        ("Pr[<=60]([][0,60] OFF)", q.Probability(60.0, q.Always(OFF, q.TimeSpan(0.0, 60.0)))),
+        ("Pr[<=60](OFF U ON_300_plus)", q.Probability(60.0, q.Until(OFF, HIGH, q.TimeSpan()))),
+        ("Pr[<=60](OFF U[5,6] ON_300_plus)", q.Probability(60.0, q.Until(OFF, HIGH, q.TimeSpan(5.0, 6.0)))),
+        ("Pr(OFF U[5,6] ON_300_plus)", q.Probability(6.0, q.Until(OFF, HIGH, q.TimeSpan(5.0, 6.0)))),
+        ("Pr[<=60](OFF -->[1,9] ON_300_plus)", q.Probability(60.0, q.BoundedResponse(OFF, HIGH, q.TimeSpan(1.0, 9.0)))),
+        (
+            "Pr[<=60](OFF --> ON_300_plus within 9)",
+            q.Probability(60.0, q.BoundedResponse(OFF, HIGH, q.TimeSpan(0.0, 9.0))),
+        ),
+        ("Pr[<=60](<> OFF) >= 1", q.Hypothesis(q.Probability(60.0, q.Eventually(OFF, q.TimeSpan())), ">=", 1.0)),
+        ("Pr[<=60](<> OFF) ≤ 1e-3", q.Hypothesis(q.Probability(60.0, q.Eventually(OFF, q.TimeSpan())), "<=", 0.001)),
         ("E[<=444; 7](max: Temp)", q.Expectation(444.0, 7, "max", TEMP)),
         ("E[<=444; 7](min: time - age)", q.Expectation(444.0, 7, "min", q.Operation("-", TIME, AGE))),
         ("E<> deadlock", q.Symbolic("E<>", q.Deadlock())),
@@ -77,7 +80,7 @@ def test_a_comparison_puts_first_what_is_asked_to_be_greater() -> None:
     first, second = "Pr[<=9](<> OFF)", "Pr[<=60]([] OFF)"
     assert parse_query(f"{first} >= {second}", MODEL) == parse_query(f"{second} <= {first}", MODEL)
     read = parse_query(f"{first} >= {second}", MODEL)
-    assert isinstance(read, q.Compared)
+    assert isinstance(read, q.PairedComparison)
     assert (read.left.bound, read.right.bound) == (9.0, 60.0)
 
 

@@ -40,26 +40,26 @@ RUNS = st.integers(1, 10**9)
 
 
 @st.composite
-def spans(draw: st.DrawFn, bound: float, due: bool) -> q.Span:
+def spans(draw: st.DrawFn, bound: float, due: bool) -> q.TimeSpan:
     if not due and draw(st.booleans()):
-        return q.Span()
+        return q.TimeSpan()
     high = draw(st.just(bound) | st.floats(0.0, bound))
-    return q.Span(draw(st.just(0.0) | st.floats(0.0, high)), high)
+    return q.TimeSpan(draw(st.just(0.0) | st.floats(0.0, high)), high)
 
 
 @st.composite
 def probabilities(draw: st.DrawFn) -> q.Probability:
     bound = draw(BOUNDS)
-    kind = draw(st.sampled_from([q.Eventually, q.Always, q.Until, q.Response]))
+    kind = draw(st.sampled_from([q.Eventually, q.Always, q.Until, q.BoundedResponse]))
     parts = [draw(CHANGING) for _ in range(1 if kind in (q.Eventually, q.Always) else 2)]
-    path = kind(*parts, draw(spans(bound, kind is q.Response)))
+    path = kind(*parts, draw(spans(bound, kind is q.BoundedResponse)))
     return q.Probability(bound, path, draw(st.none() | RUNS))
 
 
 QUERIES = (
     probabilities()
     | st.builds(q.Hypothesis, probabilities(), st.sampled_from([">=", "<="]), st.floats(0.0, 1.0))
-    | st.builds(q.Compared, probabilities(), probabilities())
+    | st.builds(q.PairedComparison, probabilities(), probabilities())
     | st.builds(q.Expectation, BOUNDS, RUNS, st.sampled_from(["max", "min"]), EXPRESSIONS)
     | st.builds(q.Simulation, BOUNDS, RUNS, st.lists(COURSES, min_size=1, max_size=3).map(tuple), st.just(()))
     | st.builds(q.Symbolic, st.sampled_from(["E<>", "E[]", "A<>", "A[]"]), LASTING)

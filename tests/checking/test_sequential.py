@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.checking.smc.rules.ratio import RatioTest, acceptance, expected_runs, sprt, wald_test
-from sim.checking.smc.rules.sequential import Outcome, anytime, fixed, mixture_interval, one_or_two_sided, to_half_width
+from sim.checking.smc.rules.estimation import (
+    RuleOutcome,
+    anytime,
+    fixed,
+    mixture_interval,
+    one_or_two_sided,
+    to_half_width,
+)
+from sim.checking.smc.rules.sprt import RatioTest, acceptance, expected_runs, sprt, wald_test
 from sim.scores import clopper_pearson
 from sim.sha.trace import Array
 
@@ -114,7 +121,9 @@ def test_the_fixed_rule_is_clopper_and_pearsons() -> None:
 
 @pytest.mark.parametrize("rule", [to_half_width, anytime])
 @pytest.mark.parametrize("p", [0.0, 0.03, 0.4, 0.97])
-def test_the_rule_stops_at_the_first_run_where_the_interval_is_narrow(rule: Callable[..., Outcome], p: float) -> None:
+def test_the_rule_stops_at_the_first_run_where_the_interval_is_narrow(
+    rule: Callable[..., RuleOutcome], p: float
+) -> None:
     interval = one_or_two_sided if rule is to_half_width else mixture_interval
     outcomes = coin(p, 3)(6000)
     counts = np.arange(1, 6001)

@@ -3,20 +3,21 @@
 import numpy as np
 import pytest
 
-from sim.checking.query.tree import Always, At, Both, Either, Probability, Span, Until
-from sim.checking.smc.answer import Settings, answer, initial
-from sim.checking.smc.estimates import prepared
+from sim.checking.query.tree import Always, At, Both, Either, Probability, TimeSpan, Until
+from sim.checking.smc.answer import QuerySettings, answer, initial, prepared
 from sim.checking.smc.monitors.path import cuts
 from sim.checking.smc.paths.known import Cuts
 from sim.checking.smc.runs import engine
-from sim.checking.smc.splitting.levels import Split, skewed_interval, split
-from tests.checking.quadrature import Stretch, brownian, first_passage
+from sim.checking.smc.splitting.estimator import SplitEstimate, skewed_interval, split
 from tests.checking.worlds import along, compare, eventually, flow, model, normal
+from tests.rig.quadrature import Stretch, brownian, first_passage
 
 START = along(model([flow("linear")], [normal(0.0)]), 40.0, 400.0)
 
 
-def one_split(limit: float, seed: int, runs: int = 100, repetitions: int = 12, where: Cuts | None = None) -> Split:
+def one_split(
+    limit: float, seed: int, runs: int = 100, repetitions: int = 12, where: Cuts | None = None
+) -> SplitEstimate:
     one = prepared(eventually(compare(">=", limit), 400.0), START)
     made = engine(START.world, where or Cuts(400.0, (), (), ((0.0, 400.0),), longest=10.0))
     return split(made, one, np.random.default_rng(seed), runs=runs, repetitions=repetitions)
@@ -110,10 +111,10 @@ def test_several_levels_within_one_step_are_all_passed() -> None:
 
 def test_falling_below_a_limit_and_breaking_an_always_are_split_too() -> None:
     exact = brownian(40.0, 0.0, 0.1, 48.0, 400.0)
-    down = answer(eventually(compare("<=", 32.0), 400.0), START, Settings(rare=True))
+    down = answer(eventually(compare("<=", 32.0), 400.0), START, QuerySettings(rare=True))
     assert down.numbers["low"] <= exact <= down.numbers["high"]
-    always = Probability(400.0, Always(compare("<", 48.0), Span(0.0, 400.0)))
-    kept = answer(always, START, Settings(rare=True))
+    always = Probability(400.0, Always(compare("<", 48.0), TimeSpan(0.0, 400.0)))
+    kept = answer(always, START, QuerySettings(rare=True))
     assert kept.numbers["violation_low"] <= exact <= kept.numbers["violation_high"]
     assert kept.numbers["probability"] == pytest.approx(1.0 - kept.numbers["violation"])
 
@@ -121,38 +122,38 @@ def test_falling_below_a_limit_and_breaking_an_always_are_split_too() -> None:
 def test_unknown_events_are_split_like_known_ones() -> None:
     made = model([flow("linear")], [normal(0.0)], first=normal(40.0))
     exact = brownian(40.0, 0.0, 0.1, 48.0, 400.0)
-    found = answer(eventually(compare(">=", 48.0), 400.0), initial(made), Settings(rare=True))
+    found = answer(eventually(compare(">=", 48.0), 400.0), initial(made), QuerySettings(rare=True))
     assert found.numbers["low"] <= exact <= found.numbers["high"]
 
 
 def test_an_event_without_a_level_on_the_way_counts_as_well() -> None:
     """q_1 is entered for certain: the formula is true there whatever the temperature."""
     start = along(model([flow("linear")] * 2, [normal(0.0)] * 2), 40.0, 400.0, (200.0,))
-    found = answer(eventually(Either(compare(">=", 60.0), At("q_1")), 400.0), start, Settings(rare=True))
+    found = answer(eventually(Either(compare(">=", 60.0), At("q_1")), 400.0), start, QuerySettings(rare=True))
     assert found.numbers["probability"] == 1.0
 
 
 def test_splitting_takes_over_after_many_runs_without_the_event_and_says_so() -> None:
     query = eventually(compare(">=", 49.0), 400.0)
-    found = answer(query, START, Settings(rule="fixed", runs=10_000))
+    found = answer(query, START, QuerySettings(rule="fixed", runs=10_000))
     assert "splitting" in found.rule and "not once in 10000 runs" in found.notes[0]
-    few = answer(query, START, Settings(rule="fixed", runs=500))
+    few = answer(query, START, QuerySettings(rule="fixed", runs=500))
     assert "Clopper" in few.rule and any("--rare" in note for note in few.notes)
 
 
 def test_what_cannot_be_split_is_refused_with_the_reason() -> None:
     both = Both(compare(">=", 50.0), compare("<=", 51.0))
-    until = Probability(400.0, Until(compare("<=", 60.0), compare(">=", 50.0), Span(0.0, 400.0)))
+    until = Probability(400.0, Until(compare("<=", 60.0), compare(">=", 50.0), TimeSpan(0.0, 400.0)))
     for query, words in (
         (eventually(both, 400.0), "one direction"),
         (eventually(At("q_0"), 400.0), "needs a temperature"),
         (until, "<> and"),
     ):
         with pytest.raises(ValueError, match=words):
-            answer(query, START, Settings(rare=True))
+            answer(query, START, QuerySettings(rare=True))
     with pytest.raises(ValueError, match="finds no way"):
         cold = along(model([flow("exponential", 0.0, k=0.1)], [normal(40.0)]), 40.0, 400.0)
-        answer(eventually(compare(">=", 50.0), 400.0), cold, Settings(rare=True))
+        answer(eventually(compare(">=", 50.0), 400.0), cold, QuerySettings(rare=True))
 
 
 def test_the_path_decides_where_steps_end() -> None:

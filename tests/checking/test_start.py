@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from sim.checking.query.tree import At, Both, Comparison, Eventually, Probability, Span
-from sim.checking.smc.answer import Settings, Start, answer, believed, initial
+from sim.checking.query.tree import At, Both, Comparison, Eventually, Probability, TimeSpan
+from sim.checking.smc.answer import QuerySettings, Start, answer, believed, initial
 from sim.sha.automaton import Distribution, Effect
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
 from tests.checking.worlds import AGE, TEMP, compare, eventually, flow, model, normal
 
-FIXED = Settings(rule="fixed", runs=20_000, seed=2)
+FIXED = QuerySettings(rule="fixed", runs=20_000, seed=2)
 
 
 def quiet_trace(seconds: float, events: tuple[Event, ...] = (), value: float = 40.0) -> Trace:
@@ -53,12 +53,14 @@ def test_the_age_in_a_query_counts_from_the_entry_before_the_start() -> None:
     entered = believed(made, quiet_trace(200.0, (Event(35.0, "next"),)), 95.0)
     assert entered.world.location == 1 and entered.world.age == pytest.approx(60.0)
     for start, limit, expected in ((entered, 79.0, 1.0), (entered, 81.0, 0.0), (initial(made), 21.0, 0.0)):
-        found = answer(eventually(compare(">=", limit, AGE), 20.0), start, Settings(runs=100))
+        found = answer(eventually(compare(">=", limit, AGE), 20.0), start, QuerySettings(runs=100))
         assert found.numbers["probability"] == expected
     along = believed(made, quiet_trace(200.0, (Event(35.0, "next"), Event(120.0, "next"))), 95.0, recorded=True)
     both = eventually(Both(compare(">=", 84.9, AGE), compare("<=", 85.0, AGE)), 60.0)
-    assert answer(both, along, Settings(runs=100)).numbers["probability"] == 1.0
-    assert answer(eventually(compare(">", 85.1, AGE), 60.0), along, Settings(runs=100)).numbers["probability"] == 0.0
+    assert answer(both, along, QuerySettings(runs=100)).numbers["probability"] == 1.0
+    assert (
+        answer(eventually(compare(">", 85.1, AGE), 60.0), along, QuerySettings(runs=100)).numbers["probability"] == 0.0
+    )
 
 
 @pytest.mark.parametrize("recorded", [True, False])
@@ -70,7 +72,7 @@ def test_a_flow_that_ages_goes_on_at_the_age_of_the_belief(recorded: bool) -> No
     start = believed(made, trace, 90.0, recorded=recorded)
     top = 40.0 + 2.0 * np.log1p(150.0 / 20.0)
     for limit, expected in ((top - 0.1, 1.0), (top + 0.1, 0.0)):
-        found = answer(eventually(compare(">=", limit), 60.0), start, Settings(runs=200))
+        found = answer(eventually(compare(">=", limit), 60.0), start, QuerySettings(runs=200))
         assert found.numbers["probability"] == expected
 
 
@@ -88,7 +90,7 @@ def test_runs_from_a_belief_have_its_joint_law_of_temperature_and_mode(recorded:
     spread = decay**2 * belief.xx + 2.0 * decay * (1.0 - decay) * belief.xm + (1.0 - decay) ** 2 * belief.mm
     sigma = sqrt(spread + noise**2 * (1.0 - decay**2) / (2.0 * k))
     for shift in (-1.0, 0.5):
-        query = Probability(seconds, Eventually(compare(op, mean + shift * sigma, TEMP), Span(seconds, seconds)))
+        query = Probability(seconds, Eventually(compare(op, mean + shift * sigma, TEMP), TimeSpan(seconds, seconds)))
         found = answer(query, start, FIXED)
         exact = float(ndtr(-shift if op == ">=" else shift))
         assert found.numbers["low"] <= exact <= found.numbers["high"]
@@ -98,7 +100,7 @@ def test_a_model_with_effects_is_refused_without_a_trace_that_drives_it_not_half
     made = model([flow("constant")], [None], first=normal(40.0))
     lag = Effect("sensor-lag", {"tau": 30.0, "order": 1.0})
     with_effect: Model = replace(made, sha=replace(made.sha, effects=(lag,)))
-    query = Probability(10.0, Eventually(compare(">=", 50.0, TEMP), Span(0.0, 10.0)))
+    query = Probability(10.0, Eventually(compare(">=", 50.0, TEMP), TimeSpan(0.0, 10.0)))
     for start in (initial(with_effect), believed(with_effect, quiet_trace(100.0), 50.0)):
         with pytest.raises(ValueError, match=r"has effects, .* let a trace drive the runs"):
             answer(query, start, FIXED)

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sim.checking.proof.symbolic import Verdict, decide
+from sim.checking.proof.symbolic import SymbolicVerdict, decide
 from sim.checking.query import tree as q
 from sim.checking.query.parse import parse_query
 from sim.sha.automaton import SHA, Edge, Flow, Location, nondeterminism
@@ -20,7 +20,7 @@ def automaton(edges: str, initial: str = "a") -> SHA:
     return SHA("small", locations, tuple(Edge(*part) for part in parts), initial)
 
 
-def verdict(text: str, sha: SHA) -> Verdict:
+def verdict(text: str, sha: SHA) -> SymbolicVerdict:
     query = parse_query(text, sha)
     assert isinstance(query, q.Symbolic)
     return decide(query, sha)
@@ -71,7 +71,7 @@ def test_a_verdict_says_what_its_path_is_and_how_much_was_looked_at() -> None:
 
 def test_what_cannot_be_reached_is_not_looked_at() -> None:
     island = automaton("ax>a by>c")
-    assert verdict("E<> b", island) == Verdict(False, "", (), (), (), (), 1)
+    assert verdict("E<> b", island) == SymbolicVerdict(holds=False, explored=1)
     assert verdict("b --> a", island).holds
 
 
@@ -149,7 +149,7 @@ def brute(query: q.Symbolic, sha: SHA, holds_in: dict[q.Formula, set[str]]) -> t
     return bool(lengths) == exists, min(lengths, default=None)
 
 
-def check_path(found: Verdict, sha: SHA) -> None:
+def check_path(found: SymbolicVerdict, sha: SHA) -> None:
     """The word leads along the path, and the loop back to its end, or the path has come to where nothing leads on."""
     edges = {(edge.source, edge.symbol, edge.target) for edge in sha.edges}
     assert found.path[0] == sha.initial

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.checking.query.tree import Compare, Comparison, Eventually, Formula, Number, Probability, Quantity, Span
+from sim.checking.query.tree import Compare, Comparison, Eventually, Formula, Number, Probability, Quantity, TimeSpan
 from sim.checking.smc.answer import Start, initial
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Location
 from sim.sha.events import Alphabet
@@ -27,7 +27,7 @@ def compare(op: Comparison, number: float, quantity: Quantity = TEMP) -> Compare
 
 
 def eventually(inner: Formula, bound: float, low: float = 0.0, runs: int | None = None) -> Probability:
-    return Probability(bound, Eventually(inner, Span(low, bound)), runs)
+    return Probability(bound, Eventually(inner, TimeSpan(low, bound)), runs)
 
 
 def model(

@@ -82,12 +82,12 @@ def test_more_runs_begin_with_the_same_runs(place: Path) -> None:
     """The first 1000 of 3000 runs are the 1000 runs: their courses' goals come at the same moments."""
     from sim.artefacts.find import find_model
     from sim.checking.query.parse import parse_query
-    from sim.checking.smc.answer import Settings, answer, initial
+    from sim.checking.smc.answer import QuerySettings, answer, initial
 
     found = find_model(place / "model").runnable()
     start = initial(found, location="ON/100-200")
     query = parse_query("Pr[<=600](<> Temp >= 22)", found)
-    few, many = (answer(query, start, Settings(rule="fixed", runs=runs)).passages for runs in (1000, 3000))
+    few, many = (answer(query, start, QuerySettings(rule="fixed", runs=runs)).passages for runs in (1000, 3000))
     assert few is not None and many is not None
     assert np.array_equal(few, many[:1000])
 

@@ -28,7 +28,7 @@ from gateway.cli.trace import trace
 from gateway.console.exits import Exit, exit_code, sentence, sentences
 from gateway.console.lazy import LazyGroup
 from gateway.store.historian import HistorianError
-from sim.artefacts.files import ArtefactError
+from sim.files import ArtefactError
 from sim.strict_json import json_text
 from sim.traces.load_report import TraceError
 from tests.cli.artefact_set import files, written

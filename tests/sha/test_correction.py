@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.artefacts.files import ArtefactError
 from sim.artefacts.model_json import model_document, model_hash, model_text, parse_model
 from sim.effects.correction import corrected, in_sensor_scale
 from sim.engine.belief import filter_trace, start
@@ -17,6 +16,7 @@ from sim.engine.open_loop import open_loop
 from sim.engine.schedule import schedule
 from sim.engine.simulate import simulate
 from sim.engine.tracker import compile_model
+from sim.files import ArtefactError
 from sim.forecast.forecast import forecast
 from sim.sha.automaton import SHA, Distribution, Location
 from sim.sha.events import DECANTER

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.uppaal.compare import Row, compare, native_runs
+from sim.uppaal.compare import ComparisonRow, compare, native_runs
 from sim.uppaal.export import Exported, export, write
-from sim.uppaal.output import Answer, Output, parse_output
+from sim.uppaal.output import Output, VerifytaAnswer, parse_output
 from sim.uppaal.verifyta import VARIABLE, EngineError, find_engine, run_engine
 from tests.uppaal.support import courses, replayed, two_locations
 
@@ -138,7 +138,7 @@ def as_printed(exported: Exported, shift: float = 0.0, runs: int = 2000) -> Outp
     return parse_output("\n".join(lines))
 
 
-def compared(shift: float) -> list[Row]:
+def compared(shift: float) -> list[ComparisonRow]:
     exported = export(MODEL, TRACE)
     native = native_runs(MODEL, TRACE, exported.replay, "resync", 1, np.random.default_rng(0))
     answers = as_printed(exported, shift).answers
@@ -162,7 +162,7 @@ def test_a_model_that_is_not_ours_is_seen_in_the_comparison() -> None:
 def test_answers_without_figures_make_rows_without_a_judgement() -> None:
     exported = export(MODEL, TRACE)
     native = native_runs(MODEL, TRACE, exported.replay, "resync", 1, np.random.default_rng(0))
-    empty = [Answer(number, "q") for number in range(1, 4)]
+    empty = [VerifytaAnswer(number, "q") for number in range(1, 4)]
     rows = compare(exported.main.questions, empty, native, MODEL)
     assert [row.agree for row in rows] == [None, None, None]
     assert all(row.note for row in rows)
@@ -185,10 +185,10 @@ def test_the_compatibility_verdict_is_compared_with_ours() -> None:
     exported = export(MODEL, TRACE)
     native = native_runs(MODEL, TRACE, exported.replay, "resync", 1, np.random.default_rng(0))
     for satisfied in (True, False):
-        row = compare(exported.minimal.questions, [Answer(1, "q", satisfied)], native, MODEL)[0]
+        row = compare(exported.minimal.questions, [VerifytaAnswer(1, "q", satisfied)], native, MODEL)[0]
         assert row.agree is satisfied
     refused = replace(native, replay=replace(native.replay, accepted=False))
-    assert compare(exported.minimal.questions, [Answer(1, "q", False)], refused, MODEL)[0].agree is True
+    assert compare(exported.minimal.questions, [VerifytaAnswer(1, "q", False)], refused, MODEL)[0].agree is True
 
 
 def test_the_stand_in_is_not_on_this_machine_s_path() -> None:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.uppaal.output import Histogram, failure, parse_output
+from sim.uppaal.output import ValueHistogram, failure, parse_output
 
 # The forms of 4.1.26 (-u) and 5.0 after published logs and parsers, figures and names changed; the lines of courses
 # and the H0 line are composed after the manual.
@@ -81,7 +81,7 @@ def test_the_older_form_is_read_with_terminal_codes_and_the_level_on_a_line_of_i
 
 def test_steps_is_the_width_of_a_bin_and_no_confidence() -> None:
     first = parse_output(OLD).answers[0]
-    assert first.histogram == Histogram(3.0, 9.0, 4.5129, 1.0, (1360, 3809, 3472, 1090, 242, 24, 3))
+    assert first.histogram == ValueHistogram(3.0, 9.0, 4.5129, 1.0, (1360, 3809, 3472, 1090, 242, 24, 3))
     assert first.half_width is None
 
 

@@ -12,7 +12,7 @@ from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
-from sim.uppaal.document import number, plain
+from sim.uppaal.document import comment_text, number
 from sim.uppaal.export import ExportError, export
 from sim.uppaal.rules import RULES, check_rules
 from tests.uppaal.interpreter import parsed
@@ -230,4 +230,4 @@ def test_a_double_is_never_written_as_an_integer(value: float, text: str) -> Non
 
 
 def test_free_text_cannot_end_a_comment_or_a_line() -> None:
-    assert plain("a\nb\t*/ è") == "a b * / \\xe8"
+    assert comment_text("a\nb\t*/ è") == "a b * / \\xe8"

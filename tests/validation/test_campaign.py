@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.artefacts.find import Found
+from sim.artefacts.find import FoundModel
 from sim.sha.trace import Trace
 from sim.traces.load_report import FileReport, LoadReport
 from sim.validation import campaign
@@ -59,7 +59,7 @@ asyncio.run(main())
 
 def prepared(label: str, **options: float) -> Prepared:
     model = plant_model(label, **options)
-    found = Found(label, model.sha, model)
+    found = FoundModel(label, model.sha, model)
     return Prepared(label, label, found, model, {"own": model}, {}, (), Discovery("by hand", Path(), ()))
 
 

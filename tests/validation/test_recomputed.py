@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.artefacts.find import Found
+from sim.artefacts.find import FoundModel
 from sim.ranking.ranking import rank
 from sim.sha.trace import Array, Trace
 from sim.validation.campaign import outcomes_by_model, run_here
@@ -56,7 +56,7 @@ def prepared(label: str) -> Prepared:
     )
     model = replace(model, sha=replace(model.sha, locations=places))
     return Prepared(
-        label, label, Found(label, model.sha, model), model, {"own": model}, {}, (), Discovery("", Path(), ())
+        label, label, FoundModel(label, model.sha, model), model, {"own": model}, {}, (), Discovery("", Path(), ())
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.artefacts.find import Found
+from sim.artefacts.find import FoundModel
 from sim.sha.model import Provenance
 from sim.sha.trace import Trace
 from sim.validation.campaign import jobs_of
@@ -27,7 +27,7 @@ CAMPAIGN = Campaign("2026-01-01 00:00 UTC", {"runs": "200"})
 def prepared(label: str = "plant") -> Prepared:
     model = plant_model("plant", sensor=0.2, sigma=1.0)
     cold = replace(model, sha=replace(model.sha, locations=(location("off", 15.0), location("on", 40.0))))
-    found = Found(label, model.sha, model, None, (f"note {label}",))
+    found = FoundModel(label, model.sha, model, None, (f"note {label}",))
     variants = {"own": model, "thesis": cold}
     return Prepared(label, label, found, model, variants, {}, (), Discovery("by hand", Path(label), ()))
 

@@ -19,8 +19,8 @@ from gateway.machine.model.loading import LoadedModel, load_model
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading.scan import Scan
 from gateway.settings.config import Config
-from sim.artefacts.files import ArtefactError
 from sim.artefacts.store import current, promotion
+from sim.files import ArtefactError
 
 POLL_SECONDS = 2.0
 """Plant seconds between two looks at the store."""

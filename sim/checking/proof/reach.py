@@ -34,7 +34,7 @@ ROUND_GAIN, STAY_GAIN = 1e-12, 1e-15
 stays. Less is what floats lose. The lap's is far smaller, so that what a round still sees is settled by its loop."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Graph:
     """L envelopes and their moves; `source`, `target` (E,) and `symbol` have one entry for each pair of locations.
 
@@ -67,16 +67,16 @@ class Side:
 
     def after(self, place: int, x: float, dt: float) -> float:
         """The temperature `dt` s after an entry at `x`; `dt` may be infinite, and `x` too."""
-        pushed = self.drifts[place]
-        if pushed is not None:
-            return pushed.after(x, dt, self.graph.rate)
-        room, target = self.graph.envelopes[place], float(self.target[place])
-        relaxing = room.flow.kind in RELAXING
-        if dt == 0 or room.flow.kind == "constant" or (not relaxing and target == 0):
+        drift = self.drifts[place]
+        if drift is not None:
+            return drift.after(x, dt, self.graph.rate)
+        envelope, target = self.graph.envelopes[place], float(self.target[place])
+        relaxing = envelope.flow.kind in RELAXING
+        if dt == 0 or envelope.flow.kind == "constant" or (not relaxing and target == 0):
             return x
         if isinf(dt):
             return target if relaxing else target * inf
-        return x if isinf(x) else float(mean_step(room.flow, x, target, 0.0, dt, self.graph.rate))
+        return x if isinf(x) else float(mean_step(envelope.flow, x, target, age=0.0, dt=dt, max_rate=self.graph.rate))
 
     def leave(self, place: int, entry: float) -> float:
         """The highest temperature on leaving: the flow is monotone in time, so it is at one end of the sojourn."""
@@ -102,9 +102,9 @@ class Bound:
     loop: tuple[int, ...] = ()
 
 
-def make_graph(rooms: Sequence[Envelope], moves: Sequence[Move], initial: str, rate: float) -> Graph:
+def make_graph(envelopes: Sequence[Envelope], moves: Sequence[Move], initial: str, rate: float) -> Graph:
     """The graph of all moves; of several symbols between two locations the first is kept."""
-    index = {room.location: place for place, room in enumerate(rooms)}
+    index = {envelope.location: place for place, envelope in enumerate(envelopes)}
     pairs: dict[tuple[int, int], str] = {}
     for source, symbol, target in moves:
         pairs.setdefault((index[target], index[source]), symbol)
@@ -112,16 +112,25 @@ def make_graph(rooms: Sequence[Envelope], moves: Sequence[Move], initial: str, r
     ends = np.array(order, dtype=np.intp).reshape(-1, 2)
     reached, first = np.unique(ends[:, 0], return_index=True)
     symbols = tuple(pairs[pair] for pair in order)
-    return Graph(tuple(rooms), index[initial], rate, ends[:, 1], ends[:, 0], symbols, first, reached)
+    return Graph(
+        envelopes=tuple(envelopes),
+        initial=index[initial],
+        rate=rate,
+        source=ends[:, 1],
+        target=ends[:, 0],
+        symbol=symbols,
+        first=first,
+        reached=reached,
+    )
 
 
 def side_of(graph: Graph, *, up: bool, housing: float | None = None) -> Side:
     """The upper or the lower side of a graph; `housing` (degC) is the highest or lowest that a housing comes to."""
-    sign, rooms = (1.0 if up else -1.0), graph.envelopes
-    fresh = [nan if room.fresh is None else sign * room.fresh[int(up)] for room in rooms]
-    drifts = [room.drift(up, housing) for room in rooms]
+    sign, envelopes = (1.0 if up else -1.0), graph.envelopes
+    fresh = [nan if envelope.fresh is None else sign * envelope.fresh[int(up)] for envelope in envelopes]
+    drifts = [envelope.drift(up, housing) for envelope in envelopes]
     signed = tuple(one if one is None or up else one.mirrored() for one in drifts)
-    return Side(graph, sign, np.array([sign * room.target(up) for room in rooms]), np.array(fresh), signed)
+    return Side(graph, sign, np.array([sign * envelope.target(up) for envelope in envelopes]), np.array(fresh), signed)
 
 
 def best_moves(graph: Graph, leaving: Array) -> tuple[Array, Indices]:
@@ -131,6 +140,7 @@ def best_moves(graph: Graph, leaving: Array) -> tuple[Array, Indices]:
         return value, row
     offered = leaving[graph.source]
     value[graph.reached] = np.maximum.reduceat(offered, graph.first)
+    # Of equal moves the first counts: written backwards, it is the one that stays.
     hits = np.flatnonzero(offered == value[graph.target])
     row[graph.target[hits[::-1]]] = hits[::-1]
     return value, row
@@ -156,6 +166,7 @@ def climb(side: Side, start: float) -> Bound:
         entry[better] = offered[better]
         parent[better] = graph.source[row[better]]
         changed = better.tolist()
+        # Round by round a loop would creep towards its fixed point for ever; put in at once, each loop costs one round.
         for circle in _circles(parent, changed):
             if _accelerate(side, circle, entry):
                 changed = [*changed, *circle]
@@ -166,8 +177,8 @@ def climb(side: Side, start: float) -> Bound:
 def intervals(graph: Graph, upper: Bound, lower: Bound) -> dict[str, Range]:
     """Location -> lowest and highest temperature (degC), only for those that some sequence of events reaches."""
     return {
-        room.location: (-float(lower.peak[place]), float(upper.peak[place]))
-        for place, room in enumerate(graph.envelopes)
+        envelope.location: (-float(lower.peak[place]), float(upper.peak[place]))
+        for place, envelope in enumerate(graph.envelopes)
         if upper.entry[place] > -inf
     }
 
@@ -225,6 +236,7 @@ def _fixed_point(side: Side, circle: Sequence[int], begin: float) -> float:
         low, width = begin + width, 2.0 * width
         if begin + width > FAR:
             return inf
+    # Bisection until the floats between the two are used up; `high` gains nothing, so the bound is on the safe side.
     high = begin + width
     for _ in range(200):
         middle = 0.5 * (low + high)

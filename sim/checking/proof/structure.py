@@ -1,6 +1,6 @@
 """Facts about an automaton's graph, found exhaustively: conflicts, gaps, reachability, dead ends, accepted traces."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ Move = tuple[str, str, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Acceptance:
+class TraceAcceptance:
     """How far an automaton follows one trace. All of it is accepted where `index` is None.
 
     Otherwise event number `index` (counted from 0), `symbol` at `time` (absolute s), has no edge out of `locations`,
@@ -121,7 +121,7 @@ def traps(sha: SHA) -> tuple[tuple[str, ...], ...]:
     return tuple(group for group in closed if not set(group) <= ends)
 
 
-def accept(sha: SHA, events: Sequence[Event], trace: str = "trace") -> Acceptance:
+def accept(sha: SHA, events: Sequence[Event], trace: str = "trace") -> TraceAcceptance:
     """Whether some run of the automaton follows all events: `A<> p_1.next_i == N_E` for the trace's program.
 
     Guards are text and taken as true. UNKNOWN leads to the initial location.
@@ -129,26 +129,26 @@ def accept(sha: SHA, events: Sequence[Event], trace: str = "trace") -> Acceptanc
     return accept_all(sha, {trace: events})[0]
 
 
-def accept_all(sha: SHA, words: Mapping[str, Sequence[Event]]) -> tuple[Acceptance, ...]:
+def accept_all(sha: SHA, words: Mapping[str, Sequence[Event]]) -> tuple[TraceAcceptance, ...]:
     """`accept` for several traces, by name."""
     onward: dict[tuple[str, str], set[str]] = {}
     for edge in sha.edges:
         onward.setdefault((edge.source, edge.symbol), set()).add(edge.target)
-    return tuple(_followed(sha.initial, onward, events, name) for name, events in words.items())
 
+    def followed(events: Sequence[Event], trace: str) -> TraceAcceptance:
+        here = {sha.initial}
+        for index, event in enumerate(events):
+            reached = {target for place in here for target in onward.get((place, event.symbol), ())}
+            if event.symbol == UNKNOWN:
+                reached = {sha.initial}
+            if not reached:
+                return TraceAcceptance(
+                    trace, len(events), index=index, symbol=event.symbol, time=event.time, locations=tuple(sorted(here))
+                )
+            here = reached
+        return TraceAcceptance(trace, len(events))
 
-def _followed(
-    initial: str, onward: Mapping[tuple[str, str], Collection[str]], events: Sequence[Event], trace: str
-) -> Acceptance:
-    here = {initial}
-    for index, event in enumerate(events):
-        reached = {target for place in here for target in onward.get((place, event.symbol), ())}
-        if event.symbol == UNKNOWN:
-            reached = {initial}
-        if not reached:
-            return Acceptance(trace, len(events), index, event.symbol, event.time, tuple(sorted(here)))
-        here = reached
-    return Acceptance(trace, len(events))
+    return tuple(followed(events, name) for name, events in words.items())
 
 
 def _onward(sha: SHA) -> dict[str, set[str]]:

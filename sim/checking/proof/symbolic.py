@@ -27,8 +27,8 @@ from sim.sha.automaton import SHA
 Places = frozenset[str]
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SymbolicVerdict:
     """Whether the query holds, and the shortest path that shows it, where one path can.
 
     `shows` says what the path is: a witness of what holds, a counterexample of what does not; "" where there is none
@@ -40,11 +40,11 @@ class Verdict:
     """
 
     holds: bool
-    shows: Literal["witness", "counterexample", ""]
-    path: tuple[str, ...]
-    word: tuple[str, ...]
-    loop_path: tuple[str, ...]
-    loop: tuple[str, ...]
+    shows: Literal["witness", "counterexample", ""] = ""
+    path: tuple[str, ...] = ()
+    word: tuple[str, ...] = ()
+    loop_path: tuple[str, ...] = ()
+    loop: tuple[str, ...] = ()
     explored: int
     notes: tuple[str, ...] = ()
 
@@ -65,7 +65,7 @@ class _Lasso:
     back: tuple[str, ...] = ()
 
 
-def decide(query: q.Symbolic, sha: SHA) -> Verdict:
+def decide(query: q.Symbolic, sha: SHA) -> SymbolicVerdict:
     """The verdict on a symbolic query; any SHA will do, also one that cannot be run or is not deterministic.
 
     Raises ValueError for a quantity that changes in time, and for a location that is not the automaton's.
@@ -77,7 +77,7 @@ def decide(query: q.Symbolic, sha: SHA) -> Verdict:
     if query.kind in ("E<>", "A[]"):
         wanted = inner if query.kind == "E<>" else frozenset(graph.following) - inner
         found = next((place for place in reached if place in wanted), None)
-        lasso = None if found is None else _Lasso(_back(reached, found))
+        lasso = None if found is None else _Lasso(_path_to(reached, found))
     else:
         lasso = _lasting(query, graph, inner, sha, reached)
     exists = query.kind.startswith("E")
@@ -95,7 +95,7 @@ def _lasting(query: q.Symbolic, graph: _Graph, inner: Places, sha: SHA, reached:
     keep = everywhere - satisfying(query.then, sha)
     starts = {place: steps for place, (steps, _) in reached.items() if place in inner and place in keep}
     lasso = _shortest_lasso(graph, starts, keep)
-    return None if lasso is None else _Lasso(_back(reached, lasso.path[0])[:-1] + lasso.path, lasso.back)
+    return None if lasso is None else _Lasso(_path_to(reached, lasso.path[0])[:-1] + lasso.path, lasso.back)
 
 
 def satisfying(formula: q.Formula, sha: SHA) -> Places:
@@ -174,11 +174,11 @@ def _shortest_lasso(graph: _Graph, starts: Mapping[str, int], keep: Places) -> _
     best: tuple[float, str | None] = (inf, None)
     for place, (steps, _) in tree.items():
         if steps >= best[0]:
-            break
+            break  # the tree is in the order of distance: nothing shorter comes
         around = 0 if not graph.following[place] else cycles(place, best[0] - steps)
         best = min(best, (steps + around, place), key=lambda one: one[0])
     end = best[1]
-    return None if end is None else _Lasso(_back(tree, end), _around(graph, end, keep))
+    return None if end is None else _Lasso(_path_to(tree, end), _shortest_cycle(graph, end, keep))
 
 
 def _cycles(graph: _Graph, keep: Places) -> Callable[[str, float], float]:
@@ -213,32 +213,40 @@ def _union(masks: list[int], members: int) -> int:
     return total
 
 
-def _around(graph: _Graph, place: str, keep: Places) -> tuple[str, ...]:
+def _shortest_cycle(graph: _Graph, place: str, keep: Places) -> tuple[str, ...]:
     """The shortest way from a location back to itself, without its beginning; empty in a deadlock."""
     if not graph.following[place]:
         return ()
     tree = _search(graph, {after: 1 for after in graph.following[place] if after in keep}, keep.__contains__)
-    return _back(tree, place)
+    return _path_to(tree, place)
 
 
-def _back(tree: _Tree, place: str) -> tuple[str, ...]:
+def _path_to(tree: _Tree, place: str) -> tuple[str, ...]:
     """The way to a location from the start it was reached from, both included."""
-    way: list[str] = []
+    path: list[str] = []
     step: str | None = place
     while step is not None:
-        way.append(step)
+        path.append(step)
         step = tree[step][1]
-    return tuple(reversed(way))
+    return tuple(reversed(path))
 
 
-def _verdict(graph: _Graph, lasso: _Lasso | None, explored: int, notes: tuple[str, ...], exists: bool) -> Verdict:
+def _verdict(
+    graph: _Graph, lasso: _Lasso | None, explored: int, notes: tuple[str, ...], exists: bool
+) -> SymbolicVerdict:
     """A path is the witness of an E query, which then holds, and a counterexample to any other."""
     if lasso is None:
-        return Verdict(not exists, "", (), (), (), (), explored, notes)
-    word = _symbols(graph, lasso.path)
-    loop = _symbols(graph, lasso.path[-1:] + lasso.back)
-    shows: Literal["witness", "counterexample"] = "witness" if exists else "counterexample"
-    return Verdict(exists, shows, lasso.path, word, lasso.back, loop, explored, notes)
+        return SymbolicVerdict(holds=not exists, explored=explored, notes=notes)
+    return SymbolicVerdict(
+        holds=exists,
+        shows="witness" if exists else "counterexample",
+        path=lasso.path,
+        word=_symbols(graph, lasso.path),
+        loop_path=lasso.back,
+        loop=_symbols(graph, lasso.path[-1:] + lasso.back),
+        explored=explored,
+        notes=notes,
+    )
 
 
 def _symbols(graph: _Graph, path: Iterable[str]) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """The query language's grammar, and what is wrong with a text that does not follow it, in one sentence.
 
 Precedence is that of UPPAAL's own parser, tightest first: `!` and the unary minus, `*` `/`, `+` `-`, comparisons, `&&`,
-and on one level, from the left, `||` and `imply`. Numbers and conditions share the grammar; `resolve` tells them apart,
+and on one level, from the left, `||` and `imply`. Numbers and conditions share the grammar; `parse` tells them apart,
 because it can then say which of them was expected where.
 """
 

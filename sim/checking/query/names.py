@@ -1,7 +1,16 @@
-"""Names of locations as identifiers: one mapping for the query language and the export, so that a query fits both."""
+"""Names of the exported model: one mapping for the query language and the export, so that a query fits both."""
 
 import re
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Literal
+
+PROCESS = "m_1"
+"""The model's process in UPPAAL: `m_1.ON` is the location ON of it, and `ON` alone means the same here."""
+
+QuantityKind = Literal["temperature", "time", "age"]
+QUANTITIES: Mapping[str, QuantityKind] = MappingProxyType({"Temp": "temperature", "time": "time", "age": "age"})
+"""What a run has at each instant, by the names that the exported model gives it in `m_1`."""
 
 _KEYWORDS = (
     "const select guard sync assign probability process state branchpoint init trans urgent commit committed "

@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 
 from sim.checking.query import tree as q
-from sim.checking.query.names import identifiers
-from sim.checking.query.resolve import PROCESS, QUANTITIES
+from sim.checking.query.names import PROCESS, QUANTITIES, identifiers
 from sim.sha.automaton import SHA
 from sim.sha.model import Model
 
@@ -37,7 +36,7 @@ def uppaal_refusal(query: q.Query) -> str:
         case q.Probability():
             return _bound_refusal(query.bound) or _path_refusal(query)
         case q.Hypothesis(question=question):
-            return _bound_refusal(question.bound) or _plain_refusal(question)
+            return _bound_refusal(question.bound) or _comparison_refusal(question)
     return next(filter(None, (uppaal_refusal(q.Hypothesis(one, ">=", 0.5)) for one in (query.left, query.right))), "")
 
 
@@ -48,22 +47,22 @@ def _bound_refusal(bound: float) -> str:
 
 
 def _path_refusal(query: q.Probability) -> str:
-    if isinstance(query.path, q.Response):
+    if isinstance(query.path, q.BoundedResponse):
         return "UPPAAL has no bounded response inside Pr; ask here"
-    if query.path.span == q.Span() or _is_mitl(query):
+    if query.path.span == q.TimeSpan() or _is_mitl(query):
         return ""
     return "UPPAAL takes an interval only where it ends the run, in whole seconds: Pr(<>[10,60] phi), without runs"
 
 
-def _plain_refusal(query: q.Probability) -> str:
-    if isinstance(query.path, q.Eventually | q.Always) and query.path.span == q.Span():
+def _comparison_refusal(query: q.Probability) -> str:
+    if isinstance(query.path, q.Eventually | q.Always) and query.path.span == q.TimeSpan():
         return ""
     return "UPPAAL tests and compares only Pr[<=T](<> phi) and Pr[<=T]([] phi); ask here"
 
 
 def _is_mitl(query: q.Probability) -> bool:
     """Whether UPPAAL's MITL form says the same: the interval ends the run, in whole seconds."""
-    if isinstance(query.path, q.Response) or query.runs is not None:
+    if isinstance(query.path, q.BoundedResponse) or query.runs is not None:
         return False
     span = query.path.span
     return span.high == query.bound and span.low.is_integer() and span.high.is_integer()
@@ -75,7 +74,7 @@ def _query(query: q.Query, ids: Identifiers) -> str:
             return f"Pr({_path(query, ids)})" if _is_mitl(query) else _probability(query, ids)
         case q.Hypothesis(question=question, op=op, p=p):
             return f"{_probability(question, ids)} {op} {float(p)!r}"
-        case q.Compared(left=left, right=right):
+        case q.PairedComparison(left=left, right=right):
             return f"{_probability(left, ids)} >= {_probability(right, ids)}"
         case q.Expectation(bound=bound, runs=runs, extreme=extreme, expression=expression):
             return f"E{_bounds(bound, runs)}({extreme}: {_expression(expression, ids)})"
@@ -144,9 +143,9 @@ def _bounds(bound: float, runs: int | None) -> str:
     return f"[<={_seconds(bound)}]" if runs is None else f"[<={_seconds(bound)}; {runs}]"
 
 
-def _interval(span: q.Span, bound: float) -> str:
+def _interval(span: q.TimeSpan, bound: float) -> str:
     """Nothing for the whole run; a span without an end goes to the run's."""
-    return "" if span == q.Span() else f"[{_seconds(span.low)},{_seconds(min(span.high, bound))}]"
+    return "" if span == q.TimeSpan() else f"[{_seconds(span.low)},{_seconds(min(span.high, bound))}]"
 
 
 def _seconds(value: float) -> str:

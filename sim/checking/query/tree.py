@@ -100,7 +100,7 @@ Formula = Compare | At | Constant | Deadlock | Not | Both | Either
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
+class TimeSpan:
     """The instants from `low` to `high` (s), both included: since the start, or since the cause of a response."""
 
     low: float = 0.0
@@ -112,7 +112,7 @@ class Eventually:
     """`inner` holds at some instant of the span."""
 
     inner: Formula
-    span: Span
+    span: TimeSpan
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ class Always:
     """`inner` holds at every instant of the span."""
 
     inner: Formula
-    span: Span
+    span: TimeSpan
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +129,11 @@ class Until:
 
     hold: Formula
     goal: Formula
-    span: Span
+    span: TimeSpan
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class BoundedResponse:
     """Whenever `cause` holds, `effect` holds at some instant of the span that begins there.
 
     A cause so late that the span reaches beyond the bound counts as answered unless the run shows the contrary.
@@ -141,10 +141,10 @@ class Response:
 
     cause: Formula
     effect: Formula
-    span: Span
+    span: TimeSpan
 
 
-Path = Eventually | Always | Until | Response
+Path = Eventually | Always | Until | BoundedResponse
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +166,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
+class PairedComparison:
     """`Pr[...](...) >= Pr[...](...)`: which of the two is more probable, on common random numbers."""
 
     left: Probability
@@ -205,4 +205,4 @@ class Symbolic:
     then: Formula | None = None
 
 
-Query = Probability | Hypothesis | Compared | Expectation | Simulation | Symbolic
+Query = Probability | Hypothesis | PairedComparison | Expectation | Simulation | Symbolic

@@ -1,53 +1,131 @@
-"""The one door for queries: `answer(query, start)` sends each kind to what answers it."""
+"""Queries about runs are answered: each kind by the rule that fits it, rare events by importance splitting.
+
+`answer` is for queries that need runs, `decided` for symbolic ones. Every kind has one function below, which draws the
+runs, hands them to the statistical rule and says the result in one sentence.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import ceil, log, sqrt
+from typing import Literal
+
+import numpy as np
+from scipy.special import stdtrit
 
 from sim.checking.proof.symbolic import decide
 from sim.checking.query import tree as q
-from sim.checking.smc.estimates import comparison, hypothesis, probability
-from sim.checking.smc.record import Answer, Rule, Settings
-from sim.checking.smc.runs import Report
+from sim.checking.smc.monitors.monitor import Totals
+from sim.checking.smc.monitors.path import PreparedPath, approximations, cuts, prepare_path
+from sim.checking.smc.rules import paired, sprt
+from sim.checking.smc.rules.estimation import Draw, Progress, RuleOutcome, anytime, fixed, to_half_width
+from sim.checking.smc.runs import Sampler, Trajectory, engine, extremes, sampler, trajectories
+from sim.checking.smc.splitting.estimator import PilotFailed, refusal, split
 from sim.checking.smc.start import Start, believed, initial
-from sim.checking.smc.values import expectation, simulation
 from sim.sha.automaton import SHA
+from sim.sha.trace import Array
 
-__all__ = ["Answer", "Rule", "Settings", "Start", "answer", "believed", "decided", "initial"]
+__all__ = ["Answer", "QuerySettings", "Rule", "Start", "answer", "believed", "decided", "initial"]
 
+Rule = Literal["sequential", "fixed", "anytime"]
 
 MOST_RUNS, LONGEST_RUN = 100_000_000, 1e9
 """Runs that a query may ask for, and their length (s)."""
 
+RARE_AFTER = 10_000
+"""Runs without a success (or without a failure) after which importance splitting takes over."""
 
-def quiet(_what: str, _share: float) -> None:
-    """No progress."""
+SPLIT_STEPS = 200
+"""Steps of a run at least when it is split: a run goes on from the end of the step in which it reached a level."""
+
+_ORDERS = {
+    "greater": "the left one is greater",
+    "smaller": "the left one is smaller",
+    "equal": "they differ by no more than delta",
+    "not decided": "undecided within the runs allowed",
+}
 
 
-def answer(query: q.Query, start: Start, settings: Settings | None = None, report: Report = quiet) -> Answer:
-    """The answer to a query about runs from `start` (`answer_start.initial`, `believed`).
+@dataclass(frozen=True, slots=True)
+class QuerySettings:
+    """How a query is to be answered: a confidence of 1 - `alpha`, an interval of half-width `epsilon`, the `rule`.
+
+    `delta` is half the indifference region of a test. `runs` asks for that many runs instead; `most` is where a rule
+    gives up. `rare`: importance splitting at once.
+    """
+
+    alpha: float = 0.05
+    epsilon: float = 0.05
+    rule: Rule = "sequential"
+    runs: int | None = None
+    delta: float = 0.01
+    most: int = 1_000_000
+    seed: int = 0
+    rare: bool = False
+
+    @property
+    def level(self) -> float:
+        """The confidence, 0..1."""
+        return 1.0 - self.alpha
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What a query's runs say. `verdict` is that of a hypothesis, comparison or symbolic query, None elsewhere and
+    where it stays undecided. `numbers` are the figures by name, `notes` what limits them, one sentence each.
+
+    `passages` (n,) are the moments (s) of the goal in each run, inf without; `courses` those of a simulation; `levels`
+    those of importance splitting, (degC, the chance to reach it).
+    """
+
+    query: q.Query
+    kind: str
+    sentence: str
+    verdict: bool | None = None
+    numbers: Mapping[str, float]
+    rule: str
+    runs: int
+    seed: int
+    start: str
+    notes: tuple[str, ...] = ()
+    passages: Array | None = None
+    courses: tuple[Trajectory, ...] = ()
+    levels: tuple[tuple[float, float], ...] = ()
+
+
+def answer(
+    query: q.Query,
+    start: Start,
+    settings: QuerySettings | None = None,
+    report: Progress = lambda _what, _share: None,
+) -> Answer:
+    """The answer to a query about runs from `start` (`initial`, `believed`).
 
     Equal arguments give equal answers. Raises ValueError for what cannot be answered, with the reason, and for symbolic
     queries, which need no runs (`decided`).
     """
-    chosen = settings or Settings()
+    chosen = settings or QuerySettings()
     if isinstance(query, q.Symbolic):
         raise ValueError("a symbolic query is decided over the locations, not answered by runs")
     if chosen.rare and not isinstance(query, q.Probability):
         raise ValueError("importance splitting answers Pr[...](<> ...) and Pr[...]([] ...) without a comparison")
     _check_size(query, chosen)
-    if isinstance(query, q.Probability):
-        return probability(query, start, chosen, report)
-    if isinstance(query, q.Hypothesis):
-        return hypothesis(query, start, chosen, report)
-    if isinstance(query, q.Compared):
-        return comparison(query, start, chosen, report)
-    if isinstance(query, q.Expectation):
-        return expectation(query, start, chosen, report)
-    return simulation(query, start, chosen, report)
+    match query:
+        case q.Probability():
+            return _probability(query, start, chosen, report)
+        case q.Hypothesis():
+            return _hypothesis(query, start, chosen, report)
+        case q.PairedComparison():
+            return _comparison(query, start, chosen, report)
+        case q.Expectation():
+            return _expectation(query, start, chosen, report)
+    return _simulation(query, start, chosen, report)
 
 
 def _check_size(
-    query: q.Probability | q.Hypothesis | q.Compared | q.Expectation | q.Simulation, settings: Settings
+    query: q.Probability | q.Hypothesis | q.PairedComparison | q.Expectation | q.Simulation, settings: QuerySettings
 ) -> None:
     """Raises ValueError for more runs, or longer ones, than can be made."""
-    if isinstance(query, q.Compared):
+    if isinstance(query, q.PairedComparison):
         parts: tuple[q.Probability | q.Expectation | q.Simulation, ...] = (query.left, query.right)
     else:
         parts = (query.question if isinstance(query, q.Hypothesis) else query,)
@@ -59,17 +137,230 @@ def _check_size(
             raise ValueError(f"a run of {part.bound:g} s cannot be made; the bound lies above 0 and at most at 1e9 s")
 
 
+def prepared(question: q.Probability, start: Start) -> PreparedPath:
+    """The path of a question, ready to be followed. Raises ValueError for what cannot be followed."""
+    return prepare_path(question.path, tuple(place.name for place in start.world.sha.locations), question.bound)
+
+
+# ------------------------------------------------------------------ one function for each kind of query
+
+
+def _probability(query: q.Probability, start: Start, settings: QuerySettings, report: Progress) -> Answer:
+    """The probability of a path by the settings' rule, or by importance splitting.
+
+    Splitting is done at once if the settings ask for it, and when a rule ended without any success (for `[]`, without
+    any failure) in at least RARE_AFTER runs on a path that can be split.
+    """
+    path = prepared(query, start)
+    if settings.rare:
+        return _rare(query, path, start, settings, report)
+    drawn = sampler(start.world, (path,), settings.seed)
+    found = _estimated(drawn, query, settings, report)
+    estimate = found.estimate
+
+    never = estimate.probability == (0.0 if isinstance(query.path, q.Eventually) else 1.0)
+    what = "the event came" if isinstance(query.path, q.Eventually) else "a violation came"
+    advice: tuple[str, ...] = ()
+    if never and not refusal(path) and not start.world.sha.effects:
+        if estimate.runs >= RARE_AFTER:
+            try:
+                rarer = _rare(query, path, start, settings, report)
+            except PilotFailed as error:
+                advice = (str(error),)
+            else:
+                why = f"{what} not once in {estimate.runs} runs, so importance splitting was used"
+                return replace(rarer, notes=(why, *rarer.notes))
+        else:
+            advice = (f"{what} not once in {estimate.runs} runs: --rare says how rare it is, by importance splitting",)
+
+    sentence = f"Pr = {_interval(estimate.probability, estimate.low, estimate.high, settings)}"
+    if not found.decided:
+        sentence += f"; the runs ended before the interval was as narrow as ±{settings.epsilon:g}"
+    return _answered(query, "probability", sentence, found=found, drawn=drawn, start=start, advice=advice)
+
+
+def _estimated(drawn: Sampler, query: q.Probability, settings: QuerySettings, report: Progress) -> RuleOutcome:
+    """A probability by the settings' rule; whoever asks for a number of runs gets the fixed one."""
+    outcomes = _outcomes(drawn)
+    if query.runs or settings.runs or settings.rule == "fixed":
+        runs = settings.runs or query.runs or hoeffding_runs(settings)
+        return fixed(outcomes, runs, settings.level, progress=report)
+    rule = anytime if settings.rule == "anytime" else to_half_width
+    return rule(outcomes, settings.epsilon, settings.level, most=settings.most, progress=report)
+
+
+def hoeffding_runs(settings: QuerySettings) -> int:
+    """Runs of the fixed rule where none are asked for: enough for the half-width at any probability (Hoeffding)."""
+    return ceil(log(2.0 / settings.alpha) / (2.0 * settings.epsilon**2))
+
+
+def _hypothesis(query: q.Hypothesis, start: Start, settings: QuerySettings, report: Progress) -> Answer:
+    """Whether a probability is at least (at most) p, by Wald's sequential test."""
+    drawn = sampler(start.world, (prepared(query.question, start),), settings.seed)
+    test = sprt.wald_test(query.op, query.p, settings.delta, settings.alpha, settings.alpha)
+    most = settings.runs or query.question.runs or settings.most
+    found = sprt.sprt(_outcomes(drawn), test, most=most, progress=report)
+    word = {True: "holds", False: "does not hold", None: "undecided"}[found.holds]
+    estimate = found.estimate
+    sentence = f"Pr {query.op} {query.p:g}: {word}; Pr = "
+    sentence += _interval(estimate.probability, estimate.low, estimate.high, settings)
+    return _answered(query, "hypothesis", sentence, found=found, drawn=drawn, start=start)
+
+
+def _comparison(query: q.PairedComparison, start: Start, settings: QuerySettings, report: Progress) -> Answer:
+    """Which of two probabilities is greater, both seen on the same runs (common random numbers)."""
+    drawn = sampler(start.world, (prepared(query.left, start), prepared(query.right, start)), settings.seed)
+
+    def pairs(runs: int) -> tuple[Array, Array]:
+        left, right = drawn.draw(runs).T.astype(float)
+        return left, right
+
+    most = settings.runs or settings.most
+    found = paired.compare(pairs, settings.delta, settings.level, most=most, progress=report)
+    difference = _interval(found.difference, found.low, found.high, settings)
+    numbers = {
+        "difference": found.difference,
+        "low": found.low,
+        "high": found.high,
+        "discordant": float(found.discordant),
+    }
+    for name, side in (("left", found.left), ("right", found.right)):
+        numbers |= {name: side.probability, f"{name} low": side.low, f"{name} high": side.high}
+    return Answer(
+        query=query,
+        kind="comparison",
+        sentence=f"Pr(left) - Pr(right) = {difference}: {_ORDERS[found.answer]}",
+        verdict=found.holds,
+        numbers=numbers,
+        rule=f"{found.rule}, delta {found.delta:g}",
+        runs=found.left.runs,
+        seed=settings.seed,
+        start=start.words,
+        notes=("both sides are looked at on the same runs: common random numbers", *_sampler_notes(drawn)),
+    )
+
+
+def _rare(query: q.Probability, path: PreparedPath, start: Start, settings: QuerySettings, report: Progress) -> Answer:
+    """A probability by importance splitting; for `[]` that of the contrary is estimated."""
+    if start.world.sha.effects:
+        raise ValueError(
+            f"importance splitting does not follow effects, and model {start.world.sha.name!r} has some; leave out "
+            "--rare and ask for more runs"
+        )
+    where = cuts((path,), path.bound)
+    made = engine(start.world, replace(where, longest=min(where.longest, path.bound / SPLIT_STEPS)))
+    # The spawn key lies beyond those of the chunks of plain runs (`runs.generator`): no random number is used twice.
+    rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy=settings.seed, spawn_key=(1 << 20,))))
+    found = split(made, path, rng, confidence=settings.level, report=report)
+    estimate = found.estimate
+    if isinstance(query.path, q.Always):
+        # The complement is said as "1 - x": 1 - 1e-6 printed with four digits would read 1.
+        numbers = {"probability": 1 - estimate.probability, "low": 1 - estimate.high, "high": 1 - estimate.low}
+        numbers |= {"violation": estimate.probability, "violation_low": estimate.low, "violation_high": estimate.high}
+        low, high = f"1 - {estimate.high:.4g}", f"1 - {estimate.low:.4g}"
+        sentence = f"Pr = 1 - {estimate.probability:.4g}, {_percent(settings)} interval [{low}, {high}]"
+    else:
+        numbers = {"probability": estimate.probability, "low": estimate.low, "high": estimate.high}
+        sentence = f"Pr = {_interval(estimate.probability, estimate.low, estimate.high, settings)}"
+    numbers["relative error"] = found.relative
+    notes = [*made.notes, *approximations(path)]
+    if settings.runs or query.runs:
+        notes.append("splitting makes as many runs as it needs: the number asked for was not looked at")
+    if not estimate.probability:
+        notes.append("no repetition reached the event: it is rarer than can be seen, and the interval says nothing")
+    rule = f"importance splitting, fixed effort, {found.repetitions} repetitions, Student's t corrected for skewness"
+    return Answer(
+        query=query,
+        kind="probability",
+        sentence=sentence,
+        numbers=numbers,
+        rule=rule,
+        runs=estimate.runs,
+        seed=settings.seed,
+        start=start.words,
+        notes=tuple(notes),
+        levels=found.levels,
+    )
+
+
+def _expectation(query: q.Expectation, start: Start, settings: QuerySettings, report: Progress) -> Answer:
+    """The mean of a course's extreme over the runs, with a Student interval."""
+    runs = settings.runs or query.runs
+    found, totals, notes = extremes(
+        start.world,
+        query.expression,
+        bound=query.bound,
+        runs=runs,
+        seed=settings.seed,
+        greatest=query.extreme == "max",
+        report=report,
+    )
+    mean, numbers = found.mean, {"mean": found.mean}
+    sentence = f"E({query.extreme}) = {mean:.4g} (one run)"
+    if runs > 1:
+        deviation = sqrt(found.squares / (runs - 1))
+        half = float(stdtrit(runs - 1, 1.0 - settings.alpha / 2.0)) * deviation / sqrt(runs)
+        numbers |= {"low": mean - half, "high": mean + half, "sigma": deviation}
+        sentence = f"E({query.extreme}) = {_interval(mean, numbers['low'], numbers['high'], settings)}"
+        sentence += f"; over the runs sigma {deviation:.4g}, from {found.least:.4g} to {found.greatest:.4g}"
+    return Answer(
+        query=query,
+        kind="expectation",
+        sentence=sentence,
+        numbers=numbers | {"least": found.least, "greatest": found.greatest},
+        rule="mean of the runs, Student's t",
+        runs=runs,
+        seed=settings.seed,
+        start=start.words,
+        notes=(*notes, *_run_notes(totals)),
+    )
+
+
+def _simulation(query: q.Simulation, start: Start, settings: QuerySettings, report: Progress) -> Answer:
+    """The courses of the query's expressions."""
+    runs = settings.runs or query.runs
+    report(f"{runs} runs", 0.0)
+    found, totals, notes = trajectories(start.world, query.expressions, query.bound, runs=runs, seed=settings.seed)
+    numbers: dict[str, float] = {}
+    for row, label in enumerate(query.labels):
+        last = np.array([course.values[row, -1] for course in found])
+        numbers |= {f"{label}: mean at the end": float(last.mean())}
+        numbers |= {f"{label}: least": min(float(course.values[row].min()) for course in found)}
+        numbers |= {f"{label}: greatest": max(float(course.values[row].max()) for course in found)}
+    return Answer(
+        query=query,
+        kind="simulation",
+        sentence=f"{runs} courses of {', '.join(query.labels)} over {query.bound:.6g} s",
+        numbers=numbers,
+        rule="courses of the runs, at the ends of their steps",
+        runs=runs,
+        seed=settings.seed,
+        start=start.words,
+        notes=(*notes, *_run_notes(totals)),
+        courses=found,
+    )
+
+
 def decided(query: q.Symbolic, sha: SHA) -> Answer:
     """The answer to a symbolic query, with the word that shows it where one does. Raises ValueError as `decide`."""
     found = decide(query, sha)
-    said = f"{query.kind}: {'holds' if found.holds else 'does not hold'}"
+    sentence = f"{query.kind}: {'holds' if found.holds else 'does not hold'}"
     if found.shows:
-        said += f"; {found.shows}: {_route(found.path, found.word) or sha.initial}"
+        sentence += f"; {found.shows}: {_route(found.path, found.word) or sha.initial}"
         if found.loop:
-            said += f", then again and again {_route(found.loop_path, found.loop)}"
-    numbers = {"locations looked at": float(found.explored)}
-    rule = f"exhaustive, {found.explored} locations looked at"
-    return Answer(query, "symbolic", said, found.holds, numbers, rule, 0, 0, "", found.notes)
+            sentence += f", then again and again {_route(found.loop_path, found.loop)}"
+    return Answer(
+        query=query,
+        kind="symbolic",
+        sentence=sentence,
+        verdict=found.holds,
+        numbers={"locations looked at": float(found.explored)},
+        rule=f"exhaustive, {found.explored} locations looked at",
+        runs=0,
+        seed=0,
+        start="",
+        notes=found.notes,
+    )
 
 
 def _route(places: tuple[str, ...], word: tuple[str, ...]) -> str:
@@ -77,3 +368,69 @@ def _route(places: tuple[str, ...], word: tuple[str, ...]) -> str:
     ahead = places[1:] if len(places) > len(word) else places
     begin = places[0] if len(places) > len(word) else ""
     return begin + "".join(f" -{symbol}-> {place}" for symbol, place in zip(word, ahead, strict=True))
+
+
+# ------------------------------------------------------------------ what they share
+
+
+def _outcomes(drawn: Sampler) -> Draw:
+    """The verdicts on the first path as the rules take them."""
+    return lambda runs: drawn.draw(runs)[:, 0].astype(float)
+
+
+def _answered(
+    query: q.Probability | q.Hypothesis,
+    kind: str,
+    sentence: str,
+    *,
+    found: RuleOutcome,
+    drawn: Sampler,
+    start: Start,
+    advice: tuple[str, ...] = (),
+) -> Answer:
+    """The answer of a rule that looked at one path."""
+    estimate = found.estimate
+    return Answer(
+        query=query,
+        kind=kind,
+        sentence=sentence,
+        verdict=found.holds,
+        numbers={"probability": estimate.probability, "low": estimate.low, "high": estimate.high},
+        rule=found.rule,
+        runs=estimate.runs,
+        seed=drawn.seed,
+        start=start.words,
+        notes=(*advice, *([found.note] if found.note else []), *_sampler_notes(drawn)),
+        passages=drawn.passages()[: estimate.runs] if drawn.when else None,
+    )
+
+
+def _sampler_notes(drawn: Sampler) -> tuple[str, ...]:
+    """The engine's notes, what happened to the runs, what is approximated."""
+    notes = [*drawn.engine.notes, *_run_notes(drawn.totals)]
+    notes += dict.fromkeys(sentence for path in drawn.paths for sentence in approximations(path))
+    if drawn.unclear:
+        notes.append(
+            f"in {drawn.unclear} runs the goal and the end of the condition fell into one step; they count as failed"
+        )
+    return tuple(notes)
+
+
+def _run_notes(totals: Totals) -> tuple[str, ...]:
+    """What happened to the runs, in sentences."""
+    counts = (
+        (totals.clamps, "times a run left the model's range and was put back to its border"),
+        (totals.limited, "steps ran at the maximum rate: the noise in them is that of the unlimited flow"),
+        (totals.cut, "runs had more stays than are followed and remained where they were"),
+    )
+    return tuple(f"{count} {words}" for count, words in counts if count)
+
+
+def _percent(settings: QuerySettings) -> str:
+    """The confidence as text."""
+    return f"{100.0 * (1.0 - settings.alpha):g} %"
+
+
+def _interval(value: float, low: float, high: float, settings: QuerySettings) -> str:
+    """A figure with its interval as text."""
+    return f"{value:.4g}, {_percent(settings)} interval [{low:.4g}, {high:.4g}]"

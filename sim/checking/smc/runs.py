@@ -1,6 +1,6 @@
 """Runs on demand: drawn in chunks of fixed sizes, each from a seed of its own, so that run i is always the same run."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf
@@ -8,14 +8,14 @@ from math import inf
 import numpy as np
 
 from sim.checking.query.tree import Expression
-from sim.checking.smc.monitors.course import Courses
-from sim.checking.smc.monitors.formula import affine, split
-from sim.checking.smc.monitors.monitor import Answered, Extreme, Monitor, Totals, follow
-from sim.checking.smc.monitors.path import Watch, cuts
+from sim.checking.smc.monitors.formula import affine, linear_in_temperature
+from sim.checking.smc.monitors.monitor import ExtremeMonitor, ResponseMonitor, Totals, TrajectoryMonitor, follow
+from sim.checking.smc.monitors.path import PreparedPath, cuts
 from sim.checking.smc.paths.effects import augmented
 from sim.checking.smc.paths.known import Cuts, known
 from sim.checking.smc.paths.plan import LONGEST, Engine, World
 from sim.checking.smc.paths.semi_markov import semi_markov
+from sim.checking.smc.rules.estimation import Progress
 from sim.sha.trace import Array, Mask
 
 SMALLEST, LARGEST = 64, 16384
@@ -27,8 +27,6 @@ MOST_KEPT = 6_000_000
 MOST_MOMENTS = 1_000_000
 """Runs whose moment of the goal is kept, for a picture."""
 
-Report = Callable[[str, float], None]
-
 
 def engine(world: World, where: Cuts) -> Engine:
     """The engine for a world: along its trace's events, or by the semi-Markov law."""
@@ -39,7 +37,7 @@ def engine(world: World, where: Cuts) -> Engine:
 
 def chunk_size(number: int, largest: int = LARGEST) -> int:
     """Runs of chunk `number`, from 0."""
-    return min(SMALLEST << min(number, 20), largest)
+    return min(SMALLEST << min(number, 20), largest)  # beyond 20 the shift would only make a large number
 
 
 def generator(seed: int, number: int) -> np.random.Generator:
@@ -57,7 +55,7 @@ class Sampler:
     """
 
     engine: Engine
-    watches: tuple[Watch, ...]
+    paths: tuple[PreparedPath, ...]
     seed: int
     left: Mask
     totals: Totals
@@ -81,37 +79,33 @@ class Sampler:
 
     def _chunk(self) -> Mask:
         runs = chunk_size(self.chunks, self.largest)
-        monitors = [one.start(runs) for one in self.watches]
-        self.totals = added(self.totals, follow(self.engine, monitors, runs, generator(self.seed, self.chunks)))
+        monitors = [path.start(runs) for path in self.paths]
+        self.totals += follow(self.engine, monitors, runs, generator(self.seed, self.chunks))
         self.chunks += 1
         self.unclear += sum(getattr(monitor, "unclear", 0) for monitor in monitors)
         for monitor in monitors:
-            if isinstance(monitor, Answered):
+            if isinstance(monitor, ResponseMonitor):
+                # It keeps three numbers of each piece of each run until the end: large chunks would not fit.
                 self.largest = min(self.largest, max(MOST_KEPT // (3 * len(monitor.causes)), 1))
-        moments = self.watches[0].when(monitors[0])
+        moments = self.paths[0].when(monitors[0])
         if moments is not None and sum(part.size for part in self.when) < MOST_MOMENTS:
             self.when.append(moments)
-        return np.stack([one.verdict(monitor) for one, monitor in zip(self.watches, monitors, strict=True)], axis=1)
+        return np.stack([path.verdict(seen) for path, seen in zip(self.paths, monitors, strict=True)], axis=1)
 
     def passages(self) -> Array:
         """The moment (s) of the first path's goal in each run handed out (the first million of them), inf without."""
         return np.concatenate([*self.when, np.empty(0)])[: self.drawn]
 
 
-def added(one: Totals, other: Totals) -> Totals:
-    """Both together."""
-    return Totals(one.clamps + other.clamps, one.limited + other.limited, one.cut + other.cut)
-
-
-def sampler(world: World, watches: tuple[Watch, ...], seed: int) -> Sampler:
+def sampler(world: World, paths: tuple[PreparedPath, ...], seed: int) -> Sampler:
     """A sampler of runs long enough for all the paths. Raises ValueError as the engines do."""
-    bound = max(one.bound for one in watches)
-    made = engine(world, cuts(watches, bound))
-    return Sampler(made, watches, seed, np.empty((0, len(watches)), dtype=np.bool_), Totals(0, 0, 0))
+    bound = max(path.bound for path in paths)
+    made = engine(world, cuts(paths, bound))
+    return Sampler(made, paths, seed, np.empty((0, len(paths)), dtype=np.bool_), Totals())
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
+class RunStatistics:
     """Mean, sum of squared deviations, least and greatest of `runs` values."""
 
     runs: int = 0
@@ -120,13 +114,13 @@ class Summary:
     least: float = inf
     greatest: float = -inf
 
-    def joined(self, values: Array) -> "Summary":
+    def joined(self, values: Array) -> "RunStatistics":
         """With these values too (Chan, Golub & LeVeque 1979)."""
         mean, runs = float(values.mean()), self.runs + values.size
         off = mean - self.mean
         squares = self.squares + float(np.square(values - mean).sum()) + off**2 * self.runs * values.size / runs
         least, greatest = min(self.least, float(values.min())), max(self.greatest, float(values.max()))
-        return Summary(runs, self.mean + off * values.size / runs, squares, least, greatest)
+        return RunStatistics(runs, self.mean + off * values.size / runs, squares, least, greatest)
 
 
 def _check_finite(*columns: Array) -> None:
@@ -137,22 +131,22 @@ def _check_finite(*columns: Array) -> None:
 
 
 def extremes(
-    world: World, expression: Expression, bound: float, runs: int, seed: int, *, greatest: bool, report: Report
-) -> tuple[Summary, Totals, tuple[str, ...]]:
+    world: World, expression: Expression, *, bound: float, runs: int, seed: int, greatest: bool, report: Progress
+) -> tuple[RunStatistics, Totals, tuple[str, ...]]:
     """The greatest (or least) values of an expression on the runs; what happened to them; the engine's notes.
 
     Raises ValueError for an expression that is not finite everywhere.
     """
-    factor, rest = split(expression)
+    factor, rest = linear_in_temperature(expression)
     bent = affine(rest) is None
     looked = ((0.0, bound),) if factor or bent else ()
     made = engine(world, Cuts(bound, (), (), looked, LONGEST if bent else inf))
     sign = 1.0 if greatest else -1.0
-    found, totals, number = Summary(), Totals(0, 0, 0), 0
+    found, totals, number = RunStatistics(), Totals(), 0
     while found.runs < runs:
         size = chunk_size(number)
-        monitor = Extreme(factor, rest, sign, np.full(size, -inf))
-        totals = added(totals, follow(made, [monitor], size, generator(seed, number)))
+        monitor = ExtremeMonitor(factor, rest, sign, np.full(size, -inf))
+        totals += follow(made, [monitor], size, generator(seed, number))
         _check_finite(monitor.best)
         found = found.joined(sign * monitor.best[: runs - found.runs])
         number += 1
@@ -162,7 +156,7 @@ def extremes(
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class Trajectory:
     """One run: `times` (p,), s since the start, and `values` (expressions, p); two rows at an instant are a jump."""
 
     times: Array
@@ -176,9 +170,9 @@ MOST_POINTS = 20_000_000
 """Numbers of all courses of one simulation together."""
 
 
-def courses(
-    world: World, expressions: Sequence[Expression], bound: float, runs: int, seed: int
-) -> tuple[tuple[Course, ...], Totals, tuple[str, ...]]:
+def trajectories(
+    world: World, expressions: Sequence[Expression], bound: float, *, runs: int, seed: int
+) -> tuple[tuple[Trajectory, ...], Totals, tuple[str, ...]]:
     """The courses of `runs` runs, at both ends of every step; what happened to them; the engine's notes.
 
     Raises ValueError for more numbers than fit, and for an expression that is not finite everywhere.
@@ -190,14 +184,13 @@ def courses(
             f"{runs} courses of {rows} steps with {len(expressions)} expressions are too many numbers; "
             f"ask for fewer runs or a shorter bound"
         )
-    monitor: Courses = Courses(tuple(expressions), tuple(place.name for place in world.sha.locations))
-    monitors: list[Monitor] = [monitor]
-    totals = follow(made, monitors, runs, generator(seed, 0))
+    monitor = TrajectoryMonitor(tuple(expressions), tuple(place.name for place in world.sha.locations))
+    totals = follow(made, [monitor], runs, generator(seed, 0))
     _check_finite(*(column for pair in monitor.values for column in pair))
     return _sorted(monitor, runs), totals, made.notes
 
 
-def _sorted(monitor: Courses, runs: int) -> tuple[Course, ...]:
+def _sorted(monitor: TrajectoryMonitor, runs: int) -> tuple[Trajectory, ...]:
     """The pieces, run by run."""
     who = np.concatenate([owner for *_, owner in monitor.times])
     order = np.argsort(who, kind="stable")
@@ -213,8 +206,9 @@ def _sorted(monitor: Courses, runs: int) -> tuple[Course, ...]:
     )
 
 
-def _thinned(times: Array, values: Array) -> Course:
+def _thinned(times: Array, values: Array) -> Trajectory:
     """Without the rows that repeat the one before them."""
+    # A piece ends where the next one begins; only at a jump do the two rows of that instant differ.
     same = (np.diff(times) == 0) & np.all(np.isclose(np.diff(values, axis=1), 0.0, atol=1e-12), axis=0)
     keep = np.concatenate([[True], ~same])
-    return Course(times[keep], values[:, keep])
+    return Trajectory(times[keep], values[:, keep])

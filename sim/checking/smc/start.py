@@ -74,7 +74,7 @@ def from_belief(tracker: Tracker, belief: Belief, trace: Trace | None = None) ->
     """The world that goes on from a belief: its location, the age of its stay, its law of temperature and mode."""
     names = [location.name for location in tracker.model.sha.locations]
     first = Distribution("normal", {"mu": belief.x, "sigma": belief.sigma})
-    return World(tracker, belief.time, names.index(belief.location), first, belief, trace)
+    return World(tracker, belief.time, names.index(belief.location), first, belief=belief, trace=trace)
 
 
 def _after(time: float) -> float:

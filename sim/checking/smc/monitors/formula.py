@@ -67,7 +67,7 @@ _MIRRORED: dict[Comparison, Comparison] = {"<": ">", "<=": ">=", "==": "==", "!=
 def value(expression: Expression, temperature: Value, time: Value, age: Value) -> Value:
     """The expression's value; arguments broadcast. A division by 0 gives an infinite or undefined number.
 
-    Raises ValueError for an indicator, which only a simulation's courses have (`sim.checking.smc.monitors.course`).
+    Raises ValueError for an indicator, which only a simulation's courses have (`monitor.TrajectoryMonitor`).
     """
     if isinstance(expression, Indicator):
         raise ValueError("a condition stands where a number is needed; only simulate takes it for 0 or 1")
@@ -86,7 +86,13 @@ def combined(op: Arithmetic, left: Value, right: Value) -> Value:
 
 
 def holds_at(
-    formula: Formula, temperature: Value, time: Value, age: Value, location: int | Indices, names: tuple[str, ...]
+    formula: Formula,
+    *,
+    temperature: Value,
+    time: Value,
+    age: Value,
+    location: int | Indices,
+    names: tuple[str, ...],
 ) -> Mask:
     """Whether the formula holds at single instants; arguments broadcast. Raises ValueError as `compile_formulas`."""
 
@@ -119,7 +125,7 @@ def quantities(expression: Expression) -> set[str]:
     return {expression.kind} if isinstance(expression, Quantity) else set()
 
 
-def split(expression: Expression) -> tuple[float, Expression]:
+def linear_in_temperature(expression: Expression) -> tuple[float, Expression]:
     """(a, h) with expression = a * temperature + h, h without temperature.
 
     Raises ValueError for an expression that is not linear in the temperature.
@@ -130,11 +136,12 @@ def split(expression: Expression) -> tuple[float, Expression]:
         return 1.0, ZERO
     if isinstance(expression, Indicator):
         raise ValueError("a condition stands where a number is needed; only simulate takes it for 0 or 1")
-    (a, rest), (b, other) = split(expression.left), split(expression.right)
+    (a, rest), (b, other) = linear_in_temperature(expression.left), linear_in_temperature(expression.right)
     if expression.op in "+-":
         return (a + b if expression.op == "+" else a - b), Operation(expression.op, rest, other)
     if a == b == 0.0:
         return 0.0, expression
+    # A product or quotient: one side has the temperature, the other must be a plain number.
     factor, scaled = (expression.right, a) if b == 0.0 else (expression.left, b)
     if quantities(factor) or (expression.op == "/" and b != 0.0):
         raise ValueError(
@@ -148,6 +155,7 @@ def split(expression: Expression) -> tuple[float, Expression]:
 
 def affine(expression: Expression) -> tuple[float, float, float] | None:
     """(c, t, g) with a temperature-free expression = c + t * time + g * age, or None where it is not of that form."""
+    # Three corners determine the plane, two more, off any line through those, refute what is none.
     corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (3.0, 5.0), (-7.0, 2.0)]
     values = [float(np.asarray(value(expression, 0.0, time, age))) for time, age in corners]
     c = values[0]
@@ -171,7 +179,7 @@ def comparisons(formula: Formula, positive: bool = True) -> Iterator[tuple[Compa
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class ThresholdLine:
     """A temperature (degC) that may move with the clocks: at `level` when it is one number."""
 
     at: Expression
@@ -185,8 +193,8 @@ class Line:
         return value(self.at, 0.0, piece.begin, piece.age), value(self.at, 0.0, *later)
 
 
-@dataclass(slots=True)
-class Lines:
+@dataclass(slots=True, kw_only=True)
+class CompiledFormulas:
     """Several formulas over common lines; `place` maps each comparison with the temperature to (line, op).
 
     `watched` are the lines that some formula's coming true depends on: (line, reached from below). `clocks` are the
@@ -195,7 +203,7 @@ class Lines:
 
     formulas: tuple[Formula, ...]
     names: tuple[str, ...]
-    lines: tuple[Line, ...]
+    lines: tuple[ThresholdLine, ...]
     place: dict[Compare, tuple[int, Comparison]]
     watched: tuple[tuple[int, bool], ...]
     clocks: tuple[Compare, ...]
@@ -203,42 +211,43 @@ class Lines:
     tables: dict[tuple[int, int, tuple[bool, ...]], Mask] = field(default_factory=dict)
 
 
-def compile_formulas(formulas: tuple[Formula, ...], names: tuple[str, ...]) -> Lines:
+def compile_formulas(formulas: tuple[Formula, ...], names: tuple[str, ...]) -> CompiledFormulas:
     """The formulas over common lines; `names` are the automaton's locations in order.
 
     Raises ValueError for a comparison that is not linear in the temperature, an unknown location, a deadlock.
     """
     place: dict[Compare, tuple[int, Comparison]] = {}
-    lines: dict[Line, int] = {}
+    lines: dict[ThresholdLine, int] = {}
     watched = set()
     every = [one for formula in formulas for one, _ in comparisons(formula)]
     for formula in formulas:
         check_formula(formula, names)
         for compare, positive in comparisons(formula):
-            factor, rest = split(Operation("-", compare.left, compare.right))
+            factor, rest = linear_in_temperature(Operation("-", compare.left, compare.right))
             if factor == 0.0:
                 continue
-            line = _line(Operation("/", rest, Number(-factor)))
+            at = Operation("/", rest, Number(-factor))
+            level = None if quantities(at) else float(np.asarray(value(at, 0.0, 0.0, 0.0)))
+            line = ThresholdLine(at if level is None else ZERO, level)
             index = lines.setdefault(line, len(lines))
             op = compare.op if factor > 0 else _MIRRORED[compare.op]
             place[compare] = index, op
+            # Rising past the line matters where that can make the formula true: true above, under an even number of
+            # negations, or false above under an odd one. Touching (==, !=) matters from both sides.
             above = _SIGNS[op][2]
             watched |= {(index, up) for up in (True, False) if op in ("==", "!=") or (above == positive) == up}
+    # From below to above; lines that move are ranked anew in each piece (`_ranks`).
     order = sorted(lines, key=lambda line: line.level if line.level is not None else np.inf)
     rank = {lines[line]: new for new, line in enumerate(order)}
-    return Lines(
-        formulas,
-        names,
-        tuple(order),
-        {compare: (rank[index], op) for compare, (index, op) in place.items()},
-        tuple(sorted((rank[index], up) for index, up in watched)),
-        tuple(one for one in dict.fromkeys(every) if one not in place),
-        all(line.level is not None for line in order),
+    return CompiledFormulas(
+        formulas=formulas,
+        names=names,
+        lines=tuple(order),
+        place={compare: (rank[index], op) for compare, (index, op) in place.items()},
+        watched=tuple(sorted((rank[index], up) for index, up in watched)),
+        clocks=tuple(one for one in dict.fromkeys(every) if one not in place),
+        still=all(line.level is not None for line in order),
     )
-
-
-def _line(at: Expression) -> Line:
-    return Line(at, None) if quantities(at) else Line(ZERO, float(np.asarray(value(at, 0.0, 0.0, 0.0))))
 
 
 def check_formula(formula: Formula, names: tuple[str, ...]) -> None:
@@ -253,15 +262,16 @@ def check_formula(formula: Formula, names: tuple[str, ...]) -> None:
             check_formula(inner, names)
 
 
-def table(lines: Lines, which: int, piece: Piece) -> Mask:
+def table(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask:
     """(2k + 1,) or (2k + 1, n) whether formula number `which` is true in each region of a piece."""
-    clocks = tuple(_clock_truth(compare, piece) for compare in lines.clocks) if lines.clocks else ()
-    if not lines.still or not isinstance(piece.location, int) or any(isinstance(one, np.ndarray) for one in clocks):
-        return _table(lines, which, piece, clocks)
+    clocks = tuple(_clock_truth(compare, piece) for compare in compiled.clocks) if compiled.clocks else ()
+    if not compiled.still or not isinstance(piece.location, int) or any(isinstance(one, np.ndarray) for one in clocks):
+        return _table(compiled, which, piece, clocks)
+    # Lines that stand still and one location for all runs: few tables, each used thousands of times.
     key = which, piece.location, tuple(bool(one) for one in clocks)
-    if key not in lines.tables:
-        lines.tables[key] = _table(lines, which, piece, clocks)
-    return lines.tables[key]
+    if key not in compiled.tables:
+        compiled.tables[key] = _table(compiled, which, piece, clocks)
+    return compiled.tables[key]
 
 
 def _clock_truth(compare: Compare, piece: Piece) -> bool | Mask:
@@ -275,22 +285,24 @@ def _clock_truth(compare: Compare, piece: Piece) -> bool | Mask:
     return bool(truth) if truth.ndim == 0 else truth
 
 
-def _table(lines: Lines, which: int, piece: Piece, clocks: tuple[bool | Mask, ...]) -> Mask:
-    k = len(lines.lines)
+def _table(compiled: CompiledFormulas, which: int, piece: Piece, clocks: tuple[bool | Mask, ...]) -> Mask:
+    k = len(compiled.lines)
     regions = np.arange(2 * k + 1)
-    known = dict(zip(lines.clocks, clocks, strict=True))
-    ranks = _ranks(lines, piece)
+    known = dict(zip(compiled.clocks, clocks, strict=True))
+    ranks = _ranks(compiled, piece)
     runs = piece.start.size if isinstance(piece.location, np.ndarray) else None
     shape = regions[:, None] if ranks.ndim == 2 or runs is not None or _wide(clocks) else regions
 
     def compared(compare: Compare) -> Mask:
-        if compare not in lines.place:
+        if compare not in compiled.place:
             return np.asarray(known[compare])
-        index, op = lines.place[compare]
+        index, op = compiled.place[compare]
         side = np.sign(shape - (2 * ranks[index] + 1))
         return np.asarray(np.take(_SIGNS[op], side + 1))
 
-    found = _truth(lines.formulas[which], compared, lambda at: np.asarray(piece.location == lines.names.index(at)))
+    found = _truth(
+        compiled.formulas[which], compared, lambda at: np.asarray(piece.location == compiled.names.index(at))
+    )
     size = (regions.size,) if shape.ndim == 1 else (regions.size, piece.start.size)
     return np.broadcast_to(found, size)
 
@@ -299,16 +311,16 @@ def _wide(clocks: tuple[bool | Mask, ...]) -> bool:
     return any(isinstance(one, np.ndarray) for one in clocks)
 
 
-def _ranks(lines: Lines, piece: Piece) -> Indices:
+def _ranks(compiled: CompiledFormulas, piece: Piece) -> Indices:
     """(k,) or (k, n) the place of each line from below, half-way through the piece."""
-    k = len(lines.lines)
-    if lines.still or k < 2:
+    k = len(compiled.lines)
+    if compiled.still or k < 2:
         return np.arange(k)
-    middles = [0.5 * (low + high) for low, high in (line.ends(piece) for line in lines.lines)]
+    middles = [0.5 * (low + high) for low, high in (line.ends(piece) for line in compiled.lines)]
     return np.argsort(np.argsort(np.stack(np.broadcast_arrays(*middles)), axis=0, kind="stable"), axis=0)
 
 
-def reached(line: Line, piece: Piece, *, up: bool, strict: bool) -> Mask:
+def reached(line: ThresholdLine, piece: Piece, *, up: bool, strict: bool) -> Mask:
     """(n,) whether a run touches the line (`strict`: is beyond it) in the piece, from below or from above."""
     first, last = line.ends(piece)
     beyond = (np.greater if strict else np.greater_equal) if up else (np.less if strict else np.less_equal)
@@ -325,17 +337,19 @@ def reached(line: Line, piece: Piece, *, up: bool, strict: bool) -> Mask:
     return np.asarray(touched)
 
 
-def exists(lines: Lines, which: int, piece: Piece) -> Mask | bool:
+def exists(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask | bool:
     """(n,) whether formula `which` is true at some instant of the piece; one answer where it is the same for all."""
-    truth = table(lines, which, piece)
+    truth = table(compiled, which, piece)
     if truth.ndim == 1:
         found = _border(truth.tobytes())
         if isinstance(found, bool):
             return found
         if found is not None:
             line, up, strict = found
-            return reached(lines.lines[line], piece, up=up, strict=strict)
-    low, high = visited(lines, piece)
+            return reached(compiled.lines[line], piece, up=up, strict=strict)
+    low, high = visited(compiled, piece)
+    # A continuous path visits every region from its lowest to its highest; cumulated counts say in one subtraction
+    # whether any of those is true.
     counts = np.cumsum(
         np.vstack([np.zeros_like(truth[:1]), truth]) if truth.ndim == 2 else np.append(False, truth), axis=0
     )
@@ -361,11 +375,11 @@ def _border(truth: bytes) -> bool | tuple[int, bool, bool] | None:
     return last // 2, False, last % 2 == 0
 
 
-def visited(lines: Lines, piece: Piece) -> tuple[Indices, Indices]:
+def visited(compiled: CompiledFormulas, piece: Piece) -> tuple[Indices, Indices]:
     """(n,) the lowest and the highest region that each run visits in the piece."""
-    low = np.full(piece.start.size, 2 * len(lines.lines), dtype=np.intp)
+    low = np.full(piece.start.size, 2 * len(compiled.lines), dtype=np.intp)
     high = np.zeros(piece.start.size, dtype=np.intp)
-    for line in lines.lines:
+    for line in compiled.lines:
         high += reached(line, piece, up=True, strict=True).astype(np.intp) + reached(line, piece, up=True, strict=False)
         low -= reached(line, piece, up=False, strict=True).astype(np.intp) + reached(
             line, piece, up=False, strict=False
@@ -373,11 +387,11 @@ def visited(lines: Lines, piece: Piece) -> tuple[Indices, Indices]:
     return low, high
 
 
-def region(lines: Lines, piece: Piece, *, at_end: bool) -> Indices:
+def region(compiled: CompiledFormulas, piece: Piece, *, at_end: bool) -> Indices:
     """(n,) the region in which each run is at the piece's start or end."""
     x = piece.end if at_end else piece.start
     here = np.zeros(x.size, dtype=np.intp)
-    for line in lines.lines:
+    for line in compiled.lines:
         position = line.ends(piece)[int(at_end)]
         here += (x > position).astype(np.intp) + (x >= position)
     return here

@@ -11,13 +11,24 @@ from typing import Protocol
 
 import numpy as np
 
-from sim.checking.query.tree import Expression
-from sim.checking.smc.monitors.formula import TINY, Lines, Value, exists, region, table, value, visited
+from sim.checking.query.tree import Expression, Indicator, Operation
+from sim.checking.smc.monitors.formula import (
+    TINY,
+    CompiledFormulas,
+    Value,
+    combined,
+    exists,
+    holds_at,
+    region,
+    table,
+    value,
+    visited,
+)
 from sim.checking.smc.paths.plan import Engine, Indices, Piece, State, with_extremes
 from sim.sha.semi_markov import MOST_STAYS
 from sim.sha.trace import Array, Mask
 
-Watched = tuple[list[tuple[Value, Value]], list[tuple[Value, Value]]]
+WatchedLines = tuple[list[tuple[Value, Value]], list[tuple[Value, Value]]]
 KEEP, EVERY = 0.75, 8
 """Decided runs are left out when fewer than KEEP of them are undecided, which is looked at after EVERY rows."""
 
@@ -25,7 +36,7 @@ KEEP, EVERY = 0.75, 8
 class Monitor(Protocol):
     """What the runs are given to."""
 
-    def watch(self, piece: Piece, who: Indices) -> Watched:
+    def watch(self, piece: Piece, who: Indices) -> WatchedLines:
         """The lines looked at from below and from above, at both ends of the piece."""
         ...
 
@@ -42,37 +53,34 @@ class Monitor(Protocol):
 class Totals:
     """What happened to the runs that were followed: clamps, steps at the maximum rate, runs that ran out of stays."""
 
-    clamps: int
-    limited: int
-    cut: int
+    clamps: int = 0
+    limited: int = 0
+    cut: int = 0
+
+    def __add__(self, other: "Totals") -> "Totals":
+        return Totals(self.clamps + other.clamps, self.limited + other.limited, self.cut + other.cut)
 
 
 def follow(engine: Engine, monitors: Sequence[Monitor], runs: int, rng: np.random.Generator) -> Totals:
     """Lead `runs` runs past the monitors from the start to the end; decided runs are left out on the way."""
+    state, who, totals = engine.begin(runs, rng), np.arange(runs), Totals()
     with np.errstate(over="ignore", invalid="ignore"):  # a line at infinity is never reached, one at no number neither
-        return _followed(engine, monitors, runs, rng)
-
-
-def _followed(engine: Engine, monitors: Sequence[Monitor], runs: int, rng: np.random.Generator) -> Totals:
-    state, who = engine.begin(runs, rng), np.arange(runs)
-    clamps = limited = cut = 0
-    for row in range(engine.clock.size - 1):
-        for piece in engine.advance(row, state, rng):
-            show(piece, who if piece.rows is None else who[piece.rows], monitors, rng)
-        if row % EVERY != EVERY - 1:
-            continue
-        undecided = [monitor.open() for monitor in monitors]
-        if any(one is None for one in undecided):
-            continue
-        keep = np.any([one[who] for one in undecided if one is not None], axis=0)
-        if np.count_nonzero(keep) < KEEP * keep.size:
-            gone = _totals(state.take(~keep))
-            clamps, limited, cut = clamps + gone.clamps, limited + gone.limited, cut + gone.cut
-            state, who = state.take(keep), who[keep]
-            if not who.size:
-                break
-    rest = _totals(state)
-    return Totals(clamps + rest.clamps, limited + rest.limited, cut + rest.cut)
+        for row in range(engine.clock.size - 1):
+            for piece in engine.advance(row, state, rng):
+                show(piece, who if piece.rows is None else who[piece.rows], monitors, rng)
+            if row % EVERY != EVERY - 1:
+                continue
+            undecided = [monitor.open() for monitor in monitors]
+            if any(mask is None for mask in undecided):
+                continue
+            # A run goes on as long as any monitor needs it; copying the rest pays only where many can go.
+            keep = np.any([mask[who] for mask in undecided if mask is not None], axis=0)
+            if np.count_nonzero(keep) < KEEP * keep.size:
+                totals += _totals(state.take(~keep))
+                state, who = state.take(keep), who[keep]
+                if not who.size:
+                    break
+    return totals + _totals(state)
 
 
 def _totals(state: State) -> Totals:
@@ -101,31 +109,35 @@ def inside(piece: Piece, low: float, high: float) -> bool:
     return low - 1e-9 <= middle <= high + 1e-9
 
 
-def _watched(lines: Lines, piece: Piece) -> Watched:
-    ups = [lines.lines[index].ends(piece) for index, up in lines.watched if up]
-    return ups, [lines.lines[index].ends(piece) for index, up in lines.watched if not up]
+def _watched(compiled: CompiledFormulas, piece: Piece) -> WatchedLines:
+    ups = [compiled.lines[index].ends(piece) for index, up in compiled.watched if up]
+    return ups, [compiled.lines[index].ends(piece) for index, up in compiled.watched if not up]
 
 
 @dataclass(slots=True)
-class Reach:
+class EventuallyMonitor:
     """Whether a formula comes true within low..high (s), and by when (s; inf where not): the end of that piece, or its
     begin where it is true from there on."""
 
-    lines: Lines
+    compiled: CompiledFormulas
     low: float
     high: float
-    found: Mask
-    when: Array
+    runs: int
+    found: Mask = field(init=False)
+    when: Array = field(init=False)
 
-    def watch(self, piece: Piece, who: Indices) -> Watched:
+    def __post_init__(self) -> None:
+        self.found, self.when = np.zeros(self.runs, dtype=np.bool_), np.full(self.runs, inf)
+
+    def watch(self, piece: Piece, who: Indices) -> WatchedLines:
         """The formula's lines, within the span."""
-        return _watched(self.lines, piece) if inside(piece, self.low, self.high) else ([], [])
+        return _watched(self.compiled, piece) if inside(piece, self.low, self.high) else ([], [])
 
     def see(self, piece: Piece, who: Indices) -> None:
         """Note the runs in which the formula is true somewhere."""
         if not inside(piece, self.low, self.high):
             return
-        met = exists(self.lines, 0, piece)
+        met = exists(self.compiled, 0, piece)
         if met is False:
             return
         rows = np.arange(who.size) if met is True else np.flatnonzero(met)
@@ -133,7 +145,7 @@ class Reach:
         self.found[who[new]] = True
         if new.size:
             part = _part(piece, new)
-            at_start = _true_in(table(self.lines, 0, part), region(self.lines, part, at_end=False))
+            at_start = _true_in(table(self.compiled, 0, part), region(self.compiled, part, at_end=False))
             self.when[who[new]] = np.where(at_start, part.begin, part.begin + part.dt)
 
     def open(self) -> Mask | None:
@@ -142,38 +154,44 @@ class Reach:
 
 
 @dataclass(slots=True)
-class Holds:
+class UntilMonitor:
     """Whether `hold` (formula 0, negated) lasts until `goal` (formula 1) within low..high (s).
 
     Within a piece the nearer of two lines on the same side comes first. Where goal and end of hold lie on both sides
     of the path and it reaches both in one piece, the order is not known: counted as not reached, and in `unclear`.
     """
 
-    lines: Lines
+    compiled: CompiledFormulas
     low: float
     high: float
-    found: Mask
-    broken: Mask
-    when: Array
+    runs: int
+    found: Mask = field(init=False)
+    broken: Mask = field(init=False)
+    when: Array = field(init=False)
     unclear: int = 0
 
-    def watch(self, piece: Piece, who: Indices) -> Watched:
+    def __post_init__(self) -> None:
+        self.found, self.broken = np.zeros((2, self.runs), dtype=np.bool_)
+        self.when = np.full(self.runs, inf)
+
+    def watch(self, piece: Piece, who: Indices) -> WatchedLines:
         """The lines of both formulas, up to the span's end."""
-        return _watched(self.lines, piece) if inside(piece, 0.0, self.high) else ([], [])
+        return _watched(self.compiled, piece) if inside(piece, 0.0, self.high) else ([], [])
 
     def see(self, piece: Piece, who: Indices) -> None:
         """Note where the goal is reached and where hold has ended."""
         if not inside(piece, 0.0, self.high):
             return
         n = who.size
-        low, high = visited(self.lines, piece)
-        here = region(self.lines, piece, at_end=False)
-        ends, goal = (_nearest(table(self.lines, which, piece), here, n) for which in (0, 1))
+        low, high = visited(self.compiled, piece)
+        here = region(self.compiled, piece, at_end=False)
+        ends, goal = (_nearest(table(self.compiled, which, piece), here, n) for which in (0, 1))
         up, down = ends[0] <= high, ends[1] >= low
         late = inside(piece, self.low, self.high)
         rise = (goal[0] <= high) & (goal[0] <= ends[0]) & late
         fall = (goal[1] >= low) & (goal[1] >= ends[1]) & late
         at_once = (goal[0] == here) & late
+        # Goal on one side, end of hold on the other, both reached: the bridge does not say which came first.
         torn = ~at_once & ((rise & down & ~fall) | (fall & up & ~rise))
         alive = ~self.found[who] & ~self.broken[who]
         self.unclear += int(np.count_nonzero(torn & alive))
@@ -202,13 +220,13 @@ def _nearest(truth: Mask, here: Indices, runs: int) -> tuple[Indices, Indices]:
 
 
 @dataclass(slots=True)
-class Answered:
+class ResponseMonitor:
     """Whether each instant of `cause` (formula 0) is followed by `effect` (formula 1) low..high s later.
 
     Kept piece by piece and judged at the end (`failed`). An instant inside a piece is known to within the piece.
     """
 
-    lines: Lines
+    compiled: CompiledFormulas
     low: float
     high: float
     bound: float
@@ -217,20 +235,20 @@ class Answered:
     last: list[Array] = field(default_factory=list)
     causes: list[Array] = field(default_factory=list)
 
-    def watch(self, piece: Piece, who: Indices) -> Watched:
+    def watch(self, piece: Piece, who: Indices) -> WatchedLines:
         """The lines of both formulas."""
-        return _watched(self.lines, piece)
+        return _watched(self.compiled, piece)
 
     def see(self, piece: Piece, who: Indices) -> None:
         """Note the piece's earliest and latest instant of the effect and an instant of the cause."""
         n = who.size
         begin, middle = (np.broadcast_to(np.asarray(one, dtype=float), (n,)) for one in (piece.begin, piece.middle))
         stop = np.broadcast_to(np.asarray(piece.begin + piece.dt), (n,))
-        here, there = (region(self.lines, piece, at_end=at_end) for at_end in (False, True))
+        here, there = (region(self.compiled, piece, at_end=at_end) for at_end in (False, True))
         spans = []
         for which in (0, 1):
-            met = np.broadcast_to(exists(self.lines, which, piece), (n,))
-            at_start, at_end = (_true_in(table(self.lines, which, piece), where) for where in (here, there))
+            met = np.broadcast_to(exists(self.compiled, which, piece), (n,))
+            at_start, at_end = (_true_in(table(self.compiled, which, piece), where) for where in (here, there))
             first = np.where(at_start, begin, np.where(met, middle, inf))
             last = np.where(at_end, stop, np.where(at_start & ~met, begin, np.where(met, middle, -inf)))
             spans.append((first, last))
@@ -256,6 +274,8 @@ class Answered:
             np.vstack([*self.last, np.full(self.runs, inf)]),
         )
         columns = np.arange(self.runs)
+        # One sweep over the pieces for all runs: causes come in the order of time, so each run's pointer to the first
+        # piece whose effect is late enough only moves on. The row of inf below the last piece stops it.
         for cause in self.causes:
             asked = (cause + self.high <= self.bound + 1e-9) & ~failed
             target = np.where(asked, cause + self.low, -inf)
@@ -272,9 +292,16 @@ def _part(piece: Piece, rows: Indices) -> Piece:
     def of(column: Value) -> Value:
         return column[rows] if isinstance(column, np.ndarray) else column
 
-    location = piece.location if isinstance(piece.location, int) else piece.location[rows]
-    times = of(piece.begin), of(piece.dt), of(piece.age)
-    return Piece(None, *times, location, piece.start[rows], piece.end[rows], of(piece.bridge))
+    return Piece(
+        rows=None,
+        begin=of(piece.begin),
+        dt=of(piece.dt),
+        age=of(piece.age),
+        location=piece.location if isinstance(piece.location, int) else piece.location[rows],
+        start=piece.start[rows],
+        end=piece.end[rows],
+        bridge=of(piece.bridge),
+    )
 
 
 def _true_in(truth: Mask, where: Indices) -> Mask:
@@ -282,7 +309,7 @@ def _true_in(truth: Mask, where: Indices) -> Mask:
 
 
 @dataclass(slots=True)
-class Extreme:
+class ExtremeMonitor:
     """The greatest (sign 1) or least (sign -1) value of factor * temperature + rest on the way, in `best` (n,)."""
 
     factor: float
@@ -297,7 +324,7 @@ class Extreme:
         first, last = self.factor * piece.start + rest[0], self.factor * piece.end + rest[1]
         return self.sign * np.broadcast_to(first, (runs,)), self.sign * np.broadcast_to(last, (runs,)), *rest
 
-    def watch(self, piece: Piece, who: Indices) -> Watched:
+    def watch(self, piece: Piece, who: Indices) -> WatchedLines:
         """The temperatures at which the expression is just beyond the best so far, the piece's ends included."""
         first, last, before, after = self._ends(piece, who.size)
         self.best[who] = np.maximum(self.best[who], np.maximum(first, last))
@@ -315,8 +342,54 @@ class Extreme:
         rows, e = drawn
         first, last, *_ = self._ends(piece, who.size)
         bridge = (piece.bridge[rows] if isinstance(piece.bridge, np.ndarray) else piece.bridge) * self.factor**2
+        # The bridge's maximum from its exponential number e: (top - x0) (top - x1) = V e / 2 (`paths.plan`).
         top = 0.5 * (first[rows] + last[rows] + np.sqrt((last[rows] - first[rows]) ** 2 + 2.0 * bridge * e))
         self.best[who[rows]] = np.maximum(self.best[who[rows]], top)
+
+    def open(self) -> Mask | None:
+        """All."""
+        return None
+
+
+@dataclass(slots=True)
+class TrajectoryMonitor:
+    """The values of some expressions at both ends of every piece: (begin, end, who), (values at begin, at end).
+
+    `names` are the automaton's locations in order. A condition counts 1 where it holds and 0 elsewhere.
+    """
+
+    expressions: tuple[Expression, ...]
+    names: tuple[str, ...]
+    times: list[tuple[Array, Array, Indices]] = field(default_factory=list)
+    values: list[tuple[Array, Array]] = field(default_factory=list)
+
+    def watch(self, piece: Piece, who: Indices) -> WatchedLines:
+        """Nothing: courses are shown at the ends of pieces."""
+        return [], []
+
+    def see(self, piece: Piece, who: Indices) -> None:
+        """Keep both ends."""
+        begin, stop = (
+            np.broadcast_to(np.asarray(one, dtype=float), who.shape) for one in (piece.begin, piece.begin + piece.dt)
+        )
+        self.times.append((begin, stop, who))
+        self.values.append((self._at(piece, begin, at_end=False), self._at(piece, stop, at_end=True)))
+
+    def _at(self, piece: Piece, time: Array, *, at_end: bool) -> Array:
+        """(expressions, n) the values at one end of the piece, conditions as 0 and 1."""
+        x, age = (piece.end, piece.age + piece.dt) if at_end else (piece.start, piece.age)
+
+        def of(expression: Expression) -> Value:
+            if isinstance(expression, Indicator):
+                holds = holds_at(
+                    expression.inner, temperature=x, time=time, age=age, location=piece.location, names=self.names
+                )
+                return np.asarray(holds, dtype=float)
+            if isinstance(expression, Operation):
+                return combined(expression.op, of(expression.left), of(expression.right))
+            return value(expression, x, time, age)
+
+        return np.stack([np.broadcast_to(of(expression), x.shape) for expression in self.expressions])
 
     def open(self) -> Mask | None:
         """All."""

@@ -1,95 +1,97 @@
 """From a query's path to what follows it along the runs: its monitor, where steps must end for it, and its verdict."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 
 import numpy as np
 
-from sim.checking.query.tree import Always, Not, Operation, Path, Response, Until
-from sim.checking.smc.monitors.formula import Lines, affine, compile_formulas
-from sim.checking.smc.monitors.monitor import Answered, Holds, Monitor, Reach
+from sim.checking.query.tree import Always, BoundedResponse, Not, Operation, Path, Until
+from sim.checking.smc.monitors.formula import CompiledFormulas, affine, compile_formulas
+from sim.checking.smc.monitors.monitor import EventuallyMonitor, Monitor, ResponseMonitor, UntilMonitor
 from sim.checking.smc.paths.known import Affine, Cuts
 from sim.checking.smc.paths.plan import LONGEST
 from sim.sha.trace import Array, Mask
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class PreparedPath:
     """A path made ready: its formulas over common lines, and the bound (s) of its question."""
 
     path: Path
-    lines: Lines
+    compiled: CompiledFormulas
     bound: float
 
-    def start(self, runs: int) -> Reach | Holds | Answered:
+    def start(self, runs: int) -> EventuallyMonitor | UntilMonitor | ResponseMonitor:
         """A monitor of `runs` new runs."""
-        span, none, never = self.path.span, np.zeros(runs, dtype=np.bool_), np.full(runs, inf)
-        high = min(span.high, self.bound)
-        if isinstance(self.path, Until):
-            return Holds(self.lines, span.low, high, none, none.copy(), never)
-        if isinstance(self.path, Response):
-            return Answered(self.lines, span.low, span.high, self.bound, runs)
-        return Reach(self.lines, span.low, high, none, never)
+        span = self.path.span
+        if isinstance(self.path, BoundedResponse):
+            return ResponseMonitor(self.compiled, span.low, span.high, self.bound, runs)
+        make = UntilMonitor if isinstance(self.path, Until) else EventuallyMonitor
+        return make(self.compiled, span.low, min(span.high, self.bound), runs)
 
     def verdict(self, monitor: Monitor) -> Mask:
         """(n,) whether the path holds on each run that the monitor has seen."""
-        if isinstance(monitor, Answered):
+        if isinstance(monitor, ResponseMonitor):
             return ~monitor.failed()
-        if isinstance(monitor, Reach):
+        if isinstance(monitor, EventuallyMonitor):
             return ~monitor.found if isinstance(self.path, Always) else monitor.found
-        return monitor.found if isinstance(monitor, Holds) else np.empty(0, dtype=np.bool_)
+        return monitor.found if isinstance(monitor, UntilMonitor) else np.empty(0, dtype=np.bool_)
 
     def when(self, monitor: Monitor) -> Array | None:
         """(n,) the moment (s) of the goal (for `[]`: of the violation), inf without; None for a response."""
-        return monitor.when if isinstance(monitor, Reach | Holds) else None
+        return monitor.when if isinstance(monitor, EventuallyMonitor | UntilMonitor) else None
 
 
-def watch(path: Path, names: tuple[str, ...], bound: float) -> Watch:
+def prepare_path(path: Path, names: tuple[str, ...], bound: float) -> PreparedPath:
     """The path made ready for a model with the locations `names`. Raises ValueError for what cannot be followed."""
     if isinstance(path, Until):
-        return Watch(path, compile_formulas((Not(path.hold), path.goal), names), bound)
-    if isinstance(path, Response):
-        return Watch(path, compile_formulas((path.cause, path.effect), names), bound)
+        return PreparedPath(path, compile_formulas((Not(path.hold), path.goal), names), bound)
+    if isinstance(path, BoundedResponse):
+        return PreparedPath(path, compile_formulas((path.cause, path.effect), names), bound)
     inner = Not(path.inner) if isinstance(path, Always) else path.inner
-    return Watch(path, compile_formulas((inner,), names), bound)
+    return PreparedPath(path, compile_formulas((inner,), names), bound)
 
 
-def cuts(watches: tuple[Watch, ...], bound: float) -> Cuts:
-    """Where the runs' steps must end for these paths."""
+def cuts(paths: Sequence[PreparedPath], bound: float) -> Cuts:
+    """Where the runs' steps must end for these paths: at the ends of spans, and where a condition on clocks changes."""
     instants: set[float] = set()
     clocks: set[Affine] = set()
     looked = []
-    for one in watches:
-        span = one.path.span
-        whole = isinstance(one.path, Until | Response)
-        low, high = (0.0, bound) if isinstance(one.path, Response) else (span.low, min(span.high, bound))
+    for prepared in paths:
+        path, compiled = prepared.path, prepared.compiled
+        low, high = (0.0, bound) if isinstance(path, BoundedResponse) else (path.span.low, min(path.span.high, bound))
         instants |= {time for time in (low, high) if isfinite(time) and 0.0 < time <= bound}
-        if one.lines.lines or _bent(one):
-            looked.append((0.0 if whole else min(low, bound), high))
-        for compare in one.lines.clocks:
-            found = affine(Operation("-", compare.left, compare.right))
-            if found is not None and (found[1] or found[2]):
-                clocks.add(found)
-        instants |= {-line[0] / line[1] for line in clocks if line[2] == 0.0}
+        if compiled.lines or _is_bent(prepared):
+            # What must hold before the goal, and a cause, count from the start on, whatever the span says.
+            looked.append((0.0 if isinstance(path, Until | BoundedResponse) else min(low, bound), high))
+        for compare in compiled.clocks:
+            coefficients = affine(Operation("-", compare.left, compare.right))
+            if coefficients is not None and (coefficients[1] or coefficients[2]):
+                clocks.add(coefficients)
+    # c + t * time + g * age = 0: without g it is the same instant for all runs, else one in each stay.
+    instants |= {-c / t for c, t, g in clocks if g == 0.0}
     mixed = tuple(sorted(line for line in clocks if line[2] != 0.0))
-    ordered = any(isinstance(one.path, Until | Response) and one.lines.lines for one in watches)
-    longest = LONGEST if ordered or any(map(_bent, watches)) else inf
+    ordered = any(isinstance(each.path, Until | BoundedResponse) and each.compiled.lines for each in paths)
+    longest = LONGEST if ordered or any(map(_is_bent, paths)) else inf
     inside = tuple(sorted(time for time in instants if 0.0 <= time <= bound))
     return Cuts(bound, inside, mixed, tuple(looked), longest)
 
 
-def _bent(one: Watch) -> bool:
+def _is_bent(prepared: PreparedPath) -> bool:
     """Whether a condition on clocks is not linear in them."""
-    return any(affine(Operation("-", compare.left, compare.right)) is None for compare in one.lines.clocks)
+    return any(affine(Operation("-", compare.left, compare.right)) is None for compare in prepared.compiled.clocks)
 
 
-def approximations(one: Watch) -> tuple[str, ...]:
+def approximations(prepared: PreparedPath) -> tuple[str, ...]:
     """What is not exact in following this path, one sentence each."""
-    said = []
-    if _bent(one):
-        said.append("a condition on clocks that is not linear in them is looked at once in each step of at most 4 s")
-    if len({up for _, up in one.lines.watched}) == 2:
-        said.append("a rise and a fall of the temperature within one step are drawn as if independent")
-    if isinstance(one.path, Response) and one.lines.lines:
-        said.append("the moment at which a temperature is crossed is known to within a step of at most 4 s")
-    return tuple(said)
+    sentences = []
+    if _is_bent(prepared):
+        sentences.append(
+            "a condition on clocks that is not linear in them is looked at once in each step of at most 4 s"
+        )
+    if len({up for _, up in prepared.compiled.watched}) == 2:
+        sentences.append("a rise and a fall of the temperature within one step are drawn as if independent")
+    if isinstance(prepared.path, BoundedResponse) and prepared.compiled.lines:
+        sentences.append("the moment at which a temperature is crossed is known to within a step of at most 4 s")
+    return tuple(sentences)

@@ -1,7 +1,7 @@
 """Mode parameters of long stays, drawn where a rare event needs them and weighted back (importance sampling).
 
 A mode parameter m that is drawn once for a long stay is no matter of small steps: among some hundred runs none has the
-m five standard deviations out by which the event comes, and splitting (`sim.checking.smc.splitting.levels`)
+m five standard deviations out by which the event comes, and splitting (`sim.checking.smc.splitting.estimator`)
 cannot make one. So
 runs that are split draw the standard scores z of such m from laws N(mean, 1), the means found in pilots as those of z
 given the event, and carry the logarithm of the density ratio, the sum of log N(z; 0, 1) - log N(z; mean, 1).

@@ -3,7 +3,7 @@
 Only discordant pairs, in which one run succeeds and the other does not, say which is greater (McNemar 1947). Among them
 the left one succeeds with a probability q, above 1/2 exactly when the left probability is the greater; and the share r
 of discordant pairs turns q into the difference of the two: r (2q - 1). Both q and r are followed by the anytime-valid
-interval of `sequential.mixture_interval`, each at half the error rate, so that everything said at the stop is right
+interval of `estimation.mixture_interval`, each at half the error rate, so that everything said at the stop is right
 together with a probability of at least `level`. Common random numbers make r small, and the answer comes sooner.
 """
 
@@ -15,21 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln
 
-from sim.checking.smc.rules.sequential import BATCH, MOST_RUNS, Progress, checked, mixture_interval, tell
+from sim.checking.smc.rules.estimation import BATCH, MOST_RUNS, Progress, checked, mixture_interval, show_progress
 from sim.scores import Estimate
 from sim.sha.trace import Array, Mask
 
 DrawPairs = Callable[[int], tuple[Array, Array]]
 """n -> the outcomes of the next n pairs of runs, left and right, each (n,) of 0.0 and 1.0."""
 
-Answer = Literal["greater", "smaller", "equal", "not decided"]
+Order = Literal["greater", "smaller", "equal", "not decided"]
 RULE = "discordant pairs by betting (beta mixture), valid at any time"
 
 _FIRST_LOOK, _LOOK = 50, 1.05
 """After how many pairs it is first looked whether the two are equal, and how many times more each time after that."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PairedOutcome:
     """How the left probability compares with the right one, and all that was seen, at one joint `level`.
 
@@ -40,7 +40,7 @@ class PairedOutcome:
     rule: str
     level: float
     delta: float
-    answer: Answer
+    answer: Order
     difference: float
     low: float
     high: float
@@ -108,7 +108,7 @@ def compare(
                 look = int(look * _LOOK)
                 if _is_equal(count, delta, level):
                     return _outcome(count, delta, level)
-        tell(progress, count.runs, most)
+        show_progress(progress, count.runs, most)
     return _outcome(count, delta, level)
 
 
@@ -139,6 +139,7 @@ def _difference(count: _Count, level: float) -> tuple[float, float]:
     half = (1.0 + level) / 2.0
     few, many = _interval(alone, count.runs, half)
     low, high = _interval(count.left_alone, alone, half) if alone else (0.0, 1.0)
+    # r (2q - 1) grows with q; with r it grows or falls by the sign of 2q - 1, so both ends of r are tried.
     worst, best = 2.0 * low - 1.0, 2.0 * high - 1.0
     return min(few * worst, many * worst), max(few * best, many * best)
 
@@ -155,12 +156,23 @@ def _is_equal(count: _Count, delta: float, level: float) -> bool:
 def _outcome(count: _Count, delta: float, level: float) -> PairedOutcome:
     low, high = _difference(count, level)
     alone = count.left_alone + count.right_alone
-    answer: Answer = "equal" if _is_equal(count, delta, level) else "not decided"
+    answer: Order = "equal" if _is_equal(count, delta, level) else "not decided"
     if _is_sided(np.array([count.left_alone]), np.array([alone]), level)[0]:
         answer = "greater" if count.left_alone > count.right_alone else "smaller"
     difference = (count.left - count.right) / count.runs
     left, right = (_estimate(successes, count.runs, level) for successes in (count.left, count.right))
-    return PairedOutcome(RULE, level, delta, answer, difference, low, high, left, right, alone)
+    return PairedOutcome(
+        rule=RULE,
+        level=level,
+        delta=delta,
+        answer=answer,
+        difference=difference,
+        low=low,
+        high=high,
+        left=left,
+        right=right,
+        discordant=alone,
+    )
 
 
 def _estimate(successes: int, runs: int, level: float) -> Estimate:

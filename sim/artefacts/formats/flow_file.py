@@ -25,9 +25,9 @@ from pathlib import Path
 
 from lark import Lark, Token, Tree
 
-from sim.artefacts.files import at, read_text
-from sim.artefacts.grammar import finite_number, parse_text, tokens, trees
-from sim.artefacts.polynomial import Polynomial, add, constant, degree, multiply, scale, variable
+from sim.artefacts.formats.grammar import finite_number, parse_text, tokens, trees
+from sim.artefacts.formats.polynomial import Polynomial, add, constant, degree, multiply, scale, variable
+from sim.files import at, read_text
 
 FLOW_FILE = "flow_conditions.txt"
 MAX_DEGREE = 6

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from lark import Lark, Token, Tree
 
-from sim.artefacts.files import ArtefactError, at, read_text
-from sim.artefacts.grammar import parse_text, subtrees, trees
+from sim.artefacts.formats.grammar import parse_text, subtrees, trees
+from sim.files import ArtefactError, at, read_text
 from sim.sha.automaton import Edge
 
 INIT = "__init__"

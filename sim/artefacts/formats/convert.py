@@ -19,14 +19,14 @@ from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Literal
 
-from sim.artefacts.bundle import Artefacts
-from sim.artefacts.dot import INIT, Source, SourceLocation
-from sim.artefacts.files import ArtefactError
-from sim.artefacts.flow_file import FlowFile
-from sim.artefacts.flow_kinds import flow_of, same_equation
-from sim.artefacts.histogram import evidence, fit
-from sim.artefacts.report import EFFECT, ReportedLaw, ReportedLocation
+from sim.artefacts.formats.bundle import Artefacts
+from sim.artefacts.formats.dot import INIT, Source, SourceLocation
+from sim.artefacts.formats.flow_file import FlowFile
+from sim.artefacts.formats.flow_kinds import flow_of, same_equation
+from sim.artefacts.formats.histogram import evidence, fit
+from sim.artefacts.formats.report import EFFECT, ReportedLaw, ReportedLocation
 from sim.effects.check import check_sha
+from sim.files import ArtefactError
 from sim.sha.automaton import SHA, Distribution, Entry, Flow, Input, Location, nondeterminism
 from sim.sha.flows import FIXED, FLOWS, RELAXING
 
@@ -72,8 +72,8 @@ def to_sha(artefacts: Artefacts, parameter: Parameter = "rate") -> Converted:
             if node.name in lines:
                 location = _from_line(node, lines[node.name], artefacts.flows)
             else:
-                location, told = _from_equation(node, artefacts.flows, laws, parameter)
-                notes += told
+                location, more = _from_equation(node, artefacts.flows, laws, parameter)
+                notes += more
         except ArtefactError as error:
             raise ArtefactError(f"{artefacts.name}, location {node.name!r}: {error}") from None
         locations.append(location)

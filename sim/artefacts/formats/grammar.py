@@ -6,7 +6,7 @@ from pathlib import Path
 from lark import Lark, Token, Tree, UnexpectedEOF, UnexpectedInput
 from lark.exceptions import UnexpectedToken
 
-from sim.artefacts.files import at
+from sim.files import at
 
 
 def parse_text(parser: Lark, text: str, file: str | Path, wanted: str) -> Tree[Token]:

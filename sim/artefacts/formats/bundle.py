@@ -5,11 +5,11 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.artefacts.dot import Source, read_source, source_text
-from sim.artefacts.files import ArtefactError, at, refused, replace_durably
-from sim.artefacts.flow_file import FLOW_FILE, FlowFile, flow_file_text, read_flow_file
-from sim.artefacts.histogram import Histogram, histogram_text, read_histogram
-from sim.artefacts.report import Report, read_report, report_text
+from sim.artefacts.formats.dot import Source, read_source, source_text
+from sim.artefacts.formats.flow_file import FLOW_FILE, FlowFile, flow_file_text, read_flow_file
+from sim.artefacts.formats.histogram import Histogram, histogram_text, read_histogram
+from sim.artefacts.formats.report import Report, read_report, report_text
+from sim.files import ArtefactError, at, refused, replace_durably
 
 SUFFIXES: Mapping[str, str] = {"source": "_source.txt", "report": ".txt", "histogram": "_histogram_values.txt"}
 KINDS = (*SUFFIXES, "flows")

@@ -1,4 +1,4 @@
-"""Files of a model: read whole, replaced at one moment, refused in one sentence."""
+"""Files of artefacts (models, reports, exports): read whole, replaced at one moment, refused in one sentence."""
 
 import os
 from contextlib import suppress

@@ -2,7 +2,7 @@
 
 A draw gives the next n outcomes of independent runs, 0.0 or 1.0 (weights in [0, 1] where a rule says so). Every rule
 looks at the runs one by one, in their order, however many are drawn at once: the batch changes what is wasted at the
-end and nothing else. `sequential_ratio` tests a probability against a bound, `sequential_paired` two against another.
+end and nothing else. `sprt` tests a probability against a bound, `paired` compares two of them.
 """
 
 from collections.abc import Callable
@@ -22,6 +22,9 @@ Draw = Callable[[int], Array]
 Progress = Callable[[str, float], None]
 """What is being done, and the share that is done, 0..1."""
 
+Interval = Callable[[Array, NDArray[np.int_], float], tuple[Array, Array]]
+"""(successes (n,), runs (n,), level) -> low and high (n,)."""
+
 BATCH = 1000
 MOST_RUNS = 1_000_000
 UNDER_COVERS = (
@@ -34,7 +37,7 @@ _BLOCK = 1024
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class RuleOutcome:
     """What a rule found: its name and `level`, the estimate with its interval at the stop, and how it ended.
 
     `decided` is False where the runs ran out first. `holds` is the answer of a test, None for an estimation and where
@@ -49,7 +52,9 @@ class Outcome:
     note: str = ""
 
 
-def fixed(draw: Draw, runs: int, level: float = 0.95, batch: int = BATCH, progress: Progress | None = None) -> Outcome:
+def fixed(
+    draw: Draw, runs: int, level: float = 0.95, batch: int = BATCH, progress: Progress | None = None
+) -> RuleOutcome:
     """Exact binomial interval after that many runs (Clopper & Pearson 1934); weights in [0, 1] are allowed.
 
     Raises ValueError for runs below 1, and for outcomes outside [0, 1].
@@ -60,9 +65,9 @@ def fixed(draw: Draw, runs: int, level: float = 0.95, batch: int = BATCH, progre
     while done < runs:
         outcomes = drawn(draw, min(batch, runs - done))
         successes, done = successes + float(outcomes.sum()), done + outcomes.size
-        tell(progress, done, runs)
+        show_progress(progress, done, runs)
     found = clopper_pearson(min(successes, runs), runs, level)
-    return Outcome("Clopper-Pearson, fixed number of runs", level, found)
+    return RuleOutcome("Clopper-Pearson, fixed number of runs", level, found)
 
 
 def to_half_width(
@@ -73,15 +78,17 @@ def to_half_width(
     most: int = MOST_RUNS,
     batch: int = BATCH,
     progress: Progress | None = None,
-) -> Outcome:
+) -> RuleOutcome:
     """UPPAAL's sequential rule: runs until the Clopper-Pearson interval is no wider than 2 epsilon.
 
     With no success, or no failure, the interval is one-sided at the full 1 - level: at epsilon = .05 and level .95 the
     rule then stops at 29 runs with [0, 0.0981446]. Weights in [0, 1] are allowed. Raises ValueError for an epsilon
     outside (0, 0.5) and for outcomes outside [0, 1].
     """
-    found, decided = _narrowed(draw, one_or_two_sided, epsilon, level, most, batch, progress)
-    return Outcome("Clopper-Pearson, sequential (UPPAAL's rule)", level, found, decided, note=UNDER_COVERS)
+    found, decided = _narrowed(
+        draw, one_or_two_sided, epsilon=epsilon, level=level, most=most, batch=batch, progress=progress
+    )
+    return RuleOutcome("Clopper-Pearson, sequential (UPPAAL's rule)", level, found, decided, note=UNDER_COVERS)
 
 
 def anytime(
@@ -92,14 +99,16 @@ def anytime(
     most: int = MOST_RUNS,
     batch: int = BATCH,
     progress: Progress | None = None,
-) -> Outcome:
+) -> RuleOutcome:
     """Runs until the anytime-valid interval of `mixture_interval` is no wider than 2 epsilon.
 
     Whatever stops it, the truth lies in the interval with a probability of at least `level`. Weights in [0, 1] are
     allowed. Raises as `to_half_width`.
     """
-    found, decided = _narrowed(draw, mixture_interval, epsilon, level, most, batch, progress)
-    return Outcome("betting (beta mixture), valid at any time", level, found, decided)
+    found, decided = _narrowed(
+        draw, mixture_interval, epsilon=epsilon, level=level, most=most, batch=batch, progress=progress
+    )
+    return RuleOutcome("betting (beta mixture), valid at any time", level, found, decided)
 
 
 def mixture_interval(successes: Array, runs: NDArray[np.int_], level: float) -> tuple[Array, Array]:
@@ -110,6 +119,7 @@ def mixture_interval(successes: Array, runs: NDArray[np.int_], level: float) -> 
     that have not made him 1 / (1 - level) times richer (Ville 1939; Robbins 1970, Ann. Math. Statist. 41; as betting:
     Waudby-Smith & Ramdas 2024, J. R. Stat. Soc. B 86). For weights in [0, 1] the wealth is a supermartingale.
     """
+    # In logarithms: the wealth itself leaves the floats after some hundred runs.
     rich = np.log(1.0 / (1.0 - level))
     wealth = betaln(successes + 0.5, runs - successes + 0.5) - betaln(0.5, 0.5) - rich
     middle = successes / runs
@@ -124,7 +134,7 @@ def mixture_interval(successes: Array, runs: NDArray[np.int_], level: float) -> 
 
 def _edge(kept: Callable[[Array], Mask], outside: Array, inside: Array) -> Array:
     """Where `kept` begins between the two, by bisection; the outer side, so that nothing is left out."""
-    for _ in range(52):
+    for _ in range(52):  # the bits of a float's mantissa
         halfway = (outside + inside) / 2.0
         hit = kept(halfway)
         outside, inside = np.where(hit, outside, halfway), np.where(hit, halfway, inside)
@@ -136,6 +146,7 @@ def one_or_two_sided(successes: Array, runs: NDArray[np.int_], level: float) -> 
     extreme = (successes <= 0) | (successes >= runs)
     tail = np.where(extreme, 1.0 - level, (1.0 - level) / 2.0)
     failures = runs - successes
+    # Quantiles of the beta law; 1e-9 only keeps its parameter positive where the result is not used.
     low = np.where(successes > 0, betaincinv(np.maximum(successes, 1e-9), failures + 1, tail), 0.0)
     high = np.where(failures > 0, betaincinv(successes + 1, np.maximum(failures, 1e-9), 1.0 - tail), 1.0)
     return low, high
@@ -143,7 +154,8 @@ def one_or_two_sided(successes: Array, runs: NDArray[np.int_], level: float) -> 
 
 def _narrowed(
     draw: Draw,
-    interval: Callable[[Array, NDArray[np.int_], float], tuple[Array, Array]],
+    interval: Interval,
+    *,
     epsilon: float,
     level: float,
     most: int,
@@ -155,19 +167,21 @@ def _narrowed(
         raise ValueError(f"no estimate to +-{epsilon} at level {level} in {most} runs; use such as 0.05, 0.95, 1000000")
     total, runs = 0.0, 0
     while runs < most:
-        for outcomes in _blocks(drawn(draw, min(batch, most - runs))):
+        batch_outcomes = drawn(draw, min(batch, most - runs))
+        for first in range(0, batch_outcomes.size, _BLOCK):
+            outcomes = batch_outcomes[first : first + _BLOCK]
             sums, counts = total + np.cumsum(outcomes), runs + np.arange(1, outcomes.size + 1)
             found = _first_narrow(interval, sums, counts, epsilon, level)
             if found is not None:
                 return found, True
             total, runs = float(sums[-1]), int(counts[-1])
-        tell(progress, runs, _expected(total / runs, epsilon, level, most))
+        show_progress(progress, runs, _expected(total / runs, epsilon, level, most))
     low, high = interval(np.array([total]), np.array([runs]), level)
     return Estimate(total / runs, float(low[0]), float(high[0]), runs), False
 
 
 def _first_narrow(
-    interval: Callable[[Array, NDArray[np.int_], float], tuple[Array, Array]],
+    interval: Interval,
     sums: Array,
     counts: NDArray[np.int_],
     epsilon: float,
@@ -211,11 +225,7 @@ def checked(outcomes: Array, runs: int) -> Array:
     return given
 
 
-def _blocks(outcomes: Array) -> list[Array]:
-    return [outcomes[begin : begin + _BLOCK] for begin in range(0, outcomes.size, _BLOCK)]
-
-
-def tell(progress: Progress | None, done: int, of: int) -> None:
+def show_progress(progress: Progress | None, done: int, of: int) -> None:
     """Say how far it is, if anybody listens."""
     if progress is not None:
         progress(f"{done} runs", min(1.0, done / of))

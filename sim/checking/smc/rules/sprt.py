@@ -7,22 +7,22 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import brentq
 
-from sim.checking.smc.rules.sequential import (
+from sim.checking.smc.rules.estimation import (
     BATCH,
     MOST_RUNS,
     Draw,
-    Outcome,
     Progress,
+    RuleOutcome,
     drawn,
     fixed,
     mixture_interval,
-    tell,
+    show_progress,
 )
 from sim.scores import Estimate
 from sim.sha.trace import Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RatioTest:
     """Wald's test of `p >= accept` against `p <= reject` (for op <=, the other way round): accept is where it holds.
 
@@ -58,7 +58,7 @@ def sprt(
     most: int = MOST_RUNS,
     batch: int = BATCH,
     progress: Progress | None = None,
-) -> Outcome:
+) -> RuleOutcome:
     """Wald's sequential probability ratio test (1945) of `test`; weights in [0, 1] are allowed.
 
     The interval is `mixture_interval`'s at level 1 - alpha, which the stopping does not harm. A bound that every
@@ -73,16 +73,17 @@ def sprt(
     while runs < most and below < ratio < above:
         outcomes = drawn(draw, min(batch, most - runs))
         sums, counts = total + np.cumsum(outcomes), runs + np.arange(1, outcomes.size + 1)
-        ratios = _times(sums, success) + _times(counts - sums, failure)
+        # The ratio after every single run of the batch, so that the batch decides nothing about where the test stops.
+        ratios = _scaled(sums, success) + _scaled(counts - sums, failure)
         ends = np.flatnonzero((ratios <= below) | (ratios >= above))
         last = int(ends[0]) if ends.size else outcomes.size - 1
         total, runs, ratio = float(sums[last]), int(counts[last]), float(ratios[last])
-        tell(progress, runs, most)
+        show_progress(progress, runs, most)
     holds = None if below < ratio < above else ratio <= below
     low, high = mixture_interval(np.array([total]), np.array([runs]), 1.0 - test.alpha)
     found = Estimate(total / runs, float(low[0]), float(high[0]), runs)
     rule = f"Wald's SPRT of {test.accept:g} against {test.reject:g}, alpha {test.alpha:g}, beta {test.beta:g}"
-    return Outcome(rule, 1.0 - test.alpha, found, holds is not None, holds)
+    return RuleOutcome(rule, 1.0 - test.alpha, found, holds is not None, holds)
 
 
 def wald_test(
@@ -103,7 +104,8 @@ def wald_test(
     low, high = max(p - half, 0.0), min(p + half, 1.0)
     if nearest == 0.0:
         low, high = (p, p) if (op == ">=") == (p == 0.0) else (low, high)
-    return RatioTest(op, p, high, low, alpha, beta) if op == ">=" else RatioTest(op, p, low, high, alpha, beta)
+    accept, reject = (high, low) if op == ">=" else (low, high)
+    return RatioTest(op=op, p=p, accept=accept, reject=reject, alpha=alpha, beta=beta)
 
 
 def expected_runs(test: RatioTest, p: float) -> float:
@@ -152,6 +154,7 @@ def _conjugate(p: float, success: float, failure: float) -> float:
     def excess(h: float) -> float:
         return float(np.logaddexp(np.log(p) + h * success, np.log1p(-p) + h * failure))
 
+    # excess(h) is convex with zeros at 0 and at the h looked for, which has the sign of `first`.
     near = far = 0.01 * first
     while excess(far) <= 0.0:
         near, far = far, far * 2.0
@@ -163,6 +166,6 @@ def _moments(p: float, success: float, failure: float) -> tuple[float, float]:
     return p * success + (1.0 - p) * failure, p * success**2 + (1.0 - p) * failure**2
 
 
-def _times(counts: Array, step: float) -> Array:
+def _scaled(counts: Array, step: float) -> Array:
     """counts * step, where nothing times infinity is nothing."""
     return np.multiply(counts, step, out=np.zeros_like(counts), where=counts != 0)

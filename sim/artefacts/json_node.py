@@ -7,7 +7,7 @@ from math import inf
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sim.artefacts.files import ArtefactError, at
+from sim.files import ArtefactError, at
 
 T = TypeVar("T")
 
@@ -16,7 +16,7 @@ INFINITE = {"inf": inf, "-inf": -inf}
 
 
 @dataclass(frozen=True, slots=True)
-class Node:
+class JsonNode:
     """A value of the document at `path` (like `locations[2].flow.k`). Every method raises ArtefactError."""
 
     value: Any
@@ -27,14 +27,14 @@ class Node:
         """The error `file: key path: sentence`."""
         return at(self.file, None, f"{self.path or 'the document'}: {sentence}")
 
-    def get(self, key: str) -> "Node":
+    def get(self, key: str) -> "JsonNode":
         """The value of a key that must be there."""
         table = self._of_type(dict, "an object {...}")
         if key not in table:
             raise self.error(f"the key {key!r} is missing; it has {', '.join(map(repr, table)) or 'no keys'}")
-        return Node(table[key], self.file, f"{self.path}.{key}" if self.path else key)
+        return JsonNode(table[key], self.file, f"{self.path}.{key}" if self.path else key)
 
-    def only(self, keys: Collection[str]) -> "Node":
+    def only(self, keys: Collection[str]) -> "JsonNode":
         """Itself, if it is an object with no other keys than these."""
         unknown = [key for key in self._of_type(dict, "an object {...}") if key not in keys]
         if unknown:
@@ -45,7 +45,7 @@ class Node:
         """A finite number, or the texts "inf" and "-inf"."""
         if isinstance(self.value, str) and self.value in INFINITE:
             return INFINITE[self.value]
-        if isinstance(self.value, bool) or not isinstance(self.value, int | float):
+        if isinstance(self.value, bool) or not isinstance(self.value, int | float):  # true is an int to Python
             raise self.error(f'a number is needed (or "inf"), but this is {_shown(self.value)}')
         try:
             return float(self.value)
@@ -66,16 +66,16 @@ class Node:
             raise self.error(f"a whole number is needed, but this is {_shown(self.value)}")
         return int(self._of_type(int, "a whole number"))
 
-    def each(self) -> Iterator["Node"]:
+    def each(self) -> Iterator["JsonNode"]:
         """The elements of a list."""
         elements = self._of_type(list, "a list [...]")
-        return (Node(element, self.file, f"{self.path}[{index}]") for index, element in enumerate(elements))
+        return (JsonNode(element, self.file, f"{self.path}[{index}]") for index, element in enumerate(elements))
 
-    def table(self, read: Callable[["Node"], T]) -> dict[str, T]:
+    def table(self, read: Callable[["JsonNode"], T]) -> dict[str, T]:
         """An object with keys of its own, each value read by `read`."""
         return {key: read(self.get(key)) for key in self._of_type(dict, "an object {...}")}
 
-    def optional(self, read: Callable[["Node"], T]) -> T | None:
+    def optional(self, read: Callable[["JsonNode"], T]) -> T | None:
         """None for null, else the value read by `read`."""
         return None if self.value is None else read(self)
 
@@ -92,10 +92,10 @@ def _shown(value: object) -> str:
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def parse_json(text: str, file: str | Path) -> Node:
+def parse_json(text: str, file: str | Path) -> JsonNode:
     """The document. Raises ArtefactError with line and column, also for NaN, Infinity and a key given twice."""
     try:
-        return Node(json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique), file)
+        return JsonNode(json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique), file)
     except json.JSONDecodeError as error:
         sentence = f"is no JSON ({error.msg} at column {error.colno}); correct that place"
         raise at(file, error.lineno, sentence) from None
@@ -108,6 +108,7 @@ def _no_constant(name: str) -> float:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> Mapping[str, Any]:
+    # json keeps the last of two equal keys without a word; a model edited by hand would lose a value.
     table = dict(pairs)
     if len(table) < len(pairs):
         doubled = next(key for index, (key, _) in enumerate(pairs) if key in dict(pairs[:index]))
@@ -118,6 +119,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> Mapping[str, Any]:
 def written_number(value: float) -> float | str:
     """The number as JSON has it; -0.0 becomes 0.0, as equal models must have one text. ArtefactError for NaN."""
     number = float(value) + 0.0
-    if number != number:
+    if number != number:  # a NaN differs from itself
         raise ArtefactError("a NaN cannot be written into a model; every number of a model must be known")
     return number if abs(number) != inf else ("inf" if number > 0 else "-inf")

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from math import fsum, sqrt
 from pathlib import Path
 
-from sim.artefacts.files import at, read_text
-from sim.artefacts.grammar import finite_number
-from sim.artefacts.report import ReportedLaw
+from sim.artefacts.formats.grammar import finite_number
+from sim.artefacts.formats.report import ReportedLaw
+from sim.files import at, read_text
 
 Values = Mapping[str, tuple[float, ...]]
 """The values of each distribution, by its name."""
@@ -33,7 +33,7 @@ class Histogram:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class ParameterFit:
     """Mean and standard deviation (divisor n) of `count` values, `distinct` of which are different."""
 
     mean: float
@@ -43,7 +43,7 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class HistogramEvidence:
     """The values to fit from, each run counted once, and how they were chosen.
 
     `origin` says it in words; `disagreements` has one sentence per distribution whose mean is not the report's.
@@ -114,12 +114,15 @@ def merge(histogram: Histogram) -> Values:
     return merged
 
 
-def fit(values: tuple[float, ...]) -> Fit:
+def fit(values: tuple[float, ...]) -> ParameterFit:
     """Mean and standard deviation. Raises ValueError without values."""
     if not values:
         raise ValueError("nothing can be fitted without values")
+    # fsum rounds once, so that the mean does not depend on the order of the values.
     mean = fsum(values) / len(values)
-    return Fit(mean, sqrt(fsum((value - mean) ** 2 for value in values) / len(values)), len(values), len(set(values)))
+    return ParameterFit(
+        mean, sqrt(fsum((value - mean) ** 2 for value in values) / len(values)), len(values), len(set(values))
+    )
 
 
 def disagreements(values: Values, laws: tuple[ReportedLaw, ...], tolerance: float = PRINTED) -> tuple[str, ...]:
@@ -151,23 +154,23 @@ def _differ(left: float, right: float, tolerance: float) -> bool:
     return abs(left - right) > tolerance * max(1.0, abs(right))
 
 
-def evidence(histogram: Histogram, laws: tuple[ReportedLaw, ...], tolerance: float = PRINTED) -> Evidence:
+def evidence(histogram: Histogram, laws: tuple[ReportedLaw, ...], tolerance: float = PRINTED) -> HistogramEvidence:
     """The values that the report was made from: the run, or the pool of different runs, with the report's means.
 
     Tried in this order: the last run (the report was written with it), earlier runs from the newest, all different runs
-    pooled. Where none agrees it is the last run, and the disagreements are told.
+    pooled. Where none agrees it is the last run, and the disagreements are given.
     """
     distinct = distinct_runs(histogram)
     if not histogram.runs:
-        return Evidence({}, 0, 0, "there are no values", disagreements({}, laws, tolerance))
+        return HistogramEvidence({}, 0, 0, "there are no values", disagreements({}, laws, tolerance))
     candidates = [(histogram.runs[-1], "the last run")]
     candidates += [(run, "an earlier run, which the report describes") for run in reversed(distinct)]
     candidates.append((merge(histogram), f"{len(distinct)} different runs pooled"))
     for values, origin in candidates:
         if not disagreements(values, laws, tolerance):
-            return Evidence(values, len(histogram.runs), len(distinct), origin)
+            return HistogramEvidence(values, len(histogram.runs), len(distinct), origin)
     last = histogram.runs[-1]
-    told = disagreements(last, laws, tolerance)
-    return Evidence(
-        last, len(histogram.runs), len(distinct), "the last run, though no run agrees with the report", told
+    origin = "the last run, though no run agrees with the report"
+    return HistogramEvidence(
+        last, len(histogram.runs), len(distinct), origin, disagreements=disagreements(last, laws, tolerance)
     )

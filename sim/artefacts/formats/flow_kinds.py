@@ -3,9 +3,9 @@
 import re
 from fractions import Fraction
 
-from sim.artefacts.files import ArtefactError
-from sim.artefacts.flow_file import FUNCTIONS, Equation, parse_equation
-from sim.artefacts.polynomial import Monomial, Polynomial, scale, term_text
+from sim.artefacts.formats.flow_file import FUNCTIONS, Equation, parse_equation
+from sim.artefacts.formats.polynomial import Monomial, Polynomial, scale, term_text
+from sim.files import ArtefactError
 from sim.sha.automaton import Flow, Input
 from sim.sha.flows import FLOWS
 

@@ -3,14 +3,23 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
 
-from sim.artefacts.bundle import Artefacts
-from sim.artefacts.dot import INIT, Source, SourceLocation
-from sim.artefacts.files import ArtefactError
-from sim.artefacts.flow_file import FlowFile, parse_equation
-from sim.artefacts.flow_kinds import equation_text, quoted
-from sim.artefacts.histogram import Histogram
-from sim.artefacts.report import EFFECT, EMPTY_WORD, UNOBSERVED, Report, ReportedLaw, ReportedLocation, Row, Table
+from sim.artefacts.formats.bundle import Artefacts
+from sim.artefacts.formats.dot import INIT, Source, SourceLocation
+from sim.artefacts.formats.flow_file import FlowFile, parse_equation
+from sim.artefacts.formats.flow_kinds import equation_text, quoted
+from sim.artefacts.formats.histogram import Histogram
+from sim.artefacts.formats.report import (
+    EFFECT,
+    EMPTY_WORD,
+    UNOBSERVED,
+    Report,
+    ReportedLaw,
+    ReportedLocation,
+    ReportRow,
+    Table,
+)
 from sim.effects.kinds import effect_summary
+from sim.files import ArtefactError
 from sim.learning.lsha.table import ObservationTable, TableRow
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
@@ -102,9 +111,9 @@ def _table(observations: ObservationTable, cells: Mapping[str, str]) -> Table:
     def word(symbols: Sequence[str]) -> str:
         return "".join(map(_plain_name, symbols)) or EMPTY_WORD
 
-    def rows(part: Sequence[TableRow]) -> tuple[Row, ...]:
+    def rows(part: Sequence[TableRow]) -> tuple[ReportRow, ...]:
         return tuple(
-            Row(word(one.word), tuple(UNOBSERVED if cell is None else cells[cell] for cell in one.cells))
+            ReportRow(word(one.word), tuple(UNOBSERVED if cell is None else cells[cell] for cell in one.cells))
             for one in part
         )
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from lark import Lark, Token, Tree
 
-from sim.artefacts.files import at, read_text
-from sim.artefacts.grammar import finite, parse_text, trees
+from sim.artefacts.formats.grammar import finite, parse_text, trees
+from sim.files import at, read_text
 
 GRAMMAR = r"""
 start: _NL? (labels | events | laws | table | performance | locations | _line)*
@@ -72,7 +72,7 @@ class ReportedLaw:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ReportRow:
     """A word (its event symbols run together) with one cell per suffix, as written: `(f_1,D_3)`, unobserved `(ε,ε)`."""
 
     word: str
@@ -84,8 +84,8 @@ class Table:
     """The observation table: prefix-closed words above, their one-event extensions below, one column per suffix."""
 
     suffixes: tuple[str, ...]
-    upper: tuple[Row, ...]
-    lower: tuple[Row, ...] = ()
+    upper: tuple[ReportRow, ...]
+    lower: tuple[ReportRow, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,13 +190,13 @@ def _table(tree: Tree[Token] | None, file: str | Path) -> Table | None:
     return Table(suffixes, *parts)
 
 
-def _rows(part: Tree[Token], columns: int, file: str | Path) -> tuple[Row, ...]:
+def _rows(part: Tree[Token], columns: int, file: str | Path) -> tuple[ReportRow, ...]:
     rows = []
     for tree in trees(part, "row"):
         word, *cells = _tokens(tree)
         if len(cells) != columns:
             raise at(file, tree.meta.line, f"the row of {word} has {len(cells)} cells; the table has {columns} columns")
-        rows.append(Row(word, tuple(cells)))
+        rows.append(ReportRow(word, tuple(cells)))
     return tuple(rows)
 
 
