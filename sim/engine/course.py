@@ -27,7 +27,7 @@ _FEWEST = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class DrawnMoments:
     """What stays draw, for each of n steps: moments of m; whether X is drawn anew before the step, and its moments.
 
     `entry` marks the steps that begin a stay, `checked` those that end where the temperature is held against the range.
@@ -43,7 +43,7 @@ class Drawn:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class MeanCourse:
     """The means after each step, `s` (n, d), with the `steps` that led there.
 
     `opened` (n,) is the part of each step for which the thermostat was open, `valve` its state at the end. `clamps`
@@ -63,7 +63,9 @@ def start_state(plant: Plant, temperature: Array | float, offset: float) -> Arra
     return np.repeat(np.asarray(temperature, dtype=float)[..., None] - offset, plant.size, axis=-1)
 
 
-def mean_course(plant: Plant, segments: Segments, drawn: Drawn, start: Array, *, valve: bool = False) -> Course:
+def mean_course(
+    plant: Plant, segments: Segments, drawn: DrawnMoments, start: Array, *, valve: bool = False
+) -> MeanCourse:
     """The course from the state `start` (d,), with the thermostat open if `valve`."""
     if plant.radiation is None:
         return _march(plant, tables(plant, segments), drawn, start, valve)
@@ -78,7 +80,7 @@ def mean_course(plant: Plant, segments: Segments, drawn: Drawn, start: Array, *,
     return course
 
 
-def _march(plant: Plant, steps: Tables, drawn: Drawn, start: Array, first: bool) -> Course:
+def _march(plant: Plant, steps: Tables, drawn: DrawnMoments, start: Array, first: bool) -> MeanCourse:
     if plant.thermostat is not None and plant.size == 1 and steps.closed.terms.powers == 1:
         return _followed(plant.sha, plant.thermostat.effect, steps, drawn, Valve(float(start[0]), first))
     n = steps.dt.size
@@ -105,13 +107,13 @@ def _march(plant: Plant, steps: Tables, drawn: Drawn, start: Array, first: bool)
         state[0] = held
         s[row] = state
         row += 1
-    return Course(s, steps, opened, int(clamps), limited, bool(valve[0]))
+    return MeanCourse(s, steps, opened, int(clamps), limited, bool(valve[0]))
 
 
-def _followed(sha: SHA, effect: Effect, steps: Tables, drawn: Drawn, valve: Valve) -> Course:
+def _followed(sha: SHA, effect: Effect, steps: Tables, drawn: DrawnMoments, valve: Valve) -> MeanCourse:
     fresh = np.where(drawn.resampled, drawn.fresh, np.nan)
     x, parts = follow(sha, effect, rows_of(steps, drawn.mode, fresh, drawn.checked), valve, fresh.size)
-    return Course(x[:, None], steps, parts, valve.clamps, valve.limited, valve.opened)
+    return MeanCourse(x[:, None], steps, parts, valve.clamps, valve.limited, valve.opened)
 
 
 def _without_rest(steps: Tables) -> Tables:
@@ -119,7 +121,7 @@ def _without_rest(steps: Tables) -> Tables:
     return Tables(steps.closed, steps.open, steps.dt, steps.coupling, None, None)
 
 
-def _straight(steps: Tables, drawn: Drawn, rows: slice, state: Array, opened: bool) -> tuple[Array, Array]:
+def _straight(steps: Tables, drawn: DrawnMoments, rows: slice, state: Array, opened: bool) -> tuple[Array, Array]:
     """(states after each of the rows, X before each) with the thermostat as it stands and nothing limited."""
     half = steps.open if opened and steps.open is not None else steps.closed
     phi, added = _renewed(half, drawn, rows)
@@ -128,7 +130,7 @@ def _straight(steps: Tables, drawn: Drawn, rows: slice, state: Array, opened: bo
     return run, np.where(drawn.resampled[rows], drawn.fresh[rows], before)
 
 
-def _renewed(half: Half, drawn: Drawn, rows: slice) -> tuple[Array, Array]:
+def _renewed(half: Half, drawn: DrawnMoments, rows: slice) -> tuple[Array, Array]:
     """(phi, added) in which steps before which X is drawn anew forget the old X and begin with the mean of the new."""
     phi, added, new = half.phi[rows], half.added[rows], drawn.resampled[rows]
     if not new.any():
@@ -139,7 +141,9 @@ def _renewed(half: Half, drawn: Drawn, rows: slice) -> tuple[Array, Array]:
     return phi, added
 
 
-def _odd(plant: Plant, steps: Tables, drawn: Drawn, rows: slice, before: Array, after: Array, valve: Mask) -> Mask:
+def _odd(
+    plant: Plant, steps: Tables, drawn: DrawnMoments, rows: slice, before: Array, after: Array, valve: Mask
+) -> Mask:
     """The rows in which the thermostat would switch, the range is left or the rate limit is met."""
     sha = plant.sha
     odd = drawn.checked[rows] & ((after < sha.low) | (after > sha.high))
@@ -150,7 +154,7 @@ def _odd(plant: Plant, steps: Tables, drawn: Drawn, rows: slice, before: Array, 
     return odd
 
 
-def covariance(plant: Plant, course: Course, drawn: Drawn, variance0: float) -> Array:
+def covariance(plant: Plant, course: MeanCourse, drawn: DrawnMoments, variance0: float) -> Array:
     """(n,) the variance (degC^2) of what the sensor reads after each step, its own noise apart.
 
     The thermostat switches as it does for the mean, and limits are not seen.

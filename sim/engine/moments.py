@@ -6,7 +6,7 @@ from math import isfinite, nan
 import numpy as np
 
 from sim.effects.kinds import sensor_offset, sensor_offsets
-from sim.engine.course import Course, Drawn, covariance, mean_course, start_state
+from sim.engine.course import DrawnMoments, MeanCourse, covariance, mean_course, start_state
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import linear_recursion
 from sim.engine.schedule import Indices, Schedule, step_coefficients
@@ -114,16 +114,16 @@ def moments(steps: Schedule, x0: float, variance0: float = 0.0) -> Prediction:
     )
 
 
-def stay_draws(steps: Schedule) -> Drawn:
+def stay_draws(steps: Schedule) -> DrawnMoments:
     """What the stays of a schedule draw, step by step."""
     table = np.array([(*mode_parameter(place), *_renewal(place)) for place in steps.sha.locations])
     mode, spread, fresh, scatter = table.T[:, steps.location]
     resampled = steps.entry & ~np.isnan(fresh)
     resampled[0] = False
-    return Drawn(mode, spread, resampled, np.nan_to_num(fresh), scatter, steps.entry, steps.checked)
+    return DrawnMoments(mode, spread, resampled, np.nan_to_num(fresh), scatter, steps.entry, steps.checked)
 
 
-def augmented_course(steps: Schedule, x0: float) -> tuple[Plant, Drawn, Course]:
+def augmented_course(steps: Schedule, x0: float) -> tuple[Plant, DrawnMoments, MeanCourse]:
     """The mean course of a schedule with effects from the reading `x0` (degC). Raises ValueError as `moments` does."""
     check_sha(steps.sha)
     if steps.segments is None:

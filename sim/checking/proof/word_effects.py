@@ -11,7 +11,7 @@ from math import inf, nan
 import numpy as np
 
 from sim.effects.kinds import sensor_offset, sensor_offsets, signals_of
-from sim.engine.course import Drawn, mean_course, start_state
+from sim.engine.course import DrawnMoments, mean_course, start_state
 from sim.engine.cuts import longest
 from sim.engine.moments import stay_draws
 from sim.engine.plant import compile_plant
@@ -101,7 +101,7 @@ def _readings(steps: Schedule, stays: Sequence[Given], x: float, *, checked: boo
     plant = compile_plant(steps.sha)
     if steps.segments is None:
         raise ValueError(f"SHA {steps.sha.name!r} has no effects to follow")
-    drawn: Drawn = stay_draws(steps)
+    drawn: DrawnMoments = stay_draws(steps)
     mode = np.array([stay.m for stay in stays])[steps.stay]
     fresh = np.nan_to_num(np.array([stay.temperature for stay in stays]))[steps.stay]
     drawn = replace(drawn, mode=mode, fresh=fresh, checked=steps.checked & checked)
