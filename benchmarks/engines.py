@@ -21,7 +21,8 @@ from benchmarks import belief as belief_benchmark
 from benchmarks.figures import Figure, give
 from benchmarks.simulation import SECONDS, cases, plant
 from benchmarks.smc import question, speed_start
-from sim.checking.proof.word import Replay, Step, TimedWord, replay
+from sim.checking.proof.word import TimedWord, WordStep
+from sim.checking.proof.word_replay import WordReplay, replay
 from sim.checking.smc.estimates import prepared
 from sim.checking.smc.runs import sampler
 from sim.engine.belief import Belief, Tracker, compile_model, observe, on_event, start, with_inputs
@@ -207,7 +208,9 @@ def words(repeats: int) -> list[Figure]:
         if name == "dense":
             continue
         events = word_events(np.random.default_rng(1))
-        word = TimedWord((Step(0.0, temperature=18.2), *(Step(one.time, one.symbol) for one in events)), SECONDS)
+        word = TimedWord(
+            (WordStep(0.0, temperature=18.2), *(WordStep(one.time, one.symbol) for one in events)), SECONDS
+        )
         model = Model(steps.sha, Alphabet(()), "T", 0.0)
         works = [partial(replay, each, word) for each in (model, with_nothing(model))]
         a, b = (work() for work in works)
@@ -215,7 +218,7 @@ def words(repeats: int) -> list[Figure]:
     return found
 
 
-def word_difference(a: Replay, b: Replay) -> float:
+def word_difference(a: WordReplay, b: WordReplay) -> float:
     both = zip(a.visits, b.visits, strict=True)
     return max(max(abs(p.left - q.left), abs(p.clamped - q.clamped), abs(p.entered - q.entered)) for p, q in both)
 

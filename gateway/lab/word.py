@@ -8,7 +8,7 @@ import click
 from gateway.console.output import emit, sentences, table
 
 if TYPE_CHECKING:
-    from sim.checking.proof.word import Replay
+    from sim.checking.proof.word_replay import WordReplay
     from sim.engine.schedule import Policy
 
 COLUMNS = ("time", "symbol", "location", "seconds", "m", "offset", "entered", "left", "clamped")
@@ -17,7 +17,8 @@ COLUMNS = ("time", "symbol", "location", "seconds", "m", "offset", "entered", "l
 def replay_word(directory: str, given: str, policy: "Policy", *, as_json: bool) -> None:
     """Replay a word, given as text or as a file's name, and say whether the model's own range is left."""
     from sim.artefacts.find import find_model
-    from sim.checking.proof.word import parse_word, replay
+    from sim.checking.proof.word import parse_word
+    from sim.checking.proof.word_replay import replay
     from sim.sha.correction import in_sensor_scale
 
     with sentences():
@@ -53,6 +54,6 @@ def _text(given: str) -> str:
         raise ValueError(f"{given}: byte {error.start} is not UTF-8; give a text file with a timed word") from None
 
 
-def _show(done: "Replay") -> None:
+def _show(done: "WordReplay") -> None:
     rows = [[getattr(visit, name) for name in COLUMNS] for visit in done.visits]
     table("replay without noise and clamps (s, °C)", COLUMNS, rows)

@@ -163,8 +163,8 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
     value = temperature - x
     square = value * value / variance
     recent = (*belief.recent, square)
-    # This is the filter's inner step. `Belief(...)` itself would collect its keywords in a dict first (CPython's call of
-    # a type), which is a fifth of the whole step; its __init__, called directly, does not.
+    # This is the filter's inner step. `Belief(...)` itself would collect its keywords in a dict first (CPython's call
+    # of a type), which is a fifth of the whole step; its __init__, called directly, does not.
     posterior = object.__new__(Belief)
     Belief.__init__(
         posterior,

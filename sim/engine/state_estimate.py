@@ -12,8 +12,8 @@ import numpy as np
 
 from sim.effects.kinds import sensor_offset, signals_of
 from sim.engine.belief_state import Belief, Hidden
-from sim.engine.course import DrawnMoments, MeanCourse, mean_course
 from sim.engine.cuts import Stays, cuts
+from sim.engine.moments_augmented import DrawnMoments, MeanCourse, mean_course
 from sim.engine.plant import Plant
 from sim.engine.tables import chosen
 from sim.engine.terms import Segments

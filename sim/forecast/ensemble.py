@@ -135,7 +135,7 @@ class Awaited:
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class PoolEvidence:
     """A pool with the forecasts that wait for their reading; `last` is the due time of the newest that had one."""
 
     pool: Pool
@@ -143,7 +143,7 @@ class Evidence:
     pending: tuple[Awaited, ...] = ()
 
 
-def issue(evidence: Evidence, horizon: float, context: str, made: Sequence[Forecast | None]) -> Evidence:
+def issue(evidence: PoolEvidence, horizon: float, context: str, made: Sequence[Forecast | None]) -> PoolEvidence:
     """The evidence with the members' forecasts for `horizon` (s) waiting; a single one teaches nothing."""
     told = [one for one in made if one is not None]
     if evidence.pool.fixed is not None or len(told) < 2:
@@ -158,7 +158,7 @@ def _fan(made: Forecast, column: int) -> tuple[float, ...]:
     return tuple(float(made.quantiles[made.levels.index(level), column]) for level in LEVELS)
 
 
-def settle(evidence: Evidence, horizon: float, time: float, temperature: float, tolerance: float) -> Evidence:
+def settle(evidence: PoolEvidence, horizon: float, time: float, temperature: float, tolerance: float) -> PoolEvidence:
     """The evidence after a reading (degC) at `time`: what is due is learned from, what is overdue is dropped.
 
     Forecasts that overlap err together: one is worth the part of its horizon by which it is newer than the one before.
@@ -173,7 +173,7 @@ def settle(evidence: Evidence, horizon: float, time: float, temperature: float, 
             worth = min(max(one.due - last, 0.0) / horizon, 1.0)
             said = [None if fan is None else log_density(LEVELS, fan, temperature) for fan in one.fans]
             pool, last = learn(pool, one.context, said, worth), max(last, one.due)
-    return Evidence(pool, last, tuple(one for one in waiting if one.due > time or not known))
+    return PoolEvidence(pool, last, tuple(one for one in waiting if one.due > time or not known))
 
 
 def log_density(levels: ArrayLike, quantiles: ArrayLike, outcome: float, least: float = LEAST_WIDTH) -> float:

@@ -16,12 +16,12 @@ from sim.checking.smc.paths.plan import FINE, LEAST_DECAY, LONGEST, Indices, Pie
 from sim.checking.smc.paths.tilting import Tilts
 from sim.effects.kinds import dead_time, sensor_offsets
 from sim.engine.belief_state import Hidden
-from sim.engine.course import start_state
 from sim.engine.cuts import fastest
 from sim.engine.kernel import move
+from sim.engine.moments_augmented import start_state
 from sim.engine.plant import compile_plant
-from sim.engine.runs import Plan, augmented_plan
 from sim.engine.schedule import Schedule, schedule
+from sim.engine.simulate_augmented import SamplingPlan, augmented_plan
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Effect
 from sim.sha.entry import mode_parameter
@@ -29,14 +29,14 @@ from sim.sha.trace import UNKNOWN, Array, Event
 
 
 @dataclass(frozen=True, slots=True)
-class Augmented:
+class KnownUnderEffects:
     """The engine (`paths.Engine`); `clock` (s since the start) and the offsets `before` and `after` each row (degC).
 
     `bridge` (rows,) is V of each step's noise in X; 0 behind a lag.
     """
 
     world: World
-    plan: Plan
+    plan: SamplingPlan
     clock: Array
     before: Array
     after: Array
@@ -44,7 +44,7 @@ class Augmented:
     notes: tuple[str, ...]
     columns: int = 0
 
-    def tilted(self, tilts: Tilts) -> "Augmented":
+    def tilted(self, tilts: Tilts) -> "KnownUnderEffects":
         """Never asked for: there are no columns."""
         raise ValueError("runs under effects have no mode parameters that may be drawn by laws of their own")
 
@@ -92,7 +92,7 @@ class Augmented:
         yield Piece(None, float(self.clock[row]), dt, age, place, start, state.x, float(self.bridge[row]))
 
 
-def _mode(plan: Plan, place: int, runs: int, rng: np.random.Generator) -> Array:
+def _mode(plan: SamplingPlan, place: int, runs: int, rng: np.random.Generator) -> Array:
     law = plan.mode_laws[place]
     if law is not None:
         return distributions.draw(law, runs, rng)
@@ -107,7 +107,7 @@ def _clamp(sha: SHA, s: Array, clamps: Indices) -> None:
         s[:, 0] = np.clip(s[:, 0], sha.low, sha.high)
 
 
-def augmented(world: World, cuts: Cuts) -> Augmented:
+def augmented(world: World, cuts: Cuts) -> KnownUnderEffects:
     """The engine along the events and signals of `world.trace`. Raises ValueError as `schedule` does."""
     trace = world.trace
     if trace is None:
@@ -133,7 +133,7 @@ def augmented(world: World, cuts: Cuts) -> Augmented:
     begins = steps.segments.time if steps.segments is not None else clock[:-1]
     closed = plan.steps.closed
     bridge = closed.noise[:, 0, 0] / np.maximum(closed.phi[:, 0, 0], LEAST_DECAY)
-    return Augmented(
+    return KnownUnderEffects(
         world=world,
         plan=plan,
         clock=clock,
@@ -205,7 +205,7 @@ def _fast(sha: SHA) -> Array:
     return speed
 
 
-def _approximate(plan: Plan) -> Iterator[str]:
+def _approximate(plan: SamplingPlan) -> Iterator[str]:
     """What the runs only come near to."""
     if plan.plant.thermostat is not None or plan.plant.radiation is not None:
         yield "thermostat and radiation are followed run by run, the noise of a step being that of its begin"
