@@ -4,7 +4,7 @@ A plain model goes through an engine of effects when it has an effect that does 
 are of the processor, the median of the repetitions, each of which times one engine right after the other. Where runs
 are drawn, the engines draw in orders of their own: then the difference is that of the mean ends, in standard errors.
 The rows "limited" and "logarithmic" have a maximum rate and a drift that falls as 1/time: what the plain engines take
-in closed form.
+in closed form. Words have no pair: one replay does both.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,24 +19,23 @@ import numpy as np
 
 from benchmarks import belief as belief_benchmark
 from benchmarks.figures import Figure, give
-from benchmarks.simulation import SECONDS, cases, plant
+from benchmarks.simulation import EVENTS, ROWS, SECONDS, SYMBOLS, plant
 from benchmarks.smc import question, speed_start
-from sim.checking.proof.word import TimedWord, WordStep
-from sim.checking.proof.word_replay import WordReplay, replay
 from sim.checking.smc.estimates import prepared
-from sim.checking.smc.runs import sampler
+from sim.checking.smc.runs import LARGEST, sampler
 from sim.engine.belief import Belief, Tracker, compile_model, observe, on_event, start, with_inputs
 from sim.engine.moments import moments
 from sim.engine.schedule import Schedule, schedule
 from sim.engine.simulate import simulate
 from sim.forecast.forecast import Forecast, forecast
-from sim.sha.automaton import SHA, Effect, Flow
-from sim.sha.events import Alphabet
+from sim.sha.automaton import Distribution, Effect, Flow
 from sim.sha.model import Model
 from sim.sha.trace import Array, Event
 
 NOTHING = (Effect("sensor-offset-step", {"size": 0.0, "at": 0.0}),)
 SAMPLES, RUNS, FORECAST_RUNS = 400, 4096, 256
+LEAST = 0.02
+"""Seconds of processor time that one measurement takes at least."""
 
 
 def with_nothing(model: Model) -> Model:
@@ -45,13 +44,15 @@ def with_nothing(model: Model) -> Model:
 
 
 def timed(plain: Callable[[], object], effects: Callable[[], object], repeats: int) -> tuple[float, float]:
-    """Seconds of processor time of both, medians."""
+    """Seconds of processor time of a call of each, medians; a quick one is called several times in a row."""
     taken: tuple[list[float], list[float]] = ([], [])
     for _ in range(repeats):
         for work, times in zip((plain, effects), taken, strict=True):
-            begin = process_time()
-            work()
-            times.append(process_time() - begin)
+            begin, calls = process_time(), 0
+            while calls == 0 or process_time() - begin < LEAST:
+                work()
+                calls += 1
+            times.append((process_time() - begin) / calls)
     return median(taken[0]), median(taken[1])
 
 
@@ -83,8 +84,7 @@ def reading(tracker: Tracker, belief: Belief, second: int) -> Belief:
 
 
 def event(tracker: Tracker, belief: Belief, second: int) -> Belief:
-    symbols = belief_benchmark.SYMBOLS
-    return on_event(tracker, belief, Event(float(second), symbols[second % len(symbols)]))
+    return on_event(tracker, belief, Event(float(second), SYMBOLS[second % len(SYMBOLS)]))
 
 
 def change(tracker: Tracker, belief: Belief, second: int) -> Belief:
@@ -113,38 +113,29 @@ def filters(repeats: int) -> list[Figure]:
 
 
 def schedules() -> dict[str, tuple[Schedule, Schedule]]:
-    """The cases of `benchmarks.simulation`, then limited and logarithmic ones; each without effects and with one."""
-    plain: dict[str, tuple[SHA, Schedule]] = {
-        name: (plant(), steps) for name, steps in cases(np.random.default_rng(1)).items()
-    }
-    at_rows = plain["dense"][1]
-    kinds = {
-        "limited": replace(plant(), max_rate=0.05),
-        "logarithmic": replace(
-            plant(),
-            locations=tuple(
-                replace(q, flow=Flow("logarithmic", {"t0": 10.0, "noise": 0.05})) for q in plant().locations
-            ),
-        ),
-    }
+    """The cases of `benchmarks.simulation` and two more flows, each without effects and with the one of nothing."""
     rng = np.random.default_rng(1)
-    found = {}
-    for name, sha in [(name, sha) for name, (sha, _) in plain.items()] + list(kinds.items()):
-        events, outputs = word_events(rng), at_rows.times
-        if name == "events":
-            outputs = np.array([one.time for one in events])
-        both = (sha, replace(sha, effects=NOTHING))
-        a, b = (schedule(each, events, outputs, start=0.0) for each in both)
-        found[name] = (a, b)
-    return found
-
-
-def word_events(rng: np.random.Generator) -> list[Event]:
-    """47 events in 444 s, on rows of 1.11 s."""
-    clock = np.linspace(0.0, SECONDS, 401)
-    rows = np.sort(rng.choice(np.arange(1, 401), 47, replace=False))
-    symbols = belief_benchmark.SYMBOLS
-    return [Event(float(clock[row]), symbols[rng.integers(len(symbols))]) for row in rows]
+    clock = np.linspace(0.0, SECONDS, ROWS)
+    rows = np.sort(rng.choice(np.arange(1, ROWS), EVENTS, replace=False))
+    events = [Event(float(clock[row]), SYMBOLS[rng.integers(len(SYMBOLS))]) for row in rows]
+    slow = Flow("logarithmic", {"t0": 10.0, "noise": 0.05})
+    falling = tuple(
+        replace(place, flow=slow, distribution=Distribution("normal", {"mu": 0.3, "sigma": 0.1}))
+        for place in plant().locations
+    )
+    kinds = {
+        "events": (plant(), clock[rows]),
+        "dense": (plant(), clock),
+        "limited": (replace(plant(), max_rate=0.05), clock),
+        "logarithmic": (replace(plant(), locations=falling), clock),
+    }
+    return {
+        name: (
+            schedule(sha, events, outputs, start=0.0),
+            schedule(replace(sha, effects=NOTHING), events, outputs, start=0.0),
+        )
+        for name, (sha, outputs) in kinds.items()
+    }
 
 
 def along_schedules(repeats: int) -> list[Figure]:
@@ -196,40 +187,20 @@ def checked(repeats: int) -> list[Figure]:
         for world in (begun.world, replace(begun.world, tracker=tracker)):
             own = replace(begun, world=world)
             samplers.append(sampler(world, (prepared(question(limit, SECONDS, low), own),), 1))
-        shares = [one.draw(4 * RUNS) for one in samplers]
-        works = (partial(one.draw, RUNS) for one in samplers)
-        found += pair(f"checking, {name}, {RUNS} runs", *works, apart(*shares), "sigma", repeats)
+        # Past the small chunks; from then on each call draws one chunk of the largest size.
+        verdicts = [each.draw(2 * LARGEST).astype(float) for each in samplers]
+        works = (partial(each.draw, LARGEST) for each in samplers)
+        found += pair(f"checking, {name}, {LARGEST} runs", *works, apart(*verdicts), "sigma", repeats)
     return found
-
-
-def words(repeats: int) -> list[Figure]:
-    found = []
-    for name, (steps, _) in schedules().items():
-        if name == "dense":
-            continue
-        events = word_events(np.random.default_rng(1))
-        word = TimedWord(
-            (WordStep(0.0, temperature=18.2), *(WordStep(one.time, one.symbol) for one in events)), SECONDS
-        )
-        model = Model(steps.sha, Alphabet(()), "T", 0.0)
-        works = [partial(replay, each, word) for each in (model, with_nothing(model))]
-        a, b = (work() for work in works)
-        found += pair(f"word of 47 events, {name}", *works, word_difference(a, b), "degC", repeats)
-    return found
-
-
-def word_difference(a: WordReplay, b: WordReplay) -> float:
-    both = zip(a.visits, b.visits, strict=True)
-    return max(max(abs(p.left - q.left), abs(p.clamped - q.clamped), abs(p.entered - q.entered)) for p, q in both)
 
 
 @click.command(help=__doc__)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
 @click.option("--quick", is_flag=True, help="3 repetitions.")
-@click.option("--repeats", default=9, show_default=True, type=click.IntRange(1), help="Repetitions; the median counts.")
+@click.option("--repeats", default=7, show_default=True, type=click.IntRange(1), help="Repetitions; the median counts.")
 def main(as_json: bool, quick: bool, repeats: int) -> None:
     times = 3 if quick else repeats
-    parts: Sequence[Callable[[int], list[Figure]]] = (filters, along_schedules, forecasts, checked, words)
+    parts: Sequence[Callable[[int], list[Figure]]] = (filters, along_schedules, forecasts, checked)
     give("engines", [figure for part in parts for figure in part(times)], as_json=as_json)
 
 
