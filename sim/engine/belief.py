@@ -291,7 +291,7 @@ def anomaly(belief: Belief) -> float:
     return surprise(sum(belief.recent), len(belief.recent)) if belief.recent else 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Filtered:
     """The filter's run over a trace of n rows; the arrays are (n,).
 
@@ -339,7 +339,18 @@ def filter_trace(model: Model | Tracker, trace: Trace) -> Filtered:
         rows.append((*_one_step(belief, reading, first), belief.x, belief.m, belief.xx, belief.mm))
         locations.append(belief.location)
     predicted, variance, innovation, x, m, xx, mm = np.asarray(rows, dtype=float).T
-    return Filtered(trace.times, predicted, variance, innovation, x, m, xx, mm, tuple(locations), belief)
+    return Filtered(
+        times=trace.times,
+        predicted=predicted,
+        variance=variance,
+        innovation=innovation,
+        x=x,
+        m=m,
+        xx=xx,
+        mm=mm,
+        locations=tuple(locations),
+        belief=belief,
+    )
 
 
 def _one_step(belief: Belief, reading: float, first: bool) -> tuple[float, float, float]:

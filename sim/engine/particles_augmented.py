@@ -61,7 +61,7 @@ def acting_paths(plant: Plant, belief: Belief, known: Sequence[tuple[float, int]
     return Paths(location, entered, belief.age, drawn.cut)
 
 
-def augmented_runs(
+def augmented_path_runs(
     tracker: Tracker, plant: Plant, belief: Belief, paths: Paths, *, grid: Array, rng: np.random.Generator
 ) -> tuple[Steps, PathRuns]:
     """The steps along `paths` and the runs, both of what the sensor reads; `grid` (G,) as in `particles.lay_out`.

@@ -30,8 +30,8 @@ CHUNK = 8192
 """Runs that go through the steps together: few enough that their working rows stay in the cache."""
 
 
-@dataclass(frozen=True, slots=True)
-class Runs:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulatedRuns:
     """N runs at the output times `times` (m,), absolute seconds.
 
     `temperatures` is (N, m) in degC, as the sensor reads them but without its noise (only lag and offset among the
@@ -61,7 +61,7 @@ class Runs:
 
 def simulate(
     steps: Schedule, x0: float | Distribution, runs: int, rng: np.random.Generator, *, out: Array | None = None
-) -> Runs:
+) -> SimulatedRuns:
     """`runs` independent runs from `x0`, a temperature (degC) or the law of one, drawn from `rng`.
 
     Exact in law: m per stay, Gaussian noise per step. Under a rate limit each step takes the limited flow's closed
@@ -86,7 +86,14 @@ def simulate(
         part = slice(first, min(first + CHUNK, runs))
         start = distributions.draw(law, part.stop - part.start, rng)
         go(start, rng, rows[:, part], clamps[part], limited[part])
-    return Runs(steps.times, rows.T, steps.output_location, clamps, limited, steps.unmatched)
+    return SimulatedRuns(
+        times=steps.times,
+        temperatures=rows.T,
+        location=steps.output_location,
+        clamps=clamps,
+        limited=limited,
+        unmatched=steps.unmatched,
+    )
 
 
 Kernel = Callable[[Array, np.random.Generator, Array, Indices, Indices], None]

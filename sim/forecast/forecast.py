@@ -16,7 +16,7 @@ from scipy.special import ndtri
 from sim.engine.belief import Belief, advance, on_event
 from sim.engine.cuts import fastest as relaxation
 from sim.engine.particles import PathRuns, Steps, lay_out, run, survival
-from sim.engine.particles_augmented import acting_paths, acting_stays, augmented_runs, real_age
+from sim.engine.particles_augmented import acting_paths, acting_stays, augmented_path_runs, real_age
 from sim.engine.tracker import Tracker, compiled, next_location
 from sim.forecast.band_widening import factors_at, widened_fan, widened_runs
 from sim.scores import Estimate, clopper_pearson
@@ -105,7 +105,7 @@ def forecast(
             paths = acting_paths(tracker.plant, belief, known, drawn)
         else:
             paths = known_paths(known, belief.age, runs)
-        steps, done = augmented_runs(tracker, tracker.plant, belief, paths, grid=request.grid, rng=rng)
+        steps, done = augmented_path_runs(tracker, tracker.plant, belief, paths, grid=request.grid, rng=rng)
     else:
         inputs = input_moments(tracker.model, belief.signals)
         if events is None:

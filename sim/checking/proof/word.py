@@ -98,7 +98,7 @@ def _step(item: str) -> WordStep:
     if time < 0:
         raise ValueError(f"{item!r}: seconds count from the start and are never negative")
     m, temperature, clock = (numbers.pop(name, None) for name in (MODE, TEMPERATURE, CLOCK))
-    return WordStep(time, found["symbol"].strip(), m, temperature, numbers, clock)
+    return WordStep(time, found["symbol"].strip(), m=m, temperature=temperature, inputs=numbers, clock=clock)
 
 
 def _number(text: str, item: str) -> float:

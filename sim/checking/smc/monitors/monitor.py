@@ -273,8 +273,16 @@ def _part(piece: Piece, rows: Indices) -> Piece:
         return column[rows] if isinstance(column, np.ndarray) else column
 
     location = piece.location if isinstance(piece.location, int) else piece.location[rows]
-    times = of(piece.begin), of(piece.dt), of(piece.age)
-    return Piece(None, *times, location, piece.start[rows], piece.end[rows], of(piece.bridge))
+    return Piece(
+        rows=None,
+        begin=of(piece.begin),
+        dt=of(piece.dt),
+        age=of(piece.age),
+        location=location,
+        start=piece.start[rows],
+        end=piece.end[rows],
+        bridge=of(piece.bridge),
+    )
 
 
 def _true_in(truth: Mask, where: Indices) -> Mask:

@@ -1,6 +1,6 @@
 """Runs under effects whose events are known: the simulator's own steps, short enough that a query can look at them.
 
-Every run has its own X, housing, lags, thermostat and m. Steps are those of `sim.sha.augmented`, at most LONGEST s
+Every run has its own X, housing, lags, thermostat and m. Steps are those of `sim.engine.tables`, at most LONGEST s
 and 0.05 of the fastest time constant where the temperature counts. In between the path of X is the bridge of its
 noise about a straight line; after a lag it is smooth, and its extremes are those of the steps' ends.
 """
@@ -19,6 +19,7 @@ from sim.engine.belief_state import Hidden
 from sim.engine.cuts import fastest
 from sim.engine.kernel import move
 from sim.engine.moments_augmented import start_state
+from sim.engine.particles_augmented import draw_states
 from sim.engine.plant import compile_plant
 from sim.engine.schedule import Schedule, schedule
 from sim.engine.simulate_augmented import SamplingPlan, augmented_plan
@@ -57,10 +58,8 @@ class KnownUnderEffects:
             mode = _mode(self.plan, self.world.location, runs, rng)
         else:
             hidden = belief.hidden or Hidden((), ())
-            values, vectors = np.linalg.eigh(np.array(hidden.covariance))
-            drawn = rng.standard_normal((runs, len(hidden.mean))) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
-            drawn = np.array(hidden.mean) + drawn
-            s, mode, opened = drawn[:, :-1], drawn[:, -1], np.full(runs, float(hidden.opened))
+            s, mode = draw_states(hidden, runs, rng)
+            opened = np.full(runs, float(hidden.opened))
         clamps = np.zeros(runs, dtype=np.intp)
         _clamp(self.plan.schedule.sha, s, clamps)
         x = s[:, plant.sensed] + self.before[0]
@@ -89,7 +88,16 @@ class KnownUnderEffects:
         state.hidden = np.column_stack([s, opened])
         state.x = s[:, plant.sensed] + self.after[row]
         age = float(schedule_.age[row])
-        yield Piece(None, float(self.clock[row]), dt, age, place, start, state.x, float(self.bridge[row]))
+        yield Piece(
+            rows=None,
+            begin=float(self.clock[row]),
+            dt=dt,
+            age=age,
+            location=place,
+            start=start,
+            end=state.x,
+            bridge=float(self.bridge[row]),
+        )
 
 
 def _mode(plan: SamplingPlan, place: int, runs: int, rng: np.random.Generator) -> Array:
