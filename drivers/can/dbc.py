@@ -68,7 +68,7 @@ class Dbc:
         signal = signals.get(signal_name)
         if signal is None:
             raise AddressError(f"{tag.name}: {name} has no signal {signal_name!r}; it has {', '.join(signals)}")
-        field = Field(self.messages[name].key, _bits(signal), tuple(_conditions(message, signal)))
+        field = Field(self.messages[name].key, bits_of(signal), tuple(conditions_of(message, signal)))
         completed = _completed(tag, signal)
         check_type(completed, field.bits)
         return completed, field, self.messages[name]
@@ -97,16 +97,17 @@ class Dbc:
         return Protection(data_id, delta)
 
 
-def _bits(signal: Signal) -> Bits:
+def bits_of(signal: Signal) -> Bits:
+    """Where a signal lies."""
     return Bits(signal.start, signal.length, signal.byte_order == "big_endian")
 
 
-def _conditions(message: Message, signal: Signal) -> Iterator[Condition]:
+def conditions_of(message: Message, signal: Signal) -> Iterator[Condition]:
     """The multiplexors that must hold the signal's numbers, its own first, then those above it."""
     signals = {other.name: other for other in message.signals}
     while signal.multiplexer_ids and signal.multiplexer_signal:
         selector = signals[signal.multiplexer_signal]
-        yield Condition(_bits(selector), frozenset(signal.multiplexer_ids))
+        yield Condition(bits_of(selector), frozenset(signal.multiplexer_ids))
         signal = selector
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from drivers.can.fields import Condition, layout_name
-from drivers.can.frame import Frame
+from drivers.can.frame import CanFrame
 from drivers.can.protection import Count, Protection, checked
 from drivers.tag import Quality
 
@@ -30,7 +30,7 @@ class Slot:
     name: str
     conditions: tuple[Condition, ...]
     timeout: float
-    frame: Frame | None = None
+    frame: CanFrame | None = None
     heard: float = 0.0
     since: float = 0.0
 
@@ -50,7 +50,7 @@ class Channel:
     refused: float = float("-inf")
     refused_count: int = 0
 
-    def take(self, frame: Frame, now: float) -> Sequence[Slot]:
+    def take(self, frame: CanFrame, now: float) -> Sequence[Slot]:
         """The layouts that this frame has brought up to date; none if it cannot be used."""
         self.refusal = self._problem(frame.data)
         if self.refusal:
@@ -103,7 +103,7 @@ class Reception:
             channel.slots.append(slot)
         return channel, slot
 
-    def take(self, key: int, frame: Frame, now: float) -> Sequence[Slot]:
+    def take(self, key: int, frame: CanFrame, now: float) -> Sequence[Slot]:
         """The layouts that this frame has brought up to date."""
         channel = self._channels.get(key)
         if channel is None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from drivers.can.dbc import PREFIX, Dbc
 from drivers.can.fields import EXTENDED, Bits
-from drivers.can.frame import Found, Frame
+from drivers.can.frame import CanFrame, TagReading
 from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import DType, Quality, Tag
@@ -106,7 +106,7 @@ class J1939Listener:
             one = wanted(tag, source, dbc)
             self._wanted.setdefault((one.pgn, one.source), []).append(one)
 
-    def take(self, frame: Frame) -> Sequence[Found]:
+    def take(self, frame: CanFrame) -> Sequence[TagReading]:
         """What the frame, or the message that it completes, says of the tags."""
         self._counts["frames"] += 1
         if not frame.extended or frame.fd:
@@ -128,11 +128,11 @@ class J1939Listener:
         """Every frame by what became of it: frames = single + not_j1939 + all tp_ (frames of transport sessions)."""
         return self._counts | self.transport.counts()
 
-    def _message(self, pgn: int, source: int, data: bytes) -> Sequence[Found]:
+    def _message(self, pgn: int, source: int, data: bytes) -> Sequence[TagReading]:
         ones = self._wanted.get((pgn, source))
         if ones is None:
             return ()
-        return [Found(one.tag, self._reading(one, data)) for one in ones]
+        return [TagReading(one.tag, self._reading(one, data)) for one in ones]
 
     def _reading(self, one: Wanted, data: bytes) -> Reading:
         if one.signal is not None:

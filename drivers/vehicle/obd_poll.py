@@ -5,30 +5,20 @@ flow control by which a unit goes on with an answer of several frames (ISO 15765
 """
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from drivers.can.frame import Frame
-from drivers.settings import Setting
+from drivers.can.frame import CanFrame
+from drivers.can.notations import Send
+from drivers.can.settings import PollingSettings
 from drivers.vehicle.isotp import CONSECUTIVE, FIRST
 from drivers.vehicle.obd import ANSWER, CURRENT, ENGINE, REFUSAL, RESPONSE_PENDING, VEHICLE, Wanted
-
-POLLING: dict[str, Setting] = {
-    "poll": Setting(bool, False),
-    "poll_period": Setting(float, 1.0, 0.01, 3600.0),
-    "poll_timeout": Setting(float, 0.2, 0.01, 5.0),
-    "poll_29bit": Setting(bool, False),
-}
-"""`poll`: ask at all. Seconds from round to round, and for which an answer is waited for; 29-bit requests."""
 
 _PADDING = b"\x55"
 _FLOW_CONTROL = b"\x30\x00\x00".ljust(8, _PADDING)
 # A unit that says "response pending" may take this much longer (P2*, ISO 15765-4).
 _PENDING = 5.0
-
-Send = Callable[[int, bool, bytes], None]
-"""Puts a frame on the bus: identifier, 29-bit, data. Raises DriverError if it cannot."""
 
 
 class Question(NamedTuple):
@@ -59,9 +49,9 @@ def questions(wanted: Sequence[Wanted], *, extended: bool) -> list[Question]:
 
 
 class Poller:
-    """Asks round by round; `take` is told of every frame of the bus. `settings` are those of POLLING, checked."""
+    """Asks round by round; `take` is told of every frame of the bus."""
 
-    def __init__(self, wanted: Callable[[], Sequence[Wanted]], settings: Mapping[str, Any]) -> None:
+    def __init__(self, wanted: Callable[[], Sequence[Wanted]], settings: PollingSettings) -> None:
         self._wanted = wanted
         self._send: Send = _nowhere
         self._settings = settings
@@ -71,7 +61,7 @@ class Poller:
         self._left = 0
         self.counts = dict.fromkeys(("polls", "polls_unanswered"), 0)
 
-    def take(self, frame: Frame) -> None:
+    def take(self, frame: CanFrame) -> None:
         """Notice the answer to what was asked, and let a unit go on that answers in several frames.
 
         Raises what `send` raises.
@@ -95,8 +85,8 @@ class Poller:
 
     def describe(self) -> list[str]:
         """What is asked for, in sentences."""
-        period = self._settings["poll_period"]
-        asked = questions(self._wanted(), extended=self._settings["poll_29bit"])
+        period = self._settings.poll_period
+        asked = questions(self._wanted(), extended=self._settings.poll_29bit)
         return [f"0x{one.request:03X} is asked every {period:g} s: {one.data[:3].hex(' ')}" for one in asked]
 
     async def run(self, send: Send) -> None:
@@ -104,8 +94,8 @@ class Poller:
         self._send = send
         loop = asyncio.get_running_loop()
         while True:
-            due = loop.time() + self._settings["poll_period"]
-            for question in questions(self._wanted(), extended=self._settings["poll_29bit"]):
+            due = loop.time() + self._settings.poll_period
+            for question in questions(self._wanted(), extended=self._settings.poll_29bit):
                 await self._ask(question)
             await asyncio.sleep(max(0.0, due - loop.time()))
 
@@ -114,7 +104,7 @@ class Poller:
         self._answered.clear()
         self.counts["polls"] += 1
         self._send(question.request, question.extended, question.data)
-        await self._wait(self._settings["poll_timeout"])
+        await self._wait(self._settings.poll_timeout)
         if self._pending and not self._answered.is_set():
             await self._wait(_PENDING)
         self.counts["polls_unanswered"] += not self._answered.is_set()

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.can.errors_on_bus import BusErrors, ControllerState
 from drivers.can.fields import Bits, Condition
-from drivers.can.frame import Frame
+from drivers.can.frame import CanFrame
 from drivers.can.load import BusLoad, frame_bits
 from drivers.can.protection import Count, Protection, checked, crc, protected
 from drivers.can.reception import Channel, Reception, Rules, Slot
@@ -23,8 +23,8 @@ def listening(rules: Rules, timeout: float = 1.0, page: int | None = None) -> tu
     return reception, *reception.listen(rules, conditions, timeout, 0.0)
 
 
-def frame(data: bytes, time: float = 0.0) -> Frame:
-    return Frame(time, KEY, False, data)
+def frame(data: bytes, time: float = 0.0) -> CanFrame:
+    return CanFrame(time, KEY, False, data)
 
 
 def quality(reception: Reception, channel: Channel, slot: Slot, now: float) -> Quality | None:
