@@ -25,7 +25,7 @@ from sim.engine.tracker import Tracker, compile_model
 from sim.forecast.calibration import Calibration, calibrate, factors
 from sim.forecast.calibration import issue as issue_bands
 from sim.forecast.calibration import settle as settle_bands
-from sim.forecast.ensemble import DENSE, Evidence, Pool, issue, mixture, settle, thinned, weights
+from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue, mixture, settle, thinned, weights
 from sim.forecast.forecast import LEVELS, Forecast, forecast
 from sim.learning.bins.learn import learn_bins
 from sim.plant.decanter import Plant
@@ -66,7 +66,7 @@ class Scheme:
 
     name: str
     context: str
-    evidence: dict[float, Evidence]
+    evidence: dict[float, PoolEvidence]
     fans: list[Array] = field(default_factory=list)
 
 
@@ -74,11 +74,12 @@ def schemes(horizons: Sequence[float]) -> list[Scheme]:
     """All that are compared; the models alone come first."""
     fixed = {"model 1 alone": (1.0, 0.0), "model 2 alone": (0.0, 1.0), "equal": (0.5, 0.5), "0.7/0.3": (0.7, 0.3)}
     found = [
-        Scheme(name, "none", {h: Evidence(Pool(2, fixed=shares)) for h in horizons}) for name, shares in fixed.items()
+        Scheme(name, "none", {h: PoolEvidence(Pool(2, fixed=shares)) for h in horizons})
+        for name, shares in fixed.items()
     ]
     for context in ("none", "running", "symbols"):
         name = "evidence" if context == "none" else f"evidence by {context}"
-        found.append(Scheme(name, context, {h: Evidence(Pool(2)) for h in horizons}))
+        found.append(Scheme(name, context, {h: PoolEvidence(Pool(2)) for h in horizons}))
     return found
 
 

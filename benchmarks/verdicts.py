@@ -19,7 +19,8 @@ from sim.checking.proof.bounds import Bounds
 from sim.checking.proof.envelope import Envelope, envelopes
 from sim.checking.proof.structure import moves
 from sim.checking.proof.verify import DEFAULT, Verification, verify
-from sim.checking.proof.word import Step, TimedWord, parse_word, replay, word_text
+from sim.checking.proof.word import TimedWord, WordStep, parse_word, word_text
+from sim.checking.proof.word_replay import replay
 from sim.effects.correction import in_sensor_scale
 from sim.learning.bins.learn import learn_bins
 from sim.learning.lsha.learn import learn_lsha
@@ -194,9 +195,9 @@ def random_word(
     return TimedWord(tuple(steps), time + LONGEST_STAY)
 
 
-def _stay(room: Envelope, time: float, symbol: str, drawn: float | None, rng: np.random.Generator) -> Step:
+def _stay(room: Envelope, time: float, symbol: str, drawn: float | None, rng: np.random.Generator) -> WordStep:
     inputs = {name: _within(limits, rng) for name, limits in room.inputs.items()}
-    return Step(time, symbol, _within(room.m, rng), drawn, inputs)
+    return WordStep(time, symbol, _within(room.m, rng), drawn, inputs)
 
 
 def _within(limits: tuple[float, float], rng: np.random.Generator) -> float:

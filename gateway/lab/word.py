@@ -7,7 +7,8 @@ import click
 from gateway.console.exits import sentences
 from gateway.console.output import emit, table
 from sim.artefacts.find import find_model
-from sim.checking.proof.word import Replay, parse_word, replay
+from sim.checking.proof.word import parse_word
+from sim.checking.proof.word_replay import WordReplay, replay
 from sim.effects.correction import in_sensor_scale
 from sim.engine.schedule import Policy
 
@@ -49,6 +50,6 @@ def _text(given: str) -> str:
         raise ValueError(f"{given}: byte {error.start} is not UTF-8; give a text file with a timed word") from None
 
 
-def _show(done: Replay) -> None:
+def _show(done: WordReplay) -> None:
     rows = [[getattr(visit, name) for name in COLUMNS] for visit in done.visits]
     table("replay without noise and clamps (s, °C)", COLUMNS, rows)

@@ -7,7 +7,10 @@ With the location known every flow is affine (`sim.sha.flows`), so over a step o
 and the filter is exact, however long the step is. Under a saturated rate the mean takes the saturated map while the
 covariance keeps the unsaturated one. At one instant events come before inputs, inputs before the reading.
 
-With effects the state has more parts, and the filter is that of `sim.engine.filter`.
+With effects there are more states and the arithmetic is that of matrices (`sim.engine.state_estimate`); without them it
+is written out for the two numbers X and m, some forty times as fast (`benchmarks.engines`). When events, inputs and
+readings take effect is one matter for both. A dead time holds events and inputs back in a queue until they are due, so
+that sample by sample the filter does what a schedule does for a whole trace.
 
 Every function takes a `Model` or, where speed counts, its `Tracker` (`compile_model`, made once).
 """
@@ -19,8 +22,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sim.engine import filter as augmented
-from sim.engine.belief_state import Belief, Hidden, Innovation, belief_of
+from sim.effects.kinds import dead_time
+from sim.engine import state_estimate
+from sim.engine.belief_state import Belief, Delayed, Hidden, Innovation, belief_of
 from sim.engine.tracker import Mode, Tracker, compile_model, compiled, next_location
 from sim.scores import surprise
 from sim.sha import distributions
@@ -67,9 +71,20 @@ def start(
     held = {name: value for name, value in signals.items() if name in tracker.inputs and isfinite(value)}
     x, xx = _before_any_reading(tracker, mode)
     m, mm = mode.parameter
-    belief = Belief(tracker.model.sha.initial, time, time, x, m, xx, 0.0, mm, mode.offset(held), held)
+    belief = Belief(
+        location=tracker.model.sha.initial,
+        entered=time,
+        time=time,
+        x=x,
+        m=m,
+        xx=xx,
+        xm=0.0,
+        mm=mm,
+        offset=mode.offset(held),
+        signals=held,
+    )
     if tracker.plant is not None:
-        belief = augmented.begun(tracker.plant, belief)
+        belief = state_estimate.at_reading(tracker.plant, belief)
     return belief if temperature is None else observe(tracker, belief, time, temperature)
 
 
@@ -86,8 +101,8 @@ def _before_any_reading(tracker: Tracker, mode: Mode) -> tuple[float, float]:
     return (low + high) / 2.0, (high - low) ** 2 / 12.0
 
 
-def _predict(tracker: Tracker, belief: Belief, time: float) -> tuple[float, float, float, int]:
-    """(x, xx, xm) at `time` and whether x was clamped (0 or 1); m and its variance do not move.
+def _prior(tracker: Tracker, belief: Belief, time: float) -> tuple[float, float, float, int]:
+    """(x, xx, xm) at `time` without effects, and whether x was clamped (0 or 1); m and its variance do not move.
 
     Only a step can leave the automaton's range: a reading beyond it is what the sensor said, and is believed.
     """
@@ -108,15 +123,20 @@ def _predict(tracker: Tracker, belief: Belief, time: float) -> tuple[float, floa
 def advance(model: Model | Tracker, belief: Belief, time: float) -> Belief:
     """The belief at a later `time` with nothing read in between: inputs held, variance grown by the flow.
 
-    Raises ValueError when `time` is before the belief's or no number.
+    What a dead time holds back acts when it is due. Raises ValueError when `time` is before the belief's or no number.
     """
     if not belief.time <= time < inf:
         raise ValueError(f"a belief at {belief.time} s cannot be advanced to {time} s: time only goes forward")
     tracker = compiled(model)
-    if tracker.plant is not None:
-        return augmented.advance(tracker, tracker.plant, belief, time)
-    x, xx, xm, clamped = _predict(tracker, belief, time)
-    return replace(belief, time=time, x=x, xx=xx, xm=xm, clamps=belief.clamps + clamped)
+    if tracker.plant is None:
+        x, xx, xm, clamped = _prior(tracker, belief, time)
+        return replace(belief, time=time, x=x, xx=xx, xm=xm, clamps=belief.clamps + clamped)
+    while belief.hidden is not None and belief.hidden.pending and belief.hidden.pending[0].due <= time:
+        first, *rest = belief.hidden.pending
+        belief = replace(belief, hidden=replace(belief.hidden, pending=tuple(rest)))
+        belief = state_estimate.predicted(tracker.plant, belief, max(first.due, belief.time))
+        belief = _entered(tracker, belief, first.symbol) if first.symbol else _held(tracker, belief, first.signals)
+    return state_estimate.predicted(tracker.plant, belief, time)
 
 
 def observe(model: Model | Tracker, belief: Belief, time: float, temperature: float) -> Belief:
@@ -133,34 +153,42 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
     sensor = tracker.sensor
     if not belief.seen:
         moved = replace(advance(tracker, belief, time), x=temperature, xx=sensor, xm=0.0, samples=1, seen=True)
-        return moved if tracker.plant is None else augmented.begun(tracker.plant, moved)
-    if tracker.plant is not None:
-        return augmented.observe(tracker, tracker.plant, belief, time, temperature)
-    x, xx, xm, clamped = _predict(tracker, belief, time)
+        return moved if tracker.plant is None else state_estimate.at_reading(tracker.plant, moved)
+    if tracker.plant is None:
+        x, xx, xm, clamped = _prior(tracker, belief, time)
+    else:
+        belief = advance(tracker, belief, time)
+        x, xx, xm, clamped = belief.x, belief.xx, belief.xm, 0
     variance = xx + sensor
     value = temperature - x
     square = value * value / variance
     recent = (*belief.recent, square)
-    return Belief(
-        belief.location,
-        belief.entered,
-        time,
-        x + xx / variance * value,
-        belief.m + xm / variance * value,
-        xx * sensor / variance,
-        xm * sensor / variance,
-        max(belief.mm - xm * xm / variance, 0.0),
-        belief.offset,
-        belief.signals,
-        Innovation(value, variance, square),
-        recent[-tracker.window :],
-        belief.evidence - 0.5 * (log(2.0 * pi * variance) + square),
-        belief.samples + 1,
-        belief.unmatched,
-        belief.late,
-        True,
-        belief.clamps + clamped,
+    # This is the filter's inner step. `Belief(...)` itself would collect its keywords in a dict first (CPython's call
+    # of a type), which is a fifth of the whole step; its __init__, called directly, does not.
+    posterior = object.__new__(Belief)
+    Belief.__init__(
+        posterior,
+        location=belief.location,
+        entered=belief.entered,
+        time=time,
+        x=x + xx / variance * value,
+        m=belief.m + xm / variance * value,
+        xx=xx * sensor / variance,
+        xm=xm * sensor / variance,
+        mm=max(belief.mm - xm * xm / variance, 0.0),
+        offset=belief.offset,
+        signals=belief.signals,
+        last=Innovation(value, variance, square),
+        recent=recent[-tracker.window :],
+        evidence=belief.evidence - 0.5 * (log(2.0 * pi * variance) + square),
+        samples=belief.samples + 1,
+        unmatched=belief.unmatched,
+        late=belief.late,
+        seen=True,
+        clamps=belief.clamps + clamped,
+        hidden=belief.hidden,
     )
+    return posterior if tracker.plant is None else state_estimate.corrected(tracker.plant, posterior, value, variance)
 
 
 def on_event(model: Model | Tracker, belief: Belief, event: Event) -> Belief:
@@ -168,24 +196,32 @@ def on_event(model: Model | Tracker, belief: Belief, event: Event) -> Belief:
 
     X goes on, or follows the location's law (`resample`). UNKNOWN leads to the initial location. An event without an
     edge follows the tracker's policy and is counted in `unmatched`; one older than the belief takes effect at the
-    belief's time and is counted in `late`.
+    belief's time and is counted in `late`. A dead time holds the event back.
     """
     tracker = compiled(model)
     late = not belief.time <= event.time < inf
     moved = belief if late else advance(tracker, belief, event.time)
-    if tracker.plant is not None:
-        return augmented.on_event(tracker, tracker.plant, replace(moved, late=belief.late + late), event)
-    location, matched = next_location(tracker, belief.location, event.symbol)
+    delay = 0.0 if tracker.plant is None else dead_time(tracker.plant.sha)
+    if delay:
+        due = (event.time if isfinite(event.time) else belief.time) + delay
+        return _delayed(replace(moved, late=belief.late + late), Delayed(max(due, belief.time), event.symbol))
+    return _entered(tracker, moved, event.symbol, late=late)
+
+
+def _entered(tracker: Tracker, belief: Belief, symbol: str, *, late: bool = False) -> Belief:
+    """The belief after an event that takes effect at the belief's time."""
+    hidden = belief.hidden if tracker.plant is None else state_estimate.since_event(tracker.plant, belief, symbol)
+    location, matched = next_location(tracker, belief.location, symbol)
     unmatched, lates = belief.unmatched + (not matched), belief.late + late
     if location is None:
-        return replace(moved, unmatched=unmatched, late=lates)
+        return replace(belief, unmatched=unmatched, late=lates, hidden=hidden)
     mode = tracker.modes[location]
-    x, xx = mode.temperature or (moved.x, moved.xx)
+    x, xx = mode.temperature or (belief.x, belief.xx)
     m, mm = mode.parameter
-    return replace(
-        moved,
+    moved = replace(
+        belief,
         location=location,
-        entered=moved.time,
+        entered=belief.time,
         x=x,
         m=m,
         xx=xx,
@@ -194,30 +230,46 @@ def on_event(model: Model | Tracker, belief: Belief, event: Event) -> Belief:
         offset=mode.offset(belief.signals),
         unmatched=unmatched,
         late=lates,
+        hidden=hidden,
     )
+    return moved if tracker.plant is None else state_estimate.entered(tracker.plant, moved, mode)
 
 
 def with_inputs(model: Model | Tracker, belief: Belief, time: float, signals: Mapping[str, float]) -> Belief:
     """The belief at `time` with new values of input signals, held from then on; the step up to then uses the old ones.
 
-    Signals that drive no flow are dropped, values that are no numbers are no news. A `time` before the belief's takes
-    effect at the belief's time.
+    Signals that neither a flow nor an effect reads are dropped, values that are no numbers are no news. A `time`
+    before the belief's takes effect at the belief's time. A dead time holds the values back.
     """
     tracker = compiled(model)
-    if tracker.plant is not None:
-        moved = advance(tracker, belief, time) if belief.time < time < inf else belief
-        return augmented.with_inputs(tracker, tracker.plant, moved, time, signals)
-    held = belief.signals
+    known = belief.signals
+    for delayed in belief.hidden.pending if belief.hidden is not None else ():
+        known = {**known, **delayed.signals}
     news = {
         name: signals[name]
         for name in tracker.inputs
-        if name in signals and isfinite(signals[name]) and held.get(name) != signals[name]
+        if name in signals and isfinite(signals[name]) and known.get(name) != signals[name]
     }
     moved = advance(tracker, belief, time) if belief.time < time < inf else belief
     if not news:
         return moved
-    held = {**held, **news}
-    return replace(moved, signals=held, offset=tracker.modes[belief.location].offset(held))
+    delay = 0.0 if tracker.plant is None else dead_time(tracker.plant.sha)
+    if delay:
+        due = (time if isfinite(time) else moved.time) + delay
+        return _delayed(moved, Delayed(max(due, moved.time), "", news))
+    return _held(tracker, moved, news)
+
+
+def _held(tracker: Tracker, belief: Belief, news: Mapping[str, float]) -> Belief:
+    held = {**belief.signals, **news}
+    return replace(belief, signals=held, offset=tracker.modes[belief.location].offset(held))
+
+
+def _delayed(belief: Belief, delayed: Delayed) -> Belief:
+    """The belief with what a dead time holds back; at one instant events act before signals, as along a schedule."""
+    hidden = belief.hidden or Hidden((), ())
+    pending = sorted((*hidden.pending, delayed), key=lambda each: (each.due, not each.symbol))
+    return replace(belief, hidden=replace(hidden, pending=tuple(pending)))
 
 
 def restarted(model: Model | Tracker, belief: Belief, temperature: float) -> Belief:
@@ -226,8 +278,8 @@ def restarted(model: Model | Tracker, belief: Belief, temperature: float) -> Bel
     Of hidden states the housing's temperature stays as it is, and lags and X move with the reading.
     """
     tracker = compiled(model)
-    begun = replace(belief, x=temperature, xx=tracker.sensor, xm=0.0, seen=True, clamps=0)
-    return begun if tracker.plant is None else augmented.restarted(tracker.plant, belief, begun)
+    reading = replace(belief, x=temperature, xx=tracker.sensor, xm=0.0, seen=True, clamps=0)
+    return reading if tracker.plant is None else state_estimate.moved_to(tracker.plant, belief, reading)
 
 
 def anomaly(belief: Belief) -> float:
@@ -239,7 +291,7 @@ def anomaly(belief: Belief) -> float:
     return surprise(sum(belief.recent), len(belief.recent)) if belief.recent else 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Filtered:
     """The filter's run over a trace of n rows; the arrays are (n,).
 
@@ -287,7 +339,18 @@ def filter_trace(model: Model | Tracker, trace: Trace) -> Filtered:
         rows.append((*_one_step(belief, reading, first), belief.x, belief.m, belief.xx, belief.mm))
         locations.append(belief.location)
     predicted, variance, innovation, x, m, xx, mm = np.asarray(rows, dtype=float).T
-    return Filtered(trace.times, predicted, variance, innovation, x, m, xx, mm, tuple(locations), belief)
+    return Filtered(
+        times=trace.times,
+        predicted=predicted,
+        variance=variance,
+        innovation=innovation,
+        x=x,
+        m=m,
+        xx=xx,
+        mm=mm,
+        locations=tuple(locations),
+        belief=belief,
+    )
 
 
 def _one_step(belief: Belief, reading: float, first: bool) -> tuple[float, float, float]:

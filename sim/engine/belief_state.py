@@ -19,8 +19,8 @@ class Innovation:
 
 
 @dataclass(frozen=True, slots=True)
-class Pending:
-    """What has happened but is not felt before `due` (absolute s): an event's symbol, or new values of `signals`."""
+class Delayed:
+    """What a dead time holds back until `due` (absolute s): an event's symbol, or new values of `signals`."""
 
     due: float
     symbol: str = ""
@@ -33,17 +33,17 @@ class Hidden:
 
     `mean` (d + 1) and `covariance` (d + 1, d + 1) are those of the d states and of m, `opened` says whether the mean's
     thermostat is open, `since` has for each start-up effect the time of its event (None before any), `pending` what a
-    dead time holds back, in the order in which it will be felt.
+    dead time holds back, in the order in which it is due.
     """
 
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
     opened: bool = False
     since: tuple[float | None, ...] = ()
-    pending: tuple[Pending, ...] = ()
+    pending: tuple[Delayed, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Belief:
     """The state of the plant as far as it is known at `time` (absolute seconds).
 
@@ -55,7 +55,7 @@ class Belief:
     automaton's range and were put back to its border. Until `seen`, no temperature was read.
 
     With effects `x` and `xx` are those of what the sensor would read, its noise apart, and `hidden` has all the states;
-    under a dead time `location` and `signals` are those that are felt.
+    under a dead time `location` and `signals` are those that act already.
     """
 
     location: str
@@ -110,5 +110,5 @@ def _hidden_of(saved: Mapping[str, Any]) -> Hidden:
         covariance=tuple(tuple(row) for row in saved["covariance"]),
         opened=saved["opened"],
         since=tuple(saved["since"]),
-        pending=tuple(Pending(**one) for one in saved["pending"]),
+        pending=tuple(Delayed(**item) for item in saved["pending"]),
     )

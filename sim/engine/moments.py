@@ -1,20 +1,21 @@
 """Mean and variance of the temperature along a schedule in closed form: the deterministic run of a model."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite, nan
 
 import numpy as np
 
 from sim.effects.check import check_sha
 from sim.effects.kinds import sensor_offset, sensor_offsets
-from sim.engine.course import Course, Drawn, covariance, mean_course, start_state
+from sim.engine.moments_augmented import DrawnMoments, MeanCourse, covariance, mean_course, start_state
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import linear_recursion
 from sim.engine.schedule import Indices, Schedule, step_coefficients
+from sim.engine.terms import Segments
 from sim.sha import distributions, flows
 from sim.sha.automaton import Location
 from sim.sha.entry import drawn_temperature, mode_parameter
-from sim.sha.trace import Array, Mask
+from sim.sha.trace import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,39 +53,27 @@ def run_flags(clamps: int, limited: int, unmatched: int) -> tuple[str, ...]:
     return tuple(sentence for count, sentence in said if count)
 
 
-@dataclass(frozen=True, slots=True)
-class Affine:
-    """The steps as x' = decay * x + pull * (m + offset) + noise, and what happens before each; all arrays (n,).
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AffineSteps:
+    """The steps of a schedule without effects as x' = decay * x + pull * (m + offset) + noise; all arrays (n,).
 
-    `mode` and `spread` are mean and variance of the stay's m. `resampled` steps begin with X drawn anew, with the mean
-    `fresh` and the variance `scatter`. `limit` is the |m + offset - x| above which a step meets the maximum rate.
+    `noise` is the noise's variance, `limit` the |m + offset - x| above which a step meets the maximum rate. `drawn` is
+    what the stays draw.
     """
 
     decay: Array
     pull: Array
     noise: Array
-    mode: Array
-    spread: Array
-    resampled: Mask
-    fresh: Array
-    scatter: Array
     limit: Array
+    drawn: DrawnMoments
 
 
-def affine_steps(steps: Schedule) -> Affine:
+def affine_steps(steps: Schedule) -> AffineSteps:
     """The coefficients of every step. Raises ValueError, naming the location, for a model that cannot be executed."""
     check_sha(steps.sha)
     decay, pull, noise = step_coefficients(steps)
-    table = np.array(
-        [
-            (*mode_parameter(location), *_renewal(location), flows.free_distance(location.flow, steps.sha.max_rate))
-            for location in steps.sha.locations
-        ]
-    )
-    mode, spread, fresh, scatter, limit = table.T[:, steps.location]
-    resampled = steps.entry & ~np.isnan(fresh)
-    resampled[0] = False
-    return Affine(decay, pull, noise, mode, spread, resampled, fresh, scatter, limit)
+    limit = np.array([flows.free_distance(place.flow, steps.sha.max_rate) for place in steps.sha.locations])
+    return AffineSteps(decay=decay, pull=pull, noise=noise, limit=limit[steps.location], drawn=stay_draws(steps))
 
 
 def moments(steps: Schedule, x0: float, variance0: float = 0.0) -> Prediction:
@@ -99,15 +88,19 @@ def moments(steps: Schedule, x0: float, variance0: float = 0.0) -> Prediction:
     """
     if not (isfinite(x0) and isfinite(variance0) and variance0 >= 0):
         raise ValueError(f"a run needs a start temperature and a variance of at least 0, got {x0} and {variance0}")
-    if steps.segments is not None:
-        return _augmented(steps, x0, variance0)
-    affine = affine_steps(steps)
-    mean, clamps, limited = _mean(steps, affine, x0)
+    if steps.segments is None:
+        affine = affine_steps(steps)
+        mean, clamps, limited = _mean(steps, affine, x0)
+        variance = _variance(steps, affine, variance0)
+    else:
+        plant, drawn, course = augmented_course(steps, x0)
+        mean, clamps, limited = _readings(steps, steps.segments, plant, course), course.clamps, course.limited
+        variance = covariance(plant, course, drawn, variance0)
     ends = steps.output >= 0
     return Prediction(
         times=steps.times,
         mean=mean[ends],
-        variance=_variance(steps, affine, variance0)[ends],
+        variance=variance[ends],
         location=steps.output_location,
         clamps=clamps,
         limited=limited,
@@ -115,71 +108,107 @@ def moments(steps: Schedule, x0: float, variance0: float = 0.0) -> Prediction:
     )
 
 
-def stay_draws(steps: Schedule) -> Drawn:
-    """What the stays of a schedule draw, step by step."""
+def mean_readings(steps: Schedule, x0: float, drawn: DrawnMoments) -> Array:
+    """(n,) the mean of what the sensor reads after each step, from the reading `x0` (degC), when stays draw `drawn`."""
+    if steps.segments is None:
+        return _mean(steps, replace(affine_steps(steps), drawn=drawn), x0)[0]
+    plant, _, course = augmented_course(steps, x0, drawn)
+    return _readings(steps, steps.segments, plant, course)
+
+
+def stay_draws(steps: Schedule) -> DrawnMoments:
+    """What the stays of a schedule draw by their locations' laws, step by step."""
     table = np.array([(*mode_parameter(place), *_renewal(place)) for place in steps.sha.locations])
     mode, spread, fresh, scatter = table.T[:, steps.location]
     resampled = steps.entry & ~np.isnan(fresh)
-    resampled[0] = False
-    return Drawn(mode, spread, resampled, np.nan_to_num(fresh), scatter, steps.entry, steps.checked)
+    resampled[0] = False  # X is given at the start
+    return DrawnMoments(
+        mode=mode,
+        spread=spread,
+        resampled=resampled,
+        fresh=np.nan_to_num(fresh),
+        scatter=scatter,
+        entry=steps.entry,
+        checked=steps.checked,
+    )
 
 
-def augmented_course(steps: Schedule, x0: float) -> tuple[Plant, Drawn, Course]:
+def augmented_course(
+    steps: Schedule, x0: float, drawn: DrawnMoments | None = None
+) -> tuple[Plant, DrawnMoments, MeanCourse]:
     """The mean course of a schedule with effects from the reading `x0` (degC). Raises ValueError as `moments` does."""
     check_sha(steps.sha)
     if steps.segments is None:
         raise ValueError(f"SHA {steps.sha.name!r} has no effects: its course is that of `moments`")
-    plant, drawn = compile_plant(steps.sha), stay_draws(steps)
+    plant, drawn = compile_plant(steps.sha), stay_draws(steps) if drawn is None else drawn
     start = start_state(plant, x0, sensor_offset(steps.sha, steps.start))
     return plant, drawn, mean_course(plant, steps.segments, drawn, start)
 
 
-def _augmented(steps: Schedule, x0: float, variance0: float) -> Prediction:
-    plant, drawn, course = augmented_course(steps, x0)
-    ends = steps.output >= 0
-    return Prediction(
-        times=steps.times,
-        mean=course.s[ends, plant.sensed] + sensor_offsets(steps.sha, steps.times),
-        variance=covariance(plant, course, drawn, variance0)[ends],
-        location=steps.output_location,
-        clamps=course.clamps,
-        limited=course.limited,
-        unmatched=steps.unmatched,
-    )
+def _readings(steps: Schedule, segments: Segments, plant: Plant, course: MeanCourse) -> Array:
+    """(n,) what the sensor reads after each step of a course."""
+    offset = sensor_offsets(steps.sha, segments.time + steps.dt)
+    offset[steps.output >= 0] = sensor_offsets(
+        steps.sha, steps.times
+    )  # begin + length may miss the very moment of a sensor step
+    return np.asarray(course.s[:, plant.sensed] + offset)
 
 
-def free_mean(steps: Schedule, affine: Affine, x0: float) -> Array:
+def free_mean(steps: Schedule, affine: AffineSteps, x0: float) -> Array:
     """(n,) the mean after each step without clamps and rate limit."""
-    return _recursion(affine, affine.pull * (affine.mode + steps.offset), x0)
+    return _mean_recursion(affine, affine.pull * (affine.drawn.mode + steps.offset), x0)
 
 
-def _recursion(affine: Affine, added: Array, x0: float) -> Array:
-    renewed = np.where(affine.resampled, affine.decay * affine.fresh, 0.0)
-    return linear_recursion(np.where(affine.resampled, 0.0, affine.decay), added + renewed, x0)
+def _mean_recursion(affine: AffineSteps, added: Array, x0: float) -> Array:
+    drawn = affine.drawn
+    renewed = np.where(drawn.resampled, affine.decay * drawn.fresh, 0.0)
+    return linear_recursion(np.where(drawn.resampled, 0.0, affine.decay), added + renewed, x0)
 
 
-def _variance(steps: Schedule, affine: Affine, variance0: float) -> Array:
+def _variance(steps: Schedule, affine: AffineSteps, variance0: float) -> Array:
     """Var X after each step; the covariance with m comes first and starts at 0 in each stay."""
-    decay, pull = affine.decay, affine.pull
-    covariance = linear_recursion(np.where(steps.entry, 0.0, decay), pull * affine.spread, 0.0)
+    decay, pull, drawn = affine.decay, affine.pull, affine.drawn
+    covariance = linear_recursion(np.where(steps.entry, 0.0, decay), pull * drawn.spread, 0.0)
     before = np.where(steps.entry, 0.0, np.concatenate([[0.0], covariance[:-1]]))
-    added = 2.0 * decay * pull * before + pull**2 * affine.spread + affine.noise
-    renewed = np.where(affine.resampled, decay**2 * affine.scatter, 0.0)
-    return linear_recursion(np.where(affine.resampled, 0.0, decay**2), added + renewed, variance0)
+    added = 2.0 * decay * pull * before + pull**2 * drawn.spread + affine.noise
+    renewed = np.where(drawn.resampled, decay**2 * drawn.scatter, 0.0)
+    return linear_recursion(np.where(drawn.resampled, 0.0, decay**2), added + renewed, variance0)
 
 
-def _mean(steps: Schedule, affine: Affine, x0: float) -> tuple[Array, int, int]:
-    """The mean after each step, the number of clamps and the number of limited steps."""
-    target = affine.mode + steps.offset
-    added, limited = _increments(steps, affine.pull * target, target)
-    mean = _recursion(affine, added, x0)
-    before = np.where(affine.resampled, affine.fresh, np.concatenate([[x0], mean[:-1]]))
+def _mean(steps: Schedule, affine: AffineSteps, x0: float) -> tuple[Array, int, int]:
+    """The mean after each step, the number of clamps and the number of limited steps.
+
+    A clamp, or a rate limit that depends on X, makes the recursion non-linear: up to the first of them it is solved as
+    a whole, and from there on step by step over floats.
+    """
+    sha, drawn = steps.sha, affine.drawn
+    target = drawn.mode + steps.offset
+    added, met = _increments(steps, affine.pull * target, target)
+    mean = _mean_recursion(affine, added, x0)
+    before = np.where(drawn.resampled, drawn.fresh, np.concatenate([[x0], mean[:-1]]))
     odd = (np.abs(target - before) > affine.limit) & (steps.dt > 0)
-    odd |= steps.checked & ((mean < steps.sha.low) | (mean > steps.sha.high))
+    odd |= drawn.checked & ((mean < sha.low) | (mean > sha.high))
     if not odd.any():
-        return mean, 0, limited
-    clamps, met = _walk_on(steps, affine, added, mean, before, int(np.argmax(odd)))
-    return mean, clamps, limited + met
+        return mean, 0, met
+    first, clamps = int(np.argmax(odd)), 0
+    renewed = np.where(drawn.resampled, drawn.fresh, nan)
+    columns = (affine.decay, added, target, affine.limit, renewed, drawn.checked)
+    rows = zip(*(column[first:].tolist() for column in columns), strict=True)
+    x = float(before[first])
+    for k, (decay, gain, towards, limit, fresh, checked) in enumerate(rows, start=first):
+        if fresh == fresh:  # not NaN
+            x = fresh
+        if abs(towards - x) > limit and steps.dt[k] > 0:
+            flow = sha.locations[steps.location[k]].flow
+            x = float(flows.mean_step(flow, x, towards, steps.age[k], steps.dt[k], sha.max_rate))
+            met += 1
+        else:
+            x = decay * x + gain
+        if checked and not sha.low <= x <= sha.high:
+            x = min(max(x, sha.low), sha.high)
+            clamps += 1
+        mean[k] = x
+    return mean, clamps, met
 
 
 def _increments(steps: Schedule, free: Array, target: Array) -> tuple[Array, int]:
@@ -193,33 +222,6 @@ def _increments(steps: Schedule, free: Array, target: Array) -> tuple[Array, int
         added[rows] = flows.mean_step(flow, 0.0, target[rows], steps.age[rows], steps.dt[rows], rate)
         met += int(np.count_nonzero(np.abs(flows.drift(flow, 0.0, target[rows], steps.age[rows])) > rate))
     return added, met
-
-
-def _walk_on(steps: Schedule, affine: Affine, added: Array, mean: Array, before: Array, first: int) -> tuple[int, int]:
-    """Rewrites `mean` from step `first` on, which meets a clamp or the rate limit; returns how many did.
-
-    Either makes the recursion non-linear, so this is a plain loop over floats.
-    """
-    sha, clamps, met = steps.sha, 0, 0
-    rest = slice(first, None)
-    renewed = np.where(affine.resampled, affine.fresh, nan)
-    columns = (affine.decay, added, affine.mode + steps.offset, affine.limit, renewed, steps.checked)
-    rows = zip(*(column[rest].tolist() for column in columns), strict=True)
-    x = float(before[first])
-    for k, (decay, gain, target, limit, drawn, checked) in enumerate(rows, start=first):
-        if drawn == drawn:  # not NaN
-            x = drawn
-        if abs(target - x) > limit and steps.dt[k] > 0:
-            flow = sha.locations[steps.location[k]].flow
-            x = float(flows.mean_step(flow, x, target, steps.age[k], steps.dt[k], sha.max_rate))
-            met += 1
-        else:
-            x = decay * x + gain
-        if checked and not sha.low <= x <= sha.high:
-            x = min(max(x, sha.low), sha.high)
-            clamps += 1
-        mean[k] = x
-    return clamps, met
 
 
 def _renewal(location: Location) -> tuple[float, float]:

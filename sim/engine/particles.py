@@ -51,7 +51,7 @@ class Steps:
 
 
 @dataclass(frozen=True, slots=True)
-class Runs:
+class PathRuns:
     """The temperatures (degC) at both ends of each step, (S, N); `clamps` counts the ends cut to the range."""
 
     start: Array
@@ -60,7 +60,7 @@ class Runs:
 
 
 def lay_out(
-    tracker: Tracker, belief: Belief, paths: Paths, grid: Array, inputs: Array, rng: np.random.Generator
+    tracker: Tracker, belief: Belief, paths: Paths, *, grid: Array, inputs: Array, rng: np.random.Generator
 ) -> tuple[Steps, Array]:
     """The steps along `paths` with all that is random in them drawn, and the N temperatures that the runs start from.
 
@@ -69,7 +69,12 @@ def lay_out(
     """
     stay, begin, dt, first, marks = merge(paths, grid)
     x0, m0 = _draw_belief(belief, paths.location.shape[1], rng)
-    target = _stay_targets(tracker, belief, paths, m0, inputs, rng)
+    # m + offset of each stay: the belief's in the present one, drawn by its location's laws in the later ones.
+    modes = [tracker.modes[place.name].parameter for place in tracker.model.sha.locations]
+    mean = np.array([mode[0] for mode in modes]) + inputs[:, 0]
+    sigma = np.sqrt(np.array([mode[1] for mode in modes]) + inputs[:, 1] ** 2)
+    target = mean[paths.location] + sigma[paths.location] * rng.standard_normal(paths.location.shape)
+    target[0] = m0 + belief.offset
     cell = stay * paths.location.shape[1] + np.arange(paths.location.shape[1])
     location = np.take(paths.location, cell)
     age = np.maximum(begin - np.take(paths.entered, cell), 0.0) + np.where(stay == 0, paths.age, 0.0)
@@ -132,18 +137,6 @@ def _draw_belief(belief: Belief, runs: int, rng: np.random.Generator) -> tuple[A
     return belief.x + sqrt(belief.xx) * z, belief.m + share * z + own * w
 
 
-def _stay_targets(
-    tracker: Tracker, belief: Belief, paths: Paths, m0: Array, inputs: Array, rng: np.random.Generator
-) -> Array:
-    """(J, N) target (m + offset) of each stay: the belief's in the present one, drawn by its location's laws later."""
-    modes = [tracker.modes[location.name].parameter for location in tracker.model.sha.locations]
-    mean = np.array([mode[0] for mode in modes]) + inputs[:, 0]
-    sigma = np.sqrt(np.array([mode[1] for mode in modes]) + inputs[:, 1] ** 2)
-    target = mean[paths.location] + sigma[paths.location] * rng.standard_normal(paths.location.shape)
-    target[0] = m0 + belief.offset
-    return np.asarray(target)
-
-
 def drawn_temperatures(tracker: Tracker, location: Indices, first: Mask, rng: np.random.Generator) -> Array | None:
     """(S, N) the temperature that each step's stay draws, NaN where none is drawn; None where no location draws any."""
     laws = [tracker.modes[place.name].temperature for place in tracker.model.sha.locations]
@@ -155,7 +148,7 @@ def drawn_temperatures(tracker: Tracker, location: Indices, first: Mask, rng: np
     return np.where(first, values, np.nan)
 
 
-def run(sha: SHA, steps: Steps, x0: Array) -> Runs:
+def run(sha: SHA, steps: Steps, x0: Array) -> PathRuns:
     """The runs along `steps` from the temperatures `x0` (N,), by the limits of `sha`: its greatest rate and its range.
 
     The affine recursion is exact as long as no run meets a limit; when one does, all are done again with them.
@@ -170,7 +163,7 @@ def run(sha: SHA, steps: Steps, x0: Array) -> Runs:
         end[row] += shift[row]
         x = end[row]
     outside = min(end.min(), start.min()) < sha.low or max(end.max(), start.max()) > sha.high
-    return _limited(sha, steps, x0) if outside or _too_fast(sha, steps, start) else Runs(start, end, 0)
+    return _limited(sha, steps, x0) if outside or _too_fast(sha, steps, start) else PathRuns(start, end, 0)
 
 
 def _entered(x: Array, drawn: Array) -> Array:
@@ -189,7 +182,8 @@ def _too_fast(sha: SHA, steps: Steps, start: Array) -> bool:
     return False
 
 
-def _limited(sha: SHA, steps: Steps, x0: Array) -> Runs:
+def _limited(sha: SHA, steps: Steps, x0: Array) -> PathRuns:
+    """The runs held to the range and to the greatest rate, row by row."""
     start, end = np.empty(steps.dt.shape), np.empty(steps.dt.shape)
     x: Array = np.clip(x0, sha.low, sha.high)
     clamps = int(((x0 < sha.low) | (x0 > sha.high)).sum())
@@ -199,7 +193,7 @@ def _limited(sha: SHA, steps: Steps, x0: Array) -> Runs:
         free = _mean_step(sha, steps, row, begins) + steps.noise[row]
         end[row] = x = np.asarray(np.clip(free, sha.low, sha.high))
         clamps += int((x != free).sum())
-    return Runs(start, end, clamps)
+    return PathRuns(start, end, clamps)
 
 
 def _mean_step(sha: SHA, steps: Steps, row: int, begins: Array) -> Array:

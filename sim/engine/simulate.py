@@ -17,10 +17,10 @@ from math import inf, isfinite
 
 import numpy as np
 
-from sim.engine.moments import Affine, affine_steps, free_mean, run_flags
+from sim.engine.moments import AffineSteps, affine_steps, free_mean, run_flags
 from sim.engine.recursion import linear_recursion
-from sim.engine.runs import augmented_plan, augmented_runs
 from sim.engine.schedule import Indices, Schedule
+from sim.engine.simulate_augmented import augmented_plan, augmented_runs
 from sim.sha import distributions, flows
 from sim.sha.automaton import Distribution, Flow
 from sim.sha.entry import drawn_parameter, drawn_temperature
@@ -30,8 +30,8 @@ CHUNK = 8192
 """Runs that go through the steps together: few enough that their working rows stay in the cache."""
 
 
-@dataclass(frozen=True, slots=True)
-class Runs:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulatedRuns:
     """N runs at the output times `times` (m,), absolute seconds.
 
     `temperatures` is (N, m) in degC, as the sensor reads them but without its noise (only lag and offset among the
@@ -61,7 +61,7 @@ class Runs:
 
 def simulate(
     steps: Schedule, x0: float | Distribution, runs: int, rng: np.random.Generator, *, out: Array | None = None
-) -> Runs:
+) -> SimulatedRuns:
     """`runs` independent runs from `x0`, a temperature (degC) or the law of one, drawn from `rng`.
 
     Exact in law: m per stay, Gaussian noise per step. Under a rate limit each step takes the limited flow's closed
@@ -86,7 +86,14 @@ def simulate(
         part = slice(first, min(first + CHUNK, runs))
         start = distributions.draw(law, part.stop - part.start, rng)
         go(start, rng, rows[:, part], clamps[part], limited[part])
-    return Runs(steps.times, rows.T, steps.output_location, clamps, limited, steps.unmatched)
+    return SimulatedRuns(
+        times=steps.times,
+        temperatures=rows.T,
+        location=steps.output_location,
+        clamps=clamps,
+        limited=limited,
+        unmatched=steps.unmatched,
+    )
 
 
 Kernel = Callable[[Array, np.random.Generator, Array, Indices, Indices], None]
@@ -119,12 +126,12 @@ class _Free:
     output: int
 
 
-def _free_plan(steps: Schedule, affine: Affine, x0: float) -> list[_Free]:
+def _free_plan(steps: Schedule, affine: AffineSteps, x0: float) -> list[_Free]:
     ends = steps.checked
     begins = np.concatenate([[True], ends[:-1]])
     decay, pull, variance = _composed(affine, begins, ends)
     mean = free_mean(steps, affine, x0)[ends]
-    spread, scatter, renewed = affine.spread[begins], affine.scatter[begins], affine.resampled[begins]
+    spread, scatter, renewed = affine.drawn.spread[begins], affine.drawn.scatter[begins], affine.drawn.resampled[begins]
     location, entry = steps.location[begins], steps.entry[begins]
     fresh, mode = _laws(steps)
     normal_x, normal_m = (
@@ -145,8 +152,8 @@ def _free_plan(steps: Schedule, affine: Affine, x0: float) -> list[_Free]:
         draws_x,
         draws_m,
         location,
-        affine.fresh[begins],
-        affine.mode[begins],
+        affine.drawn.fresh[begins],
+        affine.drawn.mode[begins],
         decay,
         pull,
         np.sqrt(variance),
@@ -161,7 +168,7 @@ def _free_plan(steps: Schedule, affine: Affine, x0: float) -> list[_Free]:
     ]
 
 
-def _composed(affine: Affine, begins: Mask, ends: Mask) -> tuple[Array, Array, Array]:
+def _composed(affine: AffineSteps, begins: Mask, ends: Mask) -> tuple[Array, Array, Array]:
     """(decay, pull, variance) over each group of steps, from one that `begins` to one that `ends` it."""
     going_on = np.where(begins, 0.0, affine.decay)
     decay = linear_recursion(going_on, np.where(begins, affine.decay, 0.0), 0.0)
@@ -225,14 +232,14 @@ class _Limited:
     output: int
 
 
-def _limited_plan(steps: Schedule, affine: Affine) -> list[_Limited]:
+def _limited_plan(steps: Schedule, affine: AffineSteps) -> list[_Limited]:
     fresh, mode = _laws(steps)
     low, high = np.where(steps.checked, steps.sha.low, -inf), np.where(steps.checked, steps.sha.high, inf)
     columns = (
-        affine.resampled,
+        affine.drawn.resampled,
         steps.entry,
         steps.location,
-        affine.mode,
+        affine.drawn.mode,
         steps.age,
         steps.dt,
         steps.offset,

@@ -26,7 +26,7 @@ _BINS = len(_EDGES) + 1
 
 
 @dataclass(frozen=True, slots=True)
-class Pending:
+class PendingForecast:
     """A forecast for one horizon that waits for its reading at `due`; the band's edges (degC) are not widened."""
 
     due: float
@@ -47,7 +47,7 @@ class Horizon:
     counts: tuple[float, ...] = (0.0,) * _BINS
     worth: float = 0.0
     last: float = -inf
-    pending: tuple[Pending, ...] = ()
+    pending: tuple[PendingForecast, ...] = ()
     matured: int = 0
     missed: int = 0
 
@@ -96,7 +96,7 @@ def issue(state: Calibration, forecast: Forecast) -> Calibration:
         if horizon in horizons:
             middle, factor = float(median[column]), float(forecast.factors[column])
             down, up = (middle - float(low[column])) / factor, (float(high[column]) - middle) / factor
-            waiting = Pending(forecast.time + horizon, middle - down, middle, middle + up)
+            waiting = PendingForecast(forecast.time + horizon, middle - down, middle, middle + up)
             horizons[horizon] = replace(horizons[horizon], pending=(*horizons[horizon].pending, waiting))
     return replace(state, horizons=horizons)
 
@@ -123,11 +123,11 @@ def _settled(one: Horizon, horizon: float, time: float, temperature: float, stat
     return settled
 
 
-def _due(waiting: Pending) -> float:
+def _due(waiting: PendingForecast) -> float:
     return waiting.due
 
 
-def _learned(one: Horizon, horizon: float, matured: Pending, temperature: float, memory: float) -> Horizon:
+def _learned(one: Horizon, horizon: float, matured: PendingForecast, temperature: float, memory: float) -> Horizon:
     """One matured forecast counted: it is worth the part of its horizon by which it is newer than the one before."""
     worth = min(max(matured.due - one.last, 0.0) / horizon, 1.0)
     fade = exp(-worth / memory)
@@ -144,13 +144,13 @@ def _learned(one: Horizon, horizon: float, matured: Pending, temperature: float,
     )
 
 
-def matured(one: Horizon, time: float, tolerance: float) -> tuple[Pending, ...]:
+def matured(one: Horizon, time: float, tolerance: float) -> tuple[PendingForecast, ...]:
     """The forecasts that a reading at `time` settles: due by now, and not longer ago than `tolerance` seconds."""
     first, last = bisect_left(one.pending, time - tolerance, key=_due), bisect_right(one.pending, time, key=_due)
     return one.pending[first:last]
 
 
-def deviation(matured: Pending, temperature: float) -> float:
+def deviation(matured: PendingForecast, temperature: float) -> float:
     """|reading - median| in standard deviations of the band on that side, before any widening."""
     error = temperature - matured.median
     side = matured.high - matured.median if error >= 0 else matured.median - matured.low

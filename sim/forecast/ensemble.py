@@ -94,32 +94,32 @@ def learn(pool: Pool, context: str, log_densities: Sequence[float | None], worth
     `worth` (0 to 1) is the part of an independent forecast that it is. Only members that had a forecast are compared:
     the credit that is shared among them is what the weights already gave them, so an absent one loses nothing by it.
     """
-    told = [place for place, one in enumerate(log_densities) if one is not None and one == one]
-    if pool.fixed is not None or len(told) < 2 or not worth > 0:
+    known = {place: one for place, one in enumerate(log_densities) if one is not None and one == one}
+    if pool.fixed is not None or len(known) < 2 or not worth > 0:
         return pool
     fade = 0.5 ** (worth / pool.half_life)
     equal = (1.0 / pool.members,) * pool.members
     plain = _drawn_to(pool, pool.overall, equal)
-    overall = _credited(pool.overall, plain, log_densities, told, worth, fade)
+    overall = _credited(pool.overall, plain, known, worth=worth, fade=fade)
     here = _floored(pool, _drawn(pool, context, plain))
     contexts = dict(pool.contexts)
-    contexts[context] = _credited(contexts.get(context, ()), here, log_densities, told, worth, fade)
+    contexts[context] = _credited(contexts.get(context, ()), here, known, worth=worth, fade=fade)
     return replace(pool, overall=overall, contexts=contexts)
 
 
 def _credited(
     credits: tuple[float, ...],
     weights: tuple[float, ...],
-    log_densities: Sequence[float | None],
-    told: Sequence[int],
+    log_densities: Mapping[int, float],
+    *,
     worth: float,
     fade: float,
 ) -> tuple[float, ...]:
-    """Credits faded, and `worth` shared by w_i p_i / sum w p; those who said nothing keep their weight's part."""
+    """Credits faded, and `worth` shared by w_i p_i / sum w p; members without a forecast keep their weight's part."""
     after = [fade * one for one in credits] or [0.0] * len(weights)
-    best = max(float(log_densities[place] or 0.0) for place in told)
-    shares = {place: weights[place] * float(np.exp(float(log_densities[place] or 0.0) - best)) for place in told}
-    total, room = sum(shares.values()), sum(weights[place] for place in told)
+    best = max(log_densities.values())  # only ratios count, and exp of the difference does not underflow for all
+    shares = {place: weights[place] * float(np.exp(one - best)) for place, one in log_densities.items()}
+    total, room = sum(shares.values()), sum(weights[place] for place in log_densities)
     for place, weight in enumerate(weights):
         after[place] += worth * (room * shares[place] / total if place in shares else weight)
     return tuple(after)
@@ -135,7 +135,7 @@ class Awaited:
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class PoolEvidence:
     """A pool with the forecasts that wait for their reading; `last` is the due time of the newest that had one."""
 
     pool: Pool
@@ -143,14 +143,14 @@ class Evidence:
     pending: tuple[Awaited, ...] = ()
 
 
-def issue(evidence: Evidence, horizon: float, context: str, made: Sequence[Forecast | None]) -> Evidence:
+def issue(evidence: PoolEvidence, horizon: float, context: str, made: Sequence[Forecast | None]) -> PoolEvidence:
     """The evidence with the members' forecasts for `horizon` (s) waiting; a single one teaches nothing."""
-    told = [one for one in made if one is not None]
-    if evidence.pool.fixed is not None or len(told) < 2:
+    present = [one for one in made if one is not None]
+    if evidence.pool.fixed is not None or len(present) < 2:
         return evidence
-    column = told[0].horizons.tolist().index(horizon)
+    column = present[0].horizons.tolist().index(horizon)
     fans = tuple(None if one is None else _fan(one, column) for one in made)
-    waiting = Awaited(told[0].time + horizon, context, fans)
+    waiting = Awaited(present[0].time + horizon, context, fans)
     return replace(evidence, pending=(*evidence.pending, waiting))
 
 
@@ -158,7 +158,7 @@ def _fan(made: Forecast, column: int) -> tuple[float, ...]:
     return tuple(float(made.quantiles[made.levels.index(level), column]) for level in LEVELS)
 
 
-def settle(evidence: Evidence, horizon: float, time: float, temperature: float, tolerance: float) -> Evidence:
+def settle(evidence: PoolEvidence, horizon: float, time: float, temperature: float, tolerance: float) -> PoolEvidence:
     """The evidence after a reading (degC) at `time`: what is due is learned from, what is overdue is dropped.
 
     Forecasts that overlap err together: one is worth the part of its horizon by which it is newer than the one before.
@@ -171,9 +171,9 @@ def settle(evidence: Evidence, horizon: float, time: float, temperature: float, 
     for one in waiting:
         if known and one.due <= time:
             worth = min(max(one.due - last, 0.0) / horizon, 1.0)
-            said = [None if fan is None else log_density(LEVELS, fan, temperature) for fan in one.fans]
-            pool, last = learn(pool, one.context, said, worth), max(last, one.due)
-    return Evidence(pool, last, tuple(one for one in waiting if one.due > time or not known))
+            densities = [None if fan is None else log_density(LEVELS, fan, temperature) for fan in one.fans]
+            pool, last = learn(pool, one.context, densities, worth), max(last, one.due)
+    return PoolEvidence(pool, last, tuple(one for one in waiting if one.due > time or not known))
 
 
 def log_density(levels: ArrayLike, quantiles: ArrayLike, outcome: float, least: float = LEAST_WIDTH) -> float:
@@ -293,7 +293,7 @@ def _exceedance(forecasts: Sequence[Forecast], w: Array) -> tuple[Estimate, ...]
 def _minutes(forecasts: Sequence[Forecast], w: Array) -> tuple[float, float, float]:
     """The 5, 50 and 95 % quantiles of the time to the limit, from what the members say of it at horizons and minutes.
 
-    Each member's distribution function is linear between the points that it told; weights are linear between horizons.
+    Each member's distribution function is linear between the points known of it; weights are linear between horizons.
     """
     horizons = forecasts[0].horizons / 60.0
     points = [_reached(one) for one in forecasts]

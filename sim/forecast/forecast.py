@@ -2,7 +2,8 @@
 
 The events to come are not known, so runs are drawn: X and m from the belief, the present stay's remaining time given
 its age, the stays after it by `sim.sha.semi_markov`, inputs held in the present stay and drawn anew for each later one.
-Each run then takes exact flow steps on its own clock (`sim.engine.particles`).
+Each run then takes exact flow steps on its own clock (`sim.engine.particles`); `sim.forecast.band_widening`
+widens fan and runs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,10 +17,10 @@ from sim.effects.kind import VaryingLaw
 from sim.effects.kinds import kind_of
 from sim.engine.belief import Belief, advance, on_event
 from sim.engine.cuts import fastest as relaxation
-from sim.engine.particles import Runs, Steps, lay_out, run, survival
-from sim.engine.plant import Plant
-from sim.engine.runs_of_paths import felt_paths, felt_stays, fly, real_age
+from sim.engine.particles import PathRuns, Steps, lay_out, run, survival
+from sim.engine.particles_augmented import acting_paths, acting_stays, augmented_path_runs, real_age
 from sim.engine.tracker import Tracker, compiled, next_location
+from sim.forecast.band_widening import factors_at, widened_fan, widened_runs
 from sim.scores import Estimate, clopper_pearson
 from sim.sha.flows import RELAXING
 from sim.sha.model import Model
@@ -88,50 +89,60 @@ def forecast(
     the median, runs below 2, and a model that cannot be run.
     """
     tracker = compiled(model)
-    factors = tracker.model.calibration if calibration is None else calibration
-    asked = _asked(tracker, horizons, factors, limit, runs, levels)
+    request = _request(
+        tracker,
+        horizons,
+        calibration=tracker.model.calibration if calibration is None else calibration,
+        limit=limit,
+        runs=runs,
+        levels=levels,
+    )
+    names = [location.name for location in tracker.model.sha.locations]
+    last, exact = float(request.horizons[-1]), None
     if tracker.plant is not None:
-        return _augmented(tracker, tracker.plant, belief, asked, events, runs, rng)
-    inputs = input_moments(tracker.model, belief.signals)
-    if events is None:
-        chain = compile_chain(tracker.model)
-        place = chain.names.index(belief.location)
-        paths, exact = draw_paths(chain, place, belief.age, float(asked.horizons[-1]), runs, rng), None
+        known = [(begin, names.index(name)) for begin, name in acting_stays(tracker, belief, events or ())]
+        if events is None:
+            age = real_age(tracker.plant, belief)
+            drawn = draw_paths(compile_chain(tracker.model), known[-1][1], age, last, runs, rng)
+            paths = acting_paths(tracker.plant, belief, known, drawn)
+        else:
+            paths = known_paths(known, belief.age, runs)
+        steps, done = augmented_path_runs(tracker, tracker.plant, belief, paths, grid=request.grid, rng=rng)
     else:
-        stays, exact = _known_future(tracker, belief, events, asked, inputs)
-        paths = known_paths(stays, belief.age, runs)
-    steps, x0 = lay_out(tracker, belief, paths, asked.grid, inputs, rng)
-    done = run(tracker.model.sha, steps, x0)
-    return _told(tracker, belief, asked, steps, done, exact, rng, paths.cut)
+        inputs = input_moments(tracker.model, belief.signals)
+        if events is None:
+            chain = compile_chain(tracker.model)
+            paths = draw_paths(chain, chain.names.index(belief.location), belief.age, last, runs, rng)
+        else:
+            stays, exact = _known_future(tracker, belief, events, request, inputs)
+            paths = known_paths(stays, belief.age, runs)
+        steps, x0 = lay_out(tracker, belief, paths, grid=request.grid, inputs=inputs, rng=rng)
+        done = run(tracker.model.sha, steps, x0)
+
+    rows, columns = steps.marks[request.at], np.arange(runs)
+    if exact is None:
+        read = done.end[rows, columns] + tracker.model.sensor_sigma * rng.standard_normal(rows.shape)
+        exact = np.quantile(read, levels, axis=1)
+    reached = _reached(belief, request, steps, done)
+    return Forecast(
+        time=belief.time,
+        horizons=request.horizons,
+        levels=levels,
+        quantiles=widened_fan(exact, request.factors, levels.index(0.5)),
+        locations=tuple(_shares(names, row) for row in steps.location[rows, columns]),
+        limit=limit,
+        exceedance=tuple(clopper_pearson(float(share) * runs, runs) for share in reached[request.at + 1]),
+        minutes_to_limit=_minutes(np.concatenate([[0.0], request.grid]), reached),
+        runs=runs,
+        factors=request.factors,
+        clamps=done.clamps,
+        cut=paths.cut,
+    )
 
 
-def _augmented(
-    tracker: Tracker,
-    plant: Plant,
-    belief: Belief,
-    asked: "_Asked",
-    events: Sequence[Event] | None,
-    runs: int,
-    rng: np.random.Generator,
-) -> Forecast:
-    """The forecast of a model with effects: always by runs, also when the events to come are known."""
-    index = {location.name: row for row, location in enumerate(tracker.model.sha.locations)}
-    stays = felt_stays(tracker, belief, events or ())
-    known = [(begin, index[name]) for begin, name in stays]
-    if events is None:
-        chain = compile_chain(tracker.model)
-        age = real_age(plant, belief)
-        drawn = draw_paths(chain, known[-1][1], age, float(asked.horizons[-1]), runs, rng)
-        paths = felt_paths(plant, belief, known, drawn)
-    else:
-        paths = known_paths(known, belief.age, runs)
-    steps, done = fly(tracker, plant, belief, paths, asked.grid, rng)
-    return _told(tracker, belief, asked, steps, done, None, rng, paths.cut)
-
-
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """What is asked: horizons and factors (H,), the common grid (G,) that holds the horizons in its rows `at` (H,)."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Request:
+    """Horizons and factors (H,), the common grid (G,) that holds the horizons in its rows `at` (H,), limit, levels."""
 
     horizons: Array
     factors: Array
@@ -141,55 +152,31 @@ class _Asked:
     levels: tuple[float, ...]
 
 
-def _asked(
+def _request(
     tracker: Tracker,
     horizons: Sequence[float],
+    *,
     calibration: Mapping[float, float],
     limit: float,
     runs: int,
     levels: tuple[float, ...],
-) -> _Asked:
-    asked = np.asarray(horizons, dtype=float)
-    if asked.ndim != 1 or not asked.size or not np.all(np.diff(asked, prepend=0.0) > 0) or not isfinite(asked[-1]):
+) -> _Request:
+    ahead = np.asarray(horizons, dtype=float)
+    if ahead.ndim != 1 or not ahead.size or not np.all(np.diff(ahead, prepend=0.0) > 0) or not isfinite(ahead[-1]):
         raise ValueError(f"horizons must be positive seconds in ascending order, got {list(horizons)}")
     if runs < 2:
         raise ValueError(f"a forecast needs at least 2 runs, got {runs}")
     if 0.5 not in levels or not 0 < levels[0] <= levels[-1] < 1 or np.any(np.diff(levels) <= 0):
         raise ValueError(f"levels must ascend inside (0, 1) and have the median 0.5, got {list(levels)}")
-    points = _points(tracker, float(asked[-1]))
-    grid = np.union1d(np.linspace(0.0, asked[-1], points + 1)[1:], asked)
-    return _Asked(asked, _factors(calibration, asked), grid, np.searchsorted(grid, asked), limit, levels)
-
-
-def _told(
-    tracker: Tracker,
-    belief: Belief,
-    asked: _Asked,
-    steps: Steps,
-    done: Runs,
-    exact: Array | None,
-    rng: np.random.Generator,
-    cut: int,
-) -> Forecast:
-    """The runs told as a forecast; `exact` are the quantiles where they are known without runs."""
-    rows, columns = steps.marks[asked.at], np.arange(done.end.shape[1])
-    if exact is None:
-        read = done.end[rows, columns] + tracker.model.sensor_sigma * rng.standard_normal(rows.shape)
-        exact = np.quantile(read, asked.levels, axis=1)
-    reached, names = _reached(belief, asked, steps, done), [place.name for place in tracker.model.sha.locations]
-    return Forecast(
-        time=belief.time,
-        horizons=asked.horizons,
-        levels=asked.levels,
-        quantiles=_widened(exact, asked.factors, asked.levels.index(0.5)),
-        locations=tuple(_shares(names, row) for row in steps.location[rows, columns]),
-        limit=asked.limit,
-        exceedance=tuple(clopper_pearson(float(share) * columns.size, columns.size) for share in reached[asked.at + 1]),
-        minutes_to_limit=_minutes(np.concatenate([[0.0], asked.grid]), reached),
-        runs=columns.size,
-        factors=asked.factors,
-        clamps=done.clamps,
-        cut=cut,
+    points = _points(tracker, float(ahead[-1]))
+    grid = np.union1d(np.linspace(0.0, ahead[-1], points + 1)[1:], ahead)
+    return _Request(
+        horizons=ahead,
+        factors=factors_at(calibration, ahead),
+        grid=grid,
+        at=np.searchsorted(grid, ahead),
+        limit=limit,
+        levels=levels,
     )
 
 
@@ -212,50 +199,31 @@ def _points(tracker: Tracker, horizon: float) -> int:
     return int(min(max(ceil(horizon * fastest / 0.1), LEAST_GRID), MOST_GRID))
 
 
-def _factors(calibration: Mapping[float, float], horizons: Array) -> Array:
-    """(H,) the factors at the horizons: linear between those given, constant outside, 1 without any."""
-    if not calibration:
-        return np.ones(horizons.shape)
-    known = sorted(calibration)
-    factors = np.interp(horizons, known, [calibration[horizon] for horizon in known])
-    if not np.all((factors > 0) & (factors < inf)):
-        raise ValueError(f"the calibration's factors must be positive and finite, got {dict(calibration)}")
-    return np.asarray(factors)
-
-
-def _widened(quantiles: Array, factors: Array, middle: int) -> Array:
-    median = quantiles[middle]
-    return np.asarray(median + factors * (quantiles - median))
-
-
 def _shares(names: Sequence[str], places: Array) -> dict[str, float]:
     counts = np.bincount(places, minlength=len(names))
     return {name: float(count) / places.size for name, count in zip(names, counts, strict=True) if count}
 
 
-def _reached(belief: Belief, asked: _Asked, steps: Steps, done: Runs) -> Array:
+def _reached(belief: Belief, request: _Request, steps: Steps, done: PathRuns) -> Array:
     """(G + 1,) the chance of having reached the limit by now and by each of the grid's points.
 
     Runs are widened about their median as the fan is: their distance from it, at each of their steps' ends, is
     multiplied by the factor of that moment.
     """
-    if belief.x >= asked.limit:
-        return np.ones(asked.grid.size + 1)
+    if belief.x >= request.limit:
+        return np.ones(request.grid.size + 1)
     columns = np.arange(done.end.shape[1])
     start, end, widening = done.start, done.end, np.ones(())
-    if np.any(asked.factors != 1.0):
-        clock = np.concatenate([[0.0], asked.grid])
+    if np.any(request.factors != 1.0):
+        clock = np.concatenate([[0.0], request.grid])
         median = np.concatenate([[np.median(start[0])], np.median(end[steps.marks, columns], axis=1)])
-        start, _ = _stretched(asked, start, steps.begin, clock, median)
-        end, widening = _stretched(asked, end, steps.begin + steps.dt, clock, median)
-    alive = survival(start, end, steps, asked.limit, widening)
-    first = float(np.mean(start[0] >= asked.limit))
-    return np.concatenate([[first], 1.0 - alive[steps.marks, columns].mean(axis=1)])
-
-
-def _stretched(asked: _Asked, x: Array, times: Array, clock: Array, median: Array) -> tuple[Array, Array]:
-    middle, factor = np.interp(times, clock, median), np.interp(times, asked.horizons, asked.factors)
-    return middle + factor * (x - middle), factor
+        begins, ends = steps.begin, steps.begin + steps.dt
+        first, widening = (np.interp(times, request.horizons, request.factors) for times in (begins, ends))
+        start = widened_runs(start, first, np.interp(begins, clock, median))
+        end = widened_runs(end, widening, np.interp(ends, clock, median))
+    alive = survival(start, end, steps, request.limit, widening)
+    at_start = float(np.mean(start[0] >= request.limit))
+    return np.concatenate([[at_start], 1.0 - alive[steps.marks, columns].mean(axis=1)])
 
 
 def _minutes(clock: Array, reached: Array) -> tuple[float, float, float]:
@@ -274,14 +242,14 @@ def _minutes(clock: Array, reached: Array) -> tuple[float, float, float]:
 
 
 def _known_future(
-    tracker: Tracker, belief: Belief, events: Sequence[Event], asked: _Asked, inputs: Array
+    tracker: Tracker, belief: Belief, events: Sequence[Event], request: _Request, inputs: Array
 ) -> tuple[list[tuple[float, int]], Array]:
     """The stays (seconds from now, location index) that `events` lead through, and the exact quantiles (L, H)."""
     index = {location.name: row for row, location in enumerate(tracker.model.sha.locations)}
     stays = [(0.0, index[belief.location])]
-    spread = np.asarray(ndtri(asked.levels))
+    spread = np.asarray(ndtri(request.levels))
     columns, coming, ahead = [], sorted(events, key=lambda event: event.time), belief
-    for horizon in asked.horizons.tolist():
+    for horizon in request.horizons.tolist():
         while coming and coming[0].time <= belief.time + horizon:
             event = coming.pop(0)
             target, _ = next_location(tracker, ahead.location, event.symbol)

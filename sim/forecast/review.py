@@ -22,7 +22,7 @@ RAISE, CLEAR = 0.05, 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class ReviewRule:
     """When a model is to be reviewed, in independent readings.
 
     `memory` is how many it takes until evidence has faded to 1/e, `least` the fewest that a share is taken of, `run`
@@ -34,11 +34,11 @@ class Rule:
     run: float
 
 
-ONE_STEP = Rule(memory=200.0, least=200.0, run=10.0)
+ONE_STEP = ReviewRule(memory=200.0, least=200.0, run=10.0)
 """Innovations: more than 10 beyond in 200, or 10 in a row. A few in a row, as a sensor's glitch makes them too, do
 not raise the flag."""
 
-FORECASTS = Rule(memory=60.0, least=60.0, run=2.0)
+FORECASTS = ReviewRule(memory=60.0, least=60.0, run=2.0)
 """Matured forecasts, counted by the time that they span over their horizon: more than 3 beyond in 60, or 2 in a row."""
 
 
@@ -61,12 +61,12 @@ class Review:
     since: float | None = None
 
 
-def share(rule: Rule, review: Review) -> float:
+def share(rule: ReviewRule, review: Review) -> float:
     """The fading share of readings beyond 3 sigma, taken of `rule.least` readings while there are fewer."""
     return review.outside / max(review.counted, rule.least)
 
 
-def follow(rule: Rule, review: Review, time: float, z: float, worth: float = 1.0) -> Review:
+def follow(rule: ReviewRule, review: Review, time: float, z: float, worth: float = 1.0) -> Review:
     """The review after a reading `z` standard deviations from its prediction, at `time` (s).
 
     `worth` (0 to 1) is the part of an independent reading that it is. A z that is no number changes nothing. The flag

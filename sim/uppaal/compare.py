@@ -14,7 +14,7 @@ from sim.checking.smc.answer import QuerySettings, Start, initial
 from sim.checking.smc.answer import answer as native_answer
 from sim.engine.moments import Prediction, moments
 from sim.engine.schedule import Policy, Schedule, schedule
-from sim.engine.simulate import Runs, simulate
+from sim.engine.simulate import SimulatedRuns, simulate
 from sim.sha import distributions
 from sim.sha.model import Model
 from sim.sha.trace import Array, Trace
@@ -54,7 +54,7 @@ class Native:
     """
 
     replay: TraceReplay
-    runs: Runs
+    runs: SimulatedRuns
     moments: Prediction
     answers: Start | None = None
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from sim.checking.proof.bounds import BEYOND, Bounds, find_bounds, noise_band
 from sim.checking.proof.envelope import Assumptions, Envelope, Sojourn, UnboundedInput, envelopes, quantiles
 from sim.checking.proof.structure import Move, moves
-from sim.checking.proof.word import parse_word, replay, word_text
+from sim.checking.proof.word import parse_word, word_text
+from sim.checking.proof.word_replay import replay
 from sim.effects.correction import in_sensor_scale
 from sim.engine.schedule import resync_targets, schedule
 from sim.engine.simulate import simulate

@@ -13,7 +13,8 @@ from sim.checking.proof.drift import DriftBound, added
 from sim.checking.proof.envelope import DAY, Assumptions, envelopes
 from sim.checking.proof.structure import moves
 from sim.checking.proof.verify import verify
-from sim.checking.proof.word import parse_word, replay, word_text
+from sim.checking.proof.word import parse_word, word_text
+from sim.checking.proof.word_replay import replay
 from sim.effects.kinds import signals_of
 from sim.engine.moments import moments
 from sim.engine.schedule import schedule

@@ -12,8 +12,8 @@ from scipy.stats import norm
 
 from sim.forecast.ensemble import (
     DENSE,
-    Evidence,
     Pool,
+    PoolEvidence,
     issue,
     learn,
     log_density,
@@ -172,7 +172,7 @@ def test_fixed_weights_stay() -> None:
 
 def test_evidence_waits_for_the_reading_counts_overlap_once_and_drops_what_is_overdue() -> None:
     good, bad = gaussian(50.0, 1.0), gaussian(60.0, 1.0)
-    evidence = Evidence(Pool(2, strength=1e-9, floor=0.0))
+    evidence = PoolEvidence(Pool(2, strength=1e-9, floor=0.0))
     for second in (0.0, 6.0, 200.0):
         at = [replace(one, time=second) for one in (good, bad)]
         evidence = issue(evidence, 60.0, "on", at)

@@ -65,7 +65,9 @@ def test_steps_are_cut_at_jumps_and_at_the_grid_each_run_on_its_own_clock() -> N
     entered = np.array([[0.0, 0.0], [5.0, 20.0], [25.0, np.inf]])
     paths = Paths(np.array([[0, 0], [1, 1], [0, 0]]), entered, age=7.0)
     grid = np.array([10.0, 20.0, 30.0])
-    steps, x0 = lay_out(tracker, start(tracker, 0.0, 30.0), paths, grid, np.zeros((2, 2)), np.random.default_rng(1))
+    steps, x0 = lay_out(
+        tracker, start(tracker, 0.0, 30.0), paths, grid=grid, inputs=np.zeros((2, 2)), rng=np.random.default_rng(1)
+    )
     assert (steps.begin + steps.dt).T.tolist() == [[5.0, 10.0, 20.0, 25.0, 30.0], [10.0, 20.0, 20.0, 30.0, 30.0]]
     # At one instant the jump comes first: the second run is in its new place when the grid's 20 s are told.
     assert steps.location.T.tolist() == [[0, 1, 1, 1, 0], [0, 0, 1, 1, 1]]

@@ -19,7 +19,7 @@ from sim.engine.tracker import Tracker
 from sim.forecast.calibration import Calibration, calibrate, factors
 from sim.forecast.calibration import issue as issue_bands
 from sim.forecast.calibration import settle as settle_bands
-from sim.forecast.ensemble import DENSE, Evidence, Pool, issue, mixture, settle, thinned, weights
+from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue, mixture, settle, thinned, weights
 from sim.forecast.forecast import LEVELS, Forecast, forecast
 from sim.sha.events import Switch
 from sim.sha.model import Model
@@ -140,7 +140,7 @@ class Ensemble:
             for name, model in zip(self.names[1:], models, strict=True)
         ]
         pool = _pool(section, 1 + len(self.members))
-        self.evidence = {horizon: Evidence(pool) for horizon in forecasts.horizons}
+        self.evidence = {horizon: PoolEvidence(pool) for horizon in forecasts.horizons}
         self.tolerance = max(5.0, 3.0 * scan_period)
         self.complaints: list[tuple[str, str]] = []
 
@@ -242,7 +242,7 @@ class Ensemble:
             if kept is not None and _settings(kept) == _settings(asdict(one.pool)):
                 contexts = {name: tuple(credits) for name, credits in kept["contexts"].items()}
                 pool = Pool(**{**asdict(one.pool), "overall": tuple(kept["overall"]), "contexts": contexts})
-                self.evidence[horizon] = Evidence(pool)
+                self.evidence[horizon] = PoolEvidence(pool)
         return True
 
 

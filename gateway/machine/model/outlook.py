@@ -13,7 +13,7 @@ from gateway.machine.model.ensemble import Ensemble, ForecastJob, MixedForecast,
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading.scan import Scan
 from gateway.settings.config import ForecastSection
-from sim.forecast.calibration import Calibration, Horizon, Pending, factors, issue, settle
+from sim.forecast.calibration import Calibration, Horizon, PendingForecast, factors, issue, settle
 from sim.forecast.ensemble import thinned
 from sim.forecast.forecast import LEVELS, Forecast
 
@@ -142,7 +142,7 @@ class Outlook:
         horizons = dict(self.calibration.horizons)
         for text, one in saved.items():
             if float(text) in horizons:
-                pending = tuple(Pending(**item) for item in one["pending"])
+                pending = tuple(PendingForecast(**item) for item in one["pending"])
                 horizons[float(text)] = Horizon(**{**one, "counts": tuple(one["counts"]), "pending": pending})
         section = self.calibration
         self.calibration = Calibration(horizons, section.memory, section.weight, section.tolerance)

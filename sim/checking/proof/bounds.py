@@ -11,8 +11,8 @@ from sim.checking.proof.counterexample import BEYOND, escape, variants
 from sim.checking.proof.envelope import Assumptions, Envelope, Range, envelopes, start_range, worn_for
 from sim.checking.proof.reach import Bound, Graph, Side, climb, intervals, make_graph, side_of
 from sim.checking.proof.structure import moves
-from sim.checking.proof.word import TimedWord, parse_word, replay, word_text
-from sim.checking.proof.word_effects import offset_range
+from sim.checking.proof.word import TimedWord, parse_word, word_text
+from sim.checking.proof.word_replay import offset_range, replay
 from sim.effects.correction import in_sensor_scale
 from sim.effects.kinds import dead_time, of_feature
 from sim.sha.automaton import Location

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sim.checking.proof.envelope import DAY, Envelope
 from sim.checking.proof.reach import Graph, Side, best_moves
-from sim.checking.proof.word import Step, TimedWord
+from sim.checking.proof.word import TimedWord, WordStep
 from sim.effects.kinds import growing_from, offset_times
 from sim.sha.flows import RELAXING
 from sim.sha.model import Model
@@ -134,7 +134,7 @@ def _back(graph: Graph, ways: Sequence[NDArray[np.int32]], place: int) -> list[t
 
 
 def _along(side: Side, finite: Side, path: list[tuple[int, str]], start: float, border: float) -> TimedWord | None:
-    x, time, steps = start, 0.0, list[Step]()
+    x, time, steps = start, 0.0, list[WordStep]()
     for number, (place, symbol) in enumerate(path):
         fresh = float(side.fresh[place])
         drawn = number > 0 and fresh == fresh
@@ -148,10 +148,10 @@ def _along(side: Side, finite: Side, path: list[tuple[int, str]], start: float, 
     return None if last is None else TimedWord(tuple(steps), time + last)
 
 
-def _step(side: Side, place: int, symbol: str, time: float, temperature: float | None) -> Step:
+def _step(side: Side, place: int, symbol: str, time: float, temperature: float | None) -> WordStep:
     room = side.graph.envelopes[place]
     m, inputs = room.corner(side.sign > 0)
-    return Step(time, symbol, None if room.flow.kind == "constant" else m, temperature, inputs)
+    return WordStep(time, symbol, None if room.flow.kind == "constant" else m, temperature, inputs)
 
 
 def _crossing(side: Side, place: int, x: float, border: float) -> float | None:

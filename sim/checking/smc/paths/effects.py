@@ -1,6 +1,6 @@
 """Runs under effects whose events are known: the simulator's own steps, short enough that a query can look at them.
 
-Every run has its own X, housing, lags, thermostat and m. Steps are those of `sim.sha.augmented`, at most LONGEST s
+Every run has its own X, housing, lags, thermostat and m. Steps are those of `sim.engine.tables`, at most LONGEST s
 and 0.05 of the fastest time constant where the temperature counts. In between the path of X is the bridge of its
 noise about a straight line; after a lag it is smooth, and its extremes are those of the steps' ends.
 """
@@ -17,12 +17,13 @@ from sim.checking.smc.paths.tilting import Tilts
 from sim.effects.kind import ABSOLUTE_SECONDS, Structural
 from sim.effects.kinds import dead_time, kind_of, offset_times, sensor_offsets
 from sim.engine.belief_state import Hidden
-from sim.engine.course import start_state
 from sim.engine.cuts import fastest
 from sim.engine.kernel import move
+from sim.engine.moments_augmented import start_state
+from sim.engine.particles_augmented import draw_states
 from sim.engine.plant import compile_plant
-from sim.engine.runs import Plan, augmented_plan
 from sim.engine.schedule import Schedule, schedule
+from sim.engine.simulate_augmented import SamplingPlan, augmented_plan
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Effect
 from sim.sha.entry import mode_parameter
@@ -30,14 +31,14 @@ from sim.sha.trace import UNKNOWN, Array, Event
 
 
 @dataclass(frozen=True, slots=True)
-class Augmented:
+class KnownUnderEffects:
     """The engine (`paths.Engine`); `clock` (s since the start) and the offsets `before` and `after` each row (degC).
 
     `bridge` (rows,) is V of each step's noise in X; 0 behind a lag.
     """
 
     world: World
-    plan: Plan
+    plan: SamplingPlan
     clock: Array
     before: Array
     after: Array
@@ -45,7 +46,7 @@ class Augmented:
     notes: tuple[str, ...]
     columns: int = 0
 
-    def tilted(self, tilts: Tilts) -> "Augmented":
+    def tilted(self, tilts: Tilts) -> "KnownUnderEffects":
         """Never asked for: there are no columns."""
         raise ValueError("runs under effects have no mode parameters that may be drawn by laws of their own")
 
@@ -58,10 +59,8 @@ class Augmented:
             mode = _mode(self.plan, self.world.location, runs, rng)
         else:
             hidden = belief.hidden or Hidden((), ())
-            values, vectors = np.linalg.eigh(np.array(hidden.covariance))
-            drawn = rng.standard_normal((runs, len(hidden.mean))) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
-            drawn = np.array(hidden.mean) + drawn
-            s, mode, opened = drawn[:, :-1], drawn[:, -1], np.full(runs, float(hidden.opened))
+            s, mode = draw_states(hidden, runs, rng)
+            opened = np.full(runs, float(hidden.opened))
         clamps = np.zeros(runs, dtype=np.intp)
         _clamp(self.plan.schedule.sha, s, clamps)
         x = s[:, plant.sensed] + self.before[0]
@@ -90,10 +89,19 @@ class Augmented:
         state.hidden = np.column_stack([s, opened])
         state.x = s[:, plant.sensed] + self.after[row]
         age = float(schedule_.age[row])
-        yield Piece(None, float(self.clock[row]), dt, age, place, start, state.x, float(self.bridge[row]))
+        yield Piece(
+            rows=None,
+            begin=float(self.clock[row]),
+            dt=dt,
+            age=age,
+            location=place,
+            start=start,
+            end=state.x,
+            bridge=float(self.bridge[row]),
+        )
 
 
-def _mode(plan: Plan, place: int, runs: int, rng: np.random.Generator) -> Array:
+def _mode(plan: SamplingPlan, place: int, runs: int, rng: np.random.Generator) -> Array:
     law = plan.mode_laws[place]
     if law is not None:
         return distributions.draw(law, runs, rng)
@@ -108,7 +116,7 @@ def _clamp(sha: SHA, s: Array, clamps: Indices) -> None:
         s[:, 0] = np.clip(s[:, 0], sha.low, sha.high)
 
 
-def augmented(world: World, cuts: Cuts) -> Augmented:
+def augmented(world: World, cuts: Cuts) -> KnownUnderEffects:
     """The engine along the events and signals of `world.trace`. Raises ValueError as `schedule` does."""
     trace = world.trace
     if trace is None:
@@ -134,7 +142,7 @@ def augmented(world: World, cuts: Cuts) -> Augmented:
     begins = steps.segments.time if steps.segments is not None else clock[:-1]
     closed = plan.steps.closed
     bridge = closed.noise[:, 0, 0] / np.maximum(closed.phi[:, 0, 0], LEAST_DECAY)
-    return Augmented(
+    return KnownUnderEffects(
         world=world,
         plan=plan,
         clock=clock,
@@ -205,7 +213,7 @@ def _fast(sha: SHA) -> Array:
     return speed
 
 
-def _approximate(plan: Plan) -> Iterator[str]:
+def _approximate(plan: SamplingPlan) -> Iterator[str]:
     """What the runs only come near to."""
     if plan.plant.thermostat is not None or plan.plant.radiation is not None:
         yield "thermostat and radiation are followed run by run, the noise of a step being that of its begin"

@@ -106,7 +106,16 @@ class Known:
                 state.mode = scored(step.drawn, state.drawn[:, step.column])
         end = start if step.dt == 0.0 else self._moved(step, start, state, rng)
         state.x = end
-        yield Piece(None, step.begin, step.dt, step.age, step.location, start, end, step.bridge)
+        yield Piece(
+            rows=None,
+            begin=step.begin,
+            dt=step.dt,
+            age=step.age,
+            location=step.location,
+            start=start,
+            end=end,
+            bridge=step.bridge,
+        )
 
     def _moved(self, step: _Row, start: Array, state: State, rng: np.random.Generator) -> Array:
         rate = self.world.sha.max_rate

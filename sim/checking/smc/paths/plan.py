@@ -1,9 +1,8 @@
 """What statistical checking runs: where runs start, what drives them, and the pieces in which a run is looked at.
 
 A piece is a stretch of a run in one location with its clocks and its temperature at both ends: short enough that the
-path in between is a Brownian bridge (`sim.engine.particles` gives the formula and the change of time behind it).
-How far
-the bridge rises above the straight line is drawn once a piece, as an exponential number e: the path has reached the
+path in between is a Brownian bridge (`sim.engine.particles` gives the formula and the change of time behind it). How
+far the bridge rises above the straight line is drawn once a piece, as an exponential number e: the path has reached the
 line from p0 to p1 when
 
     (p0 - x0) (p1 - x1) < V e / 2,    V = variance / decay,
@@ -126,10 +125,21 @@ class State:
 def _state(reals: list[Array], wholes: list[Indices]) -> State:
     x, mode, entered, leaves, drawn, hidden = reals
     clamps, limited, location, stays = wholes
-    return State(x, mode, clamps, limited, location, entered, leaves, stays, drawn, hidden)
+    return State(
+        x,
+        mode,
+        clamps,
+        limited,
+        location=location,
+        entered=entered,
+        leaves=leaves,
+        stays=stays,
+        drawn=drawn,
+        hidden=hidden,
+    )
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Piece:
     """A piece of n runs; times in s since the start. What all runs share is one number, otherwise (n,).
 

@@ -65,7 +65,17 @@ class SemiMarkov:
         leaves = np.full(runs, np.inf) if law is None else distributions.draw_remaining(law, world.age, runs, rng)
         none = np.zeros(runs, dtype=np.intp)
         clamps = none.copy() if outside is None else outside.astype(np.intp)
-        return State(x, mode, clamps, none.copy(), none + here, np.full(runs, -world.age), leaves, none.copy(), drawn)
+        return State(
+            x,
+            mode,
+            clamps,
+            none.copy(),
+            location=none + here,
+            entered=np.full(runs, -world.age),
+            leaves=leaves,
+            stays=none.copy(),
+            drawn=drawn,
+        )
 
     def advance(self, row: int, state: State, rng: np.random.Generator) -> Iterator[Piece]:
         """The pieces of one row; each run takes part in as many as its jumps and cuts ask for."""
@@ -75,7 +85,7 @@ class SemiMarkov:
         while now.size:
             there = np.arange(state.x.size) if rows is None else rows
             stop, instant = self._stop(state, there, now, end, looked=bool(self.looked[row]))
-            yield self._moved(state, rows, there, now, stop - now, rng)
+            yield self._moved(state, rows, there, now=now, dt=stop - now, rng=rng)
             if instant.any():
                 yield self._instant(state, there[instant], stop[instant])
             self._jump(state, there[state.leaves[there] <= stop], rng)
@@ -101,7 +111,7 @@ class SemiMarkov:
         return stop, instant
 
     def _moved(
-        self, state: State, rows: Indices | None, there: Indices, now: Array, dt: Array, rng: np.random.Generator
+        self, state: State, rows: Indices | None, there: Indices, *, now: Array, dt: Array, rng: np.random.Generator
     ) -> Piece:
         start, mode, age = state.x[there], state.mode[there], now - state.entered[there]
         location = state.location[there]
@@ -123,11 +133,29 @@ class SemiMarkov:
         if outside is not None:
             state.clamps[there] += outside
         state.x[there] = end
-        return Piece(rows, now, dt, age, location, start, end, variance / np.maximum(decay, LEAST_DECAY))
+        return Piece(
+            rows=rows,
+            begin=now,
+            dt=dt,
+            age=age,
+            location=location,
+            start=start,
+            end=end,
+            bridge=variance / np.maximum(decay, LEAST_DECAY),
+        )
 
     def _instant(self, state: State, rows: Indices, now: Array) -> Piece:
         x, nothing = state.x[rows], np.zeros(rows.size)
-        return Piece(rows, now, nothing, now - state.entered[rows], state.location[rows], x, x, nothing)
+        return Piece(
+            rows=rows,
+            begin=now,
+            dt=nothing,
+            age=now - state.entered[rows],
+            location=state.location[rows],
+            start=x,
+            end=x,
+            bridge=nothing,
+        )
 
     def _jump(self, state: State, rows: Indices, rng: np.random.Generator) -> None:
         """The runs of these rows leave their stay: next location, its m, its inputs, how long it lasts."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.effects.kinds import sensor_offset, sensor_offsets
-from sim.engine.course import start_state
 from sim.engine.kernel import move
 from sim.engine.moments import augmented_course
+from sim.engine.moments_augmented import start_state
 from sim.engine.plant import Indices, Plant
 from sim.engine.schedule import Schedule
 from sim.engine.tables import Half, Tables
@@ -23,7 +23,7 @@ from sim.sha.trace import Array, Mask
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class SamplingPlan:
     """A schedule made ready for runs: the steps' tables, roots of their noise (n, d, d), laws by location."""
 
     schedule: Schedule
@@ -39,11 +39,11 @@ class Plan:
     first_offset: float
 
 
-def augmented_plan(steps: Schedule, x0: float) -> Plan:
+def augmented_plan(steps: Schedule, x0: float) -> SamplingPlan:
     """The plan of runs whose first reading has the mean `x0` (degC)."""
     plant, drawn, course = augmented_course(steps, x0)
     closed = root(course.steps.closed)
-    return Plan(
+    return SamplingPlan(
         schedule=steps,
         plant=plant,
         steps=course.steps,
@@ -67,7 +67,7 @@ def root(half: Half) -> Array:
 
 
 def augmented_runs(
-    plan: Plan, x: Array, rng: np.random.Generator, out: Array, clamps: Indices, limited: Indices
+    plan: SamplingPlan, x: Array, rng: np.random.Generator, out: Array, clamps: Indices, limited: Indices
 ) -> None:
     """Takes the first readings `x` (N,) along the plan: fills `out` (outputs, N), adds to the counts (N,)."""
     schedule, plant = plan.schedule, plan.plant
@@ -89,7 +89,7 @@ def augmented_runs(
             np.add(s[:, plant.sensed], plan.read_offset[schedule.output[row]], out=out[schedule.output[row]])
 
 
-def _entered(plan: Plan, row: int, place: int, s: Array, rng: np.random.Generator) -> Array:
+def _entered(plan: SamplingPlan, row: int, place: int, s: Array, rng: np.random.Generator) -> Array:
     """The mode parameters (N,) of the stay that begins; X is drawn in place where the location says so."""
     fresh, law = plan.temperature_laws[place], plan.mode_laws[place]
     if fresh is not None and plan.resampled[row]:
@@ -99,7 +99,7 @@ def _entered(plan: Plan, row: int, place: int, s: Array, rng: np.random.Generato
     return np.full(len(s), plan.mode[row])
 
 
-def _push(plan: Plan, row: int, opened: Mask, rng: np.random.Generator) -> Array:
+def _push(plan: SamplingPlan, row: int, opened: Mask, rng: np.random.Generator) -> Array:
     drawn = rng.standard_normal((opened.size, plan.plant.size))
     push = drawn @ plan.closed[row].T
     if opened.any():

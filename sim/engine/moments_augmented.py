@@ -1,11 +1,12 @@
-"""The mean course of an automaton with effects, and its covariance, along segments that are known beforehand.
+"""The mean course of an automaton with effects, and its covariance: what `sim.engine.moments` is for plain ones.
 
-Where no thermostat switches and nothing meets a limit, the whole course is one linear recursion. Each switch, clamp and
-limited step is found in it, done singly, and the recursion goes on from there. Radiation is linearised about the course
-itself: course and linearisation are repeated until they agree (Newton's method on the whole course).
+The segments are known beforehand. Where no thermostat switches and nothing meets a limit, the course is one linear
+recursion. Each switch, clamp and limited step is found in it, done singly, and the recursion goes on from there.
+Radiation is linearised about the course itself: course and linearisation are repeated until they agree (Newton's
+method on the whole course).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
@@ -16,7 +17,6 @@ from sim.engine.recursion import matrix_recursion
 from sim.engine.tables import Half, Tables, chosen, tables
 from sim.engine.terms import Segments
 from sim.engine.valve import Valve, follow, rows_of
-from sim.sha.automaton import SHA, Effect
 from sim.sha.trace import Array, Mask
 
 AGREED = 1e-5
@@ -26,8 +26,8 @@ _ROUNDS = 10
 _FEWEST = 8
 
 
-@dataclass(frozen=True, slots=True)
-class Drawn:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnMoments:
     """What stays draw, for each of n steps: moments of m; whether X is drawn anew before the step, and its moments.
 
     `entry` marks the steps that begin a stay, `checked` those that end where the temperature is held against the range.
@@ -42,8 +42,8 @@ class Drawn:
     checked: Mask
 
 
-@dataclass(frozen=True, slots=True)
-class Course:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeanCourse:
     """The means after each step, `s` (n, d), with the `steps` that led there.
 
     `opened` (n,) is the part of each step for which the thermostat was open, `valve` its state at the end. `clamps`
@@ -59,11 +59,13 @@ class Course:
 
 
 def start_state(plant: Plant, temperature: Array | float, offset: float) -> Array:
-    """(..., d) the state that a first reading tells: X, housing and lags alike, less what the sensor reads too much."""
+    """(..., d) the state at a first reading: X, housing and lags alike, less what the sensor reads too much."""
     return np.repeat(np.asarray(temperature, dtype=float)[..., None] - offset, plant.size, axis=-1)
 
 
-def mean_course(plant: Plant, segments: Segments, drawn: Drawn, start: Array, *, valve: bool = False) -> Course:
+def mean_course(
+    plant: Plant, segments: Segments, drawn: DrawnMoments, start: Array, *, valve: bool = False
+) -> MeanCourse:
     """The course from the state `start` (d,), with the thermostat open if `valve`."""
     if plant.radiation is None:
         return _march(plant, tables(plant, segments), drawn, start, valve)
@@ -78,18 +80,44 @@ def mean_course(plant: Plant, segments: Segments, drawn: Drawn, start: Array, *,
     return course
 
 
-def _march(plant: Plant, steps: Tables, drawn: Drawn, start: Array, first: bool) -> Course:
+def _march(plant: Plant, steps: Tables, drawn: DrawnMoments, start: Array, first: bool) -> MeanCourse:
+    """The course along `steps`, with the thermostat open at the start if `first`.
+
+    The recursion is solved over a stretch of rows as if nothing odd happened in it, and taken up to the first row in
+    which something does. That row is done singly, and the next stretch is short: what switches often, switches soon.
+    """
+    sha = plant.sha
+    fresh = np.where(drawn.resampled, drawn.fresh, np.nan)
     if plant.thermostat is not None and plant.size == 1 and steps.closed.terms.powers == 1:
-        return _followed(plant.sha, plant.thermostat.effect, steps, drawn, Valve(float(start[0]), first))
+        valve_state = Valve(float(start[0]), first)
+        rows_of_floats = rows_of(steps, drawn.mode, fresh, drawn.checked)
+        x, parts = follow(sha, plant.thermostat.effect, rows_of_floats, valve_state, fresh.size)
+        return MeanCourse(
+            s=x[:, None],
+            steps=steps,
+            opened=parts,
+            clamps=valve_state.clamps,
+            limited=valve_state.limited,
+            valve=valve_state.opened,
+        )
     n = steps.dt.size
     s, opened = np.empty((n, plant.size)), np.zeros(n)
     clamps, limited, row, piece = 0, 0, 0, n
     state, valve = start, np.array([first])
-    alone = _without_rest(steps)
+    # The linearisation follows the mean itself, so that its tangent leaves nothing out.
+    alone = replace(steps, about=None, radiated=None)
     while row < n:
         rows = slice(row, min(row + piece, n))
-        run, before = _straight(steps, drawn, rows, state, bool(valve[0]))
-        odd = _odd(plant, steps, drawn, rows, before, run[:, 0], valve)
+        half = steps.open if valve[0] and steps.open is not None else steps.closed
+        phi, added = _renewed(half, drawn, rows)
+        run = matrix_recursion(phi, added + half.pull[rows] * drawn.mode[rows, None], state)
+        before = np.where(drawn.resampled[rows], drawn.fresh[rows], np.concatenate([state[:1], run[:-1, 0]]))
+        after = run[:, 0]
+        odd = drawn.checked[rows] & ((after < sha.low) | (after > sha.high))
+        if sha.max_rate < inf:
+            odd |= np.abs(after - before) > sha.max_rate * steps.dt[rows] * (1.0 + 1e-12)
+        if plant.thermostat is not None:
+            odd |= (switched(plant, before, valve) != valve) | (switched(plant, after, valve) != valve)
         good = int(np.argmax(odd)) if odd.any() else len(run)
         s[row : row + good], opened[row : row + good] = run[:good], valve[0]
         row, state = row + good, run[good - 1] if good else state
@@ -100,35 +128,15 @@ def _march(plant: Plant, steps: Tables, drawn: Drawn, start: Array, first: bool)
             state = np.concatenate([[drawn.fresh[row]], state[1:]])
         moved = move(plant, alone, row, state[None, :], drawn.mode[row : row + 1], valve)
         state, valve, opened[row] = moved.s[0], moved.opened, moved.share[0]
-        held = min(max(state[0], plant.sha.low), plant.sha.high) if drawn.checked[row] else state[0]
+        held = min(max(state[0], sha.low), sha.high) if drawn.checked[row] else state[0]
         clamps, limited = clamps + (held != state[0]), limited + int(moved.met[0])
         state[0] = held
         s[row] = state
         row += 1
-    return Course(s, steps, opened, int(clamps), limited, bool(valve[0]))
+    return MeanCourse(s=s, steps=steps, opened=opened, clamps=int(clamps), limited=limited, valve=bool(valve[0]))
 
 
-def _followed(sha: SHA, effect: Effect, steps: Tables, drawn: Drawn, valve: Valve) -> Course:
-    fresh = np.where(drawn.resampled, drawn.fresh, np.nan)
-    x, parts = follow(sha, effect, rows_of(steps, drawn.mode, fresh, drawn.checked), valve, fresh.size)
-    return Course(x[:, None], steps, parts, valve.clamps, valve.limited, valve.opened)
-
-
-def _without_rest(steps: Tables) -> Tables:
-    """The steps for the mean itself, which the linearisation follows."""
-    return Tables(steps.closed, steps.open, steps.dt, steps.coupling, None, None)
-
-
-def _straight(steps: Tables, drawn: Drawn, rows: slice, state: Array, opened: bool) -> tuple[Array, Array]:
-    """(states after each of the rows, X before each) with the thermostat as it stands and nothing limited."""
-    half = steps.open if opened and steps.open is not None else steps.closed
-    phi, added = _renewed(half, drawn, rows)
-    run = matrix_recursion(phi, added + half.pull[rows] * drawn.mode[rows, None], state)
-    before = np.concatenate([state[:1], run[:-1, 0]])
-    return run, np.where(drawn.resampled[rows], drawn.fresh[rows], before)
-
-
-def _renewed(half: Half, drawn: Drawn, rows: slice) -> tuple[Array, Array]:
+def _renewed(half: Half, drawn: DrawnMoments, rows: slice) -> tuple[Array, Array]:
     """(phi, added) in which steps before which X is drawn anew forget the old X and begin with the mean of the new."""
     phi, added, new = half.phi[rows], half.added[rows], drawn.resampled[rows]
     if not new.any():
@@ -139,18 +147,7 @@ def _renewed(half: Half, drawn: Drawn, rows: slice) -> tuple[Array, Array]:
     return phi, added
 
 
-def _odd(plant: Plant, steps: Tables, drawn: Drawn, rows: slice, before: Array, after: Array, valve: Mask) -> Mask:
-    """The rows in which the thermostat would switch, the range is left or the rate limit is met."""
-    sha = plant.sha
-    odd = drawn.checked[rows] & ((after < sha.low) | (after > sha.high))
-    if sha.max_rate < inf:
-        odd |= np.abs(after - before) > sha.max_rate * steps.dt[rows] * (1.0 + 1e-12)
-    if plant.thermostat is not None:
-        odd |= (switched(plant, before, valve) != valve) | (switched(plant, after, valve) != valve)
-    return odd
-
-
-def covariance(plant: Plant, course: Course, drawn: Drawn, variance0: float) -> Array:
+def covariance(plant: Plant, course: MeanCourse, drawn: DrawnMoments, variance0: float) -> Array:
     """(n,) the variance (degC^2) of what the sensor reads after each step, its own noise apart.
 
     The thermostat switches as it does for the mean, and limits are not seen.

@@ -1,0 +1,211 @@
+"""N runs of an automaton with effects along drawn paths of locations: what `sim.engine.particles` is for plain ones.
+
+The two are a pair because the plain one is twice as fast on plain models (`benchmarks.engines`, decision 0049); a test
+holds them against each other.
+
+Every run has its own states, m, signals and thermostat. The steps are those of the common grid and of the run's jumps;
+they are not cut further, so a start-up's heat is a parabola inside each, and radiation is linearised about the present
+temperature with the rest taken at each step's start.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import inf
+
+import numpy as np
+
+from sim.effects.kinds import dead_time, sensor_offsets
+from sim.engine.belief_state import Belief, Hidden
+from sim.engine.kernel import move
+from sim.engine.particles import PathRuns, Steps, drawn_temperatures, merge
+from sim.engine.plant import Indices, Plant
+from sim.engine.simulate_augmented import root
+from sim.engine.tables import tables
+from sim.engine.terms import Segments
+from sim.engine.tracker import Tracker, next_location
+from sim.sha.automaton import SHA
+from sim.sha.semi_markov import Paths
+from sim.sha.trace import UNKNOWN, Array, Event, Mask
+
+
+def acting_stays(tracker: Tracker, belief: Belief, events: Sequence[Event]) -> list[tuple[float, str]]:
+    """(seconds from now, location) of the present stay and those that known events lead to, when they act."""
+    delay = dead_time(tracker.model.sha)
+    delayed = belief.hidden.pending if belief.hidden is not None else ()
+    coming = [(each.due, each.symbol) for each in delayed if each.symbol]
+    later = sorted(events, key=lambda event: event.time)
+    coming += [(max(event.time, belief.time) + delay, event.symbol) for event in later]
+    stays, here = [(0.0, belief.location)], belief.location
+    for due, symbol in coming:
+        target, _ = next_location(tracker, here, symbol)
+        if target is not None:
+            here = target
+            stays.append((due - belief.time, here))
+    return stays
+
+
+def real_age(plant: Plant, belief: Belief) -> float:
+    """Seconds since the plant has entered the location that it is in, whether that acts already or not."""
+    delayed = belief.hidden.pending if belief.hidden is not None else ()
+    due = [each.due for each in delayed if each.symbol]
+    entered = due[-1] if due else belief.entered
+    return max(belief.time + dead_time(plant.sha) - entered, 0.0)
+
+
+def acting_paths(plant: Plant, belief: Belief, known: Sequence[tuple[float, int]], drawn: Paths) -> Paths:
+    """The `drawn` paths, which begin where the plant is, as they act after the `known` stays."""
+    runs = drawn.location.shape[1]
+    first = np.array([place for _, place in known], dtype=np.intp)[:, None]
+    begins = np.array([begin for begin, _ in known])[:, None]
+    location = np.vstack([np.repeat(first, runs, axis=1), drawn.location[1:]])
+    entered = np.vstack([np.repeat(begins, runs, axis=1), drawn.entered[1:] + dead_time(plant.sha)])
+    return Paths(location, entered, belief.age, drawn.cut)
+
+
+def augmented_path_runs(
+    tracker: Tracker, plant: Plant, belief: Belief, paths: Paths, *, grid: Array, rng: np.random.Generator
+) -> tuple[Steps, PathRuns]:
+    """The steps along `paths` and the runs, both of what the sensor reads; `grid` (G,) as in `particles.lay_out`.
+
+    The random numbers come in this order: states and m of the belief, m of the stays, signals by name, X where it is
+    drawn, then each row's noise. A seed's forecast depends on it.
+    """
+    stay, begin, dt, first, marks = merge(paths, grid)
+    sha, shape = plant.sha, dt.shape
+    hidden = belief.hidden or Hidden((), ())
+    s, m0 = draw_states(hidden, shape[1], rng)
+    columns = np.arange(shape[1])
+    location = paths.location[stay, columns]
+    age = np.maximum(begin - paths.entered[stay, columns], 0.0) + np.where(stay == 0, paths.age, 0.0)
+
+    laws = np.array([tracker.modes[place.name].parameter for place in sha.locations])
+    mean, sigma = laws[:, 0][paths.location], np.sqrt(laws[:, 1])[paths.location]
+    modes = mean + sigma * rng.standard_normal(paths.location.shape)
+    modes[0] = m0
+    mode = modes[stay, columns]
+
+    signals = _signals(tracker, belief, paths, stay, begin, rng=rng)
+    offset = np.zeros(shape)
+    for row, place in enumerate(sha.locations):
+        for given in place.flow.inputs:
+            added = given.gain * (signals[given.signal] - given.reference)
+            offset += np.where((location == row) & np.isfinite(added), added, 0.0)
+    segments = Segments(
+        location=location.reshape(-1),
+        time=(belief.time + begin).reshape(-1),
+        age=age.reshape(-1),
+        dt=dt.reshape(-1),
+        offset=offset.reshape(-1),
+        signals={name: column.reshape(-1) for name, column in signals.items()},
+        since=_since(plant, belief, paths, stay, begin),
+    )
+    drawn = drawn_temperatures(tracker, location, first, rng)
+    about = np.full(dt.size, float(s[:, 0].mean())) if plant.radiation is not None else None
+    table = tables(plant, segments, about)
+
+    start, end, clamps = np.empty(shape), np.empty(shape), 0
+    before, after = (sensor_offsets(sha, belief.time + at) for at in (begin, begin + dt))
+    closed = root(table.closed)
+    other = closed if table.open is None else root(table.open)
+    opened = np.full(shape[1], hidden.opened)
+    for row in range(shape[0]):
+        rows = slice(row * shape[1], (row + 1) * shape[1])
+        if drawn is not None:
+            s[:, 0] = np.where(np.isnan(drawn[row]), s[:, 0], drawn[row])
+        start[row] = s[:, plant.sensed] + before[row]
+        roots = np.where(opened[:, None, None], other[rows], closed[rows])
+        noise = (roots @ rng.standard_normal((shape[1], plant.size, 1)))[:, :, 0]
+        moved = move(plant, table, rows, s, mode[row], opened, noise)
+        s, opened = moved.s, moved.opened
+        held = np.clip(s[:, 0], sha.low, sha.high)
+        clamps += int((held != s[:, 0]).sum())
+        s[:, 0] = held
+        end[row] = s[:, plant.sensed] + after[row]
+
+    zero = np.zeros(shape)
+    # Behind a lag the path is smooth: nothing happens between the ends of a step that the ends do not show.
+    variance = zero if plant.lags else table.closed.noise[:, plant.sensed, plant.sensed].reshape(shape)
+    steps = Steps(
+        location=location,
+        begin=begin,
+        dt=dt,
+        age=age,
+        target=zero,
+        decay=table.closed.phi[:, 0, 0].reshape(shape),
+        pull=zero,
+        variance=variance,
+        noise=zero,
+        drawn=drawn,
+        marks=marks,
+    )
+    return steps, PathRuns(start, end, clamps)
+
+
+def draw_states(hidden: Hidden, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """N draws of (states (N, d), m (N,)) from a belief's joint normal law."""
+    # Eigenvalues and not Cholesky: states of which one number is known are perfectly correlated.
+    values, vectors = np.linalg.eigh(np.array(hidden.covariance))
+    spread = vectors * np.sqrt(np.maximum(values, 0.0))
+    drawn = np.array(hidden.mean) + rng.standard_normal((runs, len(hidden.mean))) @ spread.T
+    return drawn[:, :-1], drawn[:, -1]
+
+
+def _signals(
+    tracker: Tracker, belief: Belief, paths: Paths, stay: Indices, begin: Array, *, rng: np.random.Generator
+) -> dict[str, Array]:
+    """(S, N) each signal that is read: as it is and as a dead time delays it in the present stay, drawn for later ones.
+
+    A later stay's value follows the location's `Stay.inputs`; without one it stays as it was last.
+    """
+    sha, held = tracker.model.sha, dict(belief.signals)
+    pending = [each for each in (belief.hidden.pending if belief.hidden is not None else ()) if not each.symbol]
+    newest = held | {name: value for each in pending for name, value in each.signals.items()}
+    columns, found = np.arange(stay.shape[1]), {}
+    for name in sorted(tracker.inputs):
+        moments = np.array([_moments(tracker, place.name, name, newest) for place in sha.locations])
+        mean, sigma = moments[:, 0][paths.location], moments[:, 1][paths.location]
+        value = mean + sigma * rng.standard_normal(paths.location.shape)
+        now = np.full(stay.shape, held.get(name, np.nan))
+        for each in pending:
+            if name in each.signals:
+                now[begin >= each.due - belief.time] = each.signals[name]
+        found[name] = np.where(stay == 0, now, value[stay, columns])
+    return found
+
+
+def _moments(tracker: Tracker, location: str, signal: str, newest: Mapping[str, float]) -> tuple[float, float]:
+    stay = tracker.model.semi_markov.get(location)
+    return (stay.inputs if stay is not None else {}).get(signal, (newest.get(signal, np.nan), 0.0))
+
+
+def _since(plant: Plant, belief: Belief, paths: Paths, stay: Indices, begin: Array) -> tuple[Array, ...]:
+    """(S * N,) for each start-up effect the seconds since its event, known so far or met on the way."""
+    found, columns = [], np.arange(stay.shape[1])
+    known = belief.hidden.since if belief.hidden is not None else ()
+    for acting, last in zip(plant.startups, known, strict=True):
+        meets = _meets(plant.sha, acting.effect.event)
+        times = np.where(meets[paths.location[:-1], paths.location[1:]], paths.entered[1:], -inf)
+        first = np.full((1, stay.shape[1]), -inf if last is None else last - belief.time)
+        started = np.maximum.accumulate(np.vstack([first, times]), axis=0)
+        found.append((begin - started[stay, columns]).reshape(-1))
+    return tuple(found)
+
+
+def _meets(sha: SHA, event: str) -> Mask:
+    """(L, L) whether the shortest way of edges from one location to another has the event on it.
+
+    Paths name locations, not events, and moves that take no time are folded into one.
+    """
+    index = {place.name: row for row, place in enumerate(sha.locations)}
+    meets = np.zeros((len(index), len(index)), dtype=np.bool_)
+    for source, row in index.items():
+        seen, layer = {source}, [(source, False)]
+        while layer:
+            following = []
+            for here, met in layer:
+                for edge in sha.edges:
+                    if edge.source == here and edge.target not in seen and edge.symbol != UNKNOWN:
+                        seen.add(edge.target)
+                        meets[row, index[edge.target]] = met or edge.symbol == event
+                        following.append((edge.target, met or edge.symbol == event))
+            layer = following
+    return meets

@@ -1,0 +1,149 @@
+"""The Gaussian arithmetic of a belief under effects: mean and covariance of all d states and of m, one step at a time.
+
+It is the Kalman filter where the automaton is linear and the extended one where it is not (Jazwinski 1970, ch. 8):
+radiation is linearised about the mean, the thermostat is where the mean's is. `sim.engine.belief` says when a step is
+taken; the functions here take beliefs whose `hidden` states belong to the plant.
+"""
+
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+
+from sim.effects.kinds import sensor_offset, signals_of
+from sim.engine.belief_state import Belief, Hidden
+from sim.engine.cuts import Stays, cuts
+from sim.engine.moments_augmented import DrawnMoments, MeanCourse, mean_course
+from sim.engine.plant import Plant
+from sim.engine.tables import chosen
+from sim.engine.terms import Segments
+from sim.engine.tracker import Mode
+from sim.sha.trace import Array
+
+
+def at_reading(plant: Plant, belief: Belief) -> Belief:
+    """The belief with all states at what its temperature says, as uncertain as that, and m independent of them."""
+    d = plant.size
+    mean = np.full(d + 1, belief.x - sensor_offset(plant.sha, belief.time))
+    # One number is known of d states, so they are perfectly correlated until time tells them apart.
+    covariance = np.full((d + 1, d + 1), belief.xx)
+    mean[d], covariance[d, :], covariance[:, d] = belief.m, 0.0, 0.0
+    covariance[d, d] = belief.mm
+    hidden = belief.hidden or Hidden((), (), since=(None,) * len(plant.startups))
+    return _with_states(plant, belief, mean, covariance, hidden)
+
+
+def moved_to(plant: Plant, before: Belief, reading: Belief) -> Belief:
+    """`reading`, which has the new temperature, with the states of `before` moved along, all but the housing's."""
+    hidden, mean, covariance = _states(before)
+    moved = np.ones(plant.size + 1, dtype=np.bool_)
+    moved[plant.size] = False
+    if plant.housing_tau < inf:
+        moved[1] = False
+    mean[moved] += reading.x - before.x
+    covariance[moved, :] = 0.0
+    covariance[:, moved] = 0.0
+    covariance[np.ix_(moved, moved)] = reading.xx
+    return _with_states(plant, reading, mean, covariance, hidden)
+
+
+def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
+    """The belief at a later `time` with no event, input or reading in between."""
+    if time == belief.time:
+        return belief
+    hidden, mean, covariance = _states(belief)
+    d = plant.size
+    course = _course(plant, belief, time, hidden, mean)
+    steps = chosen(course.steps, course.opened)
+    for row in range(course.opened.size):
+        transition = np.eye(d + 1)
+        transition[:d, :d], transition[:d, d] = steps.phi[row], steps.pull[row]
+        covariance = transition @ covariance @ transition.T
+        covariance[:d, :d] += steps.noise[row]
+    mean[:d] = course.s[-1]
+    later = replace(belief, time=time, clamps=belief.clamps + course.clamps)
+    # Rounding makes the product slightly unsymmetric, and that grows from step to step.
+    covariance = (covariance + covariance.T) / 2.0
+    return _with_states(plant, later, mean, covariance, replace(hidden, opened=course.valve))
+
+
+def corrected(plant: Plant, belief: Belief, error: float, variance: float) -> Belief:
+    """The belief after a reading that was `error` above its prediction, whose variance (sensor included) is given."""
+    hidden, mean, covariance = _states(belief)
+    shared = covariance[:, plant.sensed].copy()
+    covariance -= np.outer(shared, shared) / variance
+    return _with_states(plant, belief, mean + shared / variance * error, covariance, hidden)
+
+
+def entered(plant: Plant, belief: Belief, mode: Mode) -> Belief:
+    """The belief in a stay that begins: m is drawn anew, and X where the location draws it; the other states go on."""
+    hidden, mean, covariance = _states(belief)
+    drawn = {plant.size: mode.parameter} | ({} if mode.temperature is None else {0: mode.temperature})
+    for place, (value, variance) in drawn.items():
+        mean[place], covariance[place, :], covariance[:, place] = value, 0.0, 0.0
+        covariance[place, place] = variance
+    return _with_states(plant, belief, mean, covariance, hidden)
+
+
+def since_event(plant: Plant, belief: Belief, symbol: str) -> Hidden:
+    """The hidden states with the clocks of those start-up effects set that count from the event `symbol`."""
+    hidden, _, _ = _states(belief)
+    own = [acting.effect.event for acting in plant.startups]
+    since = tuple(belief.time if name == symbol else last for name, last in zip(own, hidden.since, strict=True))
+    return replace(hidden, since=since)
+
+
+def _states(belief: Belief) -> tuple[Hidden, Array, Array]:
+    """The hidden states, with copies of their mean and covariance."""
+    if belief.hidden is None:
+        raise ValueError("the belief was begun with a model that has no effects; start it with this one")
+    return belief.hidden, np.array(belief.hidden.mean), np.array(belief.hidden.covariance)
+
+
+def _with_states(plant: Plant, belief: Belief, mean: Array, covariance: Array, hidden: Hidden) -> Belief:
+    """The belief with these states; its temperature is what the sensor would read."""
+    d, read = plant.size, plant.sensed
+    states = replace(hidden, mean=tuple(mean.tolist()), covariance=tuple(tuple(row) for row in covariance.tolist()))
+    return replace(
+        belief,
+        x=float(mean[read]) + sensor_offset(plant.sha, belief.time),
+        m=float(mean[d]),
+        xx=max(float(covariance[read, read]), 0.0),
+        xm=float(covariance[read, d]),
+        mm=max(float(covariance[d, d]), 0.0),
+        hidden=states,
+    )
+
+
+def _course(plant: Plant, belief: Belief, time: float, hidden: Hidden, mean: Array) -> MeanCourse:
+    """The mean course from the belief's time to `time`, cut where its effects demand it."""
+    place = next(row for row, each in enumerate(plant.sha.locations) if each.name == belief.location)
+    starts = tuple(np.array([] if since is None else [since]) for since in hidden.since)
+    begin, end, entry = (np.array([at]) for at in (belief.time, time, belief.entered))
+    marks = np.unique(
+        np.concatenate([[belief.time, time], cuts(plant, Stays(begin, end, entry, np.array([place]), starts))])
+    )
+    begins = marks[:-1]
+    n = begins.size
+    segments = Segments(
+        location=np.full(n, place),
+        time=begins,
+        age=begins - belief.entered,
+        dt=np.diff(marks),
+        offset=np.full(n, belief.offset),
+        signals={name: np.full(n, belief.signals.get(name, np.nan)) for name in signals_of(plant.sha)},
+        since=tuple(begins - (-inf if since is None else since) for since in hidden.since),
+    )
+    nothing, never = np.zeros(n), np.zeros(n, dtype=np.bool_)
+    last = never.copy()
+    last[-1] = True
+    drawn = DrawnMoments(
+        mode=np.full(n, mean[-1]),
+        spread=nothing,
+        resampled=never,
+        fresh=nothing,
+        scatter=nothing,
+        entry=never,
+        checked=last,
+    )
+    return mean_course(plant, segments, drawn, mean[:-1], valve=hidden.opened)
