@@ -44,8 +44,8 @@ from drivers.canopen.driver import open_canopen
 from drivers.driver import open_driver
 from drivers.tag import Sample
 from gateway.demo.can_bus import can_hub
-from gateway.machine.clock import PlantClock
-from gateway.plant.devices import load_device
+from gateway.machine.reading.clock import PlantClock
+from gateway.settings.devices import load_device
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import BlockRow, PlcRecording, read_recording
 from sim.sha.trace import Trace

@@ -21,7 +21,7 @@ import click
 
 from benchmarks.rig import MAP, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
 from drivers.tag import Sample
-from gateway.machine.quality import STALE_PERIODS
+from gateway.machine.reading.quality import STALE_PERIODS
 from gateway.store.history import reading, samples
 from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import ONLY_AT

@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.figures import Figure, give, percentile
 from benchmarks.rig import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
-from gateway.machine.quality import STALE_PERIODS
+from gateway.machine.reading.quality import STALE_PERIODS
 from gateway.store.history import events as recorded_events
 from gateway.store.history import reading, samples
 from sim.plc.record.judge import wrong_good

@@ -7,10 +7,9 @@ raised as it is.
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, Protocol
 
-from drivers.driver import Clock
+from drivers.driver import Clock, capabilities, load_function
 from drivers.errors import DriverError
 from drivers.tag import Sample, Tag
 
@@ -118,44 +117,34 @@ class ListensToBus(Protocol):
         ...
 
 
-SURVEYS: dict[str, str] = {
-    "modbus": "drivers.modbus.survey:open_survey",
-    "canopen": "drivers.canopen.survey:open_survey",
-    "can": "drivers.canopen.survey:open_survey",
-}
-
-
-def open_registers(settings: Mapping[str, Any], *, clock: Clock) -> AbstractAsyncContextManager[AsksRegisters]:
-    """A connection to a Modbus device, by the Modbus driver's settings. Raises DriverError; LinkDown on entering."""
-    opened: Callable[..., AbstractAsyncContextManager[AsksRegisters]] = _factory("modbus")
+def open_registers(
+    driver: str, settings: Mapping[str, Any], *, clock: Clock
+) -> AbstractAsyncContextManager[AsksRegisters]:
+    """A connection to a device with registers, by its driver's settings. Raises DriverError; LinkDown on entering."""
+    row = capabilities(driver)
+    if not row.registers or not row.surveys:
+        raise DriverError(f"{driver!r} has no registers that can be asked for by hand: {row.described_in} says more")
+    opened: Callable[..., AbstractAsyncContextManager[AsksRegisters]] = load_function(row.surveys)
     return opened(settings, clock=clock)
 
 
 def open_bus_survey(
     driver: str, settings: Mapping[str, Any], *, clock: Clock
 ) -> AbstractAsyncContextManager[ListensToBus]:
-    """A CAN bus, by the settings of the driver `can` or `canopen`. Raises DriverError; LinkDown on entering."""
-    if driver not in ("can", "canopen"):
+    """A CAN bus, by the settings of a driver that is on one. Raises DriverError; LinkDown on entering."""
+    row = capabilities(driver)
+    if not row.bus or not row.surveys:
         raise DriverError(f"{driver!r} is no CAN bus: give --link can or --link canopen, and --channel")
-    opened: Callable[..., AbstractAsyncContextManager[ListensToBus]] = _factory(driver)
+    opened: Callable[..., AbstractAsyncContextManager[ListensToBus]] = load_function(row.surveys)
     return opened(settings, clock=clock)
-
-
-PLANS: dict[str, str] = {"modbus": "drivers.modbus.preview:planned"}
 
 
 def read_plan(
     driver: str, settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[Tag] = ()
 ) -> ReadPlan | None:
     """How a device of this driver would be read; None where a driver has no such plan. Raises DriverError."""
-    if driver not in PLANS:
+    target = capabilities(driver).plans
+    if not target:
         return None
-    module, _, function = PLANS[driver].partition(":")
-    planned: Callable[..., ReadPlan] = getattr(import_module(module), function)
+    planned: Callable[..., ReadPlan] = load_function(target)
     return planned(settings, tags, written)
-
-
-def _factory(driver: str) -> Callable[..., Any]:
-    module, _, function = SURVEYS[driver].partition(":")
-    made: Callable[..., Any] = getattr(import_module(module), function)
-    return made

@@ -19,12 +19,12 @@ from drivers.can.load import BusLoad
 from drivers.can.notations import is_message_tag, message_decoder
 from drivers.can.pump import Pump
 from drivers.can.reception import Channel, Reception, Slot
-from drivers.can.settings import SETTINGS
+from drivers.can.settings import CanSettings
 from drivers.can.signals import SignalMap, SignalPlace, describe
 from drivers.can.streaming import Stream
 from drivers.can.writing import WriteMap
 from drivers.codec import Reading
-from drivers.driver import Clock
+from drivers.driver import Clock, PlanKind, PlanLine
 from drivers.errors import AddressError, DriverError, LinkDown
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.settings import check_settings
@@ -56,36 +56,36 @@ def open_can(settings: Mapping[str, Any], *, clock: Clock, write_map: Sequence[T
     Raises DriverError for an unknown key, a value out of range, an interface or a DBC file that cannot be used;
     AddressError for a tag of the write map that cannot be written.
     """
-    checked = check_settings("can", settings, SETTINGS)
+    checked = check_settings("can", CanSettings, settings)
     known = {*can.interfaces.BACKENDS, "hub"}
-    if checked["interface"] not in known:
-        raise DriverError(f"can: interface {checked['interface']!r} is not known: known are {', '.join(sorted(known))}")
+    if checked.interface not in known:
+        raise DriverError(f"can: interface {checked.interface!r} is not known: known are {', '.join(sorted(known))}")
     return CanDriver(checked, clock=clock, write_map=tuple(write_map), seed=seed)
 
 
 class CanDriver:
     """One CAN bus; a Driver that Writes and Streams. Made by `open_can`."""
 
-    def __init__(self, settings: Mapping[str, Any], *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
+    def __init__(self, settings: CanSettings, *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
         self._settings = settings
         self._clock = clock
         self._signals = SignalMap(settings)
-        self._write_map = WriteMap(write_map, self._signals, settings["echo"] or {}, settings["pad"])
+        self._write_map = WriteMap(write_map, self._signals, settings.echo, settings.pad)
         self._reception = Reception()
         self._messages = message_decoder(settings, self._reception)
         self._errors = BusErrors()
         self._off = False
-        self._load = BusLoad(settings["bitrate"])
+        self._load = BusLoad(settings.bitrate)
         self._heard: dict[int, _Heard] = {}
         self._streams: set[Stream] = set()
-        self._exchange = Exchange(self._write_map, self._reception, settings["timeout"])
+        self._exchange = Exchange(self._write_map, self._reception, settings.timeout)
         self._watching: asyncio.Task[None] | None = None
         self._counts = dict.fromkeys(("requests", "frames", "dropped"), 0)
         self._link: Link[Pump] = Link(
             self._connect,
             self._leave,
-            connect_deadline=settings["connect_timeout"],
-            backoff=Backoff(settings["backoff_first"], settings["backoff_cap"]),
+            connect_deadline=settings.connect_timeout,
+            backoff=Backoff(settings.backoff_first, settings.backoff_cap),
             # Silence is judged by the messages' own timeouts (_notice_silence): one verdict ends the connection.
             dead_peer=DeadPeer(1, float("inf")),
             seed=seed,
@@ -142,18 +142,19 @@ class CanDriver:
         now = time.monotonic()
         return [self._sample(self._hearing(tag), now) for tag in tags]
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """In sentences: what cannot be read and why, each message with its timeout and signals, what may be sent."""
         heard = [self._hearing(tag) for tag in tags]
-        left_out = [f"{one.tag.name}: {one.problem}" for one in heard if one.problem]
+        left_out = [PlanLine(f"{one.tag.name}: {one.problem}", PlanKind.PROBLEM) for one in heard if one.problem]
         sent = [
             f"{frame_name(frame.key)}{layout_name(frame.conditions)} may be sent, {frame.length} bytes, echo "
             f"{frame_name(frame.echo)}: "
             f"{', '.join(frame.places)}"
             for frame in self._write_map.frames
         ]
-        plain = describe([one.place for one in heard if one.place is not None])
-        return (*left_out, *plain, *self._messages.describe(), *sent)
+        places = [one.place for one in heard if one.place is not None]
+        plain = [PlanLine(line, PlanKind.HEARD) for line in describe(places)]
+        return (*left_out, *plain, *self._messages.describe(), *map(PlanLine, sent))
 
     # ------------------------------------------------------------ Streams
 
@@ -218,7 +219,7 @@ class CanDriver:
             channel, slot = self._messages.listen(tag, time.monotonic())
         except AddressError as error:
             return _Heard(tag, problem=str(error))
-        if (pump := self._link.connection) is not None and self._settings["only_mapped"]:
+        if (pump := self._link.connection) is not None and self._settings.only_mapped:
             pump.bus.set_filters(None)
         return _Heard(tag, "", None, channel, slot)
 
@@ -246,8 +247,11 @@ class CanDriver:
 
     async def _connect(self) -> Pump:
         s = self._settings
-        options = {"bitrate": s["bitrate"], "fd": s["fd"], "filters": self._filters(), "options": s["options"]}
-        opening = asyncio.ensure_future(asyncio.to_thread(open_bus, s["interface"], s["channel"], **options))
+        opening = asyncio.ensure_future(
+            asyncio.to_thread(
+                open_bus, s.interface, s.channel, s.bitrate, fd=s.fd, filters=self._filters(), options=s.options
+            )
+        )
         try:
             bus = await asyncio.shield(opening)
         except asyncio.CancelledError:
@@ -272,7 +276,7 @@ class CanDriver:
             pump.bus.set_filters(filters)
 
     def _filters(self) -> list[can.typechecking.CanFilter] | None:
-        if not self._settings["only_mapped"] or self._messages.listens:
+        if not self._settings.only_mapped or self._messages.listens:
             return None
         return [
             {
@@ -318,7 +322,7 @@ class CanDriver:
     async def _watch(self) -> None:
         """Look now and then at what no frame tells: silence, and a controller that says only when asked."""
         while True:
-            await asyncio.sleep(min(_LOOK, self._settings["max_silence"] / 2))
+            await asyncio.sleep(min(_LOOK, self._settings.max_silence / 2))
             pump = self._link.connection
             if pump is None:
                 self._exchange.heard.set()
@@ -336,7 +340,7 @@ class CanDriver:
             self._link.failed(pump, silent, "no usable frame has come")
 
     def _longest(self) -> float:
-        return max(self._reception.longest_timeout(), float(self._settings["max_silence"]))
+        return max(self._reception.longest_timeout(), float(self._settings.max_silence))
 
 
 def _shut(opening: "asyncio.Future[can.BusABC]") -> None:

@@ -7,11 +7,13 @@ and starts anew with the connection, as a field does.
 
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Protocol
 
 from drivers.can.frame import CanFrame
 from drivers.can.reception import Channel, Reception, Slot
+from drivers.can.settings import CanSettings
 from drivers.codec import Reading
+from drivers.driver import PlanLine
 from drivers.tag import Tag
 
 PREFIXES = ("obd:", "spn:", "pgn:", "j1939:", "dm1:")
@@ -43,7 +45,7 @@ class MessageDecoder(Protocol):
         """What was read last for the slot's tag."""
         ...
 
-    def describe(self) -> list[str]:
+    def describe(self) -> list[PlanLine]:
         """In sentences: the tags that are listened for with their timeouts, and what is asked for."""
         ...
 
@@ -65,7 +67,7 @@ def is_message_tag(tag: Tag) -> bool:
     return tag.address.startswith(PREFIXES)
 
 
-def message_decoder(settings: Mapping[str, Any], reception: Reception) -> MessageDecoder:
+def message_decoder(settings: CanSettings, reception: Reception) -> MessageDecoder:
     """The decoder of such tags. Raises DriverError for a setting that it cannot use."""
     module, _, name = DECODER.partition(":")
     decoder: MessageDecoder = getattr(import_module(module), name)(settings, reception)

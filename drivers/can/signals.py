@@ -1,14 +1,14 @@
 """From tags to places: which message a tag lies in, how that message is judged, and when it is too old."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from drivers.can.dbc import PREFIX, Dbc, MessageFacts
 from drivers.can.fields import Field, frame_name, layout_name, parse_field, parse_frame
 from drivers.can.reception import MessageRules
+from drivers.can.settings import DecodingSettings
 from drivers.errors import AddressError, DriverError
 from drivers.tag import Tag
 
@@ -30,13 +30,11 @@ class SignalPlace:
 class SignalMap:
     """Locates tags by a driver's settings (`dbc`, `timeouts`, `message_timeout`, ...). Raises DriverError for those."""
 
-    def __init__(self, settings: Mapping[str, Any]) -> None:
+    def __init__(self, settings: DecodingSettings) -> None:
         self._settings = settings
-        self._dbc = None if settings["dbc"] is None else Dbc(Path(settings["dbc"]))
+        self._dbc = None if settings.dbc is None else Dbc(Path(settings.dbc))
         self._messages = {} if self._dbc is None else {facts.key: facts for facts in self._dbc.messages.values()}
-        self._timeouts = {
-            self.key(name, "timeouts"): _seconds(name, s) for name, s in (settings["timeouts"] or {}).items()
-        }
+        self._timeouts = {self.key(name, "timeouts"): _seconds(name, s) for name, s in settings.timeouts.items()}
 
     def key(self, name: str, where: str) -> int:
         """The key of a message by its name in the DBC file, or of a frame by its id. Raises DriverError."""
@@ -65,7 +63,7 @@ class SignalMap:
         facts = self._messages.get(field.key)
         name = frame_name(field.key) if facts is None else f"{facts.name} ({frame_name(field.key)})"
         length = None if facts is None else facts.length
-        exact = length if self._settings["exact_length"] else None
+        exact = length if self._settings.exact_length else None
         protection = None if facts is None else facts.protection
         rules = MessageRules(field.key, name, exact, protection)
         return SignalPlace(tag, field, rules, self._timeout(field.key, facts), length)
@@ -75,9 +73,9 @@ class SignalMap:
         if key in self._timeouts:
             return self._timeouts[key]
         if facts is None or facts.cycle is None:
-            return float(self._settings["message_timeout"])
+            return float(self._settings.message_timeout)
         cycle = facts.cycle * facts.layouts
-        return max(float(self._settings["least_timeout"]), float(self._settings["timeout_cycles"]) * cycle)
+        return max(float(self._settings.least_timeout), float(self._settings.timeout_cycles) * cycle)
 
 
 def describe(places: Sequence[SignalPlace]) -> list[str]:

@@ -18,7 +18,7 @@ from drivers.canopen.place import ObjectPlace, bytes_needed, from_bytes
 from drivers.canopen.port import Port
 from drivers.canopen.writing import Writing
 from drivers.codec import Reading
-from drivers.driver import Clock
+from drivers.driver import Clock, PlanKind, PlanLine
 from drivers.errors import LinkDown
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.tag import DType, Quality, Sample, Tag, Value
@@ -148,22 +148,25 @@ class CanopenDriver:
             samples.append(sample)
         return samples
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """Which TPDO brings which tags and when it is late, which tags are asked for, and which lie nowhere."""
         options, maps = self._options, self._tpdos()
         carried: dict[ObjectPlace, PdoMapping] = {}
         for pdo in maps:
             carried |= {one.place: pdo for one in pdo.objects if one.place not in carried}
         here = [(tag, self._where(tag)) for tag in tags]
-        lines = [f"{tag.name}: {where.misplaced}" for tag, where in here if where.misplaced]
+        lines = [PlanLine(f"{tag.name}: {where.misplaced}", PlanKind.PROBLEM) for tag, where in here if where.misplaced]
         for pdo in maps:
             names = [tag.name for tag, where in here if not where.misplaced and carried.get(where.place) is pdo]
             limit = pdo.timeout(options.pdo_timeout, options.sync_period)
             late = f"late after {limit:g} s" if limit else "without a period of its own"
-            lines += [f"{pdo.name}, {late}: {', '.join(names)}"] if names else []
+            kind = PlanKind.HEARD if limit else PlanKind.OTHER
+            lines += [PlanLine(f"{pdo.name}, {late}: {', '.join(names)}", kind)] if names else []
         asked = [tag.name for tag, where in here if not where.misplaced and where.place not in carried]
         worst = len(asked) * options.timeout
-        return (*lines, *([f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(asked)}"] if asked else []))
+        if asked:
+            lines.append(PlanLine(f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(asked)}"))
+        return tuple(lines)
 
     # ------------------------------------------------------------ Streams
 

@@ -21,14 +21,15 @@ class ObjectPlace:
         return f"0x{self.index:04X}:{self.subindex}"
 
 
-def parse_place(text: str, what: str) -> ObjectPlace:
-    """`0x2001:1` (or `0x1017`, sub-index 0) as a place. Raises AddressError, which begins with `what`."""
+def parse_place(text: str, what: str = "") -> ObjectPlace:
+    """`0x2001:1` (or `0x1017`, sub-index 0) as a place. Raises AddressError, which begins with `what`, if given."""
     match = _ADDRESS.fullmatch(text)
     if match is not None:
         place = ObjectPlace(int(match[1], 16), int(match[2] or "0", 0))
         if place.subindex <= 0xFF:
             return place
-    raise AddressError(f"{what}: {text!r} is no object; give its index and sub-index, such as '0x2001:1'")
+    subject = f"{what}: " if what else ""
+    raise AddressError(f"{subject}{text!r} is no object; give its index and sub-index, such as '0x2001:1'")
 
 
 def bytes_needed(tag: Tag) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 from pymodbus.pdu import ModbusPDU
 
 from drivers.codec import decode, encode
-from drivers.driver import Clock
+from drivers.driver import Clock, PlanKind, PlanLine
 from drivers.errors import (
     AddressError,
     DeviceException,
@@ -22,11 +22,12 @@ from drivers.errors import (
 )
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.modbus.address import Span, locate
+from drivers.modbus.plan import Block, Limits, Quarantine, bisect, describe, fitting, plan_spans, refusal_of
 from drivers.modbus.quarantine import Refused
-from drivers.modbus.transport import AnyWire, checked, make_transport
+from drivers.modbus.settings import ModbusSettings, read_settings
+from drivers.modbus.transport import AnyWire, make_transport
 from drivers.modbus.verify import quality_of
 from drivers.modbus.wire import Reply, read_request, write_request
-from drivers.plan import Block, Limits, Quarantine, bisect, describe, fitting, plan_spans, refusal_of
 from drivers.tag import Quality, Sample, Tag, Value
 
 # A device exception that can be about one address of several. 5, 6, 10, 11 are about the moment or the way there.
@@ -79,24 +80,22 @@ def open_modbus(
     Raises DriverError for an unknown key (it lists the known ones), a value out of range and certificates that cannot
     be used, AddressError for a tag of the write map that cannot be written.
     """
-    return ModbusDriver(checked(settings), clock=clock, write_map=tuple(write_map), seed=seed)
+    return ModbusDriver(read_settings(settings), clock=clock, write_map=tuple(write_map), seed=seed)
 
 
 class ModbusDriver:
     """One Modbus device behind one connection; a Driver that Writes. Made by `open_modbus`."""
 
-    def __init__(self, settings: Mapping[str, Any], *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
+    def __init__(self, settings: ModbusSettings, *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
         self._settings = settings
         self._clock = clock
-        self._limits = Limits(
-            settings["max_registers"], settings["max_bits"], settings["max_gap"], settings["pause_ms"] / 1000
-        )
+        self._limits = Limits(settings.max_registers, settings.max_bits, settings.max_gap, settings.pause_ms / 1000)
         self._write_map = {span.tag.name: span for span in map(_writable, write_map)}
         self._writable_addresses = frozenset(
             (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
         )
         self._lock = asyncio.Lock()
-        self._refused = Refused(settings["refused_first"], settings["refused_cap"])
+        self._refused = Refused(settings.refused_first, settings.refused_cap)
         self._layouts: dict[tuple[int, ...], _Layout] = {}
         self._last_exchange = float("-inf")
         self._foreign = 0
@@ -107,9 +106,9 @@ class ModbusDriver:
         self._link: Link[AnyWire] = Link(
             self._connect,
             self._disconnect,
-            connect_deadline=settings["connect_timeout"],
-            backoff=Backoff(settings["backoff_first"], settings["backoff_cap"]),
-            dead_peer=DeadPeer(settings["max_failures"], settings["max_silence"]),
+            connect_deadline=settings.connect_timeout,
+            backoff=Backoff(settings.backoff_first, settings.backoff_cap),
+            dead_peer=DeadPeer(settings.max_failures, settings.max_silence),
             seed=seed,
         )
 
@@ -156,13 +155,14 @@ class ModbusDriver:
                 samples[id(span.tag)] = self._no(span.tag, *self._refused.verdict(span, now))
         return [samples[id(tag)] for tag in tags]
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """The block plan in sentences: what cannot be read and why, each request, the worst-case cycle time."""
         layout = self._layout(tags)
         refused = [(span, refusal_of(span, layout.quarantine)) for span in layout.spans]
         left_out = [reason for _, reason in layout.misplaced]
         left_out += [f"{span.tag.name}: in quarantine: {refusal.reason}" for span, refusal in refused if refusal]
-        return (*left_out, *describe(layout.blocks, self._limits, self._settings["timeout"]))
+        problems = [PlanLine(line, PlanKind.PROBLEM) for line in left_out]
+        return (*problems, *map(PlanLine, describe(layout.blocks, self._limits, self._settings.timeout)))
 
     def cautions(self) -> tuple[str, ...]:
         """What works and should not stay as it is, in sentences: a key that others may read, a certificate's end."""
@@ -182,7 +182,7 @@ class ModbusDriver:
         block, words = self._write_block(values)
         async with self._lock:
             self._counts["writes"] += 1
-            request = write_request(block.area, block.start, words, self._settings["unit"])
+            request = write_request(block.area, block.start, words, self._settings.unit)
             await self._once(request)
             try:
                 stored = await self._read_back(block)
@@ -194,7 +194,7 @@ class ModbusDriver:
         """Send a write. One without an answer ends the connection, so that it cannot be delivered later."""
         wire = self._link.connection
         try:
-            await self._exchange(request, self._settings["timeout"])
+            await self._exchange(request, self._settings.timeout)
         except (ReplyTimeout, ReplyMismatch):
             if wire is not None:
                 self._link.lost(wire, "a write was not answered: what is left of it must not arrive later")
@@ -214,7 +214,7 @@ class ModbusDriver:
         pieces = sorted(((self._mapped(tag), value) for tag, value in values), key=lambda piece: piece[0].start)
         spans = tuple(span for span, _ in pieces)
         block = _contiguous(spans)
-        largest = _MAX_WRITE_BITS if block.area.is_bits else self._settings["max_write_registers"]
+        largest = _MAX_WRITE_BITS if block.area.is_bits else self._settings.max_write_registers
         if block.count > largest:
             raise AddressError(f"{block.count} words do not fit in one write request, which takes {largest}")
         if not self._writable_addresses.issuperset((block.area, number) for number in range(block.start, block.stop)):
@@ -309,8 +309,8 @@ class ModbusDriver:
 
     async def _attempts(self, block: Block) -> Reply:
         """Read a block, again with a new transaction id if no valid reply came, all within the deadline."""
-        attempts = self._settings["attempts"]
-        patience = self._settings["timeout"] / attempts
+        attempts = self._settings.attempts
+        patience = self._settings.timeout / attempts
         for _ in range(attempts - 1):
             try:
                 return await self._exchange(self._read_request(block), patience)
@@ -321,7 +321,7 @@ class ModbusDriver:
         return await self._exchange(self._read_request(block), patience)
 
     def _read_request(self, block: Block) -> ModbusPDU:
-        return read_request(block.area, block.start, block.count, self._settings["unit"])
+        return read_request(block.area, block.start, block.count, self._settings.unit)
 
     async def _exchange(self, request: ModbusPDU, deadline: float) -> Reply:
         """Send one request once, and tell the link how it went."""
@@ -362,7 +362,7 @@ class ModbusDriver:
         wire.abandon()
 
     def _why_down(self) -> str:
-        hint = "; this device serves one client only: is another one connected?" if self._settings["one_client"] else ""
+        hint = "; this device serves one client only: is another one connected?" if self._settings.one_client else ""
         return f"not connected: {self._link.reason}{hint}"
 
 

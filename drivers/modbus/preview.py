@@ -7,8 +7,8 @@ from typing import Any
 from drivers.errors import AddressError
 from drivers.modbus import rtu
 from drivers.modbus.address import Span, locate
-from drivers.modbus.transport import checked
-from drivers.plan import Block, Limits, fitting, plan_spans
+from drivers.modbus.plan import Block, Limits, fitting, plan_spans
+from drivers.modbus.settings import ModbusSettings, read_settings
 from drivers.survey import ReadPlan, Request
 from drivers.tag import Tag
 
@@ -18,8 +18,8 @@ _ASKED, _HEAD = 8, 5
 
 def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[Tag]) -> ReadPlan:
     """The requests of one scan, and those of one write of the block. Raises DriverError for a setting."""
-    given = checked(settings)
-    limits = Limits(given["max_registers"], given["max_bits"], given["max_gap"], given["pause_ms"] / 1000)
+    given = read_settings(settings)
+    limits = Limits(given.max_registers, given.max_bits, given.max_gap, given.pause_ms / 1000)
     spans: list[Span] = []
     problems: list[str] = []
     for tag in tags:
@@ -34,22 +34,22 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
     return ReadPlan(tuple(requests), writes, (*problems, *refused), seconds, writing, _overlaps(spans))
 
 
-def _request(block: Block, given: Mapping[str, Any]) -> Request:
+def _request(block: Block, given: ModbusSettings) -> Request:
     used = {number for span in block.spans for number in range(span.start, span.stop)}
     names = tuple(span.tag.name for span in block.spans)
     place = f"{block.area}:{block.start}"
     return Request("read", place, block.count, block.count - len(used), names, _worst(block.count, block, given))
 
 
-def _worst(count: int, block: Block, given: Mapping[str, Any]) -> float:
+def _worst(count: int, block: Block, given: ModbusSettings) -> float:
     """The deadline, and on a serial line the time that the bytes need (s)."""
     octets = (count + 7) // 8 if block.area.is_bits else 2 * count
-    wire = rtu.transmission(_ASKED + _HEAD + octets, given["baud"]) if given.get("serial") else 0.0
-    return float(given["timeout"]) + wire
+    wire = rtu.transmission(_ASKED + _HEAD + octets, given.baud) if given.serial else 0.0
+    return given.timeout + wire
 
 
 def _writing(
-    written: Sequence[Tag], given: Mapping[str, Any], limits: Limits
+    written: Sequence[Tag], given: ModbusSettings, limits: Limits
 ) -> tuple[tuple[Request, ...], tuple[str, ...]]:
     """One write of the block, and the requests that read it back; and what keeps it from being one request."""
     if not written:
@@ -59,7 +59,7 @@ def _writing(
     except AddressError as error:
         return (), (str(error),)
     whole = Block(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
-    most = given["max_write_registers"]
+    most = given.max_write_registers
     problems: tuple[str, ...] = ()
     if whole.count > most:
         problems = (

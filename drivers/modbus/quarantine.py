@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from drivers.modbus.address import Area, Span
-from drivers.plan import Block, Quarantine, Refusal, refusal_of, retry_delay, with_refusal, without
+from drivers.modbus.plan import Block, Quarantine, Refusal, refusal_of, retry_delay, with_refusal, without
 from drivers.tag import Quality
 
 

@@ -10,12 +10,13 @@ from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 
 from drivers.codec import decode
 from drivers.driver import Clock
-from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area, Span, locate
-from drivers.modbus.transport import AnyWire, checked, make_transport
+from drivers.modbus.plan import Block, Limits, fitting, plan_spans
+from drivers.modbus.settings import ModbusSettings, read_settings
+from drivers.modbus.transport import AnyWire, make_transport
 from drivers.modbus.verify import quality_of
 from drivers.modbus.wire import Reply, read_request
-from drivers.plan import Block, Limits, fitting, plan_spans
 from drivers.survey import Raw, Words
 from drivers.tag import Quality, Sample, Tag
 
@@ -28,7 +29,7 @@ _MOST_PARTS = 16
 @asynccontextmanager
 async def open_survey(settings: Mapping[str, Any], *, clock: Clock) -> AsyncIterator["ModbusSurvey"]:
     """A connection by the Modbus driver's settings. Raises DriverError; LinkDown if it is not made."""
-    survey = ModbusSurvey(checked(settings), clock)
+    survey = ModbusSurvey(read_settings(settings), clock)
     try:
         await survey.connect()
         yield survey
@@ -39,12 +40,12 @@ async def open_survey(settings: Mapping[str, Any], *, clock: Clock) -> AsyncIter
 class ModbusSurvey:
     """One connection, made anew when the device has closed it. Made by `open_survey`."""
 
-    def __init__(self, settings: Mapping[str, Any], clock: Clock) -> None:
+    def __init__(self, settings: ModbusSettings, clock: Clock) -> None:
         self._settings, self._clock = settings, clock
         self._transport = make_transport(settings, clock)
-        self._limits = Limits(settings["max_registers"], settings["max_bits"], settings["max_gap"])
+        self._limits = Limits(settings.max_registers, settings.max_bits, settings.max_gap)
         self._wire: AnyWire | None = None
-        self._lost = ""
+        self._lost, self._fault = "", LinkFault.OTHER
         self._answered = False
         self._last_exchange = float("-inf")
         self._foreign = 0
@@ -53,12 +54,13 @@ class ModbusSurvey:
     async def connect(self) -> None:
         """Make the connection. Raises LinkDown with the reason."""
         wire = self._transport.wire(self._on_lost)
-        deadline = self._settings["connect_timeout"]
+        deadline = self._settings.connect_timeout
         try:
             async with asyncio.timeout(deadline):
                 await wire.connect()
         except TimeoutError:
-            raise LinkDown(f"no connection within {deadline:g} s: nobody answers there at all") from None
+            said = f"no connection within {deadline:g} s: nobody answers there at all"
+            raise LinkDown(said, fault=LinkFault.SILENT) from None
         self._wire, self._lost = wire, ""
         self._counts["connects"] += 1
 
@@ -129,7 +131,7 @@ class ModbusSurvey:
     async def _patiently(self, block: Block) -> Reply:
         """As often as the settings allow, as the driver would."""
         request = (block.area, block.start, block.count, self._unit(None))
-        for _ in range(self._settings["attempts"] - 1):
+        for _ in range(self._settings.attempts - 1):
             try:
                 return await self._exchange(read_request(*request))
             except (ReplyTimeout, ReplyMismatch):
@@ -146,11 +148,11 @@ class ModbusSurvey:
         return Raw(tag, Sample(tag.name, None, quality, self._clock(), reason=reason), place, count)
 
     def _unit(self, unit: int | None) -> int:
-        return int(self._settings["unit"]) if unit is None else unit
+        return self._settings.unit if unit is None else unit
 
     async def _exchange(self, request: ModbusPDU) -> Reply:
         """One request, once; a connection that the device has closed after an answer is made anew before."""
-        if (rest := self._last_exchange + self._settings["pause_ms"] / 1000 - _now()) > 0.0:
+        if (rest := self._last_exchange + self._settings.pause_ms / 1000 - _now()) > 0.0:
             await asyncio.sleep(rest)
         if self._wire is None:
             if not self._answered:
@@ -161,7 +163,7 @@ class ModbusSurvey:
             raise LinkDown(self._lost)
         self._counts["requests"] += 1
         try:
-            reply = await wire.ask(request, self._settings["timeout"])
+            reply = await wire.ask(request, self._settings.timeout)
         except DeviceException as error:
             self._answered = True
             self._counts["exceptions"] += 1
@@ -171,8 +173,8 @@ class ModbusSurvey:
             raise
         except LinkDown as error:
             self.close()
-            self._lost = str(error)
-            raise self._turned_away() if not self._answered else LinkDown(self._lost) from None
+            self._lost, self._fault = str(error), error.fault
+            raise self._turned_away() if not self._answered else LinkDown(self._lost, fault=self._fault) from None
         finally:
             self._last_exchange = _now()
         self._answered = True
@@ -180,16 +182,18 @@ class ModbusSurvey:
 
     def _turned_away(self) -> LinkDown:
         """The connection was made and ended before any answer: what that means."""
-        if "closed the connection" in self._lost and "TLS" not in self._lost:
+        if self._fault is LinkFault.CLOSED:
             return LinkDown(
                 f"{self._lost} before it answered anything: it may be busy with another client (some devices serve "
-                "one at a time), or it does not accept this machine's address"
+                "one at a time), or it does not accept this machine's address",
+                fault=self._fault,
             )
-        return LinkDown(self._lost)
+        return LinkDown(self._lost, fault=self._fault)
 
     def _on_lost(self, reason: str) -> None:
         wire, self._wire, self._lost = self._wire, None, reason
         if wire is not None:
+            self._fault = wire.fault
             self._foreign += wire.foreign
 
 

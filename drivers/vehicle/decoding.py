@@ -1,14 +1,14 @@
 """Tags of every notation on frames from anywhere: plain fields, DBC signals, OBD-II and J1939."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from drivers.can.dbc import Dbc
 from drivers.can.fields import Field, frame_key, value_of
 from drivers.can.frame import CanFrame, FrameListener, TagReading
 from drivers.can.notations import is_message_tag
 from drivers.can.reception import Reception
+from drivers.can.settings import DecodingSettings
 from drivers.can.signals import SignalMap
 from drivers.errors import AddressError, DriverError
 from drivers.tag import Tag
@@ -23,10 +23,10 @@ class Vehicle:
     `problems` says of a tag's name why its address means nothing. Raises DriverError for settings.
     """
 
-    def __init__(self, settings: Mapping[str, Any]) -> None:
+    def __init__(self, settings: DecodingSettings) -> None:
         self._settings = settings
-        self._dbc = None if settings["dbc"] is None else Dbc(Path(settings["dbc"]))
-        self._timeouts = {name: _seconds(name, s) for name, s in (settings["answer_timeouts"] or {}).items()}
+        self._dbc = None if settings.dbc is None else Dbc(Path(settings.dbc))
+        self._timeouts = {name: _seconds(name, s) for name, s in settings.answer_timeouts.items()}
         self._tags: dict[str, Tag] = {}
         self._listeners: list[FrameListener] = []
         self._obd: list[Tag] = []
@@ -45,13 +45,13 @@ class Vehicle:
         self._tags |= {tag.name: tag for tag in fresh}
         self.problems = {}
         self._obd = self._meaningful(obd.wanted, obd_tags=True)
-        source = self._settings["source"]
+        source = self._settings.source
         trucks = self._meaningful(lambda tag: j1939.wanted(tag, source, self._dbc), obd_tags=False)
         self._listeners = [obd.ObdListener(self._obd)] if self._obd else []
         if trucks:
             s = self._settings
             self._listeners.append(
-                j1939.J1939Listener(trucks, source=s["source"], dbc=self._dbc, conversion=s["spn_conversion"])
+                j1939.J1939Listener(trucks, source=s.source, dbc=self._dbc, conversion=s.spn_conversion)
             )
 
     def take(self, frame: CanFrame) -> list[TagReading]:
@@ -60,7 +60,7 @@ class Vehicle:
 
     def timeout(self, tag: Tag) -> float:
         """Seconds after which the tag's last value is too old."""
-        return self._timeouts.get(tag.name, float(self._settings["answer_timeout"]))
+        return self._timeouts.get(tag.name, float(self._settings.answer_timeout))
 
     def counts(self) -> dict[str, int]:
         """What became of the frames and messages."""
@@ -87,7 +87,7 @@ class Decoder:
     about single tags.
     """
 
-    def __init__(self, settings: Mapping[str, Any]) -> None:
+    def __init__(self, settings: DecodingSettings) -> None:
         self._signals = SignalMap(settings)
         self._reception = Reception()
         self._fields: dict[int, list[tuple[Tag, Field]]] = {}

@@ -3,12 +3,13 @@
 import asyncio
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import Any
 
 from drivers.can.frame import CanFrame
 from drivers.can.notations import Send
 from drivers.can.reception import Channel, MessageRules, Reception, Slot
+from drivers.can.settings import CanSettings
 from drivers.codec import Reading
+from drivers.driver import PlanKind, PlanLine
 from drivers.errors import AddressError, DriverError
 from drivers.tag import Quality, Tag
 from drivers.vehicle.decoding import Vehicle
@@ -20,10 +21,10 @@ _RETRY = 1.0
 class LiveVehicle:
     """What units tell by themselves, and with `poll = true` what they answer. Moments are monotonic seconds."""
 
-    def __init__(self, settings: Mapping[str, Any], reception: Reception) -> None:
+    def __init__(self, settings: CanSettings, reception: Reception) -> None:
         self._vehicle = Vehicle(settings)
         self._reception = reception
-        self._poller = Poller(lambda: self._vehicle.parameters, settings) if settings["poll"] else None
+        self._poller = Poller(lambda: self._vehicle.parameters, settings) if settings.poll else None
         self._polling: asyncio.Task[None] | None = None
         self._places: dict[str, tuple[Channel, Slot]] = {}
         self._readings: dict[int, Reading] = {}
@@ -67,10 +68,13 @@ class LiveVehicle:
         """What was told last for the slot's tag."""
         return self._readings.get(id(slot), (None, Quality.WAITING_FOR_INITIAL_DATA, ""))
 
-    def describe(self) -> list[str]:
+    def describe(self) -> list[PlanLine]:
         """In sentences: the tags that are listened for with their timeouts, and what is asked for."""
-        listened = [f"{slot.name}, bad after {slot.timeout:.3g} s: {name}" for name, (_, slot) in self._places.items()]
-        return listened + ([] if self._poller is None else self._poller.describe())
+        heard = [
+            PlanLine(f"{slot.name}, bad after {slot.timeout:.3g} s: {name}", PlanKind.HEARD)
+            for name, (_, slot) in self._places.items()
+        ]
+        return heard + ([] if self._poller is None else [PlanLine(line) for line in self._poller.describe()])
 
     def counts(self) -> Mapping[str, int]:
         """What became of messages, and requests that were sent."""

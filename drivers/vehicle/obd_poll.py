@@ -5,12 +5,13 @@ flow control by which a unit goes on with an answer of several frames (ISO 15765
 """
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from drivers.can.frame import CanFrame
 from drivers.can.notations import Send
+from drivers.can.settings import PollingSettings
 from drivers.vehicle.isotp import CONSECUTIVE, FIRST
 from drivers.vehicle.obd import ANSWER, CURRENT, ENGINE, REFUSAL, RESPONSE_PENDING, VEHICLE, ObdTag
 
@@ -48,9 +49,9 @@ def requests_for(wanted: Sequence[ObdTag], *, extended: bool) -> list[ObdRequest
 
 
 class Poller:
-    """Asks round by round; `take` is told of every frame of the bus. `settings` are the driver's POLLING, checked."""
+    """Asks round by round; `take` is told of every frame of the bus."""
 
-    def __init__(self, wanted: Callable[[], Sequence[ObdTag]], settings: Mapping[str, Any]) -> None:
+    def __init__(self, wanted: Callable[[], Sequence[ObdTag]], settings: PollingSettings) -> None:
         self._wanted = wanted
         self._send: Send = _nowhere
         self._settings = settings
@@ -84,8 +85,8 @@ class Poller:
 
     def describe(self) -> list[str]:
         """What is asked for, in sentences."""
-        period = self._settings["poll_period"]
-        requests = requests_for(self._wanted(), extended=self._settings["poll_29bit"])
+        period = self._settings.poll_period
+        requests = requests_for(self._wanted(), extended=self._settings.poll_29bit)
         return [f"0x{one.request_id:03X} is asked every {period:g} s: {one.data[:3].hex(' ')}" for one in requests]
 
     async def run(self, send: Send) -> None:
@@ -93,8 +94,8 @@ class Poller:
         self._send = send
         loop = asyncio.get_running_loop()
         while True:
-            due = loop.time() + self._settings["poll_period"]
-            for request in requests_for(self._wanted(), extended=self._settings["poll_29bit"]):
+            due = loop.time() + self._settings.poll_period
+            for request in requests_for(self._wanted(), extended=self._settings.poll_29bit):
                 await self._ask(request)
             await asyncio.sleep(max(0.0, due - loop.time()))
 
@@ -103,7 +104,7 @@ class Poller:
         self._answered.clear()
         self.counts["polls"] += 1
         self._send(request.request_id, request.extended, request.data)
-        await self._wait(self._settings["poll_timeout"])
+        await self._wait(self._settings.poll_timeout)
         if self._pending and not self._answered.is_set():
             await self._wait(_PENDING)
         self.counts["polls_unanswered"] += not self._answered.is_set()

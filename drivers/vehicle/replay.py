@@ -6,28 +6,34 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pydantic import Field
+
 from drivers.can.frame import CanFrame
-from drivers.can.settings import DECODING, VEHICLE
+from drivers.can.settings import DecodingSettings
 from drivers.codec import Reading
-from drivers.driver import Clock
+from drivers.driver import Clock, PlanKind, PlanLine
 from drivers.errors import LinkDown
-from drivers.settings import Setting, check_settings
+from drivers.settings import check_settings
 from drivers.tag import Quality, Sample, Tag
 from drivers.vehicle.decoding import Decoder
 from drivers.vehicle.log import Log, open_log, require_frames
 
-SETTINGS: dict[str, Setting] = {
-    "log": Setting(str),
-    "format": Setting(str, optional=True),
-    "bus": Setting(str, optional=True),
-    "speed": Setting(float, 1.0, 1e-6, 1e6),
-    "loop": Setting(bool, False),
-    "start": Setting(float, optional=True),
-    "max_gap": Setting(float, 60.0, 0.001),
-    "silence": Setting(float, 5.0, 0.001),
-    **DECODING,
-    **VEHICLE,
-}
+
+class CanLogSettings(DecodingSettings):
+    """How a log is played and read; see `open_can_log`."""
+
+    log: str = Field(min_length=1, description="the path of the log")
+    format: str | None = Field(None, min_length=1, description="the log's format where its suffix does not say it")
+    bus: str | None = Field(None, min_length=1, description="the bus to listen to, as the log names it")
+    speed: float = Field(1.0, ge=1e-6, le=1e6, description="how many times as fast as recorded, 0.000001 to 1000000")
+    loop: bool = Field(False, description="true to begin anew at the end")
+    start: float | None = Field(None, description="the moment of the first frame in seconds")
+    max_gap: float = Field(60.0, ge=0.001, description="the longest pause that is played in seconds, from 0.001")
+    silence: float = Field(
+        5.0, ge=0.001, description="the seconds without a frame that count as disconnected, from 0.001"
+    )
+
+
 # The event loop gets its turn after so many frames.
 _BURST = 500
 _JITTER = 1.0
@@ -87,12 +93,12 @@ def open_can_log(
     Settings: `log`, the file, and its `format` where the suffix does not say it; `bus`, the one to listen to as the log
     names it (all by default); `speed`; `loop`; `start`, the moment of the first frame by the driver's clock (s; the
     first `open` by default); `max_gap`, the longest pause that is played (s of the log); `silence`, the seconds of the
-    log without any frame after which it counts as disconnected. DECODING and VEHICLE say how frames are read.
+    log without any frame after which it counts as disconnected. How frames are read, `drivers.can.settings` says.
 
     Raises DriverError for a setting or a log that cannot be used, and for a log without a data frame.
     """
-    checked = check_settings("can-log", settings, SETTINGS)
-    log = open_log(Path(checked["log"]), checked["format"])
+    checked = check_settings("can-log", CanLogSettings, settings)
+    log = open_log(Path(checked.log), checked.format)
     next(log.frames(), None)
     require_frames(log)
     return CanLogDriver(checked, clock=clock)
@@ -101,17 +107,17 @@ def open_can_log(
 class CanLogDriver:
     """A log that is played; a Driver. Made by `open_can_log`."""
 
-    def __init__(self, settings: Mapping[str, Any], *, clock: Clock) -> None:
+    def __init__(self, settings: CanLogSettings, *, clock: Clock) -> None:
         self._settings = settings
         self._clock = clock
-        self._speed: float = settings["speed"]
+        self._speed: float = settings.speed
         self._decoder = Decoder(settings)
-        self._timeline = Timeline(settings["max_gap"])
+        self._timeline = Timeline(settings.max_gap)
         self._held: dict[str, _Held] = {}
-        self._log = open_log(Path(settings["log"]), settings["format"])
+        self._log = open_log(Path(settings.log), settings.format)
         self._frames: Iterator[CanFrame] = iter(())
         self._next: tuple[CanFrame, float] | None = None
-        self._began: float | None = settings["start"]
+        self._began: float | None = settings.start
         self._last = 0.0
         self._open = self._opened = False
         self._counts = dict.fromkeys(("requests", "frames", "readings", "rounds"), 0)
@@ -139,7 +145,7 @@ class CanLogDriver:
     @property
     def connected(self) -> bool:
         """True while open and frames are being played."""
-        return self._open and self._counts["frames"] > 0 and self._now() - self._last <= self._settings["silence"]
+        return self._open and self._counts["frames"] > 0 and self._now() - self._last <= self._settings.silence
 
     def statistics(self) -> Mapping[str, float]:
         """Counters: readings, frames played, what of the log was no frame, and what became of the frames."""
@@ -159,17 +165,18 @@ class CanLogDriver:
         now = self._now()
         return [self._sample(tag, now) for tag in tags]
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """In sentences: what cannot be read and why, the log, and each tag with its timeout."""
         self._decoder.listen(tags)
         problems = self._decoder.problems
         speed = "" if self._speed == 1.0 else f" at {self._speed:g} times its speed"
-        listened = [
-            f"{tag.address}, bad after {self._decoder.timeout(tag):.3g} s: {tag.name}"
+        heard = [
+            PlanLine(f"{tag.address}, bad after {self._decoder.timeout(tag):.3g} s: {tag.name}", PlanKind.HEARD)
             for tag in tags
             if tag.name not in problems
         ]
-        return (*problems.values(), f"{self._log.path} is replayed{speed}", *listened)
+        refused = [PlanLine(line, PlanKind.PROBLEM) for line in problems.values()]
+        return (*refused, PlanLine(f"{self._log.path} is replayed{speed}"), *heard)
 
     # ------------------------------------------------------------ inside
 
@@ -201,9 +208,9 @@ class CanLogDriver:
         """The next frame of the bus and its moment on the line; with `loop` the log never ends."""
         for _ in range(2):
             for frame in self._frames:
-                if self._settings["bus"] in (None, frame.channel):
+                if self._settings.bus in (None, frame.channel):
                     return frame, self._timeline.at(frame.time)
-            if not self._settings["loop"]:
+            if not self._settings.loop:
                 return None
             self._timeline.again()
             self._rewind_log()

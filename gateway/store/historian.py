@@ -20,6 +20,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from structlog.typing import FilteringBoundLogger
+
 from drivers.tag import Tag
 from gateway.store.schema import ADDED, APPLICATION_ID, DELETES, DURABLE, INSERTS, TABLES, VERSION
 
@@ -262,3 +264,13 @@ def _remedy(error: sqlite3.Error) -> str:
     if "readonly" in str(error) or "unable to open" in str(error):
         return "give a path that this user may write"
     return "make room or give another path"
+
+
+def saved_state(historian: Historian, key: str, log: FilteringBoundLogger) -> tuple[float, dict[str, Any]] | None:
+    """When a state was saved and its content; None where there is none, or, logged, where it cannot be read."""
+    try:
+        state = historian.load(key)
+    except ValueError as error:
+        log.warning("a saved state cannot be read and is not used", state=key, reason=str(error))
+        return None
+    return state if state is not None and isinstance(state[1], dict) else None

@@ -27,7 +27,7 @@ async def surveyed(plc: ScriptedPlc, act: Callable[[AsksRegisters], Awaitable[No
     await plc.start()
     try:
         where = {"host": "127.0.0.1", "port": plc.port, "timeout": 0.3, **settings}
-        async with open_registers(where, clock=time.time) as survey:
+        async with open_registers("modbus", where, clock=time.time) as survey:
             await act(survey)
     finally:
         await plc.stop()
@@ -107,7 +107,7 @@ async def test_a_tap_hears_what_is_sent_and_received_and_nothing_outside_its_con
 
 async def test_a_host_without_a_server_is_no_connection() -> None:
     with pytest.raises(LinkDown, match="does not connect"):
-        async with open_registers({"host": "127.0.0.1", "port": 1}, clock=time.time):
+        async with open_registers("modbus", {"host": "127.0.0.1", "port": 1}, clock=time.time):
             pass
 
 

@@ -269,7 +269,7 @@ def test_an_address_or_a_setting_that_means_nothing_is_one_sentence(tmp_path: Pa
     path.write_text(candump(trip(1)))
     with pytest.raises(AddressError, match="it: "):
         decoded(path, [Tag("it", "obd:zz")])
-    with pytest.raises(DriverError, match="unknown setting 'colour'"):
+    with pytest.raises(DriverError, match=r"colour: there is no such key; known are .*dbc"):
         decoded(path, colour="red")
     with pytest.raises(DriverError, match="answer_timeouts: speed: -1 must be seconds above 0"):
         decoded(path, answer_timeouts={"speed": -1})
@@ -438,8 +438,8 @@ def test_a_log_that_cannot_be_used_is_refused_before_anything_runs(tmp_path: Pat
     for keys, words in (
         ({"log": str(path)}, "there is no data frame"),
         ({"log": str(tmp_path)}, "is a folder"),
-        ({}, "log must be given"),
-        ({"log": str(path), "speed": 0.0}, "speed is 0.0"),
+        ({}, "log: is missing; give the path"),
+        ({"log": str(path), "speed": 0.0}, "speed: must be at least 1e-06, got 0.0"),
     ):
         with pytest.raises(DriverError, match=words):
             open_driver("can-log", keys, clock=Clock())

@@ -341,8 +341,8 @@ async def test_garbage_neither_stops_the_driver_nor_makes_a_wrong_value_good(nod
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"node": 0}, "node is 0 and must be at least 1"),
-        ({"nod": 1}, "unknown setting 'nod'"),
+        ({"node": 0}, "node: must be at least 1, got 0; give a node id from 1 to 127"),
+        ({"nod": 1}, "nod: there is no such key; did you mean 'node'"),
         ({"configure": True, "listen_only": True}, "exclude each other"),
         ({"eds": None, "listen_only": True}, "listen_only needs eds"),
         ({"eds": "/nowhere.eds"}, "cannot be read"),

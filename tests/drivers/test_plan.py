@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import AddressError
 from drivers.modbus.address import Area, Span, locate, parse_address
-from drivers.plan import Block, Limits, Refusal, bisect, describe, plan, retry_delay, worst_cycle
+from drivers.modbus.plan import Block, Limits, Refusal, bisect, describe, plan, retry_delay, worst_cycle
 from drivers.tag import DType, Tag
 
 

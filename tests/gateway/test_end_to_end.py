@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from gateway.machine.clock import PlantClock
+from gateway.machine.reading.clock import PlantClock
 from gateway.plant.app import run
-from gateway.plant.config import Config
+from gateway.settings.config import Config
 from gateway.store.history import samples
 from gateway.store.score import scorecard
 from sim.plc.record.judge import wrong_good
@@ -130,8 +130,8 @@ SERVE = """
 import sys
 from pathlib import Path
 from gateway.plant.app import serve
-from gateway.machine.clock import PlantClock
-from gateway.plant.config import load_config
+from gateway.machine.reading.clock import PlantClock
+from gateway.settings.config import load_config
 config = load_config(Path(sys.argv[1]), {"device.port": int(sys.argv[2]), "clock.speed": float(sys.argv[5])})
 clock = PlantClock(float(sys.argv[3]), float(sys.argv[4]), float(sys.argv[5]))
 serve(config, clock=clock, status_path=Path(sys.argv[6]), console=False)

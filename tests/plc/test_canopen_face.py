@@ -13,7 +13,7 @@ from drivers.can.hub import Hub
 from drivers.can.hub_bus import HubBus
 from drivers.canopen.driver import CanopenDriver, open_canopen
 from drivers.tag import Quality
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from sim.plc.record.recording import read_recording
 from tests.plc.bench import DECANTER, block, ramp, running, wait_until
 

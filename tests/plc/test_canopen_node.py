@@ -263,10 +263,10 @@ def spoiled(tmp_path: Path, change: Callable[[str], str]) -> Path:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ('"0x2001:1"', '"holding:1"', "tag 7: key 'address'"),
+        ('"0x2001:1"', '"holding:1"', "tag 7: address: must match"),
         ('"0x2001:1"', '"0x2009:1"', "0x2009:1 is not in the EDS"),
         ('name = "Assorbimento"', 'name = "Corrente"', "the register map has no 'Corrente'"),
-        ("node = 1", "node = 100", "key 'node'"),
+        ("node = 1", "node = 100", "node: must be at most 63, got 100; give a node id"),
         ("../decanter.eds", "../none.eds", "none.eds: there is no such file"),
         ('    { name = "zone", dtype = "uint16" },', "    #", "23 words, and the register map's has 24"),
     ],

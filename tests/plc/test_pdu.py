@@ -16,6 +16,8 @@ from tests.plc.bench import DECANTER
 
 COILS = """
 [device]
+name = "coils"
+driver = "modbus"
 max_gap = 2
 max_registers = 20
 [[tags]]

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from gateway.commission.plc_side.conformance import Account
-from gateway.commission.plc_side.structured_text import Program, generate
-from gateway.plant.devices import load_device
+from gateway.commission.writeback.structured_text import Program, generate
+from gateway.commission.writeback.suite import Account
+from gateway.settings.devices import load_device
 from sim.plc.program.clock import EmulatorClock
 from sim.plc.program.plc import Plc
 from sim.plc.program.registers import read_map

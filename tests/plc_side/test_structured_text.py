@@ -10,9 +10,9 @@ import pytest
 from blark.parse import parse_source_code
 from lark.exceptions import LarkError
 
-from gateway.commission.plc_side.structured_text import Program, generate
-from gateway.commission.plc_side.vectors import vectors
-from gateway.plant.devices import load_device
+from gateway.commission.writeback.structured_text import Program, generate
+from gateway.commission.writeback.vectors import vectors
+from gateway.settings.devices import load_device
 from sim.plc.program.registers import read_map
 from sim.plc.program.writeback import decoded
 from tests.plc_side.sides import Compiled

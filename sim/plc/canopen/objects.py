@@ -72,7 +72,7 @@ def read_layout(path: Path, known: Mapping[str, Tag], words: int) -> NodeLayout:
         where = f"{path}: tag {number}"
         tag = Tag(**dict(validated(_TagTable, row, where)))
         if tag.name not in known:
-            raise InputError(f"{where}: key 'name': the register map has no {tag.name!r}; give one of its tags")
+            raise InputError(f"{where}: name: the register map has no {tag.name!r}; give one of its tags")
         tags.setdefault(_address(tag.address, entries, where), []).append(tag)
     block = None
     if "writeback" in data:
@@ -80,7 +80,7 @@ def read_layout(path: Path, known: Mapping[str, Tag], words: int) -> NodeLayout:
         table = validated(_Block, data["writeback"], where)
         block = _address(table.address, entries, where)
         if len(table.fields) != words:
-            raise InputError(f"{where}: key 'fields': {len(table.fields)} words, and the register map's has {words}")
+            raise InputError(f"{where}: fields: {len(table.fields)} words, and the register map's has {words}")
     return NodeLayout(device.node, entries, text, tags, block)
 
 
@@ -88,7 +88,7 @@ def _address(text: str, entries: Mapping[Address, EdsObject], where: str) -> Add
     index, _, sub = text.partition(":")
     address = int(index, 16), int(sub)
     if address not in entries:
-        raise InputError(f"{where}: key 'address': {text} is not in the EDS; give one of its objects")
+        raise InputError(f"{where}: address: {text} is not in the EDS; give one of its objects")
     return address
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
-from pydantic_core import ErrorDetails
+
+from drivers.settings import reason_of, sentences
 
 
 class InputError(ValueError):
@@ -48,21 +49,7 @@ def validated(entry: type[E], data: object, where: str) -> E:
     try:
         return entry.model_validate(data)
     except ValidationError as error:
-        raise InputError(_sentence(entry, error.errors()[0], where)) from None
-
-
-def _sentence(entry: type[FileTable], detail: ErrorDetails, where: str) -> str:
-    key = str(detail["loc"][0]) if detail["loc"] else ""
-    if detail["type"] == "extra_forbidden":
-        return f"{where}: key {key!r}: is not known; known are {listed(tuple(entry.model_fields))}"
-    remedy = entry.model_fields[key].description if key in entry.model_fields else None
-    ending = f"; give {remedy}" if remedy else ""
-    if detail["type"] == "missing":
-        return f"{where}: key {key!r}: is missing{ending}"
-    reason = detail["msg"][0].lower() + detail["msg"][1:]
-    if not key:
-        return f"{where}: {reason}"
-    return f"{where}: key {key!r}: {reason}, got {detail['input']!r}{ending}"
+        raise InputError(sentences(entry, error, where)[0]) from None
 
 
 def listed(words: Sequence[str]) -> str:
@@ -80,11 +67,11 @@ def checked_arguments(function: Callable[..., object], given: Mapping[str, objec
     known = _keywords(function)
     names = [parameter.name for parameter in known]
     if unknown := [name for name in given if name not in names]:
-        raise InputError(f"{where}: key {unknown[0]!r}: is not known; known are {listed(names)}")
+        raise InputError(f"{where}: {unknown[0]}: there is no such key; known are {listed(names)}")
     if missing := [p.name for p in known if p.default is p.empty and p.name not in given]:
-        raise InputError(f"{where}: key {missing[0]!r}: is missing; it must be given")
+        raise InputError(f"{where}: {missing[0]}: is missing; it must be given")
     hints = get_type_hints(function)
-    return {name: _checked(hints[name], value, f"{where}: key {name!r}") for name, value in given.items()}
+    return {name: _checked(hints[name], value, f"{where}: {name}") for name, value in given.items()}
 
 
 def _keywords(function: Callable[..., object]) -> list[inspect.Parameter]:
@@ -96,6 +83,6 @@ def _checked(hint: Any, value: object, where: str) -> object:
     try:
         return TypeAdapter(hint, config=ConfigDict(allow_inf_nan=False)).validate_python(value, strict=True)
     except ValidationError as error:
-        reasons = [detail["msg"] for detail in error.errors()]
-        reason = reasons[0][0].lower() + reasons[0][1:] if len(reasons) == 1 else f"fits none of {hint}"
+        details = error.errors()
+        reason = reason_of(details[0]) if len(details) == 1 else f"fits none of {hint}"
         raise InputError(f"{where}: {reason}, got {value!r}") from None

@@ -333,16 +333,16 @@ def parse_fault(data: object, where: str) -> OrderedFault:
     entry = validated(_FaultEntry, data, where)
     function = FAULTS.get(entry.kind)
     if function is None:
-        raise InputError(f"{where}: key 'kind': there is no fault {entry.kind!r}; known are {listed(tuple(FAULTS))}")
+        raise InputError(f"{where}: kind: there is no fault {entry.kind!r}; known are {listed(tuple(FAULTS))}")
     parameters = checked_arguments(function, entry.model_extra or {}, f"{where} ({entry.kind})")
     effect = partial(function, **parameters)
     picky = entry.count is not None or entry.probability < 1 or entry.functions
     if picky and not effect(0.0).per_request:
         raise InputError(f"{where} ({entry.kind}): count, probability and functions are of faults that strike requests")
     for register, _ in effect(0.0).refused:
-        parse_address(register, f"{where} ({entry.kind}): key 'registers'")
+        parse_address(register, f"{where} ({entry.kind}): registers")
     if entry.face and (not effect(0.0).run or effect(0.0).frozen):
-        raise InputError(f"{where} ({entry.kind}): key 'face': it strikes the program behind all faces; leave it out")
+        raise InputError(f"{where} ({entry.kind}): face: it strikes the program behind all faces; leave it out")
     return OrderedFault(
         kind=entry.kind,
         effect=effect,
