@@ -162,7 +162,11 @@ def test_a_gateway_that_is_killed_starts_again_with_an_intact_historian_and_whol
             with subprocess.Popen(command, cwd=ROOT) as gateway:
                 # Whatever comes of the waiting, the process ends here: `with` alone would wait for it for ever.
                 try:
-                    wait_until(lambda: plc.order("status")["accepted"] > wanted or gateway.poll() is not None)  # noqa: B023
+                    # A process begins: on a machine with other work that takes its time.
+                    wait_until(
+                        lambda: plc.order("status")["accepted"] > wanted or gateway.poll() is not None,  # noqa: B023
+                        patience_s=60.0,
+                    )
                     wait_until(lambda: _stored_blocks(history_path) >= enough or gateway.poll() is not None)  # noqa: B023
                     assert gateway.poll() is None, "it has ended by itself"
                     committed = _stored_blocks(history_path)

@@ -91,9 +91,9 @@ def running(*options: str | Path, map_path: Path = DECANTER) -> Iterator[Process
             popen.kill()
 
 
-def wait_until(true: Callable[[], bool]) -> None:
+def wait_until(true: Callable[[], bool], patience_s: float = PATIENCE_S) -> None:
     """Return when it is true; fail if it never is."""
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + patience_s
     while not true():
         assert time.monotonic() < deadline, "it never came true"
         time.sleep(0.01)
