@@ -1,6 +1,6 @@
 """One file's rows as readings: wide or long, each with its time and line, what cannot be used counted and named."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -157,10 +157,10 @@ def _read_long(path: Path, layout: Layout, column_map: ColumnMap, long: Long, re
     object_at = _needed(layout, long.object) if long.objects else None
     for lines, rows, seconds, local in _chunks(path, layout, column_map, report):
         clock.append((lines, seconds, local))
-        groups: dict[str, list[int]] = {}
+        groups: defaultdict[str, list[int]] = defaultdict(list)
         for index, row in enumerate(rows):
             known = object_at is None or row[object_at].strip() in long.objects
-            groups.setdefault(row[name_at].strip() if known else "", []).append(index)
+            groups[row[name_at].strip() if known else ""].append(index)
         for field, where in groups.items():
             if field not in names:
                 report.aside += len(where)
