@@ -13,6 +13,7 @@ from sim.discrepancy.augment import named_of
 from sim.discrepancy.catalogue import ROLES
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.diagnosis import Ceiling, Diagnosis
+from sim.discrepancy.evidence import candidates_of, effect_of
 from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.course import Named
 from sim.discrepancy.fitting.fit import Fitted, fit
@@ -22,9 +23,8 @@ from sim.discrepancy.held_out import by_cycles, compared
 from sim.discrepancy.judging import Found, doubts, left_over, systematic, untested, verdict_of
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
-from sim.discrepancy.output.evidence import candidates_of, effect_of
-from sim.discrepancy.output.story import course_of, sentence_of
 from sim.discrepancy.path import name
+from sim.discrepancy.story import course_of, sentence_of
 from sim.sha.correction import in_sensor_scale
 from sim.sha.model import Model
 from sim.sha.trace import Trace

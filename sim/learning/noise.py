@@ -24,6 +24,8 @@ HORIZONS = (60.0, 300.0, 900.0)
 CHUNK = 150
 ORIGINS = 400
 STEP = 1e-4
+DRIFT_SPAN = 300.0
+"""The changes over so many seconds set the noise of locations in which nothing is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,3 +319,20 @@ def _value_and_slope(theta: Array, task: _Task, weight: float) -> tuple[float, A
     trials = theta[:, None] + STEP * np.eye(theta.size, theta.size + 1, 1)
     values = task.loss(trials, weight)
     return float(values[0]), (values[1:] - values[0]) / STEP
+
+
+def drift_noise(runs: Runs) -> float:
+    """The random walk, degC/sqrt(s), whose changes over 300 s are as large as the readings' own (or over a shorter
+    time, when no run lasts so long)."""
+    time, reading = (column[np.isfinite(runs.reading)] for column in (runs.time, runs.reading))
+    run = runs.run[np.isfinite(runs.reading)]
+    squares: list[float] = []
+    for number in np.unique(run):
+        mine = run == number
+        at, value = time[mine], reading[mine]
+        span = min(DRIFT_SPAN, float(at[-1] - at[0]))
+        later = np.minimum(np.searchsorted(at, at + span), at.size - 1)
+        whole = at[later] - at >= span
+        if span > 0:
+            squares += ((value[later] - value)[whole] ** 2 / (at[later] - at)[whole]).tolist()
+    return float(max(np.sqrt(np.mean(squares)) if squares else 0.0, 1e-3))

@@ -12,6 +12,8 @@ from sim.sha.events import Alphabet, encode
 from sim.sha.trace import Trace
 
 LEAST_READINGS = 10
+LEAST_SHARE = 0.1
+"""A location in which a channel is not known is fitted like the known ones when it holds this share of the readings."""
 
 
 def encoded(trace: Trace, alphabet: Alphabet) -> Trace:

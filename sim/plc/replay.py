@@ -127,7 +127,7 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
 
     def feed() -> Iterator[str]:
         nonlocal number, inside
-        for number, line in enumerate(text, start=1):
+        for number, line in enumerate(text, start=1):  # noqa: B007 (read outside)
             # Between rows comments and blank lines are left out; inside a quoted cell they are its text.
             if inside or (line.strip() and not line.startswith("#")):
                 inside += 1

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from sim.learning.free_run import Shape
+from sim.learning.preparation import LEAST_SHARE
 from sim.learning.runs import Indices, Runs
 from sim.learning.shape import Names, Prior, shape_of
 from sim.learning.structure import LearningError, contexts, labels, level_signals, product_sha, reference
@@ -15,8 +16,6 @@ from sim.sha.events import Alphabet, Switch
 from sim.sha.trace import Mask
 
 Sharing = Literal["shared", "switch", "location"]
-LEAST_SHARE = 0.1
-"""A location in which a channel is not known is fitted like the known ones when it holds this share of the readings."""
 LEAST_SWING = 0.05
 """A location is driven by an input that scatters there by this share of its scatter over all locations."""
 MOST_OWN = 24

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.assemble import LocationFit, learned_sha, location_fits, stay_values, well_seen
+from sim.learning.bins.assemble import LocationFit, learned_sha, location_fits, stay_values, well_seen
 from sim.learning.bins.candidates import (
     CANDIDATES,
     Candidate,

@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.assemble import drift_noise
 from sim.learning.free_run import RATES, Fit, Shape, fit_free_run
 from sim.learning.lsha.automaton import Skeleton
 from sim.learning.lsha.evidence import Sample, between
 from sim.learning.lsha.flow_hypotheses import Flowing, flow_of, flow_shape, positions
 from sim.learning.lsha.ground import Ground, placed
 from sim.learning.lsha.segments import stays_after
-from sim.learning.noise import fit_noise
+from sim.learning.noise import drift_noise, fit_noise
 from sim.learning.runs import Indices, Runs, sampled
 from sim.learning.shape import with_parameters
 from sim.sha.automaton import SHA, Distribution, Entry, Flow, Input, Location

@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.bins.candidates import LEAST_SHARE
 from sim.learning.lsha.words import Words, classes_of, words_of
-from sim.learning.preparation import LEAST_READINGS
+from sim.learning.preparation import LEAST_READINGS, LEAST_SHARE
 from sim.learning.runs import Indices, Runs, first_switch, free_runs, pieces
 from sim.learning.shape import Prior
 from sim.learning.structure import LearningError, level_signals

@@ -8,7 +8,7 @@ import numpy as np
 from sim.engine.recursion import linear_recursion
 from sim.learning.bins.candidates import Ground, process_groups
 from sim.learning.free_run import Fit, Shape, loads, steps
-from sim.learning.noise import Noise
+from sim.learning.noise import Noise, drift_noise
 from sim.learning.runs import Indices, Runs
 from sim.learning.shape import with_parameters
 from sim.learning.structure import contexts, name_of, nearest
@@ -21,8 +21,6 @@ HARDLY = 20.0
 """degC: a location whose target is not known better than this (half the prior's spread) counts as not seen."""
 FIRST_SCATTER = 1.0
 """degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""
-DRIFT_SPAN = 300.0
-"""The changes over so many seconds set the noise of locations in which nothing is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,23 +44,6 @@ class LocationFit:
     k_error: float
     gains: Mapping[str, float]
     gain_errors: Mapping[str, float]
-
-
-def drift_noise(runs: Runs) -> float:
-    """The random walk, degC/sqrt(s), whose changes over 300 s are as large as the readings' own (or over a shorter
-    time, when no run lasts so long)."""
-    time, reading = (column[np.isfinite(runs.reading)] for column in (runs.time, runs.reading))
-    run = runs.run[np.isfinite(runs.reading)]
-    squares: list[float] = []
-    for number in np.unique(run):
-        mine = run == number
-        at, value = time[mine], reading[mine]
-        span = min(DRIFT_SPAN, float(at[-1] - at[0]))
-        later = np.minimum(np.searchsorted(at, at + span), at.size - 1)
-        whole = at[later] - at >= span
-        if span > 0:
-            squares += ((value[later] - value)[whole] ** 2 / (at[later] - at)[whole]).tolist()
-    return float(max(np.sqrt(np.mean(squares)) if squares else 0.0, 1e-3))
 
 
 def well_seen(sha: SHA, shape: Shape, fit: Fit, base: Ground) -> Ground:
