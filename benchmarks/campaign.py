@@ -68,7 +68,9 @@ def _driven(location: Location) -> Location:
 def jobs(named: dict[str, Model], traces: Sequence[Trace], runs: int) -> list[Job]:
     """Every model along every trace."""
     return [
-        Job(name, name, model, slim(trace, model), Settings(runs)) for name, model in named.items() for trace in traces
+        Job(label=name, semantics=name, model=model, trace=slim(trace, model), settings=Settings(runs))
+        for name, model in named.items()
+        for trace in traces
     ]
 
 
@@ -129,7 +131,7 @@ def long_trace(model: Model, rows: int) -> list[Figure]:
     trace = slim(Trace("long", 1.0 * np.arange(rows), signals, synthetic=True), model)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     begin = perf_counter()
-    outcome = run_job(Job("own", "own", model, trace, Settings(RUNS)))
+    outcome = run_job(Job(label="own", semantics="own", model=model, trace=trace, settings=Settings(RUNS)))
     seconds = perf_counter() - begin
     after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     if outcome.result.failure:

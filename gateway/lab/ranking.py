@@ -60,7 +60,9 @@ def _fresh(wish: Campaign, progress: Progress) -> Compared:
     prepared = _prepared(wish, training)
     run = run_here(wish.jobs or len(os.sched_getaffinity(0)))
     settings = Settings(wish.runs, seed=wish.seed)
-    told = outcomes_by_model(prepared, traces, unread(report, traces), settings, run, progress)
+    told = outcomes_by_model(
+        prepared, traces, without=unread(report, traces), settings=settings, run=run, progress=progress
+    )
     results = [outcome.result for _, outcomes in told for outcome in outcomes]
     return Compared(results, _by_entrant(results, {one.label: _facts(one, traces) for one in prepared}))
 

@@ -9,7 +9,7 @@ from sim.sha.trace import Array
 Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Shift:
     """A parameter of the given model that has moved: `change` is relative to its size (a target's: over rest).
 
@@ -75,7 +75,7 @@ class NamedEffect:
     experiment: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
     """A place where unexplained heat lies: in `location`, `seconds` after the event `after`, by strata of a signal.
 

@@ -19,7 +19,7 @@ REACH = 3.0
 """Mean delays after which a change has reached the reading."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Blocks:
     """b stretches of about ten minutes inside one location: the mean implied heat of each and where it was.
 
@@ -105,16 +105,16 @@ def blocks_of(fitted: Fitted, length: float = BLOCK) -> Blocks:
     columns = (heat * HOUR, times, record.windowed(np.minimum(record.since, 1e6)), stopped, on, record.reading)
     implied, middle, started, stop, running, course = (mean(column)[kept] for column in columns)
     return Blocks(
-        implied,
-        total[kept],
-        middle,
-        place[begins][kept],
-        record.window_cycle[begins][kept],
-        started,
-        stop,
-        running,
-        course,
-        mean(signals)[kept],
+        heat=implied,
+        seconds=total[kept],
+        time=middle,
+        location=place[begins][kept],
+        cycle=record.window_cycle[begins][kept],
+        since_start=started,
+        since_stop=stop,
+        running=running,
+        course=course,
+        signals=mean(signals)[kept],
     )
 
 

@@ -19,7 +19,7 @@ ROWS = 24
 """Locations at most: those with the most windows."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HeatMap:
     """Mean heat (degC/h) that a model leaves, by r `locations` and c spans of time since the last start or stop.
 
@@ -77,7 +77,14 @@ def heat_map(course: Course) -> HeatMap | None:
         after = _means(course.heat_after[known], place, column, shape)[order, spans]
     edges = (*EDGES, np.inf)[: int(used[-1]) + 2]
     found = tuple(str(names[number]) for number in order)
-    return HeatMap(found, edges, before, after, cycles[order, spans], names.size - len(found))
+    return HeatMap(
+        locations=found,
+        edges=edges,
+        before=before,
+        after=after,
+        cycles=cycles[order, spans],
+        left_out=names.size - len(found),
+    )
 
 
 def _means(values: Array, place: NDArray[np.intp], column: NDArray[np.intp], shape: tuple[int, int]) -> Array:

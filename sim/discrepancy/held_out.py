@@ -23,7 +23,7 @@ STARTS = 3
 """Rounds in which the start temperatures are fitted (effects on the sensor make them slightly non-linear)."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
     """A fit let run over a record cut by cycles.
 
@@ -64,7 +64,7 @@ def let_run(fitted: Fitted, record: Record) -> Trial:
         if np.max(np.abs(moved)) < 1e-3:
             break
     weigher = Weigher(grid_at(frame, state), fitted.noise)
-    return Trial(record, state, residual, begun, order, weigher)
+    return Trial(record=record, state=state, residual=residual, begun=begun, order=order, weigher=weigher)
 
 
 def floor_squares(trial: Trial, seed: int) -> Array:

@@ -114,7 +114,7 @@ def foreseen_better(first: Trial, second: Trial) -> float:
 
 
 def doubts(
-    found: Found, first: Trial, second: Trial, held: HeldOut, before: Ceiling | None, left: Ceiling | None
+    found: Found, first: Trial, *, second: Trial, held: HeldOut, before: Ceiling | None, left: Ceiling | None
 ) -> tuple[str, ...]:
     """Why names that the likelihood offers are not given after all; `first` and `second` are the held-out runs."""
     if not found.taken:

@@ -36,7 +36,7 @@ that is not quite the plant's may win over its twin."""
 INVISIBLE = 0.05
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """An entry against what a fit leaves: its best shape, its gain (nats), and the joint refit where there was one.
 
@@ -122,17 +122,17 @@ def _evidence(found: Screen, number: int) -> Evidence:
     others = (total - parts) / np.maximum(mass - shares, 1e-300)
     carried = float(np.sum(parts * others - 0.5 * shares * others**2))
     return Evidence(
-        shape.entry,
-        shape,
-        float(found.gain[number]),
-        float(found.visible[number]),
-        float(found.signed[number]),
-        total / max(float(np.sqrt(np.sum(parts**2))), 1e-300),
-        (int(same.sum()), int(speaking.sum())),
-        float(spread),
-        carried,
-        0.0,
-        None,
+        entry=shape.entry,
+        shape=shape,
+        gain=float(found.gain[number]),
+        visible=float(found.visible[number]),
+        z=float(found.signed[number]),
+        robust=total / max(float(np.sqrt(np.sum(parts**2))), 1e-300),
+        cycles=(int(same.sum()), int(speaking.sum())),
+        spread=float(spread),
+        carried=carried,
+        amplitude=0.0,
+        fitted=None,
     )
 
 

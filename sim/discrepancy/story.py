@@ -15,6 +15,7 @@ from sim.sha.trace import Array
 def sentence_of(
     verdict: Verdict,
     effects: Sequence[NamedEffect],
+    *,
     unexplained: Sequence[Place],
     shifts: Sequence[Shift],
     held: HeldOut | None,

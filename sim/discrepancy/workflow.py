@@ -91,7 +91,9 @@ def diagnose(
     told("held-out cycles", 0.85)
     own = spread_of(model, given, base)
     beyond = excess(base, own), excess(found.fitted, own)
-    return _concluded(model, found, held_out, before, beyond, Hand(seed, present, roles, told))
+    return _concluded(
+        model, found, held_out=held_out, before=before, beyond=beyond, hand=Hand(seed, present, roles, told)
+    )
 
 
 def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str, str]:
@@ -114,6 +116,7 @@ def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
 def _concluded(
     model: Model,
     found: Found,
+    *,
     held_out: Record,
     before: Ceiling | None,
     beyond: tuple[Excess | None, Excess | None],
@@ -122,7 +125,10 @@ def _concluded(
     after = found.fitted
     left = ceiling(after, hand.seed) if found.taken else before
     held, first, second = compared(found.base, after, held_out, hand.seed)
-    reservations = (*doubts(found, first, second, held, before, left), *left_over(found, *beyond))
+    reservations = (
+        *doubts(found, first, second=second, held=held, before=before, left=left),
+        *left_over(found, *beyond),
+    )
     verdict, reasons = verdict_of(found, reservations, before, beyond[0])
     kept = verdict in ("named", "class")
     if not kept:
@@ -137,7 +143,7 @@ def _concluded(
     cycles = int(np.unique(found.base.frame.record.cycle).size)
     diagnosis = Diagnosis(
         verdict=verdict,
-        sentence=sentence_of(verdict, effects, unexplained, moved, held, cycles),
+        sentence=sentence_of(verdict, effects, unexplained=unexplained, shifts=moved, held=held, cycles=cycles),
         reasons=reasons,
         effects=effects,
         shifts=moved,
@@ -175,7 +181,7 @@ def _settings(found: Found, seed: int, beyond: tuple[Excess | None, Excess | Non
 def _too_little(model: Model, cycles: int) -> Diagnosis:
     return Diagnosis(
         verdict="too-little-data",
-        sentence=sentence_of("too-little-data", (), (), (), None, cycles),
+        sentence=sentence_of("too-little-data", (), unexplained=(), shifts=(), held=None, cycles=cycles),
         reasons=(f"{cycles} cycle{'' if cycles == 1 else 's'} in all; at least {LEAST_CYCLES} are needed, better ten",),
         effects=(),
         shifts=(),

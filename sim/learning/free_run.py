@@ -60,7 +60,7 @@ class Shape:
     rate_spread: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
     """The parameters that maximise the free-run likelihood, and how well they are known.
 
@@ -130,7 +130,7 @@ def _add(total: Array, rows: Indices, columns: Indices, values: Array) -> None:
     total[rows[there], columns[there]] += values[there]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Linear:
     """The linear problem at fixed rates, on the rows with a reading; start temperatures are projected out."""
 
@@ -143,7 +143,7 @@ class _Linear:
     decay: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Problem:
     """Readings, loads and the present weights: all that does not depend on the rates."""
 
@@ -180,7 +180,13 @@ def _solve(problem: _Problem, log_rates: Array) -> _Linear:
     starts = part[:, -1] - part[:, :-1] @ linear
     mean = full @ linear + begun * starts[np.cumsum(runs.first) - 1]
     return _Linear(
-        columns, start, reading - columns @ linear, linear, lambda right: cho_solve(factor, right), mean, decay
+        columns=columns,
+        start=start,
+        residual=reading - columns @ linear,
+        linear=linear,
+        inverse=lambda right: cho_solve(factor, right),
+        mean=mean,
+        decay=decay,
     )
 
 
@@ -301,7 +307,16 @@ def fit_free_run(runs: Runs, shape: Shape, *, begin: Array | None = None, loss: 
     load = loads(runs, shape)
     bounds = np.flatnonzero(begins)
     noise = 0.1 * float(np.var(reading - np.median(reading))) + 1e-6
-    problem = _Problem(runs, shape, load, rows, reading, bounds, np.ones(rows.size), noise)
+    problem = _Problem(
+        runs=runs,
+        shape=shape,
+        load=load,
+        rows=rows,
+        reading=reading,
+        bounds=bounds,
+        weight=np.ones(rows.size),
+        noise=noise,
+    )
     log_rates = _first_rates(problem) if begin is None else np.log(begin)
     sigma = float("inf")
     for _ in range(ROUNDS):
@@ -316,7 +331,15 @@ def fit_free_run(runs: Runs, shape: Shape, *, begin: Array | None = None, loss: 
     sense, _ = problem.project(_sensitivity(problem, log_rates, solved), solved.start)
     covariance = _covariance(problem, np.column_stack([solved.columns, sense]), error)
     starts = solved.mean[runs.first]
-    return Fit(solved.linear, np.exp(log_rates), covariance, sigma, correlation, solved.mean, starts)
+    return Fit(
+        linear=solved.linear,
+        rates=np.exp(log_rates),
+        covariance=covariance,
+        sigma=sigma,
+        correlation=correlation,
+        mean=solved.mean,
+        start=starts,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,7 +360,16 @@ def fit_at_rates(runs: Runs, shape: Shape, rates: Array, rounds: int = 3, scale:
     bounds = np.flatnonzero(np.concatenate([[True], np.diff(runs.run[rows]) != 0]))
     reading, logs = runs.reading[rows], np.log(rates)
     noise = 0.1 * float(np.var(reading - np.median(reading))) + 1e-6
-    problem = _Problem(runs, shape, loads(runs, shape), rows, reading, bounds, np.ones(rows.size), noise)
+    problem = _Problem(
+        runs=runs,
+        shape=shape,
+        load=loads(runs, shape),
+        rows=rows,
+        reading=reading,
+        bounds=bounds,
+        weight=np.ones(rows.size),
+        noise=noise,
+    )
     for _ in range(rounds):
         solved = _solve(problem, logs)
         error = reading - solved.mean[rows]

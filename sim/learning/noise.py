@@ -41,7 +41,7 @@ class Noise:
     score: Mapping[float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Steps:
     """Every knot's affine step: X' = decay X + pull (m - mu) + drift, variance = density * process^2."""
 
@@ -57,7 +57,7 @@ class _Steps:
     run: Indices
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Ahead:
     """Predictions from K origins: mean = decay X + own (m - mu) + drift; variance weights of the noises after it."""
 
@@ -81,16 +81,16 @@ def _steps(runs: Runs, shape: Shape, fit: Fit, groups: Indices) -> _Steps:
             params[RATES[kind]] = float(fit.rates[shape.rate[place]])
         decay[rows], pull[rows], density[rows] = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
     return _Steps(
-        decay,
-        pull,
-        pull * (loads(runs, shape) @ fit.linear),
-        density,
-        runs.place,
-        groups[runs.place],
-        runs.stay,
-        runs.time,
-        runs.reading,
-        runs.run,
+        decay=decay,
+        pull=pull,
+        drift=pull * (loads(runs, shape) @ fit.linear),
+        density=density,
+        place=runs.place,
+        group=groups[runs.place],
+        stay=runs.stay,
+        time=runs.time,
+        reading=runs.reading,
+        run=runs.run,
     )
 
 
@@ -129,7 +129,9 @@ def _filtered(steps: _Steps, table: Indices, sensor: Array, process: Array, scat
     for row in range(1, table.shape[0]):
         knots = table[row][table[row] >= 0]
         fresh = (steps.stay[knots] != steps.stay[knots - 1]) | (row == 1)
-        state = _predicted(steps, knots, fresh, [part[: knots.size] for part in state], process, scatter)
+        state = _predicted(
+            steps, knots, fresh=fresh, state=[part[: knots.size] for part in state], process=process, scatter=scatter
+        )
         error = steps.reading[knots][:, None] - state[0]
         scores[knots] = _log_score(error, state[2] + sensor**2)
         state = _updated(state, np.nan_to_num(error), np.isfinite(error), sensor)
@@ -139,7 +141,7 @@ def _filtered(steps: _Steps, table: Indices, sensor: Array, process: Array, scat
 
 
 def _predicted(
-    steps: _Steps, knots: Indices, fresh: Mask, state: Sequence[Array], process: Array, scatter: Array
+    steps: _Steps, knots: Indices, *, fresh: Mask, state: Sequence[Array], process: Array, scatter: Array
 ) -> State:
     x, m, xx, xm, mm = state
     at = fresh[:, None]
@@ -210,7 +212,16 @@ def _ahead(steps: _Steps, horizon: float, groups: int, places: int) -> _Ahead | 
         scatter[go] *= a[:, None] ** 2
         at[go] = here
     scatter[np.arange(size), steps.place[end]] += fresh**2
-    return _Ahead(horizon, origin, steps.reading[end], decay, own, drift, process, scatter)
+    return _Ahead(
+        horizon=horizon,
+        origin=origin,
+        outcome=steps.reading[end],
+        decay=decay,
+        own=own,
+        drift=drift,
+        process=process,
+        scatter=scatter,
+    )
 
 
 def _ahead_score(ahead: _Ahead, states: Array, sensor: Array, process: Array, scatter: Array) -> Array:

@@ -108,7 +108,9 @@ def _cut(time: Array, moments: Array) -> Mask:
     return np.diff(passed, prepend=passed[:1]) > 0
 
 
-def _of_trace(trace: Trace, path: _Path, signals: Sequence[str], modelled: Mask, reading: Array, cycle: float) -> Runs:
+def _of_trace(
+    trace: Trace, path: _Path, *, signals: Sequence[str], modelled: Mask, reading: Array, cycle: float
+) -> Runs:
     extra = np.setdiff1d(path.times, trace.times)
     extra = extra[(extra > trace.times[0]) & (extra < trace.times[-1])]
     time = np.concatenate([trace.times, extra])
@@ -206,7 +208,18 @@ def free_runs(
         if jumps:
             cleaned = np.where(_eventful(trace), reading, cleaned)
         known = replace(trace, signals={**_missing(trace, signals), **trace.signals})
-        parts.append(_trimmed(_of_trace(known, _path(known, sha, moves, rising), signals, modelled, cleaned, cycle)))
+        parts.append(
+            _trimmed(
+                _of_trace(
+                    known,
+                    _path(known, sha, moves, rising),
+                    signals=signals,
+                    modelled=modelled,
+                    reading=cleaned,
+                    cycle=cycle,
+                )
+            )
+        )
     return _joined(parts)
 
 

@@ -96,7 +96,7 @@ class Plant:
     sensor_step: float = 0.1
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _State:
     """What the machine remembers: temperatures (degC), speed (0..1), wander of the load, friction of this cycle."""
 
@@ -171,7 +171,7 @@ def _reading(value: float, noise: float, step: float, rng: np.random.Generator) 
 
 
 def _row(
-    plant: Plant, state: _State, phase: Phase, hall: float, slurry: float, rng: np.random.Generator
+    plant: Plant, state: _State, *, phase: Phase, hall: float, slurry: float, rng: np.random.Generator
 ) -> list[float]:
     """One row of readings in the order of SIGNALS."""
     feeding = phase.pump and phase.running
@@ -211,6 +211,7 @@ def _sample_times(duration: float, period: float, jitter: float, rng: np.random.
 def _run(
     plant: Plant,
     weather: Weather,
+    *,
     state: _State,
     phases: Sequence[Phase],
     times: Array,
@@ -234,7 +235,7 @@ def _run(
             _thermal_step(plant, state, hall, slurry if phase.pump and phase.running else None, dt)
             _sense(plant, state, dt)
             now += dt
-        rows[index] = _row(plant, state, phase, hall, slurry, rng)
+        rows[index] = _row(plant, state, phase=phase, hall=hall, slurry=slurry, rng=rng)
     return rows
 
 
@@ -264,8 +265,15 @@ def simulate_decanter(
     times = _sample_times(sum(phase.seconds for phase in phases), period, jitter, rng)
     hall = weather.ambient(start % 86400)
     warm = hall if bearing is None else bearing
-    state = _State(warm, warm - 0.3, warm, 0.6 * warm + 0.4 * hall, warm, warm - 0.3)
-    rows = _run(plant, weather, state, phases, times, start, step, rng)
+    state = _State(
+        gearbox=warm,
+        feed=warm - 0.3,
+        oil=warm,
+        housing=0.6 * warm + 0.4 * hall,
+        gearbox_sensor=warm,
+        feed_sensor=warm - 0.3,
+    )
+    rows = _run(plant, weather, state=state, phases=phases, times=times, start=start, step=step, rng=rng)
     return Trace(
         name=name,
         times=start + times,

@@ -69,7 +69,7 @@ class Standing:
         return f"in-sample ({len(self.seen)} of {self.traces} traces{doubt})"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
     """Two models on the traces that both have: `difference` of the scores (one - other), degC, and what it tells.
 
@@ -117,7 +117,15 @@ def rank(
     common = _common(scores)
     wins = _wins(scores, common)
     standings = [
-        _standing(name, own, common, used, wins.get(name, 0.0), known.get(name, Facts()), limits or Limits())
+        _standing(
+            name,
+            own,
+            common=common,
+            weights=used,
+            wins=wins.get(name, 0.0),
+            facts=known.get(name, Facts()),
+            limits=limits or Limits(),
+        )
         for name, own in by_entrant.items()
     ]
     placed = _placed(standings)
@@ -188,6 +196,7 @@ def _wins(scores: Mapping[str, Mapping[str, float]], common: Sequence[str]) -> d
 def _standing(
     name: str,
     results: Mapping[str, TraceResult],
+    *,
     common: Sequence[str],
     weights: Weights,
     wins: float,
@@ -237,12 +246,12 @@ def _pairs(names: Sequence[str], scores: Mapping[str, Mapping[str, float]], seed
     found = [paired(each, rng) for each in differences]
     corrected = holm([1.0 if each.n == 0 else each.p for each in found])
     return tuple(
-        _pair(one, other, values, told, p, len(couples))
+        _pair(one, other, values=values, told=told, p=p, pairs=len(couples))
         for (one, other), values, told, p in zip(couples, differences, found, corrected, strict=True)
     )
 
 
-def _pair(one: str, other: str, values: np.ndarray, told: Paired, p: float, pairs: int) -> Pair:
+def _pair(one: str, other: str, *, values: np.ndarray, told: Paired, p: float, pairs: int) -> Pair:
     wins = (float((values < 0).sum() + (values == 0).sum() / 2), float((values > 0).sum() + (values == 0).sum() / 2))
     better = None
     if told.n and pairs * told.least > LEVEL:
@@ -257,7 +266,7 @@ def _pair(one: str, other: str, values: np.ndarray, told: Paired, p: float, pair
         sentence = f"{better} is better than {worse}"
     else:
         sentence = "not told apart"
-    return Pair(one, other, told, p, better, sentence, wins)
+    return Pair(one=one, other=other, difference=told, p=p, better=better, sentence=sentence, wins=wins)
 
 
 def _notes(

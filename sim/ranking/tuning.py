@@ -53,7 +53,7 @@ class Plan:
         return score.crps if self.objective == "crps" else -score.log_likelihood
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
     """One trial that is over; `number` counts those from 0.
 
@@ -71,7 +71,7 @@ class Trial:
     seconds: float = nan
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Tuning:
     """What a study says. `best` and `default` are None where no such trial was completed.
 
@@ -131,7 +131,9 @@ def tune(
     """
     kept, notes, digest = usable(traces, temperature)
     parts = folds(len(kept), plan.fold_count, plan.seed)
-    search = _Search(plan, kept, parts, alphabet, temperature, jobs, prune)
+    search = _Search(
+        plan=plan, traces=kept, parts=parts, alphabet=alphabet, temperature=temperature, jobs=jobs, prune=prune
+    )
     stopped = False
     with opened(study_file, _facts(plan, digest, alphabet, temperature, len(parts)), prune=prune) as study:
         try:
@@ -159,7 +161,7 @@ def final_model(
     return replace(taught, model=replace(taught.model, provenance=origin))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Search:
     plan: Plan
     traces: Sequence[Trace]
@@ -272,10 +274,18 @@ def _trial(number: int, stored: "FrozenTrial", plan: Plan) -> Trial:
     seconds = stored.user_attrs.get(SECONDS, nan)
     if state != "complete":
         said = stored.user_attrs.get(REASON, f"given up after {len(values)} traces")
-        return Trial(number, stored.params, state, reason=said, seconds=seconds)
+        return Trial(number=number, settings=stored.params, state=state, reason=said, seconds=seconds)
     column = np.array(list(values.values()))
     error = float(np.std(column, ddof=1)) / sqrt(column.size)
-    return Trial(number, stored.params, state, float(column.mean()), error, values, seconds=seconds)
+    return Trial(
+        number=number,
+        settings=stored.params,
+        state=state,
+        value=float(column.mean()),
+        error=error,
+        by_trace=values,
+        seconds=seconds,
+    )
 
 
 def summary(trials: Sequence[Trial], notes: Sequence[str] = (), *, stopped: bool = False) -> Tuning:
@@ -286,7 +296,16 @@ def summary(trials: Sequence[Trial], notes: Sequence[str] = (), *, stopped: bool
     gain = _gain(default, best) if best is not None and default is not None and best is not default else None
     better = gain is not None and gain.mean > gain.error
     sentence = _sentence(trials, best, default, gain, better=better)
-    return Tuning(tuple(trials), best, default, gain, better, sentence, tuple(notes), stopped)
+    return Tuning(
+        trials=tuple(trials),
+        best=best,
+        default=default,
+        gain=gain,
+        better=better,
+        sentence=sentence,
+        notes=tuple(notes),
+        stopped=stopped,
+    )
 
 
 def _gain(default: Trial, best: Trial) -> Paired:

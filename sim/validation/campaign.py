@@ -66,7 +66,14 @@ def jobs_of(prepared: Prepared, traces: Sequence[Trace], settings: Settings) -> 
     else:
         jobs = [(semantics, model, "") for semantics, model in prepared.variants.items()]
     return [
-        Job(prepared.label, semantics, model, slim(trace, model), settings, reason)
+        Job(
+            label=prepared.label,
+            semantics=semantics,
+            model=model,
+            trace=slim(trace, model),
+            settings=settings,
+            refusal=reason,
+        )
         for semantics, model, reason in jobs
         for trace in traces
     ]
@@ -85,6 +92,7 @@ def slim(trace: Trace, model: Model) -> Trace:
 def outcomes_by_model(
     prepared: Sequence[Prepared],
     traces: Sequence[Trace],
+    *,
     without: Sequence[Unread],
     settings: Settings,
     run: Runner,

@@ -61,14 +61,18 @@ def conduct(
     note(loading)
     results: list[TraceResult] = []
     entries: list[Entry] = []
-    for one, outcomes in outcomes_by_model(prepared, traces, without, plan.settings, plan.run, progress):
+    for one, outcomes in outcomes_by_model(
+        prepared, traces, without=without, settings=plan.settings, run=plan.run, progress=progress
+    ):
         stages = records(one.label, outcomes)
         for stage in stages:
             note(stage)
         results += [outcome.result for outcome in outcomes]
         folder.write(f"{RESULTS}.json", results_json(results))
         folder.write(f"{RESULTS}.csv", results_csv(results))
-        last, report = _reported(one, outcomes, (*one.stages, loading, *stages), plan, folder, progress)
+        last, report = _reported(
+            one, outcomes, before=(*one.stages, loading, *stages), plan=plan, folder=folder, progress=progress
+        )
         note(last)
         entries.append(Entry(folder.places[one.label], report))
     folder.write("index.html", index_html(plan.campaign, entries, log))
@@ -79,6 +83,7 @@ def conduct(
 def _reported(
     prepared: Prepared,
     outcomes: Sequence[Outcome],
+    *,
     before: Sequence[Stage],
     plan: Plan,
     folder: Folder,
@@ -95,7 +100,14 @@ def _reported(
             pairs = one.compatibility.pairs if one.compatibility else {}
             missing.update({f"{symbol} in {place}": count for (place, symbol), count in pairs.items()})
         pictures = shown(results, files, home)
-        report = ModelReport(plan.campaign, prepared, (*before, last), results, pictures, dict(missing.most_common(20)))
+        report = ModelReport(
+            campaign=plan.campaign,
+            prepared=prepared,
+            stages=(*before, last),
+            results=results,
+            pictures=pictures,
+            missing=dict(missing.most_common(20)),
+        )
         drawn = f"{2 * len(files)} pictures" if plan.pictures else "no pictures asked for"
         last.found = f"{drawn}, report.html"
         last.details = {"report": "report.html", "pictures": [str(file.relative_to(home)) for file in files.values()]}

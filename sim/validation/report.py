@@ -64,7 +64,7 @@ class Campaign:
     facts: Mapping[str, str]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ModelReport:
     """All that the report of one model tells."""
 

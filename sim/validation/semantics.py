@@ -179,28 +179,28 @@ def entries_of_runs(model: Model, seed: int) -> Entries:
         if law is None:
             continue
         x0 = distributions.draw(initial, RUNS, rng)
-        for location, temperatures in _run(model.sha, chain, place, x0, offsets, rng):
+        for location, temperatures in _run(model.sha, chain, start=place, x0=x0, offsets=offsets, rng=rng):
             found[location].append(temperatures)
     columns = {chain.names[place]: np.concatenate(parts) for place, parts in found.items()}
     return Entries(columns, f"semi-Markov runs of the model itself, {RUNS} from each location over {SPAN:g} s")
 
 
 def _run(
-    sha: SHA, chain: Chain, start: int, x0: Array, offsets: Array, rng: np.random.Generator
+    sha: SHA, chain: Chain, *, start: int, x0: Array, offsets: Array, rng: np.random.Generator
 ) -> Iterator[tuple[int, Array]]:
     """(location, the temperatures of the runs that enter it), stay by stay, from the temperatures `x0` in `start`."""
     x = x0.copy()
-    paths = draw_paths(chain, start, 0.0, SPAN, RUNS, rng)
+    paths = draw_paths(chain, start, age=0.0, horizon=SPAN, runs=RUNS, rng=rng)
     ends = np.minimum(np.vstack([paths.entered[1:], np.full((1, RUNS), np.inf)]), SPAN)
     for stay, (here, begin, end) in enumerate(zip(paths.location, paths.entered, ends, strict=True)):
         for place in np.unique(here[np.isfinite(begin)]).tolist():
             there = np.flatnonzero((here == place) & np.isfinite(begin))
             if stay:
                 yield place, x[there]
-            x[there] = _stepped(sha, place, x[there], end[there] - begin[there], offsets[place], rng)
+            x[there] = _stepped(sha, place, x=x[there], dt=end[there] - begin[there], offset=offsets[place], rng=rng)
 
 
-def _stepped(sha: SHA, place: int, x: Array, dt: Array, offset: float, rng: np.random.Generator) -> Array:
+def _stepped(sha: SHA, place: int, *, x: Array, dt: Array, offset: float, rng: np.random.Generator) -> Array:
     """The temperatures after a stay of `dt` seconds in one location, each with an m of its own."""
     location, age = sha.locations[place], np.zeros(x.size)
     mean, variance = mode_parameter(location)

@@ -43,7 +43,7 @@ class Settings:
     seed: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
     """One model under one semantics along one trace (not yet encoded; only the signals that matter).
 
@@ -58,7 +58,7 @@ class Job:
     refusal: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
     """What a picture shows, at most a few thousand points each: (times, ...) in absolute s and degC."""
 
@@ -294,5 +294,10 @@ def _course(job: Job, read: _Readings, runs: _Simulated, band: Band) -> Course:
     events = read.trace.events
     shown = tuple(events[place] for place in _spread(len(events), DRAWN).tolist())
     return Course(
-        (read.times[places], read.values[places]), (times, mean), (moments_of, low, high), inputs, shown, len(events)
+        measured=(read.times[places], read.values[places]),
+        mean=(times, mean),
+        band=(moments_of, low, high),
+        inputs=inputs,
+        events=shown,
+        seen=len(events),
     )

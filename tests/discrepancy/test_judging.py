@@ -39,7 +39,9 @@ def test_a_clear_gap_must_shrink_unless_the_gain_is_clear(
     found = Found(base, best.fitted, ((replace(one, evidence=(replace(best, gain=gain),)), ""),))
     record = by_cycles(base.frame.record)
     held = HeldOut(5, 0.5, 0.5, 0.2, removed, (-1.0, 1.0), ())
-    reasons = doubts(found, let_run(base, record), let_run(best.fitted, record), held, None, None)
+    reasons = doubts(
+        found, let_run(base, record), second=let_run(best.fitted, record), held=held, before=None, left=None
+    )
     assert [reason for reason in reasons if "no nearer" in reason] == list(reasons)
     assert bool(reasons) is withheld
 

@@ -95,9 +95,27 @@ def effect(members: tuple[str, ...]) -> NamedEffect:
     )
 
 
-PLACE = Place("ON/200-300", "W_ON", (0.0, 240.0), 0.62, 38.5, (9, 11), 0.001, "MarciaPmpFango")
-LATE = Place("OFF/0-100", "W_OFF", (1800.0, inf), 0.08, -2.5, (8, 11), 0.03, "")
-SHIFT = Shift("ON/200-300", "target", 61.2, 63.9, "degC", 0.05, 4.1)
+PLACE = Place(
+    location="ON/200-300",
+    after="W_ON",
+    seconds=(0.0, 240.0),
+    share=0.62,
+    heat=38.5,
+    cycles=(9, 11),
+    p=0.001,
+    correlates="MarciaPmpFango",
+)
+LATE = Place(
+    location="OFF/0-100",
+    after="W_OFF",
+    seconds=(1800.0, inf),
+    share=0.08,
+    heat=-2.5,
+    cycles=(8, 11),
+    p=0.03,
+    correlates="",
+)
+SHIFT = Shift(location="ON/200-300", parameter="target", before=61.2, after=63.9, unit="degC", change=0.05, sigma=4.1)
 
 
 def agree() -> Diagnosis:

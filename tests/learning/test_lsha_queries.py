@@ -202,8 +202,24 @@ def test_a_location_with_another_flow_is_identified_and_the_others_keep_the_defa
     motions = {
         kind: Motion(*coefficients(flow, runs.age, runs.dt)[:2], np.zeros(len(runs))) for kind, flow in rates.items()
     }
-    wrong = identify(runs, len(classes), "linear", motions["linear"], {"exponential": rates["exponential"]}, 0.05, 5)
-    right = identify(runs, len(classes), "exponential", motions["exponential"], {"linear": linear}, 0.05, 5)
+    wrong = identify(
+        runs,
+        len(classes),
+        default="linear",
+        motion=motions["linear"],
+        alternatives={"exponential": rates["exponential"]},
+        alpha=0.05,
+        n_min=5,
+    )
+    right = identify(
+        runs,
+        len(classes),
+        default="exponential",
+        motion=motions["exponential"],
+        alternatives={"linear": linear},
+        alpha=0.05,
+        n_min=5,
+    )
     assert {one.kind for one in wrong if not one.kept} == {"exponential"}
     assert sum(not one.kept for one in wrong) > 0.5 * len(wrong)
     assert all(one.kept for one in right)

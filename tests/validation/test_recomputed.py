@@ -56,14 +56,23 @@ def prepared(label: str) -> Prepared:
     )
     model = replace(model, sha=replace(model.sha, locations=places))
     return Prepared(
-        label, label, Found(label, model.sha, model), model, {"own": model}, {}, (), Discovery("", Path(), ())
+        label=label,
+        where=label,
+        found=Found(label, model.sha, model),
+        skeleton=model,
+        variants={"own": model},
+        refusals={},
+        stages=(),
+        discovery=Discovery("", Path(), ()),
     )
 
 
 @pytest.fixture(scope="module")
 def results() -> list[TraceResult]:
     models = [prepared(label) for label in SPREAD]
-    found = outcomes_by_model(models, TRACES, (), Settings(4000), run_here(1), lambda _what, _share: None)
+    found = outcomes_by_model(
+        models, TRACES, without=(), settings=Settings(4000), run=run_here(1), progress=lambda _what, _share: None
+    )
     return [outcome.result for _, outcomes in found for outcome in outcomes]
 
 

@@ -16,7 +16,7 @@ SETTINGS = Settings(runs=400)
 
 
 def run(model: Model, trace: Trace, settings: Settings = SETTINGS, refusal: str = "") -> Outcome:
-    return run_job(Job("plant", "own", model, trace, settings, refusal))
+    return run_job(Job(label="plant", semantics="own", model=model, trace=trace, settings=settings, refusal=refusal))
 
 
 def test_a_trace_that_follows_the_model_exactly_has_no_error_at_all() -> None:

@@ -147,7 +147,13 @@ def test_the_search_is_the_same_with_one_worker_and_with_two(tmp_path: Path) -> 
 
 def test_bins_learns_by_the_settings_and_the_final_model_says_them() -> None:
     given = [short(scenario("cd3"))]
-    trial = Trial(7, {"flow": "constant", "rates": "shared", "hysteresis": 0.1, "debounce": 4.0}, "complete", 1.5, 0.5)
+    trial = Trial(
+        number=7,
+        settings={"flow": "constant", "rates": "shared", "hysteresis": 0.1, "debounce": 4.0},
+        state="complete",
+        value=1.5,
+        error=0.5,
+    )
     taught = final_model(given, DECANTER, "TCuscinettiRiduttore", PLAN, trial, "final")
     origin = taught.model.provenance
     assert (origin.settings["flow"], origin.settings["rates"], origin.settings["tuned_debounce"]) == (

@@ -29,7 +29,16 @@ def prepared(label: str = "plant") -> Prepared:
     cold = replace(model, sha=replace(model.sha, locations=(location("off", 15.0), location("on", 40.0))))
     found = Found(label, model.sha, model, None, (f"note {label}",))
     variants = {"own": model, "thesis": cold}
-    return Prepared(label, label, found, model, variants, {}, (), Discovery("by hand", Path(label), ()))
+    return Prepared(
+        label=label,
+        where=label,
+        found=found,
+        skeleton=model,
+        variants=variants,
+        refusals={},
+        stages=(),
+        discovery=Discovery("by hand", Path(label), ()),
+    )
 
 
 def outcomes(one: Prepared, name: str = "run") -> list[Outcome]:
@@ -49,7 +58,14 @@ def html(tmp_path_factory: pytest.TempPathFactory) -> str:
         draw_one(drawing)
     results = [outcome.result for outcome in done]
     pictures = shown(results, {key: drawing.png for key, drawing in wanted.items()}, home)
-    report = ModelReport(CAMPAIGN, one, [Stage(1, EVIL, EVIL), *records(EVIL, done)], results, pictures, {EVIL: 3})
+    report = ModelReport(
+        campaign=CAMPAIGN,
+        prepared=one,
+        stages=[Stage(1, EVIL, EVIL), *records(EVIL, done)],
+        results=results,
+        pictures=pictures,
+        missing={EVIL: 3},
+    )
     return model_html(report)
 
 
@@ -89,7 +105,9 @@ def test_the_report_has_each_trace_its_verdict_the_failures_sentence_and_says_sy
 
 def test_traces_stand_in_the_order_of_their_numbers() -> None:
     done = outcomes(prepared())
-    report = ModelReport(CAMPAIGN, prepared(), [], [outcome.result for outcome in reversed(done)])
+    report = ModelReport(
+        campaign=CAMPAIGN, prepared=prepared(), stages=[], results=[outcome.result for outcome in reversed(done)]
+    )
     names = [one.trace for one, _ in report.judged]
     assert names == ["run1", "run2", "run10", "run-cold"] * 2
 
@@ -132,15 +150,18 @@ def test_the_gain_is_counted_on_the_traces_that_both_semantics_have() -> None:
 
 def test_the_index_links_each_report_by_its_folder() -> None:
     one = prepared()
-    entry = Entry("plant", ModelReport(CAMPAIGN, one, [], [outcome.result for outcome in outcomes(one)]))
+    entry = Entry(
+        "plant",
+        ModelReport(campaign=CAMPAIGN, prepared=one, stages=[], results=[outcome.result for outcome in outcomes(one)]),
+    )
     text = index_html(CAMPAIGN, [entry], [Stage(1, "plant", "found")])
     assert re.findall(r'href="([^"]+)"', text) == ["plant/report.html"] * 2
 
 
 def test_traces_that_the_model_was_learned_from_are_named() -> None:
     one, results = prepared(), [outcome.result for outcome in outcomes(prepared())]
-    assert "In sample" not in model_html(ModelReport(CAMPAIGN, one, [], results))
+    assert "In sample" not in model_html(ModelReport(campaign=CAMPAIGN, prepared=one, stages=[], results=results))
     origin = Provenance("bins", traces=("run2", "elsewhere"))
     learned = replace(one, skeleton=replace(one.skeleton, provenance=origin))
-    text = model_html(ModelReport(CAMPAIGN, learned, [], results))
+    text = model_html(ModelReport(campaign=CAMPAIGN, prepared=learned, stages=[], results=results))
     assert "learned from traces of the names run2;" in text

@@ -29,7 +29,7 @@ SETTLED = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fitted:
     """A fit: the free run `state`, the `noise` under which it is judged, and the linear problem around it.
 
@@ -69,7 +69,12 @@ def first_noise(model: Model, record: Record) -> Noise:
     seen = [value for value in process if value > 0]
     counts = np.diff(np.append(record.begins, record.rows.size))
     sensor = max(model.sensor_sigma, 0.02) / np.sqrt(float(np.median(counts)))
-    return Noise(max(float(sensor), rounding(model, record)), float(np.median(seen)) / 2 if seen else 0.003, 3e-4, 0.01)
+    return Noise(
+        sensor=max(float(sensor), rounding(model, record)),
+        process=float(np.median(seen)) / 2 if seen else 0.003,
+        rough=3e-4,
+        cycle=0.01,
+    )
 
 
 def rounding(model: Model, record: Record) -> float:
@@ -131,7 +136,7 @@ def fit(
     noise = belief.centre if begin is None else begin.noise
     state = at(frame, np.concatenate([own, [one.strength for one in named]]), start, named)
     for _ in range(rounds):
-        state = _newton_steps(frame, state, start, reading, noise, prior)
+        state = _newton_steps(frame, state, start=start, reading=reading, noise=noise, prior=prior)
         point = _around(frame, state, start, reading)
         before = noise
         noise, cost = _noise(point, frame, belief, noise, iterations)
@@ -141,7 +146,17 @@ def fit(
     inverse = np.linalg.inv(point.columns.T @ weigher.weigh(point.columns) + np.diag(np.maximum(prior, 1e-12)))
     covariance = np.asarray(inverse, dtype=float)
     return Fitted(
-        frame, state, start, noise, point.grid, point.residual, point.columns, prior, point.off, covariance, -cost
+        frame=frame,
+        state=state,
+        start=start,
+        noise=noise,
+        grid=point.grid,
+        residual=point.residual,
+        columns=point.columns,
+        prior=prior,
+        off=point.off,
+        covariance=covariance,
+        likelihood=-cost,
     )
 
 
@@ -164,7 +179,7 @@ def _change(before: Noise, after: Noise) -> float:
     return max(abs(float(np.log(new / old))) for old, new in pairs)
 
 
-def _newton_steps(frame: Frame, state: State, start: Array, reading: Array, noise: Noise, prior: Array) -> State:
+def _newton_steps(frame: Frame, state: State, *, start: Array, reading: Array, noise: Noise, prior: Array) -> State:
     """A few steps of Gauss and Newton, each halved until it does not make things worse."""
     point = _around(frame, state, start, reading)
     for _ in range(NEWTON):

@@ -30,7 +30,7 @@ MOST_SCATTER = float(np.log(0.05))
 """The scatter of a cycle's friction (log): more of it would make up for wrong targets, cycle by cycle."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
     """Standard deviations: `sensor` degC, `process` degC/sqrt(s), `rough` degC/s with the `memory` (s), `cycle` (1).
 
@@ -46,7 +46,7 @@ class Noise:
     rest: float = 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Grid:
     """m windows of R runs, one after the other: `dt` (m,) s since the one before (of no meaning at a run's first).
 
@@ -189,7 +189,14 @@ def vector(noise: Noise) -> Array:
 def noise_of(point: Array) -> Noise:
     """The inverse of `vector`."""
     sensor, process, rough, cycle, memory = np.exp(point[:5]).tolist()
-    return Noise(sensor, process, rough, cycle, memory, float(1.0 / (1.0 + np.exp(-point[5]))))
+    return Noise(
+        sensor=sensor,
+        process=process,
+        rough=rough,
+        cycle=cycle,
+        memory=memory,
+        rest=float(1.0 / (1.0 + np.exp(-point[5]))),
+    )
 
 
 def fit_noise(

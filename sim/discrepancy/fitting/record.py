@@ -34,7 +34,7 @@ NEVER = 1e9
 """Seconds since a start-up that was not seen."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
     """n knots of the traces under `model`'s locations, and m windows of readings.
 
@@ -94,7 +94,9 @@ class Record:
         first = self.window_first
         dt = np.where(first, 1.0, np.diff(times, prepend=times[0] - 1.0))
         rate, share = (np.diff(mean, axis=0, prepend=mean[:1]) / dt[:, None]).T
-        return Grid(dt, np.where(first, 0.0, rate), share, first, self.window_cycle, heats)
+        return Grid(
+            dt=dt, k=np.where(first, 0.0, rate), running=share, first=first, cycle=self.window_cycle, heats=heats
+        )
 
     def where(self, keep: Mask) -> "Record":
         """The knots of whole cycles, of which the first of each piece begins a run of its own."""
@@ -163,7 +165,17 @@ def record_of(
     runs = _cut_late(runs, running)
     window = max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER)
     rows, begins = _windows(runs, cycle, running, window)
-    return Record(model, tuple(signals), runs, running, since, cycle, window, rows, begins)
+    return Record(
+        model=model,
+        signals=tuple(signals),
+        runs=runs,
+        running=running,
+        since=since,
+        cycle=cycle,
+        window=window,
+        rows=rows,
+        begins=begins,
+    )
 
 
 def _cut_late(runs: Runs, running: Array) -> Runs:

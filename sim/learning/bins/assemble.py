@@ -57,7 +57,7 @@ def well_seen(sha: SHA, shape: Shape, fit: Fit, base: Ground) -> Ground:
     return replace(base, seen=tuple(name for name in base.seen if name == best or error[name] < HARDLY))
 
 
-def learned_sha(name: str, sha: SHA, shape: Shape, fit: Fit, noise: Noise, runs: Runs, base: Ground) -> SHA:
+def learned_sha(name: str, sha: SHA, *, shape: Shape, fit: Fit, noise: Noise, runs: Runs, base: Ground) -> SHA:
     """`sha` with all parameters, and every location that `base` has not seen filled in.
 
     A seen location's m scatters by the fitted sigma (drawn towards 1 degC as if one stay had said so) and by what is
@@ -108,10 +108,13 @@ def source_of(name: str, base: Ground) -> str:
 
 def location_fits(sha: SHA, shape: Shape, fit: Fit, runs: Runs, base: Ground) -> tuple[LocationFit, ...]:
     """The table of locations, in the automaton's order."""
-    return tuple(_location_fit(location, place, shape, fit, runs, base) for place, location in enumerate(sha.locations))
+    return tuple(
+        _location_fit(location, place, shape=shape, fit=fit, runs=runs, base=base)
+        for place, location in enumerate(sha.locations)
+    )
 
 
-def _location_fit(location: Location, place: int, shape: Shape, fit: Fit, runs: Runs, base: Ground) -> LocationFit:
+def _location_fit(location: Location, place: int, *, shape: Shape, fit: Fit, runs: Runs, base: Ground) -> LocationFit:
     rows = (runs.place == place) & ~runs.first
     law = location.distribution.params if location.distribution is not None else {}
     target, rate = int(shape.target[place]), int(shape.rate[place])
@@ -134,7 +137,7 @@ def _location_fit(location: Location, place: int, shape: Shape, fit: Fit, runs: 
 
 
 def stay_values(
-    runs: Runs, sha: SHA, shape: Shape, fit: Fit, noise: Noise, base: Ground
+    runs: Runs, sha: SHA, *, shape: Shape, fit: Fit, noise: Noise, base: Ground
 ) -> dict[str, tuple[float, ...]]:
     """The m of each stay by least squares (its temperature at the start free), by location: the histogram's values.
 

@@ -60,7 +60,7 @@ class CandidateScore:
     chosen: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Learned:
     """A learned model, the m of each stay by location (for the histogram file) and how it came about."""
 
@@ -110,7 +110,9 @@ def learn_bins(
     runs, base = _ground(ordered, alphabet, temperature)
     scores, chosen, begin = _select(runs, base, candidates, told)
     told("fitting the chosen candidate", 0.6)
-    fitted = _fit(name, ordered, runs, base, chosen, begin, temperature, FIT_BUDGET)
+    fitted = _fit(
+        name, ordered, runs=runs, base=base, candidate=chosen, begin=begin, temperature=temperature, budget=FIT_BUDGET
+    )
     told("calibrating the bands", 0.75)
     coverage = coverage_of(_held_out_forecasts(ordered, alphabet, temperature, chosen, seed))
     told("done", 1.0)
@@ -125,7 +127,14 @@ def learn_bins(
     )
     factors = {one.horizon: one.factor for one in coverage}
     model = replace(fitted.model, calibration=factors, provenance=provenance)
-    return Learned(model, fitted.values, table, fitted.locations, fitted.noise, coverage)
+    return Learned(
+        model=model,
+        values=fitted.values,
+        candidates=table,
+        locations=fitted.locations,
+        noise=fitted.noise,
+        coverage=coverage,
+    )
 
 
 def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tuple[Runs, Ground]:
@@ -174,6 +183,7 @@ def _select(
 def _fit(
     name: str,
     traces: Sequence[Trace],
+    *,
     runs: Runs,
     base: Ground,
     candidate: Candidate,
@@ -186,7 +196,7 @@ def _fit(
     fit = fit_free_run(few, shape, begin=begin)
     noise = fit_noise(few, shape, fit, process_groups(base.alphabet))
     told = well_seen(sha, shape, fit, base)
-    learned = learned_sha(name, sha, shape, fit, noise, few, told)
+    learned = learned_sha(name, sha, shape=shape, fit=fit, noise=noise, runs=few, base=told)
     model = Model(
         sha=with_range(learned, runs, 4.0 * noise.sensor),
         alphabet=base.alphabet,
@@ -196,7 +206,7 @@ def _fit(
     )
     return _Fitted(
         replace(model, semi_markov=fit_stays(model, traces)),
-        stay_values(few, learned, shape, fit, noise, told),
+        stay_values(few, learned, shape=shape, fit=fit, noise=noise, base=told),
         location_fits(learned, shape, fit, runs, told),
         fit,
         noise,
@@ -218,7 +228,16 @@ def _held_out_forecasts(
             runs, base = _ground(known, alphabet, temperature)
         except LearningError:
             continue
-        model = _fit("part", known, runs, base, candidate, None, temperature, PART_BUDGET).model
+        model = _fit(
+            "part",
+            known,
+            runs=runs,
+            base=base,
+            candidate=candidate,
+            begin=None,
+            temperature=temperature,
+            budget=PART_BUDGET,
+        ).model
         scored += score_forecasts(model, asked, since, rng)
     return scored
 

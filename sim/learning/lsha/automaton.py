@@ -53,7 +53,11 @@ def skeleton_of(ground: Ground, structure: Structure, *, complete: bool) -> Skel
     spent = np.bincount(classes.of_state[ground.runs.place], ground.runs.dt, len(classes))
     seconds = np.asarray(spent, dtype=float)
     names = _names(ground, classes, members, seconds)
-    default = _defaults(ground, classes, structure, members, seconds, observed) if complete else {}
+    default = (
+        _defaults(ground, classes, structure=structure, members=members, seconds=seconds, observed=observed)
+        if complete
+        else {}
+    )
     return Skeleton(names, place, members, observed, default)
 
 
@@ -71,6 +75,7 @@ def _names(ground: Ground, classes: Classes, members: Sequence[Sequence[int]], s
 def _defaults(
     ground: Ground,
     classes: Classes,
+    *,
     structure: Structure,
     members: Sequence[Sequence[int]],
     seconds: Array,

@@ -17,6 +17,7 @@ LEAST_KNOTS = 10
 def bands(
     ground: Ground,
     traces: Sequence[Trace],
+    *,
     temperature: str,
     fitted: Callable[[Ground], Model],
     seed: int,

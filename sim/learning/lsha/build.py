@@ -22,7 +22,7 @@ from sim.sha.model import Model
 from sim.sha.trace import Trace
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
     """A structure ready to be fitted: the flow of each location (`kinds`) and the words that lead there (`words`)."""
 
@@ -39,6 +39,7 @@ class Plan:
 def plan_of(
     name: str,
     temperature: str,
+    *,
     ground: Ground,
     flowing: Flowing,
     structure: Structure,
@@ -51,12 +52,23 @@ def plan_of(
     words = tuple(
         tuple(dict.fromkeys(described(keys[one], ground.alphabet) for one in mine)) for mine in skeleton.members
     )
-    plan = Plan(name, temperature, flowing, skeleton, structure.partition.modelled, (kind,) * size, words, ())
+    plan = Plan(
+        name=name,
+        temperature=temperature,
+        flowing=flowing,
+        skeleton=skeleton,
+        modelled=structure.partition.modelled,
+        kinds=(kind,) * size,
+        words=words,
+        identified=(),
+    )
     if flowing.given is None:
         return plan  # under `resample` there is nothing to ask: a level is a level
     motion, alternatives = flows_of(flowing, ground)
     runs = placed(ground.runs, skeleton.place)
-    answers = identify(runs, size, kind, motion, alternatives, settings.alpha, settings.n_min)
+    answers = identify(
+        runs, size, default=kind, motion=motion, alternatives=alternatives, alpha=settings.alpha, n_min=settings.n_min
+    )
     return _confirmed(plan, answers, ground)
 
 
@@ -100,5 +112,16 @@ def fit(plan: Plan, ground: Ground, budget: int) -> Fitted:
     """All parameters of the automaton by the readings of `ground`."""
     if plan.flowing.given is None:
         sample = sample_of(levels(ground.runs, ground.group), alike(ground))
-        return fit_levels(plan.name, ground, sample, plan.skeleton, plan.modelled, plan.words)
-    return fit_motion(plan.name, ground, plan.flowing, plan.skeleton, plan.modelled, plan.words, plan.kinds, budget)
+        return fit_levels(
+            plan.name, ground, sample=sample, skeleton=plan.skeleton, modelled=plan.modelled, words=plan.words
+        )
+    return fit_motion(
+        plan.name,
+        ground,
+        flowing=plan.flowing,
+        skeleton=plan.skeleton,
+        modelled=plan.modelled,
+        words=plan.words,
+        kinds=plan.kinds,
+        budget=budget,
+    )

@@ -92,7 +92,7 @@ def same_distribution(one: Evidence, other: Evidence, delta: float) -> Answer:
     return Answer(statistic, freedom, 2.0 * float(stdtr(freedom, -statistic)), difference)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
     """Segments ready to be pooled: weights, values relative to `centre`, and the scatter that was assumed.
 
@@ -132,7 +132,14 @@ def sample_of(segments: Segments, alike: Indices) -> Sample:
     weight = 1.0 / (scatter**2 + variance)
     centre = float(np.average(value, weights=weight))
     spread = float(np.sqrt(np.average((value - centre) ** 2, weights=weight)))
-    return Sample(segments, weight, value - centre, centre, scatter, max(spread, 1e-12))
+    return Sample(
+        segments=segments,
+        weight=weight,
+        value=value - centre,
+        centre=centre,
+        scatter=scatter,
+        spread=max(spread, 1e-12),
+    )
 
 
 def _scatter(segments: Segments, alike: Indices) -> float:

@@ -66,6 +66,7 @@ class Fitted:
 def fit_levels(
     name: str,
     ground: Ground,
+    *,
     sample: Sample,
     skeleton: Skeleton,
     modelled: Sequence[bool],
@@ -90,7 +91,16 @@ def fit_levels(
             locations.append(Location(title, Flow("constant", {"noise": drift}), distribution, "resample"))
             values[title] = tuple(sample.segments.value[mine].tolist())
         table.append(
-            _row(ground, skeleton, number, words[number], locations[-1], int(mine.sum()), int(reading[number]), law)
+            _row(
+                ground,
+                skeleton,
+                number=number,
+                words=words[number],
+                location=locations[-1],
+                segments=int(mine.sum()),
+                readings=int(reading[number]),
+                law=law,
+            )
         )
     return Fitted(_sha(name, locations, skeleton), sensor, values, tuple(table))
 
@@ -127,6 +137,7 @@ def _variogram(runs: Runs, pairs: Indices) -> tuple[float, float]:
 def fit_motion(
     name: str,
     ground: Ground,
+    *,
     flowing: Flowing,
     skeleton: Skeleton,
     modelled: Sequence[bool],
@@ -145,7 +156,7 @@ def fit_motion(
     order = sorted(set(where))
     groups = np.array([order.index(each) for each in where], dtype=np.intp)
     noise = fit_noise(runs, shape, fit, groups)
-    bare = _bare(name, ground, shape, skeleton, modelled, drift_noise(ground.runs))
+    bare = _bare(name, ground, shape=shape, skeleton=skeleton, modelled=modelled, unknown=drift_noise(ground.runs))
     sha = with_parameters(bare, shape, fit)
     located = skeleton.place[flowing.sample.segments.place]
     locations, values, table = [], {}, []
@@ -160,7 +171,16 @@ def fit_motion(
             values[location.name] = (_told(flowing.sample, mine, law) if own else ()) or (law[0],)
         locations.append(location)
         table.append(
-            _row(ground, skeleton, number, words[number], location, int(mine.sum()), int(readings[number]), law)
+            _row(
+                ground,
+                skeleton,
+                number=number,
+                words=words[number],
+                location=location,
+                segments=int(mine.sum()),
+                readings=int(readings[number]),
+                law=law,
+            )
         )
     return Fitted(_sha(name, locations, skeleton), noise.sensor, values, tuple(table))
 
@@ -184,7 +204,9 @@ def _with_law(location: Location, law: tuple[float, float, float], noise: float)
     return replace(location, flow=flow, distribution=distribution)
 
 
-def _bare(name: str, ground: Ground, shape: Shape, skeleton: Skeleton, modelled: Sequence[bool], unknown: float) -> SHA:
+def _bare(
+    name: str, ground: Ground, *, shape: Shape, skeleton: Skeleton, modelled: Sequence[bool], unknown: float
+) -> SHA:
     """The automaton with flows but without values, as `with_parameters` wants it."""
     entry: Entry = "none"
     locations = []
@@ -208,6 +230,7 @@ def _sha(name: str, locations: Sequence[Location], skeleton: Skeleton) -> SHA:
 def _row(
     ground: Ground,
     skeleton: Skeleton,
+    *,
     number: int,
     words: Sequence[str],
     location: Location,

@@ -79,7 +79,7 @@ class Rival:
     chosen: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Flowing:
     """A flow hypothesis with its rates and gains, and what the segments say under it.
 
@@ -119,7 +119,7 @@ def choose_flow(ground: Ground, kind: str | None, alpha: float, n_min: int) -> t
     found = [flowing(each, ground, groups, names, few) for each in rivals]
     memories: tuple[Memory, ...] = ("direction", "word") if ground.words.whole else ("direction",)
     seen = [classes_of(ground.words, memory) for memory in memories]
-    scored = [_held_out(each, ground, seen, cut, alpha, n_min) for each in found]
+    scored = [_held_out(each, ground, seen=seen, cut=cut, alpha=alpha, n_min=n_min) for each in found]
     sizes = [size for _, size in scored]
     known = [held for held, _ in scored if held is not None]
     best = choose(known, sizes) if len(known) == len(scored) else sizes.index(min(sizes))
@@ -132,7 +132,14 @@ def flowing(
 ) -> Flowing:
     """The hypothesis fitted to the coarse structure, and every segment's parameter under it."""
     if hypothesis.entry == "resample":
-        return Flowing(hypothesis, groups, None, None, {}, sample_of(levels(ground.runs, ground.group), alike(ground)))
+        return Flowing(
+            hypothesis=hypothesis,
+            groups=groups,
+            shape=None,
+            given=None,
+            rates={},
+            sample=sample_of(levels(ground.runs, ground.group), alike(ground)),
+        )
     # One more location stands for all states without a law: runs begin where one of those ends.
     where = [*(_position(key, ground) for key in names), ""]
     shape, rated = flow_shape(hypothesis, ground, where, [True] * len(names) + [False])
@@ -145,7 +152,14 @@ def flowing(
     unit = float(np.median(shape.spread[np.unique(shape.target[shape.target >= 0])]))
     segments = parameters(ground.runs, ground.group, motion, unit**2)
     by_group = dict(zip(rated, rates.tolist(), strict=True))
-    return Flowing(hypothesis, groups, shape, given, by_group, sample_of(segments, alike(ground)))
+    return Flowing(
+        hypothesis=hypothesis,
+        groups=groups,
+        shape=shape,
+        given=given,
+        rates=by_group,
+        sample=sample_of(segments, alike(ground)),
+    )
 
 
 def _rates(runs: Runs, shape: Shape) -> tuple[Array, Given]:
@@ -157,33 +171,35 @@ def _rates(runs: Runs, shape: Shape) -> tuple[Array, Given]:
     best = fit_at_rates(runs, shape, np.exp(logs), ROUNDS, scale)
     shifts = [shift * shape.rate_spread for shift in (-1.0, 1.0, 2.0, 3.0, 4.0)]
     for trial in [logs + shift for shift in shifts]:
-        logs, best = _better(runs, shape, trial, logs, best, scale)
+        logs, best = _better(runs, shape, trial=trial, logs=logs, best=best, scale=scale)
     for step in (0.5, 0.25, 0.12):
         for one in np.eye(logs.size):
             for sign in (-1.0, 1.0):
-                logs, best = _better(runs, shape, logs + sign * step * one * shape.rate_spread, logs, best, scale)
+                logs, best = _better(
+                    runs, shape, trial=logs + sign * step * one * shape.rate_spread, logs=logs, best=best, scale=scale
+                )
     return np.exp(logs), best
 
 
-def _better(runs: Runs, shape: Shape, trial: Array, logs: Array, best: Given, scale: float) -> tuple[Array, Given]:
+def _better(runs: Runs, shape: Shape, *, trial: Array, logs: Array, best: Given, scale: float) -> tuple[Array, Given]:
     """The trial if its loss, with the prior's, is less."""
     found = fit_at_rates(runs, shape, np.exp(trial), ROUNDS, scale)
     return (trial, found) if found.loss < best.loss else (logs, best)
 
 
 def _held_out(
-    one: Flowing, ground: Ground, seen: Sequence[Classes], cut: Runs | None, alpha: float, n_min: int
+    one: Flowing, ground: Ground, *, seen: Sequence[Classes], cut: Runs | None, alpha: float, n_min: int
 ) -> tuple[HeldOut | None, int]:
     """(held-out free-run errors over the structure that suits the hypothesis, its number of parameters).
 
     `seen` are the words through several memories; the one of the highest score counts.
     """
-    found = [_over(one, ground, classes, cut, alpha, n_min) for classes in seen]
+    found = [_over(one, ground, classes=classes, cut=cut, alpha=alpha, n_min=n_min) for classes in seen]
     return max(found, key=lambda each: each[0].score if each[0] is not None else 0.0)
 
 
 def _over(
-    one: Flowing, ground: Ground, classes: Classes, cut: Runs | None, alpha: float, n_min: int
+    one: Flowing, ground: Ground, *, classes: Classes, cut: Runs | None, alpha: float, n_min: int
 ) -> tuple[HeldOut | None, int]:
     """(held-out errors over the structure by these classes, number of parameters).
 
@@ -207,14 +223,14 @@ def _over(
         for held in range(FOLDS):
             use = part != held
             fewer = merged(classes, one.sample, ground, delta=delta, alpha=alpha, n_min=n_min, use=use)
-            error[fold == held] = _errors(one, ground, fewer, classes, cut, fold == held)
+            error[fold == held] = _errors(one, ground, partition=fewer, classes=classes, cut=cut, mine=fold == held)
         return HeldOut(error[kept], np.unique(cut.run[kept], return_inverse=True)[1]), size
     if one.shape is None:
         return hold_out_levels(placed(cut, place)), size
     return cross_validate(placed(cut, place), shape, one.rates_of(rated), fixed=True), size
 
 
-def _errors(one: Flowing, ground: Ground, partition: Partition, classes: Classes, cut: Runs, mine: Mask) -> Array:
+def _errors(one: Flowing, ground: Ground, *, partition: Partition, classes: Classes, cut: Runs, mine: Mask) -> Array:
     """(m,) the errors of the free runs of `mine` (n,), over a given structure, by targets of the other runs."""
     place = partition.location[classes.of_state]
     runs = placed(cut, place)

@@ -19,7 +19,7 @@ SPREAD = 40.0
 """Spread of the prior of targets, in degC, and what an input moves a target by over one standard deviation of it."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Ground:
     """What every hypothesis is built on.
 
@@ -75,7 +75,15 @@ def ground_of(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_m
     reading = runs.reading[np.isfinite(runs.reading)]
     gains = {signal: SPREAD / s for signal, s in zip(signals, spread.tolist(), strict=True) if s > 0}
     prior = Prior((float(np.median(reading)), SPREAD), gains)
-    return Ground(words, runs, modelled, _groups(runs, split), signals, centre, prior)
+    return Ground(
+        words=words,
+        runs=runs,
+        modelled=modelled,
+        group=_groups(runs, split),
+        signals=signals,
+        centre=centre,
+        prior=prior,
+    )
 
 
 def _modelled(words: Words, runs: Runs, something: Mask) -> Mask:

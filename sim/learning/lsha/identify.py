@@ -25,7 +25,7 @@ LEAST_READINGS = 4
 """Readings of a segment that can tell flows apart: two unknowns, and two more."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Identified:
     """The answer for one location: the `kind` that fits best, against the `default` one.
 
@@ -44,7 +44,7 @@ class Identified:
 
 
 def identify(
-    runs: Runs, size: int, default: str, motion: Motion, alternatives: Mapping[str, Flow], alpha: float, n_min: int
+    runs: Runs, size: int, *, default: str, motion: Motion, alternatives: Mapping[str, Flow], alpha: float, n_min: int
 ) -> tuple[Identified, ...]:
     """The answers for the locations 0..size-1 that have `n_min` segments of four readings or more."""
     own = _log_squares(runs, motion)
@@ -62,7 +62,18 @@ def identify(
         )
         p, gain, kind = best
         kept = p >= alpha / queries
-        answers.append(Identified(number, default, default if kept else kind, int(rows.sum()), -gain, p, queries, kept))
+        answers.append(
+            Identified(
+                location=number,
+                default=default,
+                kind=default if kept else kind,
+                segments=int(rows.sum()),
+                gain=-gain,
+                p=p,
+                queries=queries,
+                kept=kept,
+            )
+        )
     return tuple(answers)
 
 

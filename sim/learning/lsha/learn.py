@@ -121,14 +121,38 @@ def learn_lsha(
     ground = ground_of(ordered, alphabet, temperature, chosen.n_min, chosen.split)
     asked = _ask(ground, chosen, told)
     told(f"fitting {asked.structure.partition.laws} locations", 0.6)
-    plan = plan_of(name, temperature, ground, asked.flowing, asked.structure, asked.skeleton, chosen)
+    plan = plan_of(
+        name,
+        temperature,
+        ground=ground,
+        flowing=asked.flowing,
+        structure=asked.structure,
+        skeleton=asked.skeleton,
+        settings=chosen,
+    )
     fitted, model = fitted_model(plan, ground, ordered, BUDGET)
     told("calibrating the bands", 0.8)
-    coverage = bands(ground, ordered, temperature, lambda part: _part(plan, part, model), seed, ORIGINS)
+    coverage = bands(
+        ground,
+        ordered,
+        temperature=temperature,
+        fitted=lambda part: _part(plan, part, model),
+        seed=seed,
+        origins=ORIGINS,
+    )
     checked = acceptance(asked.skeleton, ordered)
     if checked.failure:
         raise LearningError(f"the learned automaton does not accept {checked.failure}; this is a defect, report it")
-    report = _report(ground, chosen, asked, plan, fitted, checked, coverage, len(given) - len(ordered))
+    report = _report(
+        ground,
+        chosen,
+        asked=asked,
+        plan=plan,
+        fitted=fitted,
+        checked=checked,
+        coverage=coverage,
+        copies=len(given) - len(ordered),
+    )
     origin = _origin(report, ordered, data_hash or digest, seed, asked)
     told("done", 1.0)
     model = replace(model, calibration={one.horizon: one.factor for one in coverage}, provenance=origin)
@@ -162,6 +186,7 @@ def _ask(ground: Ground, settings: LshaSettings, told: Progress) -> _Asked:
 def _report(
     ground: Ground,
     settings: LshaSettings,
+    *,
     asked: _Asked,
     plan: Plan,
     fitted: Fitted,

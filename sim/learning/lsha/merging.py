@@ -28,7 +28,7 @@ TRIED = 6
 Verdict = Literal["new", "merged", "default", "dissolved"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
     """Why class `row` is where it is. `other` is the class that its location began with (itself for a new one).
 
@@ -81,7 +81,7 @@ class Partition:
         return sum(self.modelled)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _State:
     """The partition while it is made: union-find over classes, edges and evidence of each set; the rows done (C,)."""
 
@@ -187,7 +187,15 @@ def learn_partition(
     size = len(classes)
     fixed = {number for number in range(size) if not modelled[number]}
     edges = [dict(each) for each in classes.edges]
-    state = _State(list(range(size)), edges, list(evidence), fixed, [False] * size, delta, n_min)
+    state = _State(
+        parent=list(range(size)),
+        edges=edges,
+        evidence=list(evidence),
+        fixed=fixed,
+        placed=[False] * size,
+        delta=delta,
+        n_min=n_min,
+    )
     level = alpha / max(sum(one.count > 0 for one in evidence), 1)
     free = [number for number in range(size) if number not in fixed]
     if classes.memory == "word":
@@ -229,24 +237,39 @@ def _decide(state: _State, row: int, classes: Classes, level: float) -> list[Dec
         else:
             refused = refused or query or against
     if not allowed:
-        return [_new(state, row, here, answers, equal, refused)]
+        return [_new(state, row, here=here, answers=answers, equal=equal, refused=refused)]
     # A single word says little by itself: of several merges the one for which most of what follows was compared.
     one, fold = max(allowed, key=lambda found: len(found[1].answers))
     fold.commit()
     verdict: Verdict = "default" if one == default and mine.count < state.n_min else "merged"
-    return [Decision(row, verdict, one, int(mine.count), answers[one])]
+    return [Decision(row=row, verdict=verdict, other=one, evidence=int(mine.count), answer=answers[one])]
 
 
 def _new(
-    state: _State, row: int, here: int, answers: dict[int, Answer], equal: Sequence[int], refused: Query | None
+    state: _State, row: int, *, here: int, answers: dict[int, Answer], equal: Sequence[int], refused: Query | None
 ) -> Decision:
     """The row becomes a location: what was most like it, and what told them apart."""
     state.known.append(here)
     count = int(state.evidence[here].count)
     if refused is not None:
-        return Decision(row, "new", here, count, refused.answer, equal[0], refused.suffix)
+        return Decision(
+            row=row,
+            verdict="new",
+            other=here,
+            evidence=count,
+            answer=refused.answer,
+            rival=equal[0],
+            suffix=refused.suffix,
+        )
     best = max(answers, key=lambda one: answers[one].p, default=None)
-    return Decision(row, "new", here, count, answers[best] if best is not None else None, best)
+    return Decision(
+        row=row,
+        verdict="new",
+        other=here,
+        evidence=count,
+        answer=answers[best] if best is not None else None,
+        rival=best,
+    )
 
 
 def _placed(state: _State, row: int, classes: Classes, level: float) -> list[Decision]:
@@ -255,7 +278,7 @@ def _placed(state: _State, row: int, classes: Classes, level: float) -> list[Dec
         fold = _Fold(state)
         if fold.join(state.find(row), one) is None and fold.worst()[0] >= level:
             fold.commit()
-            return [Decision(row, "default", one, 0)]
+            return [Decision(row=row, verdict="default", other=one, evidence=0)]
     return []
 
 
@@ -292,7 +315,9 @@ def _dissolved(state: _State, level: float) -> list[Decision]:
             fold = _Fold(state)
             if fold.join(one, other) is None and _rest(fold, level):
                 fold.commit()
-                decisions.append(Decision(one, "dissolved", other, int(mine.count), answers[other]))
+                decisions.append(
+                    Decision(row=one, verdict="dissolved", other=other, evidence=int(mine.count), answer=answers[other])
+                )
                 break
     return decisions
 

@@ -77,7 +77,7 @@ def meaning(alphabet: Alphabet) -> Meaning:
     return Meaning(alphabet, symbols, tuple(not isinstance(each, Switch) for each in alphabet.channels))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Words:
     """The finest automaton of some traces: its states are numbered from 0, the state in which nothing is known.
 
@@ -136,7 +136,7 @@ def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> Words:
             _, count = edges.get((here, symbol), (there, 0))
             edges[here, symbol] = (there, count + 1)
             here = there
-    return Words(table, tuple(number), edges, tuple(first), tuple(nodes), whole)
+    return Words(meaning=table, states=tuple(number), edges=edges, first=tuple(first), tree=tuple(nodes), whole=whole)
 
 
 def _stretches(trace: Trace, table: Meaning) -> list[tuple[str, int, Word]]:
