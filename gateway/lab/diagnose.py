@@ -14,7 +14,7 @@ from gateway.console.traces import load
 
 if TYPE_CHECKING:
     from gateway.lab.diagnosing import Request, Told
-    from sim.discrepancy.diagnosis import Place
+    from sim.discrepancy.diagnosis import HeatPlace
     from sim.sha.model import Model
     from sim.sha.trace import Trace
     from sim.traces.column_map import ColumnMap
@@ -136,7 +136,7 @@ def show(told: "Told", out: Path) -> None:
         click.echo(f"new model: {one.model_after}{_verified(told.verification)}")
 
 
-def _place(one: "Place") -> list[object]:
+def _place(one: "HeatPlace") -> list[object]:
     goes = one.when or one.correlates
     return [one.location, one.after, _span(one.seconds), one.share, one.heat, _of(one.cycles), one.p, goes]
 

@@ -14,7 +14,7 @@ from sim.discrepancy.catalogue import ROLES
 from sim.discrepancy.diagnosis import Diagnosis
 from sim.discrepancy.output.folder import MODEL, check_folder, write_diagnosis
 from sim.discrepancy.output.report import Occasion
-from sim.discrepancy.workflow import Outcome, diagnose
+from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 from sim.sha.model import Model
 from sim.sha.trace import Trace, joint_hash
 from sim.traces.column_map import ColumnMap
@@ -92,7 +92,7 @@ def run(request: Request, model: Model, traces: Sequence[Trace], roles: Mapping[
     return Told(diagnosis, reasons)
 
 
-def new_model(request: Request, model: Model, traces: Sequence[Trace], outcome: Outcome) -> Model | None:
+def new_model(request: Request, model: Model, traces: Sequence[Trace], outcome: DiagnosisOutcome) -> Model | None:
     """The model with what was found and its lineage; None where nothing is added."""
     if outcome.fitted is None or not outcome.diagnosis.effects:
         return None

@@ -17,7 +17,7 @@ from sim.validation.campaign import Progress, outcomes_by_model, run_here, unrea
 from sim.validation.output_folder import CAMPAIGN, read_results
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared, Wanted, prepare, relabelled
-from sim.validation.trace_run import Settings
+from sim.validation.trace_run import TraceRunSettings
 
 GENERATION = "04_model_generation.json"
 
@@ -59,7 +59,7 @@ def _fresh(wish: Campaign, progress: Progress) -> Compared:
     training = load_traces(list(wish.training), column_map)[0] if wish.training else None
     prepared = _prepared(wish, training)
     run = run_here(wish.jobs or len(os.sched_getaffinity(0)))
-    settings = Settings(wish.runs, seed=wish.seed)
+    settings = TraceRunSettings(wish.runs, seed=wish.seed)
     told = outcomes_by_model(
         prepared, traces, without=unread(report, traces), settings=settings, run=run, progress=progress
     )

@@ -13,7 +13,7 @@ from gateway.console.output import Exit, emit, progress, sentences, table
 from gateway.console.traces import load
 
 if TYPE_CHECKING:
-    from sim.ranking.tuning import Objective, Plan, Tuning
+    from sim.ranking.tuning import Objective, StudyPlan, Tuning
     from sim.sha.trace import Trace
     from sim.traces.column_map import ColumnMap
 
@@ -68,12 +68,12 @@ def tune(
     standard error, paired by trace. A search that was stopped or killed goes on with the same command; a study of
     other traces, another method or other settings is refused.
     """
-    from sim.ranking.tuning import Plan
+    from sim.ranking.tuning import StudyPlan
     from sim.ranking.tuning import tune as searched
 
     with sentences(), progress(f"tuning ({method})") as bar, interruptible(bar) as report:
         traces, column_map = _traces(paths, map_name, cycles=cycles)
-        plan = Plan(method, objective, folds, seed)
+        plan = StudyPlan(method, objective, folds, seed)
         found = searched(
             traces,
             column_map.alphabet,
@@ -102,7 +102,7 @@ def _traces(paths: Sequence[str], map_name: str, *, cycles: bool) -> "tuple[list
 
 
 def _write(
-    found: "Tuning", traces: "Sequence[Trace]", column_map: "ColumnMap", plan: "Plan", name: str, out: Path
+    found: "Tuning", traces: "Sequence[Trace]", column_map: "ColumnMap", plan: "StudyPlan", name: str, out: Path
 ) -> Path:
     from sim.artefacts.model_directory import write_model_directory
     from sim.ranking.tuning import final_model
@@ -114,7 +114,7 @@ def _write(
     return out
 
 
-def _tell(found: "Tuning", plan: "Plan", study: Path, written: Path | None, *, as_json: bool) -> None:
+def _tell(found: "Tuning", plan: "StudyPlan", study: Path, written: Path | None, *, as_json: bool) -> None:
     data = {
         "method": plan.method,
         "objective": plan.objective,
@@ -128,7 +128,7 @@ def _tell(found: "Tuning", plan: "Plan", study: Path, written: Path | None, *, a
         raise SystemExit(Exit.INTERRUPTED)
 
 
-def _show(found: "Tuning", plan: "Plan", study: Path, written: Path | None) -> None:
+def _show(found: "Tuning", plan: "StudyPlan", study: Path, written: Path | None) -> None:
     unit = "CRPS (°C)" if plan.objective == "crps" else "minus log-likelihood per reading"
     complete = sorted((one for one in found.trials if one.state == "complete"), key=lambda one: one.value)
     rows = [[one.number, one.value, one.error, one.settings or "defaults"] for one in complete[:SHOWN]]

@@ -80,9 +80,9 @@ def validate(
     try:
         with sentences(), progress("validating") as bar, interruptible(bar) as report:
             from gateway.lab.validation import Request, campaign
-            from sim.validation.trace_run import Settings
+            from sim.validation.trace_run import TraceRunSettings
 
-            place, settings = shipped("traces", map_name), Settings(runs, policy, seed)
+            place, settings = shipped("traces", map_name), TraceRunSettings(runs, policy, seed)
             request = Request(
                 models, paths, place, out, overwrite, wanted, training, settings, jobs, address, pictures, time.time()
             )

@@ -15,13 +15,13 @@ from sim.sha.trace import Trace
 from sim.traces.column_map import ColumnMap, load_map
 from sim.traces.traces import load_traces, units
 from sim.validation.campaign import Progress, Runner, cluster, run_here, unread
-from sim.validation.conduct import Plan, conduct
+from sim.validation.conduct import CampaignPlan, conduct
 from sim.validation.output_folder import LEARNED, check_folder, claim_folder, held
-from sim.validation.report import Campaign
+from sim.validation.report import CampaignSummary
 from sim.validation.results import TraceResult
 from sim.validation.stage_records import load_stage
 from sim.validation.stages import Prepared, Wanted, prepare, relabelled
-from sim.validation.trace_run import Settings
+from sim.validation.trace_run import TraceRunSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Request:
     overwrite: bool
     wanted: Wanted
     training: Sequence[str]
-    settings: Settings
+    settings: TraceRunSettings
     jobs: int | None
     address: str | None
     pictures: bool
@@ -62,7 +62,9 @@ def campaign(
         loading = load_stage(report, perf_counter() - begin)
         facts = _facts(request, traces)
         created = datetime.fromtimestamp(request.created, UTC).strftime("%Y-%m-%d %H:%M UTC")
-        plan = Plan(request.settings, run, workers, request.pictures, units(column_map), Campaign(created, facts))
+        plan = CampaignPlan(
+            request.settings, run, workers, request.pictures, units(column_map), CampaignSummary(created, facts)
+        )
         with held(request.out):
             stale = check_folder(request.out, overwrite=request.overwrite)  # again: nobody else can write there now
             folder = claim_folder(request.out, stale, (), {"created": created, **facts})

@@ -11,7 +11,7 @@ from sim.artefacts.flow_kinds import equation_text, quoted
 from sim.artefacts.histogram import Histogram
 from sim.artefacts.report import EFFECT, EMPTY_WORD, UNOBSERVED, Report, ReportedLaw, ReportedLocation, Row, Table
 from sim.effects.kinds import told
-from sim.learning.lsha.table import ObservationTable, TableRow
+from sim.learning.lsha.hypothesis import ObservationTable, TableRow
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet, Bins

@@ -15,7 +15,7 @@ from sim.artefacts.files import at, read_text, refused, replace_durably, sync_di
 from sim.artefacts.from_model import RawValues, to_artefacts
 from sim.artefacts.json_reading import Node, parse_json
 from sim.artefacts.model_json import model_hash, model_text, parse_model
-from sim.learning.lsha.table import ObservationTable
+from sim.learning.lsha.hypothesis import ObservationTable
 from sim.sha.model import Model
 
 MODEL_FILE = "model.json"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.discrepancy.diagnosis import Course
+from sim.discrepancy.diagnosis import DiagnosisCourse
 from sim.sha.trace import Array, Mask
 
 EDGES = (0.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
@@ -54,7 +54,7 @@ class HeatMap:
         return np.asarray(self.cycles < FEW)
 
 
-def heat_map(course: Course) -> HeatMap | None:
+def heat_map(course: DiagnosisCourse) -> HeatMap | None:
     """The map of a course; None where no window has a heat and a start or stop before it."""
     since = np.asarray(course.since_event, dtype=float)
     known = np.isfinite(course.heat_before) & np.isfinite(since) & (since >= 0) & (since <= LONGEST)

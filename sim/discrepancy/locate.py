@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import Place
+from sim.discrepancy.diagnosis import HeatPlace
 from sim.discrepancy.fitting.fit import Fitted
 from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.heat import Blocks, blocks_of, event_names, flips
@@ -32,7 +32,7 @@ class _Cell:
     when: str = ""
 
 
-def places(fitted: Fitted, seed: int) -> tuple[Place, ...]:
+def places(fitted: Fitted, seed: int) -> tuple[HeatPlace, ...]:
     """The cells in which the heat is not chance, the greatest share first."""
     record = fitted.frame.record
     blocks = blocks_of(fitted, 240.0)
@@ -57,7 +57,7 @@ def places(fitted: Fitted, seed: int) -> tuple[Place, ...]:
             same = np.sign(sums[speaking, column]) == np.sign(z[column])
             heat = float(np.sum(energy[cell.rows]) / np.sum(blocks.seconds[cell.rows]))
             found.append(
-                Place(
+                HeatPlace(
                     location=record.model.sha.locations[cell.location].name,
                     after=cell.after,
                     seconds=cell.seconds,

@@ -37,7 +37,7 @@ INVISIBLE = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
+class EffectEvidence:
     """An entry against what a fit leaves: its best shape, its gain (nats), and the joint refit where there was one.
 
     `visible`, `z`, `robust` and `cycles` are those of `diagnosis.Candidate`. `spread` is over how many cycles its
@@ -64,7 +64,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class NamingStep:
     """A step from a fit: the evidence of every entry with its signals, best first; the threshold; and cosines.
 
     `cosines` gives, for the best entry, the cosine of each other entry's effect with its own, the model's parameters
@@ -72,12 +72,12 @@ class Step:
     """
 
     before: Fitted
-    evidence: tuple[Evidence, ...]
+    evidence: tuple[EffectEvidence, ...]
     threshold: float
     cosines: Mapping[str, float]
 
     @property
-    def best(self) -> Evidence | None:
+    def best(self) -> EffectEvidence | None:
         """The entry of the greatest gain."""
         return self.evidence[0] if self.evidence else None
 
@@ -99,7 +99,7 @@ class Step:
         return self.best.gain - max(others, default=0.0)
 
 
-def step(before: Fitted, entries: Sequence[Entry], roles: Mapping[str, str], seed: int) -> Step:
+def step(before: Fitted, entries: Sequence[Entry], roles: Mapping[str, str], seed: int) -> NamingStep:
     """Screen and confirm `entries` on top of a fit."""
     found = screen(before, entries, roles)
     threshold = max(float(np.quantile(null_maximum(found, seed), SURE)), LEAST_GAIN)
@@ -109,10 +109,10 @@ def step(before: Fitted, entries: Sequence[Entry], roles: Mapping[str, str], see
     confirmed = [confirm(before, one) for one in chosen]
     rest = [one for one in evidence if one.entry.name not in {each.entry.name for each in confirmed}]
     order = tuple(sorted([*confirmed, *rest], key=lambda one: -one.gain))
-    return Step(before, order, threshold, _cosines(before, order))
+    return NamingStep(before, order, threshold, _cosines(before, order))
 
 
-def _evidence(found: Screen, number: int) -> Evidence:
+def _evidence(found: Screen, number: int) -> EffectEvidence:
     shape = found.shapes[number]
     parts, shares = found.by_cycle[:, number], np.maximum(found.information[:, number], 0.0)
     total, mass = float(parts.sum()), float(shares.sum())
@@ -121,7 +121,7 @@ def _evidence(found: Screen, number: int) -> Evidence:
     same = np.sign(parts[speaking]) == np.sign(total)
     others = (total - parts) / np.maximum(mass - shares, 1e-300)
     carried = float(np.sum(parts * others - 0.5 * shares * others**2))
-    return Evidence(
+    return EffectEvidence(
         entry=shape.entry,
         shape=shape,
         gain=float(found.gain[number]),
@@ -136,7 +136,7 @@ def _evidence(found: Screen, number: int) -> Evidence:
     )
 
 
-def confirm(before: Fitted, one: Evidence) -> Evidence:
+def confirm(before: Fitted, one: EffectEvidence) -> EffectEvidence:
     """The evidence with its shape refined and everything fitted anew together: the likeliest of its alternatives."""
     either = one.entry.either
     shapes = [
@@ -146,7 +146,7 @@ def confirm(before: Fitted, one: Evidence) -> Evidence:
     return max((_confirmed(before, replace(one, shape=shape)) for shape in shapes), key=lambda each: each.gain)
 
 
-def _confirmed(before: Fitted, one: Evidence) -> Evidence:
+def _confirmed(before: Fitted, one: EffectEvidence) -> EffectEvidence:
     strength = _first_strength(before, one)
     named = refined(before, one.shape, strength)
     fitted = fit(
@@ -180,7 +180,7 @@ def amplitude(before: Fitted, shape: Shape, named: Named) -> float:
     return float(abs(strength) * np.sqrt(np.mean(left**2)))
 
 
-def _first_strength(before: Fitted, one: Evidence) -> float:
+def _first_strength(before: Fitted, one: EffectEvidence) -> float:
     smooth = smooth_course(before)
     found = judged(before, (one.shape,), columns_of(before, (one.shape,), smooth))
     return float(found.strength[0])
@@ -192,7 +192,7 @@ def _without_strength(named: Named) -> dict[str, float]:
     return {name: value for name, value in named.params.items() if name != named.entry.strength}
 
 
-def _cosines(before: Fitted, evidence: Sequence[Evidence]) -> dict[str, float]:
+def _cosines(before: Fitted, evidence: Sequence[EffectEvidence]) -> dict[str, float]:
     """Under the noise of the best entry's refit, where there is one."""
     if not evidence:
         return {}

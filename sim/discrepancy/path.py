@@ -3,15 +3,15 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from sim.discrepancy.fitting.fit import Fitted, fit
-from sim.discrepancy.judging import OVERWHELMING, Found, dubious, insignificant
-from sim.discrepancy.naming import MARGIN, Step, entries_besides, step
+from sim.discrepancy.judging import OVERWHELMING, NamingResult, dubious, insignificant
+from sim.discrepancy.naming import MARGIN, NamingStep, entries_besides, step
 
 Progress = Callable[[str, float], None]
-Judged = tuple[Step, str]
+Judged = tuple[NamingStep, str]
 """A step, and why its best entry is refused ("": it is taken)."""
 
 
-def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: Progress) -> Found:
+def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: Progress) -> NamingResult:
     """Effects named one after the other, each on top of the ones before, until none deserves it; then revised.
 
     `present` gives the signal of each role. An effect that is clear but for rivals that stand too near is taken for the
@@ -36,11 +36,11 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: P
         told("looking at each name again", 0.25 + 0.6 * most / (most + 1))
         taken, fitted = revised(fitted, taken, present, seed + most, len(taken) - 1)
     if any(refusal for _, refusal in taken):
-        return Found(base, base, tuple(taken[-1:]))
-    return Found(base, fitted, (*taken, *refused))
+        return NamingResult(base, base, tuple(taken[-1:]))
+    return NamingResult(base, fitted, (*taken, *refused))
 
 
-def _open(one: Step, earlier: Sequence[Step]) -> bool:
+def _open(one: NamingStep, earlier: Sequence[NamingStep]) -> bool:
     """Whether a step's best is beyond doubt but for its margin over its rivals."""
     clear = one.best is not None and one.best.gain >= OVERWHELMING and not insignificant(one, earlier)
     return clear and one.margin < MARGIN

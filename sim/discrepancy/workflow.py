@@ -20,7 +20,7 @@ from sim.discrepancy.fitting.fit import Fitted, fit
 from sim.discrepancy.fitting.record import Record, in_order, patiently, record_of
 from sim.discrepancy.gap import Excess, excess, spread_of
 from sim.discrepancy.held_out import by_cycles, compared
-from sim.discrepancy.judging import Found, doubts, left_over, systematic, untested, verdict_of
+from sim.discrepancy.judging import NamingResult, doubts, left_over, systematic, untested, verdict_of
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
@@ -38,7 +38,7 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class DiagnosisOutcome:
     """A diagnosis, the effects that it adds to the model, and the fit that has them (None with too little data)."""
 
     diagnosis: Diagnosis
@@ -47,7 +47,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, slots=True)
-class Hand:
+class DiagnosisContext:
     """What every step has at hand: the seed, the roles that are `present` and all `roles`, and whom to tell."""
 
     seed: int
@@ -64,7 +64,7 @@ def diagnose(
     roles: Mapping[str, str] = ROLES,
     most: int = MOST_NAMES,
     progress: Progress | None = None,
-) -> Outcome:
+) -> DiagnosisOutcome:
     """The diagnosis of `traces` against `model`, with at most `most` names.
 
     `roles` gives the signal of each role; those that no trace has take their effects off the table. Raises ValueError,
@@ -78,7 +78,7 @@ def diagnose(
     record = record_of(model, given, signals_needed(model, present))
     cycles = np.unique(record.cycle)
     if cycles.size < LEAST_CYCLES:
-        return Outcome(_too_little(model, int(cycles.size)), (), None)
+        return DiagnosisOutcome(_too_little(model, int(cycles.size)), (), None)
     first = cycles[max(round((1.0 - HELD_OUT) * cycles.size), LEAST_CYCLES - 1)]
     whole = frame_of(record)
     training = on(whole, record.where(record.cycle < first))
@@ -92,7 +92,7 @@ def diagnose(
     own = spread_of(model, given, base)
     beyond = excess(base, own), excess(found.fitted, own)
     return _concluded(
-        model, found, held_out=held_out, before=before, beyond=beyond, hand=Hand(seed, present, roles, told)
+        model, found, held_out=held_out, before=before, beyond=beyond, hand=DiagnosisContext(seed, present, roles, told)
     )
 
 
@@ -115,13 +115,13 @@ def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
 
 def _concluded(
     model: Model,
-    found: Found,
+    found: NamingResult,
     *,
     held_out: Record,
     before: Ceiling | None,
     beyond: tuple[Excess | None, Excess | None],
-    hand: Hand,
-) -> Outcome:
+    hand: DiagnosisContext,
+) -> DiagnosisOutcome:
     after = found.fitted
     left = ceiling(after, hand.seed) if found.taken else before
     held, first, second = compared(found.base, after, held_out, hand.seed)
@@ -159,10 +159,10 @@ def _concluded(
         model_before=model.sha.name,
         model_after=None,
     )
-    return Outcome(diagnosis, after.state.named if kept else (), after)
+    return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after)
 
 
-def _settings(found: Found, seed: int, beyond: tuple[Excess | None, Excess | None]) -> dict[str, float]:
+def _settings(found: NamingResult, seed: int, beyond: tuple[Excess | None, Excess | None]) -> dict[str, float]:
     noise = found.fitted.noise
     names = ("excess_before", "excess_after")
     far = {name: one.median for name, one in zip(names, beyond, strict=True) if one is not None}

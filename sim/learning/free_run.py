@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares
 
 from sim.engine.recursion import linear_recursion
-from sim.learning.runs import Indices, Runs
+from sim.learning.runs import FreeRuns, Indices
 from sim.sha.automaton import Flow
 from sim.sha.flows import FLOWS, coefficients
 from sim.sha.trace import Array, Mask
@@ -40,7 +40,7 @@ Loss = Literal["huber", "squares"]
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class FitShape:
     """Which parameter stands where: L locations, q inputs, p linear parameters, r rates. Equal numbers are shared.
 
     `kinds` (L,) are keys of FLOWS, `rate` (L,) the number of each location's rate, `target` (L,) that of its m and
@@ -61,7 +61,7 @@ class Shape:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fit:
+class FreeRunFit:
     """The parameters that maximise the free-run likelihood, and how well they are known.
 
     `linear` (p,), `rates` (r,) natural units; `errors` (p + r,) are standard errors, of log(rate) for the rates;
@@ -100,7 +100,7 @@ class Fit:
         return np.asarray(np.sqrt(np.maximum(np.diag(linear) - explained, 0.0)))
 
 
-def steps(runs: Runs, shape: Shape, log_rates: Array) -> tuple[Array, Array]:
+def steps(runs: FreeRuns, shape: FitShape, log_rates: Array) -> tuple[Array, Array]:
     """(decay, pull) of every step at the given log(rate); exactly (0, 0) where a run begins."""
     decay, pull = np.ones(len(runs)), np.zeros(len(runs))
     for place in np.unique(runs.place):
@@ -114,7 +114,7 @@ def steps(runs: Runs, shape: Shape, log_rates: Array) -> tuple[Array, Array]:
     return decay, pull
 
 
-def loads(runs: Runs, shape: Shape) -> Array:
+def loads(runs: FreeRuns, shape: FitShape) -> Array:
     """(n, p) what each linear parameter adds to the target of each step, per unit of the parameter."""
     rows = np.arange(len(runs))
     total = np.zeros((len(runs), shape.centre.size))
@@ -147,8 +147,8 @@ class _Linear:
 class _Problem:
     """Readings, loads and the present weights: all that does not depend on the rates."""
 
-    runs: Runs
-    shape: Shape
+    runs: FreeRuns
+    shape: FitShape
     load: Array
     rows: Indices
     reading: Array
@@ -295,7 +295,7 @@ def correlation_time(residual: Array, begins: Mask) -> float:
     return min(max(total, 1.0), max(residual.size / 10.0, 1.0))
 
 
-def fit_free_run(runs: Runs, shape: Shape, *, begin: Array | None = None, loss: Loss = "huber") -> Fit:
+def fit_free_run(runs: FreeRuns, shape: FitShape, *, begin: Array | None = None, loss: Loss = "huber") -> FreeRunFit:
     """The parameters of greatest free-run likelihood (with the weak priors of `shape`) on `runs`.
 
     `begin` (r,) are the rates from which the search starts (default: the best of a coarse scan). With `huber` a reading
@@ -331,7 +331,7 @@ def fit_free_run(runs: Runs, shape: Shape, *, begin: Array | None = None, loss: 
     sense, _ = problem.project(_sensitivity(problem, log_rates, solved), solved.start)
     covariance = _covariance(problem, np.column_stack([solved.columns, sense]), error)
     starts = solved.mean[runs.first]
-    return Fit(
+    return FreeRunFit(
         linear=solved.linear,
         rates=np.exp(log_rates),
         covariance=covariance,
@@ -343,7 +343,7 @@ def fit_free_run(runs: Runs, shape: Shape, *, begin: Array | None = None, loss: 
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class LinearFit:
     """The linear parameters of greatest likelihood at given rates: `linear` (p,), `sigma` (degC), the Huber `loss`."""
 
     linear: Array
@@ -351,7 +351,9 @@ class Given:
     loss: float
 
 
-def fit_at_rates(runs: Runs, shape: Shape, rates: Array, rounds: int = 3, scale: float | None = None) -> Given:
+def fit_at_rates(
+    runs: FreeRuns, shape: FitShape, rates: Array, rounds: int = 3, scale: float | None = None
+) -> LinearFit:
     """`fit_free_run` without its search: the rates (r,) are given, and a few rounds of reweighting are enough.
 
     `loss` is the mean of Huber's loss at `scale` (degC; default: the fit's own), so that rates can be compared.
@@ -376,7 +378,7 @@ def fit_at_rates(runs: Runs, shape: Shape, rates: Array, rounds: int = 3, scale:
         sigma = robust_sigma(error)
         problem = replace(problem, weight=_weights(error, sigma, "huber"), noise=sigma**2)
     z = np.abs(error) / (scale or sigma)
-    return Given(solved.linear, sigma, float(np.mean(np.where(z < HUBER, 0.5 * z * z, HUBER * z - 0.5 * HUBER**2))))
+    return LinearFit(solved.linear, sigma, float(np.mean(np.where(z < HUBER, 0.5 * z * z, HUBER * z - 0.5 * HUBER**2))))
 
 
 def _weights(error: Array, sigma: float, loss: Loss) -> Array:
@@ -405,7 +407,7 @@ def _covariance(problem: _Problem, columns: Array, error: Array) -> Array:
     return np.asarray(covariance * np.outer(widen, widen))
 
 
-def predict(runs: Runs, shape: Shape, linear: Array, rates: Array, sigma: float) -> Array:
+def predict(runs: FreeRuns, shape: FitShape, linear: Array, rates: Array, sigma: float) -> Array:
     """(n,) the free run of given parameters; each run's start temperature fitted to its readings.
 
     The start temperature minimises the Huber loss at the scale `sigma` (degC).

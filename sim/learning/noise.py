@@ -14,8 +14,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from sim.learning.data import resolution
-from sim.learning.free_run import RATES, Fit, Shape, loads
-from sim.learning.runs import Indices, Runs, sampled
+from sim.learning.free_run import RATES, FitShape, FreeRunFit, loads
+from sim.learning.runs import FreeRuns, Indices, sampled
 from sim.sha.automaton import Flow
 from sim.sha.flows import FLOWS, coefficients
 from sim.sha.trace import Array, Mask
@@ -29,7 +29,7 @@ DRIFT_SPAN = 300.0
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class NoiseLevels:
     """`sensor` (degC); `process` (G,), degC/sqrt(s), by group of locations; `scatter` (L,), the sigma of each m.
 
     `score` is the mean log-likelihood per reading of the one-step predictions and of those at each of HORIZONS.
@@ -42,7 +42,7 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Steps:
+class _AffineSteps:
     """Every knot's affine step: X' = decay X + pull (m - mu) + drift, variance = density * process^2."""
 
     decay: Array
@@ -71,7 +71,7 @@ class _Ahead:
     scatter: Array
 
 
-def _steps(runs: Runs, shape: Shape, fit: Fit, groups: Indices) -> _Steps:
+def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) -> _AffineSteps:
     n = len(runs)
     decay, pull, density = np.ones(n), np.zeros(n), np.zeros(n)
     for place in np.unique(runs.place):
@@ -80,7 +80,7 @@ def _steps(runs: Runs, shape: Shape, fit: Fit, groups: Indices) -> _Steps:
         if kind in RATES:
             params[RATES[kind]] = float(fit.rates[shape.rate[place]])
         decay[rows], pull[rows], density[rows] = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
-    return _Steps(
+    return _AffineSteps(
         decay=decay,
         pull=pull,
         drift=pull * (loads(runs, shape) @ fit.linear),
@@ -94,7 +94,7 @@ def _steps(runs: Runs, shape: Shape, fit: Fit, groups: Indices) -> _Steps:
     )
 
 
-def _chunks(steps: _Steps) -> Indices:
+def _chunks(steps: _AffineSteps) -> Indices:
     """(J, C) knot numbers of the chunks, filtered side by side; -1 beyond a chunk's end. Each begins at a reading."""
     columns: list[Indices] = []
     first = np.flatnonzero(np.diff(steps.run, prepend=-1) != 0)
@@ -119,7 +119,9 @@ State = tuple[Array, Array, Array, Array, Array]
 """Means of X and m - mu, then xx, xm, mm of their covariance, each (C, Q)."""
 
 
-def _filtered(steps: _Steps, table: Indices, sensor: Array, process: Array, scatter: Array) -> tuple[Array, Array]:
+def _filtered(
+    steps: _AffineSteps, table: Indices, sensor: Array, process: Array, scatter: Array
+) -> tuple[Array, Array]:
     """(log-likelihoods (n, Q), states (5, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ..."""
     n, width = steps.run.size, sensor.size
     scores, states = np.full((n, width), np.nan), np.full((5, n, width), np.nan)
@@ -141,7 +143,7 @@ def _filtered(steps: _Steps, table: Indices, sensor: Array, process: Array, scat
 
 
 def _predicted(
-    steps: _Steps, knots: Indices, *, fresh: Mask, state: Sequence[Array], process: Array, scatter: Array
+    steps: _AffineSteps, knots: Indices, *, fresh: Mask, state: Sequence[Array], process: Array, scatter: Array
 ) -> State:
     x, m, xx, xm, mm = state
     at = fresh[:, None]
@@ -169,7 +171,7 @@ def _log_score(error: Array, variance: Array) -> Array:
     return np.asarray(-0.5 * np.log(2 * np.pi * variance) - np.where(z < 3, 0.5 * z * z, 3 * z - 4.5))
 
 
-def _aims(steps: _Steps, horizon: float) -> tuple[Indices, Indices]:
+def _aims(steps: _AffineSteps, horizon: float) -> tuple[Indices, Indices]:
     """Up to ORIGINS pairs (origin, outcome) of readings of one run, `horizon` to 1.2 times as far apart."""
     there = np.flatnonzero(np.isfinite(steps.reading))
     found: list[Indices] = []
@@ -185,7 +187,7 @@ def _aims(steps: _Steps, horizon: float) -> tuple[Indices, Indices]:
     return pairs[chosen, 0], pairs[chosen, 1]
 
 
-def _ahead(steps: _Steps, horizon: float, groups: int, places: int) -> _Ahead | None:
+def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ahead | None:
     """The predictions over `horizon`, or None when no two readings are so far apart."""
     origin, end = _aims(steps, horizon)
     if not origin.size:
@@ -243,7 +245,7 @@ def _mean_known(scores: Array) -> Array:
 class _Task:
     """What the likelihood needs, and the floors and counts of its parameters."""
 
-    steps: _Steps
+    steps: _AffineSteps
     table: Indices
     aheads: tuple[_Ahead, ...]
     groups: int
@@ -289,7 +291,9 @@ class _Task:
         return [sensor, *[(log(1e-4), log(1.0))] * self.groups, *[(log(0.05), log(60.0))] * self.seen.size]
 
 
-def fit_noise(runs: Runs, shape: Shape, fit: Fit, groups: Indices, *, budget: int = 2500, floor: float = 1e-3) -> Noise:
+def fit_noise(
+    runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices, *, budget: int = 2500, floor: float = 1e-3
+) -> NoiseLevels:
     """The noise of greatest composite likelihood, the means given by `fit`.
 
     `groups` (L,) numbers the locations that share one process noise. `floor` is the least sensor sigma (degC); the
@@ -322,7 +326,7 @@ def fit_noise(runs: Runs, shape: Shape, fit: Fit, groups: Indices, *, budget: in
     sensor, process, scatter = task.unpack(np.asarray(found.x)[:, None])
     horizons = [0.0, *(ahead.horizon for ahead in task.aheads)]
     score = {h: float(value[0]) for h, value in zip(horizons, task.scores(np.asarray(found.x)[:, None]), strict=True)}
-    return Noise(float(sensor[0]), process[:, 0], scatter[:, 0], score)
+    return NoiseLevels(float(sensor[0]), process[:, 0], scatter[:, 0], score)
 
 
 def _value_and_slope(theta: Array, task: _Task, weight: float) -> tuple[float, Array]:
@@ -332,7 +336,7 @@ def _value_and_slope(theta: Array, task: _Task, weight: float) -> tuple[float, A
     return float(values[0]), (values[1:] - values[0]) / STEP
 
 
-def drift_noise(runs: Runs) -> float:
+def drift_noise(runs: FreeRuns) -> float:
     """The random walk, degC/sqrt(s), whose changes over 300 s are as large as the readings' own (or over a shorter
     time, when no run lasts so long)."""
     time, reading = (column[np.isfinite(runs.reading)] for column in (runs.time, runs.reading))

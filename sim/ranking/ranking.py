@@ -7,7 +7,7 @@ from math import isfinite, nan
 
 import numpy as np
 
-from sim.ranking.fitness import Facts, Finding, Limits, Seen, Verdict, judge, verdict
+from sim.ranking.fitness import Facts, Finding, FitnessLimits, Seen, Verdict, judge, verdict
 from sim.ranking.paired import Paired, holm, paired
 from sim.validation.results import TraceResult
 
@@ -103,7 +103,7 @@ def rank(
     facts: Mapping[str, Facts] | None = None,
     *,
     weights: Weights | None = None,
-    limits: Limits | None = None,
+    limits: FitnessLimits | None = None,
     seed: int = 0,
 ) -> Ranking:
     """Ranks the models of a campaign by their mean score over the traces that all of them got through.
@@ -124,7 +124,7 @@ def rank(
             weights=used,
             wins=wins.get(name, 0.0),
             facts=known.get(name, Facts()),
-            limits=limits or Limits(),
+            limits=limits or FitnessLimits(),
         )
         for name, own in by_entrant.items()
     ]
@@ -201,7 +201,7 @@ def _standing(
     weights: Weights,
     wins: float,
     facts: Facts,
-    limits: Limits,
+    limits: FitnessLimits,
 ) -> Standing:
     ranked = [results[trace] for trace in common if trace in results and not results[trace].failure]
     seen = {trace: reason for trace, reason in facts.seen.items() if trace in results}

@@ -26,7 +26,7 @@ _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codec
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class TextLayout:
     """How a file is written. `skip` lines come before its first row; `comments` are those of them, without the mark."""
 
     encoding: str
@@ -47,7 +47,7 @@ def place_of(header: Sequence[str], names: Names) -> int | None:
     return None
 
 
-def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], report: FileReport) -> Layout:
+def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], report: FileReport) -> TextLayout:
     """Encoding, separator and header of `path`. Raises TraceError, saying what is there, unless all `needed` are."""
     with path.open("rb") as stream:
         head = stream.read(_HEAD)
@@ -84,7 +84,7 @@ def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], repo
         report.notes.append(f"its separator is {separator!r}, not {column_map.separator!r} as the map says")
     if not fits:
         report.notes.append(f"it has no header; its columns are taken for {listed(column_map.columns)}")
-    return Layout(encoding, separator, header, skip, tuple(comments))
+    return TextLayout(encoding, separator, header, skip, tuple(comments))
 
 
 def _decode(path: Path, head: bytes, encoding: str, report: FileReport) -> tuple[str, str]:
@@ -139,7 +139,7 @@ def _no_header(
 
 
 def read_rows(
-    path: Path, layout: Layout, comment: str, report: FileReport
+    path: Path, layout: TextLayout, comment: str, report: FileReport
 ) -> Iterator[tuple[list[int], list[list[str]]]]:
     """The rows of a file in chunks: line numbers (from 1) and cells, as many as the header has; the others refused."""
     numbers_: list[int] = []

@@ -12,7 +12,7 @@ from sim.sha.trace import Array, Mask, Trace
 from sim.traces.clock import longest_rising, unroll_midnight
 from sim.traces.column_map import ColumnMap, Derived
 from sim.traces.load_report import FileReport, LoadReport, TraceError
-from sim.traces.readings import Readings, Rows, Series, joined, read_file, select
+from sim.traces.readings import FileReadings, Rows, Series, joined, read_file, select
 
 Source = str | Path | Iterable[str | Path]
 SYNTHETIC = "SYNTHETIC"
@@ -120,7 +120,7 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
     return traces
 
 
-def _is_heard(piece: Readings, column_map: ColumnMap, files: Sequence[FileReport]) -> bool:
+def _is_heard(piece: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]) -> bool:
     """Whether there is a temperature in these rows; if not, they are refused."""
     name = column_map.temperature
     if name in column_map.derived or (name in piece.series and not piece.series[name].bad.all()):
@@ -139,7 +139,7 @@ def _origin(paths: Sequence[Path]) -> str:
     return str(paths[0]) if len(paths) == 1 else f"{paths[0].parent} ({len(paths)} files)"
 
 
-def _in_order(readings: Readings, column_map: ColumnMap, files: Sequence[FileReport]) -> list[Readings]:
+def _in_order(readings: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]) -> list[FileReadings]:
     """The rows with a clock that never goes back, as the map's `clock_back` wants it."""
     back = np.flatnonzero(np.diff(readings.times) < 0) + 1
     if not back.size:
@@ -160,7 +160,7 @@ def _in_order(readings: Readings, column_map: ColumnMap, files: Sequence[FileRep
 
 
 def _merged(
-    readings: Readings, column_map: ColumnMap, files: Sequence[FileReport]
+    readings: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]
 ) -> tuple[Array, dict[str, Array], tuple[()], dict[str, Mask]]:
     """Times, signals and bad marks of a trace, rows of equal time made one unless the map keeps them."""
     first = np.ones(readings.times.shape, dtype=bool)

@@ -9,26 +9,26 @@ from sim.sha.trace import Trace
 from sim.validation.campaign import Progress, Runner, Unread, outcomes_by_model, parallel
 from sim.validation.output_folder import COMPLETE, RESULTS, Folder, results_csv, results_json
 from sim.validation.pictures import draw_one, drawings
-from sim.validation.report import Campaign, Entry, ModelReport, index_html, model_html, shown
+from sim.validation.report import CampaignSummary, ModelReport, ReportEntry, index_html, model_html, shown
 from sim.validation.results import TraceResult
 from sim.validation.stage_records import records
 from sim.validation.stages import Prepared, Stage, timed
-from sim.validation.trace_run import Outcome, Settings
+from sim.validation.trace_run import TraceOutcome, TraceRunSettings
 
 PICTURES_HERE = 2
 """Pictures that are drawn in this process: fewer are done before another process has started."""
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class CampaignPlan:
     """What a campaign is to do. `units` of the signals by name, `pictures` whether to draw, `workers` processes."""
 
-    settings: Settings
+    settings: TraceRunSettings
     run: Runner
     workers: int
     pictures: bool
     units: Mapping[str, str]
-    campaign: Campaign
+    campaign: CampaignSummary
 
 
 def conduct(
@@ -36,7 +36,7 @@ def conduct(
     traces: Sequence[Trace],
     without: Sequence[Unread],
     loading: Stage,
-    plan: Plan,
+    plan: CampaignPlan,
     folder: Folder,
     tell: Callable[[str], None],
     progress: Progress,
@@ -60,7 +60,7 @@ def conduct(
             note(stage)
     note(loading)
     results: list[TraceResult] = []
-    entries: list[Entry] = []
+    entries: list[ReportEntry] = []
     for one, outcomes in outcomes_by_model(
         prepared, traces, without=without, settings=plan.settings, run=plan.run, progress=progress
     ):
@@ -74,7 +74,7 @@ def conduct(
             one, outcomes, before=(*one.stages, loading, *stages), plan=plan, folder=folder, progress=progress
         )
         note(last)
-        entries.append(Entry(folder.places[one.label], report))
+        entries.append(ReportEntry(folder.places[one.label], report))
     folder.write("index.html", index_html(plan.campaign, entries, log))
     folder.state(COMPLETE)
     return results
@@ -82,10 +82,10 @@ def conduct(
 
 def _reported(
     prepared: Prepared,
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[TraceOutcome],
     *,
     before: Sequence[Stage],
-    plan: Plan,
+    plan: CampaignPlan,
     folder: Folder,
     progress: Progress,
 ) -> tuple[Stage, ModelReport]:
@@ -116,7 +116,7 @@ def _reported(
 
 
 def _draw(
-    prepared: Prepared, outcomes: Sequence[Outcome], plan: Plan, home: Path, progress: Progress
+    prepared: Prepared, outcomes: Sequence[TraceOutcome], plan: CampaignPlan, home: Path, progress: Progress
 ) -> dict[tuple[str, str], Path]:
     """The PNG of each (semantics, trace); the PDF lies beside it."""
     wanted = drawings(home, outcomes, prepared.skeleton.temperature, plan.units)

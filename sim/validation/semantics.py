@@ -37,7 +37,7 @@ STILL = Flow("constant", {"noise": 0.0})
 
 
 @dataclass(frozen=True, slots=True)
-class Entries:
+class EntryLaws:
     """The temperatures (degC) at which each location was entered, by its name, and in words where they come from."""
 
     temperatures: Mapping[str, Array]
@@ -86,7 +86,7 @@ def _carried(location: Location) -> Location:
     return replace(location, distribution=None, entry="none")
 
 
-def resampled(model: Model, entries: Entries) -> Model:
+def resampled(model: Model, entries: EntryLaws) -> Model:
     """The counterpart of a model that carries X: X ~ N(mu, sigma) on entry, under the same flows at their mean m.
 
     A location's law is that of its own entries. Its sigma counts the scatter of all entries as one entry more, so that
@@ -126,7 +126,7 @@ def _counterpart(model: Model, locations: tuple[Location, ...], semantics: str, 
     return replace(model, sha=replace(model.sha, locations=locations), calibration={}, provenance=provenance)
 
 
-def entries_of_traces(model: Model, traces: Sequence[Trace]) -> Entries:
+def entries_of_traces(model: Model, traces: Sequence[Trace]) -> EntryLaws:
     """The readings held at each entry along `traces`, encoded by the model's alphabet where they are not.
 
     An event without an edge leads where its symbol does most often (`resync`). Where a trace begins nothing is entered:
@@ -141,7 +141,7 @@ def entries_of_traces(model: Model, traces: Sequence[Trace]) -> Entries:
             found[name].append(temperature)
     count = sum(map(len, found.values()))
     columns = {name: np.array(values) for name, values in found.items()}
-    return Entries(columns, f"{count} entries along {len(traces)} traces")
+    return EntryLaws(columns, f"{count} entries along {len(traces)} traces")
 
 
 def _skeleton(sha: SHA) -> SHA:
@@ -160,7 +160,7 @@ def _entries(bare: SHA, model: Model, trace: Trace) -> Iterator[tuple[str, float
         yield bare.locations[steps.location[step]].name, float(values[row])
 
 
-def entries_of_runs(model: Model, seed: int) -> Entries:
+def entries_of_runs(model: Model, seed: int) -> EntryLaws:
     """What the model itself expects: semi-Markov runs over an hour from each location, begun by its initial law.
 
     Raises ValueError for a model without sojourn laws or without an initial law.
@@ -182,7 +182,7 @@ def entries_of_runs(model: Model, seed: int) -> Entries:
         for location, temperatures in _run(model.sha, chain, start=place, x0=x0, offsets=offsets, rng=rng):
             found[location].append(temperatures)
     columns = {chain.names[place]: np.concatenate(parts) for place, parts in found.items()}
-    return Entries(columns, f"semi-Markov runs of the model itself, {RUNS} from each location over {SPAN:g} s")
+    return EntryLaws(columns, f"semi-Markov runs of the model itself, {RUNS} from each location over {SPAN:g} s")
 
 
 def _run(
@@ -205,6 +205,6 @@ def _stepped(sha: SHA, place: int, *, x: Array, dt: Array, offset: float, rng: n
     location, age = sha.locations[place], np.zeros(x.size)
     mean, variance = mode_parameter(location)
     target = mean + offset + sqrt(variance) * rng.standard_normal(x.size)
-    after = flows.mean_step(location.flow, x, target, age, dt, sha.max_rate)
+    after = flows.mean_step(location.flow, x, target, age, dt=dt, max_rate=sha.max_rate)
     noise = np.sqrt(flows.coefficients(location.flow, age, dt)[2]) * rng.standard_normal(x.size)
     return np.asarray(np.clip(after + noise, sha.low, sha.high))

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from sim.discrepancy.fitting.noise import DIFFUSE, Belief, Grid, Noise, Weigher, decay_and_pull, fit_noise
+from sim.discrepancy.fitting.noise import DIFFUSE, Grid, NoiseModel, Weigher, WindowBelief, decay_and_pull, fit_noise
 from sim.engine.recursion import linear_recursion
 from sim.learning.runs import Indices
 from sim.sha.trace import Array, Mask
 
-NOISE = Noise(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)
+NOISE = NoiseModel(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)
 
 
 def small_grid(seed: int = 1, size: int = 40) -> Grid:
@@ -32,7 +32,7 @@ def grid_of(dt: Array, k: Array, running: Array, weight: Array, first: Mask, cyc
     )
 
 
-def dense(grid: Grid, noise: Noise) -> Array:
+def dense(grid: Grid, noise: NoiseModel) -> Array:
     """V as the product of the steps that the model states, without any of the tricks."""
     size = grid.dt.size
     state = np.zeros((2 * size, 2 * size))
@@ -94,7 +94,7 @@ def _decay_from(grid: Grid, start: int) -> Array:
 def test_the_smoothed_residual_is_closer_to_the_truth_than_the_reading() -> None:
     grid = small_grid(size=200)
     rng = np.random.default_rng(5)
-    truth = Weigher(grid, Noise(sensor=1e-6, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)).draw(
+    truth = Weigher(grid, NoiseModel(sensor=1e-6, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)).draw(
         rng, 1
     )[:, 0]
     read = truth + 0.05 * rng.standard_normal(truth.size)
@@ -108,17 +108,17 @@ def test_the_noise_is_found_again_from_its_own_draws() -> None:
     running = (np.arange(size) % 100 < 60).astype(float)
     first = np.arange(size) == 0
     grid = grid_of(np.full(size, 60.0), np.full(size, 8e-4), running, 1e-2 * running, first, np.arange(size) // 100)
-    truth = Noise(sensor=0.04, process=0.003, rough=0.001, cycle=0.05, memory=400.0, rest=0.2)
+    truth = NoiseModel(sensor=0.04, process=0.003, rough=0.001, cycle=0.05, memory=400.0, rest=0.2)
     residual = Weigher(grid, truth).draw(rng, 1)
 
-    def cost(trial: Noise) -> float:
+    def cost(trial: NoiseModel) -> float:
         weigher = Weigher(grid, trial)
         return 0.5 * float(residual[:, 0] @ weigher.weigh(residual)[:, 0] + weigher.logdet)
 
     found, _ = fit_noise(
         cost,
-        Belief(Noise(sensor=0.1, process=0.01, rough=3e-4, cycle=0.02)),
-        Noise(sensor=0.1, process=0.01, rough=3e-4, cycle=0.02),
+        WindowBelief(NoiseModel(sensor=0.1, process=0.01, rough=3e-4, cycle=0.02)),
+        NoiseModel(sensor=0.1, process=0.01, rough=3e-4, cycle=0.02),
         40,
     )
     assert found.sensor == pytest.approx(truth.sensor, rel=0.15)

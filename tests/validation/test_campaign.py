@@ -31,10 +31,10 @@ from sim.validation.discovery import Discovery
 from sim.validation.output_folder import results_json
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared
-from sim.validation.trace_run import Settings
+from sim.validation.trace_run import TraceRunSettings
 from tests.validation.small_plant import plant_model, plant_trace
 
-SETTINGS = Settings(runs=300)
+SETTINGS = TraceRunSettings(runs=300)
 GOOD = [plant_trace(f"run{number}", noise=0.2, seed=number) for number in range(4)]
 COLD = Trace("cold", GOOD[0].times, {"Motor": GOOD[0].signals["Motor"]})
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from sim.sha.trace import Trace
-from sim.traces.column_map import Clock, ColumnMap, Signal
+from sim.traces.column_map import ClockColumns, ColumnMap, SignalColumn
 from sim.traces.load_report import LoadReport
 from sim.traces.text_table import MOST_LINES
 from sim.traces.traces import load_traces
@@ -13,8 +13,8 @@ from sim.traces.traces import load_traces
 MAP = ColumnMap(
     format="wide",
     temperature="T",
-    clock=Clock(column=("time",), formats=("seconds",)),
-    signals={"T": Signal(), "current": Signal(column=("motor\ncurrent", "current"))},
+    clock=ClockColumns(column=("time",), formats=("seconds",)),
+    signals={"T": SignalColumn(), "current": SignalColumn(column=("motor\ncurrent", "current"))},
 )
 
 

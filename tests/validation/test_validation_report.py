@@ -13,15 +13,15 @@ from sim.sha.trace import Trace
 from sim.validation.campaign import jobs_of
 from sim.validation.discovery import Discovery
 from sim.validation.pictures import draw_one, drawings
-from sim.validation.report import Campaign, Entry, ModelReport, error_boxes, index_html, model_html, shown
+from sim.validation.report import CampaignSummary, ModelReport, ReportEntry, error_boxes, index_html, model_html, shown
 from sim.validation.stage_records import records
 from sim.validation.stages import Prepared, Stage
-from sim.validation.trace_run import Outcome, Settings, run_job
+from sim.validation.trace_run import TraceOutcome, TraceRunSettings, run_job
 from sim.validation.verdicts import gain, verdict
 from tests.validation.small_plant import location, plant_model, plant_trace
 
 EVIL = '<script>alert(1)</script> & "quotes"'
-CAMPAIGN = Campaign("2026-01-01 00:00 UTC", {"runs": "200"})
+CAMPAIGN = CampaignSummary("2026-01-01 00:00 UTC", {"runs": "200"})
 
 
 def prepared(label: str = "plant") -> Prepared:
@@ -41,10 +41,10 @@ def prepared(label: str = "plant") -> Prepared:
     )
 
 
-def outcomes(one: Prepared, name: str = "run") -> list[Outcome]:
+def outcomes(one: Prepared, name: str = "run") -> list[TraceOutcome]:
     traces = [replace(plant_trace(f"{name}{number}", noise=0.2, seed=number), synthetic=True) for number in (1, 2, 10)]
     bad = Trace(f"{name}-cold", traces[0].times, {"Motor": traces[0].signals["Motor"]})
-    return [run_job(job) for job in jobs_of(one, [*traces, bad], Settings(runs=200))]
+    return [run_job(job) for job in jobs_of(one, [*traces, bad], TraceRunSettings(runs=200))]
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +150,7 @@ def test_the_gain_is_counted_on_the_traces_that_both_semantics_have() -> None:
 
 def test_the_index_links_each_report_by_its_folder() -> None:
     one = prepared()
-    entry = Entry(
+    entry = ReportEntry(
         "plant",
         ModelReport(campaign=CAMPAIGN, prepared=one, stages=[], results=[outcome.result for outcome in outcomes(one)]),
     )

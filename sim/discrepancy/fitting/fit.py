@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
 from sim.discrepancy.fitting.course import Named, State, at, grid_at, sensitivity
-from sim.discrepancy.fitting.noise import Belief, Grid, Noise, Weigher, fit_noise
+from sim.discrepancy.fitting.noise import Grid, NoiseModel, Weigher, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
 from sim.sha.model import Model
 from sim.sha.trace import Array
@@ -41,7 +41,7 @@ class Fitted:
     frame: Frame
     state: State
     start: Array
-    noise: Noise
+    noise: NoiseModel
     grid: Grid
     residual: Array
     columns: Array
@@ -63,13 +63,13 @@ class Fitted:
         return float(self.noise.sensor * np.sqrt(np.median(counts)))
 
 
-def first_noise(model: Model, record: Record) -> Noise:
+def first_noise(model: Model, record: Record) -> NoiseModel:
     """Where the search for the noise begins: the given model's sensor and process, a slightly rough plant."""
     process = [location.flow.params.get("noise", 0.0) for location in model.sha.locations]
     seen = [value for value in process if value > 0]
     counts = np.diff(np.append(record.begins, record.rows.size))
     sensor = max(model.sensor_sigma, 0.02) / np.sqrt(float(np.median(counts)))
-    return Noise(
+    return NoiseModel(
         sensor=max(float(sensor), rounding(model, record)),
         process=float(np.median(seen)) / 2 if seen else 0.003,
         rough=3e-4,
@@ -132,7 +132,7 @@ def fit(
     own = frame.centre if begin is None else begin.state.parameters[: begin.own]
     own = own if moved is None else own + moved
     prior = np.concatenate([frame.prior, np.zeros(len(named))])
-    belief = Belief(first_noise(record.model, record), least=rounding(record.model, record))
+    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
     noise = belief.centre if begin is None else begin.noise
     state = at(frame, np.concatenate([own, [one.strength for one in named]]), start, named)
     for _ in range(rounds):
@@ -160,17 +160,19 @@ def fit(
     )
 
 
-def _noise(point: _Point, frame: Frame, belief: Belief, noise: Noise, iterations: int) -> tuple[Noise, float]:
+def _noise(
+    point: _Point, frame: Frame, belief: WindowBelief, noise: NoiseModel, iterations: int
+) -> tuple[NoiseModel, float]:
     own = sum(frame.count)
     columns, prior, off = point.columns[:, :own], frame.prior, point.off[:own]
 
-    def cost(trial: Noise) -> float:
+    def cost(trial: NoiseModel) -> float:
         return -restricted(Weigher(point.grid, trial), columns, point.residual, prior, off)
 
     return fit_noise(cost, belief, noise, iterations)
 
 
-def _change(before: Noise, after: Noise) -> float:
+def _change(before: NoiseModel, after: NoiseModel) -> float:
     pairs = zip(
         (before.sensor, before.process, before.rough, before.cycle, before.memory),
         (after.sensor, after.process, after.rough, after.cycle, after.memory),
@@ -179,7 +181,9 @@ def _change(before: Noise, after: Noise) -> float:
     return max(abs(float(np.log(new / old))) for old, new in pairs)
 
 
-def _newton_steps(frame: Frame, state: State, *, start: Array, reading: Array, noise: Noise, prior: Array) -> State:
+def _newton_steps(
+    frame: Frame, state: State, *, start: Array, reading: Array, noise: NoiseModel, prior: Array
+) -> State:
     """A few steps of Gauss and Newton, each halved until it does not make things worse."""
     point = _around(frame, state, start, reading)
     for _ in range(NEWTON):

@@ -31,7 +31,7 @@ MOST_SCATTER = float(np.log(0.05))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Noise:
+class NoiseModel:
     """Standard deviations: `sensor` degC, `process` degC/sqrt(s), `rough` degC/s with the `memory` (s), `cycle` (1).
 
     `cycle` is the relative scatter of the friction heat from cycle to cycle, `rest` the share of the rough heat that
@@ -73,7 +73,7 @@ def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:
 class Weigher:
     """The inverse covariance of the windows under one Noise."""
 
-    def __init__(self, grid: Grid, noise: Noise) -> None:
+    def __init__(self, grid: Grid, noise: NoiseModel) -> None:
         self.grid, self.noise = grid, noise
         posterior, self._prior_logdet = _precision(grid, noise)
         posterior[0, ::2] += 1.0 / noise.sensor**2
@@ -129,14 +129,14 @@ class Weigher:
         return np.asarray(columns * precision - solved[::2] * precision)
 
 
-def _steps(grid: Grid, noise: Noise) -> tuple[Array, Array, Array, Array]:
+def _steps(grid: Grid, noise: NoiseModel) -> tuple[Array, Array, Array, Array]:
     """(what the rough heat keeps, decay, pull, process variance) of the step to each window."""
     decay, pull = decay_and_pull(grid.k, grid.dt)
     variance = max(noise.process, LEAST_PROCESS) ** 2 * decay_and_pull(2 * grid.k, grid.dt)[1]
     return np.exp(-grid.dt / noise.memory), decay, pull, variance
 
 
-def _precision(grid: Grid, noise: Noise) -> tuple[Array, float]:
+def _precision(grid: Grid, noise: NoiseModel) -> tuple[Array, float]:
     """(4, 2m) the banded precision of the states (x, h) at the windows, lower form, and its log-determinant."""
     m = grid.dt.size
     keep, decay, pull, variance = _steps(grid, noise)
@@ -169,27 +169,27 @@ def _precision(grid: Grid, noise: Noise) -> tuple[Array, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class WindowBelief:
     """What is believed of the noise before the data: centres and spreads (of logarithms) of sensor .. memory.
 
     The sensor's is not below `least` (degC).
     """
 
-    centre: Noise
+    centre: NoiseModel
     spread: tuple[float, float, float, float, float] = (1.0, 2.0, 2.0, 1.5, 0.7)
     least: float = 0.0
 
 
-def vector(noise: Noise) -> Array:
+def vector(noise: NoiseModel) -> Array:
     """Unbounded coordinates: logarithms, and the logit of `rest`."""
     logs = np.log([noise.sensor, noise.process, noise.rough, noise.cycle, noise.memory])
     return np.append(logs, np.log(noise.rest / (1.0 - noise.rest)))
 
 
-def noise_of(point: Array) -> Noise:
+def noise_of(point: Array) -> NoiseModel:
     """The inverse of `vector`."""
     sensor, process, rough, cycle, memory = np.exp(point[:5]).tolist()
-    return Noise(
+    return NoiseModel(
         sensor=sensor,
         process=process,
         rough=rough,
@@ -200,8 +200,8 @@ def noise_of(point: Array) -> Noise:
 
 
 def fit_noise(
-    objective: Callable[[Noise], float], belief: Belief, begin: Noise, iterations: int = 12
-) -> tuple[Noise, float]:
+    objective: Callable[[NoiseModel], float], belief: WindowBelief, begin: NoiseModel, iterations: int = 12
+) -> tuple[NoiseModel, float]:
     """(the noise of least `objective` (minus a log-likelihood) plus the belief's, and that sum), from `begin`."""
     centre = vector(belief.centre)
     spread = np.array([*belief.spread, 1.0])

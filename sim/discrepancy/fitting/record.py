@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.discrepancy.fitting.noise import Grid
 from sim.learning.preparation import encoded
-from sim.learning.runs import Indices, Runs, first_switch, free_runs, thinned
+from sim.learning.runs import FreeRuns, Indices, first_switch, free_runs, thinned
 from sim.learning.structure import LearningError
 from sim.sha.events import Alphabet, Switch, encode
 from sim.sha.model import Model
@@ -47,7 +47,7 @@ class Record:
 
     model: Model
     signals: tuple[str, ...]
-    runs: Runs
+    runs: FreeRuns
     running: Array
     since: Array
     cycle: Indices
@@ -178,7 +178,7 @@ def record_of(
     )
 
 
-def _cut_late(runs: Runs, running: Array) -> Runs:
+def _cut_late(runs: FreeRuns, running: Array) -> FreeRuns:
     """The runs begun anew where a start or a stop was noticed late: it lies somewhere in a step that took long.
 
     Heat that the model would then be given late is no heat that it lacks.
@@ -202,7 +202,7 @@ def known(model: Model) -> Mask:
     )
 
 
-def _machine(runs: Runs, traces: Sequence[Trace], switch: Switch | None) -> tuple[Array, Array, Indices]:
+def _machine(runs: FreeRuns, traces: Sequence[Trace], switch: Switch | None) -> tuple[Array, Array, Indices]:
     """(running, since, cycle) of every knot, from the switch's events."""
     running, since = np.ones(len(runs)), np.full(len(runs), NEVER)
     cycle, count = np.zeros(len(runs), dtype=np.intp), 0
@@ -229,14 +229,14 @@ def _machine(runs: Runs, traces: Sequence[Trace], switch: Switch | None) -> tupl
     return running, since, cycle
 
 
-def _clock(runs: Runs, running: Array) -> Array:
+def _clock(runs: FreeRuns, running: Array) -> Array:
     """(n,) seconds that pass FINER times faster after a start or a stop."""
     changed = (np.diff(running, prepend=running[:1]) != 0) | runs.first
     moment = (runs.time - runs.dt)[changed][np.cumsum(changed) - 1]
     return np.cumsum(runs.dt * np.where(runs.time - moment <= LIVELY, FINER, 1.0))
 
 
-def _windows(runs: Runs, cycle: Indices, running: Array, length: float) -> tuple[Indices, Indices]:
+def _windows(runs: FreeRuns, cycle: Indices, running: Array, length: float) -> tuple[Indices, Indices]:
     """(rows, begins) of windows of `length` seconds of that clock, which end where a run or a cycle ends."""
     rows = np.flatnonzero(np.isfinite(runs.reading))
     new = np.diff(np.floor(_clock(runs, running) / length)[rows], prepend=-1) != 0

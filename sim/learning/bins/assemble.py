@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.engine.recursion import linear_recursion
-from sim.learning.bins.candidates import Ground, process_groups
-from sim.learning.free_run import Fit, Shape, loads, steps
-from sim.learning.noise import Noise, drift_noise
-from sim.learning.runs import Indices, Runs
+from sim.learning.bins.candidates import Basis, process_groups
+from sim.learning.free_run import FitShape, FreeRunFit, loads, steps
+from sim.learning.noise import NoiseLevels, drift_noise
+from sim.learning.runs import FreeRuns, Indices
 from sim.learning.shape import with_parameters
 from sim.learning.structure import contexts, name_of, nearest
 from sim.sha.automaton import SHA, Distribution, Flow, Location
@@ -46,7 +46,7 @@ class LocationFit:
     gain_errors: Mapping[str, float]
 
 
-def well_seen(sha: SHA, shape: Shape, fit: Fit, base: Ground) -> Ground:
+def well_seen(sha: SHA, shape: FitShape, fit: FreeRunFit, base: Basis) -> Basis:
     """`base` with only those seen locations whose target the data tell to within HARDLY (the best one at least)."""
     error = {
         location.name: float(fit.errors_at_rates[shape.target[place]])
@@ -57,7 +57,9 @@ def well_seen(sha: SHA, shape: Shape, fit: Fit, base: Ground) -> Ground:
     return replace(base, seen=tuple(name for name in base.seen if name == best or error[name] < HARDLY))
 
 
-def learned_sha(name: str, sha: SHA, *, shape: Shape, fit: Fit, noise: Noise, runs: Runs, base: Ground) -> SHA:
+def learned_sha(
+    name: str, sha: SHA, *, shape: FitShape, fit: FreeRunFit, noise: NoiseLevels, runs: FreeRuns, base: Basis
+) -> SHA:
     """`sha` with all parameters, and every location that `base` has not seen filled in.
 
     A seen location's m scatters by the fitted sigma (drawn towards 1 degC as if one stay had said so) and by what is
@@ -80,7 +82,7 @@ def learned_sha(name: str, sha: SHA, *, shape: Shape, fit: Fit, noise: Noise, ru
     return replace(sha, name=name, locations=tuple(_filled(each.name, seen, base, drift) for each in sha.locations))
 
 
-def _filled(name: str, seen: Mapping[str, Location], base: Ground, drift: float) -> Location:
+def _filled(name: str, seen: Mapping[str, Location], base: Basis, drift: float) -> Location:
     if name in seen:
         return seen[name]
     if None in contexts(base.alphabet)[name]:
@@ -93,20 +95,20 @@ def _filled(name: str, seen: Mapping[str, Location], base: Ground, drift: float)
     return Location(name, lender.flow, widened)
 
 
-def lender_of(name: str, base: Ground) -> str:
+def lender_of(name: str, base: Basis) -> str:
     """The seen location whose parameters an unseen one borrows."""
     known = contexts(base.alphabet)
     return name_of(nearest(known[name], [known[each] for each in base.seen], base.alphabet), base.alphabet)
 
 
-def source_of(name: str, base: Ground) -> str:
+def source_of(name: str, base: Basis) -> str:
     """`fitted`, `borrowed from X` or `unknown`."""
     if name in base.seen:
         return "fitted"
     return "unknown" if None in contexts(base.alphabet)[name] else f"borrowed from {lender_of(name, base)}"
 
 
-def location_fits(sha: SHA, shape: Shape, fit: Fit, runs: Runs, base: Ground) -> tuple[LocationFit, ...]:
+def location_fits(sha: SHA, shape: FitShape, fit: FreeRunFit, runs: FreeRuns, base: Basis) -> tuple[LocationFit, ...]:
     """The table of locations, in the automaton's order."""
     return tuple(
         _location_fit(location, place, shape=shape, fit=fit, runs=runs, base=base)
@@ -114,7 +116,9 @@ def location_fits(sha: SHA, shape: Shape, fit: Fit, runs: Runs, base: Ground) ->
     )
 
 
-def _location_fit(location: Location, place: int, *, shape: Shape, fit: Fit, runs: Runs, base: Ground) -> LocationFit:
+def _location_fit(
+    location: Location, place: int, *, shape: FitShape, fit: FreeRunFit, runs: FreeRuns, base: Basis
+) -> LocationFit:
     rows = (runs.place == place) & ~runs.first
     law = location.distribution.params if location.distribution is not None else {}
     target, rate = int(shape.target[place]), int(shape.rate[place])
@@ -137,7 +141,7 @@ def _location_fit(location: Location, place: int, *, shape: Shape, fit: Fit, run
 
 
 def stay_values(
-    runs: Runs, sha: SHA, *, shape: Shape, fit: Fit, noise: Noise, base: Ground
+    runs: FreeRuns, sha: SHA, *, shape: FitShape, fit: FreeRunFit, noise: NoiseLevels, base: Basis
 ) -> dict[str, tuple[float, ...]]:
     """The m of each stay by least squares (its temperature at the start free), by location: the histogram's values.
 
@@ -154,7 +158,9 @@ def stay_values(
     return found
 
 
-def _stay_parameters(runs: Runs, shape: Shape, fit: Fit, noise: Noise, group: Indices) -> tuple[Array, Array, Array]:
+def _stay_parameters(
+    runs: FreeRuns, shape: FitShape, fit: FreeRunFit, noise: NoiseLevels, group: Indices
+) -> tuple[Array, Array, Array]:
     """(m, its standard error, location) of each stay: X = decayed start + pulled m + pushed inputs, two unknowns."""
     decay, pull = steps(runs, shape, np.log(fit.rates))
     begins = (np.diff(runs.stay, prepend=-1) != 0) | runs.first

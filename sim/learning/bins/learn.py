@@ -14,21 +14,21 @@ import numpy as np
 from sim.learning.bins.assemble import LocationFit, learned_sha, location_fits, stay_values, well_seen
 from sim.learning.bins.candidates import (
     CANDIDATES,
-    Candidate,
-    Ground,
+    Basis,
+    BinsCandidate,
+    basis_of,
     build,
     distinct,
-    ground,
     modelled_places,
     process_groups,
 )
 from sim.learning.calibrate import Coverage, Scored, coverage_of, score_forecasts
 from sim.learning.data import in_order
-from sim.learning.free_run import Fit, fit_free_run
-from sim.learning.held_out import HeldOut, choose, cross_validate, folds, training_errors
-from sim.learning.noise import Noise, fit_noise
+from sim.learning.free_run import FreeRunFit, fit_free_run
+from sim.learning.held_out import HeldOutErrors, choose, cross_validate, folds, training_errors
+from sim.learning.noise import NoiseLevels, fit_noise
 from sim.learning.preparation import LEAST_READINGS, check_data, encoded, initial_law, splits, with_range
-from sim.learning.runs import Runs, first_switch, free_runs, sampled
+from sim.learning.runs import FreeRuns, first_switch, free_runs, sampled
 from sim.learning.semi_markov import fit_stays
 from sim.learning.structure import LearningError, bare_sha, level_signals
 from sim.sha.events import Alphabet, check_alphabet
@@ -68,7 +68,7 @@ class Learned:
     values: Mapping[str, tuple[float, ...]]
     candidates: tuple[CandidateScore, ...]
     locations: tuple[LocationFit, ...]
-    noise: Noise
+    noise: NoiseLevels
     coverage: tuple[Coverage, ...]
 
 
@@ -79,8 +79,8 @@ class _Fitted:
     model: Model
     values: Mapping[str, tuple[float, ...]]
     locations: tuple[LocationFit, ...]
-    fit: Fit
-    noise: Noise
+    fit: FreeRunFit
+    noise: NoiseLevels
 
 
 def learn_bins(
@@ -90,7 +90,7 @@ def learn_bins(
     *,
     seed: int,
     name: str = "bins",
-    candidates: Sequence[Candidate] = CANDIDATES,
+    candidates: Sequence[BinsCandidate] = CANDIDATES,
     data_hash: str = "",
     progress: Progress | None = None,
 ) -> Learned:
@@ -137,7 +137,7 @@ def learn_bins(
     )
 
 
-def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tuple[Runs, Ground]:
+def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tuple[FreeRuns, Basis]:
     """The free runs through the locations that the data can teach, and what candidates are built on."""
     check_data(traces, temperature)
     sha, signals = bare_sha(alphabet), level_signals(alphabet)
@@ -152,15 +152,15 @@ def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tu
             f"only {count} readings of {temperature!r} fall into known locations, over {runs.dt.sum():.0f} s; "
             f"a model needs at least {LEAST_READINGS}, at different times"
         )
-    return runs, ground(runs, alphabet)
+    return runs, basis_of(runs, alphabet)
 
 
-Scores = list[tuple[Candidate, HeldOut | None, int, tuple[float, float]]]
+Scores = list[tuple[BinsCandidate, HeldOutErrors | None, int, tuple[float, float]]]
 
 
 def _select(
-    runs: Runs, base: Ground, candidates: Sequence[Candidate], told: Progress
-) -> tuple[Scores, Candidate, Array]:
+    runs: FreeRuns, base: Basis, candidates: Sequence[BinsCandidate], told: Progress
+) -> tuple[Scores, BinsCandidate, Array]:
     """(every candidate's figures, the chosen one, its rates): the held-out likelihood decides."""
     few = sampled(runs, CHOICE_BUDGET)
     cut = folds(few)
@@ -184,9 +184,9 @@ def _fit(
     name: str,
     traces: Sequence[Trace],
     *,
-    runs: Runs,
-    base: Ground,
-    candidate: Candidate,
+    runs: FreeRuns,
+    base: Basis,
+    candidate: BinsCandidate,
     begin: Array | None,
     temperature: str,
     budget: int,
@@ -214,7 +214,7 @@ def _fit(
 
 
 def _held_out_forecasts(
-    traces: Sequence[Trace], alphabet: Alphabet, temperature: str, candidate: Candidate, seed: int
+    traces: Sequence[Trace], alphabet: Alphabet, temperature: str, candidate: BinsCandidate, seed: int
 ) -> list[Scored]:
     """Forecasts by models of the same kind that did not see what came next.
 
@@ -243,14 +243,14 @@ def _held_out_forecasts(
 
 
 def _row(
-    candidate: Candidate, held: HeldOut | None, size: int, errors: tuple[float, float], chosen: bool
+    candidate: BinsCandidate, held: HeldOutErrors | None, size: int, errors: tuple[float, float], chosen: bool
 ) -> CandidateScore:
     nan = float("nan")
     figures = (held.score, held.rmse, held.mae) if held is not None else (nan, nan, nan)
     return CandidateScore(candidate.label, size, *figures, *errors, chosen)
 
 
-def _settings(seed: int, chosen: Candidate, fitted: _Fitted, copies: int) -> dict[str, str | float | int | bool]:
+def _settings(seed: int, chosen: BinsCandidate, fitted: _Fitted, copies: int) -> dict[str, str | float | int | bool]:
     borrowed = [f"{one.name} {one.source}" for one in fitted.locations if one.source.startswith("borrowed")]
     return {
         "seed": seed,
