@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.discrepancy.fitting.course import as_read
 from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.noise import Weigher, decay_and_pull
+from sim.discrepancy.fitting.noise import Whitener, decay_and_pull
 from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.screen import Projector
 from sim.learning.runs import Indices, first_switch
@@ -48,7 +48,7 @@ def implied_heat(fitted: Fitted) -> Array:
     heat.
     """
     left = Projector(fitted).residual
-    smoothed = Weigher(fitted.grid, fitted.noise).smoothed(left)
+    smoothed = Whitener(fitted.grid, fitted.noise).smoothed(left)
     grid = fitted.grid
     decay, pull = decay_and_pull(grid.k, grid.dt)
     before = np.concatenate([smoothed[:1], smoothed[:-1]])

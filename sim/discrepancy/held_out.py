@@ -12,7 +12,7 @@ from sim.discrepancy.diagnosis import HeldOutProof
 from sim.discrepancy.fitting.baseline import on
 from sim.discrepancy.fitting.course import State, at, grid_at
 from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.noise import Weigher
+from sim.discrepancy.fitting.noise import Whitener
 from sim.discrepancy.fitting.record import Record
 from sim.engine.recursion import linear_recursion
 from sim.learning.runs import Indices
@@ -28,7 +28,7 @@ class HeldOutRun:
     """A fit let run over a record cut by cycles.
 
     `state` is the free run, `residual` (m,) degC of its windows, `begun` (m,) what one degree at a run's start is
-    there, `order` (m,) numbers the runs, `weigher` weighs by the fit's noise.
+    there, `order` (m,) numbers the runs, `whitener` weighs by the fit's noise.
     """
 
     record: Record
@@ -36,7 +36,7 @@ class HeldOutRun:
     residual: Array
     begun: Array
     order: Indices
-    weigher: Weigher
+    whitener: Whitener
 
 
 def by_cycles(record: Record) -> Record:
@@ -63,13 +63,13 @@ def let_run(fitted: Fitted, record: Record) -> HeldOutRun:
         residual = reading - record.windowed(state.mean)
         if np.max(np.abs(moved)) < 1e-3:
             break
-    weigher = Weigher(grid_at(frame, state), fitted.noise)
-    return HeldOutRun(record=record, state=state, residual=residual, begun=begun, order=order, weigher=weigher)
+    whitener = Whitener(grid_at(frame, state), fitted.noise)
+    return HeldOutRun(record=record, state=state, residual=residual, begun=begun, order=order, whitener=whitener)
 
 
 def floor_squares(trial: HeldOutRun, seed: int) -> Array:
     """(R,) degC^2 the mean square of each run that the noise alone makes, its start fitted as the residual's was."""
-    drawn = trial.weigher.draw(np.random.default_rng(seed), DRAWS)
+    drawn = trial.whitener.draw(np.random.default_rng(seed), DRAWS)
     count = int(trial.order[-1]) + 1
     size = np.bincount(trial.order, trial.begun**2, minlength=count)
     parts = np.zeros((count, DRAWS))

@@ -109,7 +109,7 @@ def foreseen_better(first: HeldOutRun, second: HeldOutRun) -> float:
     The first fit's own noise has swallowed what it could not explain; under it almost any error would be likely.
     """
     old, new = first.residual, second.residual
-    weighed = second.weigher.weigh(np.column_stack([old, new]))
+    weighed = second.whitener.weigh(np.column_stack([old, new]))
     return 0.5 * float(old @ weighed[:, 0] - new @ weighed[:, 1])
 
 

@@ -23,8 +23,8 @@ def shifts(fitted: Fitted) -> tuple[Shift, ...]:
         _shift(fitted, number, float(off[number]), float(off[number] / errors[number]))
         for number in np.flatnonzero(np.abs(off) >= SIGMAS * errors).tolist()
     ]
-    told = [one for one in found if abs(one.change) >= LEAST_CHANGE]
-    return tuple(sorted(told, key=lambda one: -abs(one.sigma)))
+    significant = [one for one in found if abs(one.change) >= LEAST_CHANGE]
+    return tuple(sorted(significant, key=lambda one: -abs(one.sigma)))
 
 
 def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:

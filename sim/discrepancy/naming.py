@@ -102,6 +102,8 @@ class NamingStep:
 def step(before: Fitted, entries: Sequence[Entry], roles: Mapping[str, str], seed: int) -> NamingStep:
     """Screen and confirm `entries` on top of a fit."""
     found = screen(before, entries, roles)
+    # The catalogue is searched, so the greatest gain of many is judged: by its own law under "nothing is missing",
+    # drawn from the fitted noise, not by the chi-square of a single test.
     threshold = max(float(np.quantile(null_maximum(found, seed), SURE)), LEAST_GAIN)
     best = found.best()
     evidence = [_evidence(found, number) for number in best.values()]
@@ -113,6 +115,13 @@ def step(before: Fitted, entries: Sequence[Entry], roles: Mapping[str, str], see
 
 
 def _evidence(found: Screen, number: int) -> EffectEvidence:
+    """What the screen says of one shape, and whether many cycles say it or a few.
+
+    The score is a sum over cycles, and so is its information. `spread` is the effective number of cycles (Kish 1965:
+    the squared sum by the sum of squares), `robust` the score in units of its scatter from cycle to cycle (the
+    sandwich's z, which needs no noise model), `carried` the log-likelihood of each cycle under the strength that the
+    others give: what one cycle alone made up is lost in it.
+    """
     shape = found.shapes[number]
     parts, shares = found.by_cycle[:, number], np.maximum(found.information[:, number], 0.0)
     total, mass = float(parts.sum()), float(shares.sum())
@@ -175,6 +184,7 @@ def _room(before: Fitted, named: Named) -> Array:
 def amplitude(before: Fitted, shape: Shape, named: Named) -> float:
     """degC rms over the windows of what an effect does that the parameters of the fit before cannot imitate."""
     column = columns_of(before, (shape,), smooth_course(before))[:, 0]
+    # What the model's own parameters can imitate would be fitted away and is nobody's effect.
     left = column - before.columns @ np.linalg.lstsq(before.columns, column, rcond=None)[0]
     strength = 1.0 if named.entry.whole else named.strength
     return float(abs(strength) * np.sqrt(np.mean(left**2)))
@@ -193,7 +203,10 @@ def _without_strength(named: Named) -> dict[str, float]:
 
 
 def _cosines(before: Fitted, evidence: Sequence[EffectEvidence]) -> dict[str, float]:
-    """Under the noise of the best entry's refit, where there is one."""
+    """Cosines in the inverse covariance's product, under the noise of the best entry's refit where there is one.
+
+    Without the refit the noise would still hold what the effect does, and everything would look alike in it.
+    """
     if not evidence:
         return {}
     top = evidence[0]

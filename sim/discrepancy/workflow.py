@@ -48,12 +48,12 @@ class DiagnosisOutcome:
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisContext:
-    """What every step has at hand: the seed, the roles that are `present` and all `roles`, and whom to tell."""
+    """What every step has at context: the seed, the roles that are `present` and all `roles`, and whom to tell."""
 
     seed: int
     present: Mapping[str, str]
     roles: Mapping[str, str]
-    told: Progress
+    progress: Progress
 
 
 def diagnose(
@@ -70,9 +70,9 @@ def diagnose(
     `roles` gives the signal of each role; those that no trace has take their effects off the table. Raises ValueError,
     in one sentence, when the traces cannot be followed at all.
     """
-    told = progress or (lambda _stage, _share: None)
+    report = progress or (lambda _stage, _share: None)
     model = in_sensor_scale(model)
-    told("laying out the traces", 0.0)
+    report("laying out the traces", 0.0)
     given = [patiently(trace, model.alphabet) for trace in in_order(traces)]
     present = present_roles(given, roles)
     record = record_of(model, given, signals_needed(model, present))
@@ -83,16 +83,21 @@ def diagnose(
     whole = frame_of(record)
     training = on(whole, record.where(record.cycle < first))
     held_out = by_cycles(record.where(record.cycle >= first))
-    told("fitting the model's own parameters", 0.05)
+    report("fitting the model's own parameters", 0.05)
     base = fit(training, named_of(model))
-    told("what a free learner could still explain", 0.2)
+    report("what a free learner could still explain", 0.2)
     before = ceiling(base, seed)
-    found = name(base, present, seed, most, told)
-    told("held-out cycles", 0.85)
+    found = name(base, present, seed, most, report)
+    report("held-out cycles", 0.85)
     own = spread_of(model, given, base)
     beyond = excess(base, own), excess(found.fitted, own)
     return _concluded(
-        model, found, held_out=held_out, before=before, beyond=beyond, hand=DiagnosisContext(seed, present, roles, told)
+        model,
+        found,
+        held_out=held_out,
+        before=before,
+        beyond=beyond,
+        context=DiagnosisContext(seed, present, roles, report),
     )
 
 
@@ -120,11 +125,11 @@ def _concluded(
     held_out: Record,
     before: Ceiling | None,
     beyond: tuple[Excess | None, Excess | None],
-    hand: DiagnosisContext,
+    context: DiagnosisContext,
 ) -> DiagnosisOutcome:
     after = found.fitted
-    left = ceiling(after, hand.seed) if found.taken else before
-    held, first, second = compared(found.base, after, held_out, hand.seed)
+    left = ceiling(after, context.seed) if found.taken else before
+    held, first, second = compared(found.base, after, held_out, context.seed)
     reservations = (
         *doubts(found, first, second=second, held=held, before=before, left=left),
         *left_over(found, *beyond),
@@ -133,10 +138,10 @@ def _concluded(
     kept = verdict in ("named", "class")
     if not kept:
         after = found.base
-        held, first, second = compared(after, after, held_out, hand.seed)
-    hand.told("where the heat is", 0.95)
-    where = places(found.base, hand.seed)
-    remaining = places(after, hand.seed) if kept else where
+        held, first, second = compared(after, after, held_out, context.seed)
+    context.progress("where the heat is", 0.95)
+    where = places(found.base, context.seed)
+    remaining = places(after, context.seed) if kept else where
     effects = tuple(effect_of(one, after) for one in found.taken) if kept else ()
     moved = shifts(after)
     unexplained = remaining if verdict == "unexplained" or (kept and systematic(left)) else ()
@@ -152,10 +157,10 @@ def _concluded(
         ceiling_before=before,
         ceiling_after=left if kept else None,
         candidates=candidates_of(found.steps, kept),
-        untested=untested(hand.present, hand.roles),
+        untested=untested(context.present, context.roles),
         held_out=held,
         course=course_of(found.base, after, first, second),
-        settings=_settings(found, hand.seed, beyond),
+        settings=_settings(found, context.seed, beyond),
         model_before=model.sha.name,
         model_after=None,
     )

@@ -166,11 +166,14 @@ class _Problem:
 
 
 def _solve(problem: _Problem, log_rates: Array) -> _Linear:
+    """Golub & Pereyra's variable projection (1973): at fixed rates all else is linear and solved for exactly."""
     runs, shape = problem.runs, problem.shape
     decay, pull = steps(runs, shape, log_rates)
+    # Column j is the whole course that a unit of parameter j alone would make; `begun` that of a unit of a run's start.
     full = linear_recursion(decay[:, None], pull[:, None] * problem.load, np.zeros(shape.centre.size))
     begun = linear_recursion(decay, runs.first.astype(float), 0.0)
     start = begun[problem.rows]
+    # The starts, one for each run and often hundreds, are taken out run by run, not as columns of the normal equations.
     both, part = problem.project(np.column_stack([full[problem.rows], problem.reading]), start)
     columns, reading = both[:, :-1], both[:, -1]
     prior = problem.noise / shape.spread**2
@@ -192,6 +195,8 @@ def _solve(problem: _Problem, log_rates: Array) -> _Linear:
 
 def _sensitivity(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:
     """(N, r) derivative of the mean at the readings by log(rate), linear parameters and starts held."""
+    # x' = a x + p T, so dx' = a dx + (da x + dp T): the course's own recursion, driven by the change of its
+    # coefficients. These are differentiated numerically, as any flow of the table may stand there.
     runs, shape, step = problem.runs, problem.shape, 1e-4
     target = problem.load @ solved.linear
     before = np.concatenate([[0.0], solved.mean[:-1]])
@@ -214,7 +219,11 @@ def _stacked(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:
 
 
 def _jacobian(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:
-    """Kaufman's: minus the sensitivity without its part in the space of the linear parameters."""
+    """Minus the sensitivity without its part in the space of the linear parameters.
+
+    Kaufman (1975) leaves out the second term of Golub & Pereyra's derivative, which is of the order of the residual:
+    hardly more steps to convergence, each at the price of one recursion a rate.
+    """
     shape = problem.shape
     sense, _ = problem.project(_sensitivity(problem, log_rates, solved), solved.start)
     part = solved.inverse(solved.columns.T @ (problem.weight[:, None] * sense))
@@ -233,6 +242,7 @@ def _best_rates(problem: _Problem, begin: Array) -> Array:
         return begin
     shape = problem.shape
     low, high = (shape.rate_centre + sign * REACH * shape.rate_spread for sign in (-1, 1))
+    # least_squares asks for residuals and slopes at the same point one after the other: one solution serves both.
     kept: dict[bytes, _Linear] = {}
 
     def solved(log_rates: Array) -> _Linear:
@@ -306,6 +316,7 @@ def fit_free_run(runs: FreeRuns, shape: FitShape, *, begin: Array | None = None,
     reading = runs.reading[rows]
     load = loads(runs, shape)
     bounds = np.flatnonzero(begins)
+    # Until there are residuals, a tenth of the readings' variance: the priors must neither rule nor vanish meanwhile.
     noise = 0.1 * float(np.var(reading - np.median(reading))) + 1e-6
     problem = _Problem(
         runs=runs,
@@ -319,6 +330,9 @@ def fit_free_run(runs: FreeRuns, shape: FitShape, *, begin: Array | None = None,
     )
     log_rates = _first_rates(problem) if begin is None else np.log(begin)
     sigma = float("inf")
+    # Iteratively reweighted least squares (Holland & Welsch 1977): rates and linear parameters under fixed weights,
+    # then the weights from their residuals. Errors of neighbouring readings are correlated, so the likelihood is
+    # tempered: `noise` counts `correlation` readings as one, or the priors would have no say against thousands of rows.
     for _ in range(ROUNDS):
         log_rates = _best_rates(problem, log_rates)
         solved = _solve(problem, log_rates)

@@ -122,7 +122,11 @@ State = tuple[Array, Array, Array, Array, Array]
 def _filtered(
     steps: _AffineSteps, table: Indices, sensor: Array, process: Array, scatter: Array
 ) -> tuple[Array, Array]:
-    """(log-likelihoods (n, Q), states (5, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ..."""
+    """(log-likelihoods (n, Q), states (5, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ...
+
+    The Kalman filter on (X, m - mu), vectorised twice: over the chunks, which begin at a reading and so need nothing of
+    one another, and over the Q sets of noises that a gradient takes.
+    """
     n, width = steps.run.size, sensor.size
     scores, states = np.full((n, width), np.nan), np.full((5, n, width), np.nan)
     x = np.repeat(steps.reading[table[0]][:, None], width, axis=1)
@@ -130,6 +134,7 @@ def _filtered(
     state: State = (x, nothing, nothing + sensor**2, nothing, nothing)
     for row in range(1, table.shape[0]):
         knots = table[row][table[row] >= 0]
+        # A new stay draws its m anew, and so does a chunk's first step: what the stay before it knew is given up.
         fresh = (steps.stay[knots] != steps.stay[knots - 1]) | (row == 1)
         state = _predicted(
             steps, knots, fresh=fresh, state=[part[: knots.size] for part in state], process=process, scatter=scatter
@@ -145,6 +150,7 @@ def _filtered(
 def _predicted(
     steps: _AffineSteps, knots: Indices, *, fresh: Mask, state: Sequence[Array], process: Array, scatter: Array
 ) -> State:
+    # A fresh m is independent of X: mean 0, variance that of its location, no covariance with what went before.
     x, m, xx, xm, mm = state
     at = fresh[:, None]
     m, xm, mm = np.where(at, 0.0, m), np.where(at, 0.0, xm), np.where(at, scatter[steps.place[knots]] ** 2, mm)
@@ -167,6 +173,7 @@ def _updated(state: State, error: Array, there: Mask, sensor: Array) -> State:
 
 
 def _log_score(error: Array, variance: Array) -> Array:
+    # Linear beyond three standard deviations (Huber): one wrong reading must not set the noise of a plant.
     z = np.abs(error) / np.sqrt(variance)
     return np.asarray(-0.5 * np.log(2 * np.pi * variance) - np.where(z < 3, 0.5 * z * z, 3 * z - 4.5))
 
@@ -195,6 +202,9 @@ def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ah
     size = origin.size
     decay, own, drift, fresh = np.ones(size), np.zeros(size), np.zeros(size), np.zeros(size)
     process, scatter = np.zeros((size, groups)), np.zeros((size, places))
+    # All origins walk on together, one knot a round, until each is at its outcome. The m of the stay in which an
+    # origin lies is the filter's (`own`, while `still`); each later stay has one of its own, whose weight on X is
+    # `fresh` while it lasts and which then goes, squared, to the scatter of its location.
     at, still = origin.copy(), np.ones(size, dtype=bool)
     for _ in range(int((end - origin).max())):
         go = np.flatnonzero(at < end)
@@ -330,7 +340,11 @@ def fit_noise(
 
 
 def _value_and_slope(theta: Array, task: _Task, weight: float) -> tuple[float, Array]:
-    """The loss and its gradient by forward differences, all perturbations in one pass of the filter."""
+    """The loss and its gradient by forward differences, all perturbations in one pass of the filter.
+
+    In logarithms of standard deviations a step of 1e-4 is a hundredth of a percent: small against what the loss curves
+    by, large against its rounding.
+    """
     trials = theta[:, None] + STEP * np.eye(theta.size, theta.size + 1, 1)
     values = task.loss(trials, weight)
     return float(values[0]), (values[1:] - values[0]) / STEP

@@ -97,7 +97,7 @@ def _convert(name: str, signal: SignalColumn, cells: list[str], column_map: Colu
     return values, {f"{name} is {why}": mask for why, mask in faults.items() if mask.any()}
 
 
-def _tell(report: FileReport, lines: Sequence[int], cells: Sequence[str], faults: Mapping[str, Mask]) -> Mask:
+def _count_faults(report: FileReport, lines: Sequence[int], cells: Sequence[str], faults: Mapping[str, Mask]) -> Mask:
     """Count the faults; the mask of all bad cells."""
     bad = np.zeros(len(lines), dtype=bool)
     for reason, mask in faults.items():
@@ -138,12 +138,12 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
             cells = [row[place] for row in rows]
             column, faults = _convert(name, signal, cells, column_map)
             values[name].append(column)
-            bad[name].append(_tell(report, lines, cells, faults))
+            bad[name].append(_count_faults(report, lines, cells, faults))
     series = {}
     for name in places if clock else ():
         column, fault = np.concatenate(values[name]), np.concatenate(bad[name])
-        said = np.flatnonzero(fault | ~np.isnan(column))
-        series[name] = Series(said, column[said], fault[said])
+        present = np.flatnonzero(fault | ~np.isnan(column))
+        series[name] = Series(present, column[present], fault[present])
     return _finished(clock, series, layout, column_map, report)
 
 
@@ -151,7 +151,7 @@ def _read_long(path: Path, layout: TextLayout, column_map: ColumnMap, long: Long
     names = {alias: name for name in column_map.signals for alias in column_map.names_of(name)}
     pieces: dict[str, list[Series]] = {}
     clock: list[tuple[list[int], Array, Mask]] = []
-    strangers: Counter[str] = Counter()
+    unmapped: Counter[str] = Counter()
     start = 0
     name_at, value_at = _needed(layout, long.name), _needed(layout, long.value)
     object_at = _needed(layout, long.object) if long.objects else None
@@ -164,33 +164,21 @@ def _read_long(path: Path, layout: TextLayout, column_map: ColumnMap, long: Long
         for field, where in groups.items():
             if field not in names:
                 report.aside += len(where)
-                strangers[field or "another object"] += len(where)
+                unmapped[field or "another object"] += len(where)
                 continue
-            pieces.setdefault(names[field], []).append(
-                _long_series(names[field], column_map, report, (lines, rows, where, value_at, start))
-            )
+            name, cells = names[field], [rows[index][value_at] for index in where]
+            values, faults = _convert(name, column_map.signals[name], cells, column_map)
+            # A row of a long file is there to say something: a blank value says that there was none to be had.
+            blank = np.array([not cell.strip() for cell in cells], dtype=bool)
+            if blank.any():
+                faults[f"{name} is blank"] = blank
+            bad = _count_faults(report, [lines[index] for index in where], cells, faults)
+            pieces.setdefault(name, []).append(Series(np.array(where, dtype=np.intp) + start, values, bad))
         start += len(lines)
-    if strangers:
-        report.notes.append(f"rows of {listed(strangers)} are not in the map")
+    if unmapped:
+        report.notes.append(f"rows of {listed(unmapped)} are not in the map")
     series = {name: _joined(parts) for name, parts in pieces.items()}
     return _finished(clock, series, layout, column_map, report)
-
-
-def _long_series(
-    name: str,
-    column_map: ColumnMap,
-    report: FileReport,
-    chunk: tuple[list[int], list[list[str]], list[int], int, int],
-) -> Series:
-    lines, rows, where, value_at, start = chunk
-    cells = [rows[index][value_at] for index in where]
-    values, faults = _convert(name, column_map.signals[name], cells, column_map)
-    # A row of a long file is there to say something: a blank value says that there was none to be had.
-    blank = np.array([not cell.strip() for cell in cells], dtype=bool)
-    if blank.any():
-        faults[f"{name} is blank"] = blank
-    bad = _tell(report, [lines[index] for index in where], cells, faults)
-    return Series(np.array(where, dtype=np.intp) + start, values, bad)
 
 
 def _joined(parts: Sequence[Series]) -> Series:
@@ -215,15 +203,15 @@ def _finished(
     lines = np.concatenate([np.array(chunk[0], dtype=np.intp) for chunk in clock])
     seconds = np.concatenate([chunk[1] for chunk in clock])
     times = to_utc(seconds, np.concatenate([chunk[2] for chunk in clock]), column_map.clock.timezone)
-    spoken = np.ones(times.shape, dtype=bool)
+    mentioned = np.ones(times.shape, dtype=bool)
     if column_map.format == "long":
-        spoken[:] = False
+        mentioned[:] = False
         for one in series.values():
-            spoken[one.rows] = True
+            mentioned[one.rows] = True
     never = np.isnan(times)
-    report.refuse(lines[never & spoken].tolist(), f"its local time never was in {column_map.clock.timezone}")
+    report.refuse(lines[never & mentioned].tolist(), f"its local time never was in {column_map.clock.timezone}")
     everything = FileReadings(times, lines, np.zeros_like(lines), series, layout.comments)
-    return select(everything, np.flatnonzero(~never & spoken))
+    return select(everything, np.flatnonzero(~never & mentioned))
 
 
 def select(readings: FileReadings, order: Rows) -> FileReadings:

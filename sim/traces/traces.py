@@ -106,11 +106,11 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
     readings = joined(parts)
     if column_map.clock.time_of_day is not None:
         readings = replace(readings, times=unroll_midnight(readings.times))
-    origin = _said(readings.comments, "origin:") or _origin([file.path for file in used])
+    origin = _comment_value(readings.comments, "origin:") or _origin([file.path for file in used])
     synthetic = column_map.synthetic or any(comment.startswith(SYNTHETIC) for comment in readings.comments)
     traces = []
     for piece in _in_order(readings, column_map, used):
-        if not _is_heard(piece, column_map, used):
+        if not _has_temperature(piece, column_map, used):
             continue
         trace = Trace(used[0].path.stem, *_merged(piece, column_map, used), origin=origin, synthetic=synthetic)
         traces.append(_completed(trace, column_map))
@@ -120,7 +120,7 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
     return traces
 
 
-def _is_heard(piece: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]) -> bool:
+def _has_temperature(piece: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]) -> bool:
     """Whether there is a temperature in these rows; if not, they are refused."""
     name = column_map.temperature
     if name in column_map.derived or (name in piece.series and not piece.series[name].bad.all()):
@@ -131,7 +131,7 @@ def _is_heard(piece: FileReadings, column_map: ColumnMap, files: Sequence[FileRe
     return False
 
 
-def _said(comments: Iterable[str], key: str) -> str:
+def _comment_value(comments: Iterable[str], key: str) -> str:
     return next((comment.removeprefix(key).strip() for comment in comments if comment.startswith(key)), "")
 
 
@@ -213,8 +213,8 @@ def _completed(trace: Trace, column_map: ColumnMap) -> Trace:
 def _held(times: Array, values: Array, bad: Mask | None, gap: float) -> Array:
     """The last reading held over rows without one, not over bad readings and not over gaps."""
     ends = np.diff(times, prepend=-np.inf) > gap
-    said = ~np.isnan(values) | ends | (np.zeros_like(ends) if bad is None else bad)
-    return np.asarray(values[np.maximum.accumulate(np.where(said, np.arange(times.size), 0))])
+    present = ~np.isnan(values) | ends | (np.zeros_like(ends) if bad is None else bad)
+    return np.asarray(values[np.maximum.accumulate(np.where(present, np.arange(times.size), 0))])
 
 
 def _derive(

@@ -70,12 +70,17 @@ def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:
     return np.exp(-k * dt), pull
 
 
-class Weigher:
-    """The inverse covariance of the windows under one Noise."""
+class Whitener:
+    """The inverse covariance of the windows under one `NoiseModel`.
+
+    V = H S H' + sensor^2 + Z Z', with S the covariance of the states (x, h), of which only the banded inverse is
+    formed, and Z a column a cycle. Both steps are Woodbury's identity; V itself (m x m) is never formed.
+    """
 
     def __init__(self, grid: Grid, noise: NoiseModel) -> None:
         self.grid, self.noise = grid, noise
         posterior, self._prior_logdet = _precision(grid, noise)
+        # Each window is one reading of its x: the sensor's precision comes to every other diagonal entry.
         posterior[0, ::2] += 1.0 / noise.sensor**2
         self._factor = cholesky_banded(posterior, lower=True, overwrite_ab=True, check_finite=False)
         self._heats = grid.heats * noise.cycle
@@ -142,6 +147,8 @@ def _precision(grid: Grid, noise: NoiseModel) -> tuple[Array, float]:
     keep, decay, pull, variance = _steps(grid, noise)
     heat = max(noise.rough, LEAST_HEAT) ** 2
     pull = pull * (noise.rest + (1.0 - noise.rest) * grid.running)
+    # A Markov chain's precision has a block of two rows a window and one to its neighbour: with z' = F z + q, cov q =
+    # Q, the step to each window adds Q^-1 to its own block, F' Q^-1 F to the block before, -Q^-1 F between them.
     # Between two windows the heat is its mean of both ends' as seen from the first: half of what it loses, half fresh.
     move = pull * (1.0 + keep) / 2.0
     fresh = heat * (1.0 - keep**2)
@@ -149,6 +156,7 @@ def _precision(grid: Grid, noise: NoiseModel) -> tuple[Array, float]:
     cross = fresh * pull / 2.0
     qx, qh = np.where(grid.first, DIFFUSE, qx), np.where(grid.first, heat, qh)
     cross = np.where(grid.first, 0.0, cross)
+    # Q^-1 = (a b; b d), written out: two rows need no solver. In lower form row i of `band` is the i-th subdiagonal.
     determinant = qx * qh - cross**2
     a, b, d = qh / determinant, -cross / determinant, qx / determinant
     f11, f12, f22 = (np.where(grid.first, 0.0, part) for part in (decay, move, keep))
@@ -210,6 +218,8 @@ def fit_noise(
     def cost(point: Array) -> float:
         return objective(noise_of(point)) + 0.5 * float(np.sum(((point - centre) / spread) ** 2))
 
+    # Differences of 1e-3 in the logarithms: the objective has a Cholesky decomposition in it, and its rounding would
+    # show in smaller ones. Few iterations are enough, since the fit comes back here with better parameters.
     bounds = [(value - 4.0, value + 4.0) for value in centre]
     bounds[0] = max(bounds[0][0], float(np.log(max(belief.least, 1e-12)))), bounds[0][1]
     bounds[3] = bounds[3][0], MOST_SCATTER

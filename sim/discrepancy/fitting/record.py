@@ -213,9 +213,9 @@ def _machine(runs: FreeRuns, traces: Sequence[Trace], switch: Switch | None) -> 
         begin = runs.time[rows] - runs.dt[rows]
         starts = np.empty(0)
         if switch is not None:
-            told = [event for event in trace.events if event.symbol in (switch.rising, switch.falling, UNKNOWN)]
-            times = np.array([event.time for event in told])
-            state = np.array([0.0, *(float(event.symbol == switch.rising) for event in told)])
+            switching = [event for event in trace.events if event.symbol in (switch.rising, switch.falling, UNKNOWN)]
+            times = np.array([event.time for event in switching])
+            state = np.array([0.0, *(float(event.symbol == switch.rising) for event in switching)])
             done = np.searchsorted(times, begin, side="right")
             running[rows] = state[done]
             rises = state[1:] > state[:-1]

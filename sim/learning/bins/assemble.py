@@ -153,8 +153,8 @@ def stay_values(
         law = location.distribution
         if location.name not in base.seen or law is None:
             continue
-        told = (place == number) & (error <= 2.0 * law.params["sigma"])
-        found[location.name] = tuple(value[told].tolist()) or (law.params["mu"],)
+        known = (place == number) & (error <= 2.0 * law.params["sigma"])
+        found[location.name] = tuple(value[known].tolist()) or (law.params["mu"],)
     return found
 
 
@@ -184,8 +184,8 @@ def _stay_parameters(
     )
     seconds = np.add.reduceat(runs.dt, np.flatnonzero(begins))
     with np.errstate(divide="ignore", invalid="ignore"):
-        told = mm - sm**2 / ss
-        value = (my - sm * sy / ss) / told
-        error = np.sqrt((noise.sensor**2 + noise.process[group[begins]] ** 2 * seconds) / told)
-    good = np.isfinite(value) & (told > 1e-9 * mm)
+        information = mm - sm**2 / ss
+        value = (my - sm * sy / ss) / information
+        error = np.sqrt((noise.sensor**2 + noise.process[group[begins]] ** 2 * seconds) / information)
+    good = np.isfinite(value) & (information > 1e-9 * mm)
     return value, np.where(good, error, np.inf), runs.place[begins]

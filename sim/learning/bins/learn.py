@@ -98,24 +98,24 @@ def learn_bins(
 
     Traces without events are encoded by `alphabet`. The result depends on the traces' content and names, `seed` and the
     settings, not on the order of the traces; copies count once. `data_hash` defaults to the SHA-256 over their content.
-    `progress` is told what is being done and the share that is done (0 to 1).
+    `progress` is called with what is being done and the share that is done (0 to 1).
 
     Raises LearningError (a ValueError), in one sentence, when the traces cannot teach a model.
     """
-    told = progress or (lambda _stage, _share: None)
+    report = progress or (lambda _stage, _share: None)
     check_alphabet(alphabet)
     given = [encoded(trace, alphabet) for trace in traces if trace.times.size]
     ordered, digest = in_order(given)
-    told("reading the traces", 0.0)
+    report("reading the traces", 0.0)
     runs, base = _ground(ordered, alphabet, temperature)
-    scores, chosen, begin = _select(runs, base, candidates, told)
-    told("fitting the chosen candidate", 0.6)
+    scores, chosen, begin = _select(runs, base, candidates, report)
+    report("fitting the chosen candidate", 0.6)
     fitted = _fit(
         name, ordered, runs=runs, base=base, candidate=chosen, begin=begin, temperature=temperature, budget=FIT_BUDGET
     )
-    told("calibrating the bands", 0.75)
+    report("calibrating the bands", 0.75)
     coverage = coverage_of(_held_out_forecasts(ordered, alphabet, temperature, chosen, seed))
-    told("done", 1.0)
+    report("done", 1.0)
     table = tuple(_row(*figures, figures[0] == chosen) for figures in scores)
     provenance = Provenance(
         method="bins",
@@ -159,7 +159,7 @@ Scores = list[tuple[BinsCandidate, HeldOutErrors | None, int, tuple[float, float
 
 
 def _select(
-    runs: FreeRuns, base: Basis, candidates: Sequence[BinsCandidate], told: Progress
+    runs: FreeRuns, base: Basis, candidates: Sequence[BinsCandidate], report: Progress
 ) -> tuple[Scores, BinsCandidate, Array]:
     """(every candidate's figures, the chosen one, its rates): the held-out likelihood decides."""
     few = sampled(runs, CHOICE_BUDGET)
@@ -168,7 +168,7 @@ def _select(
     scores: Scores = []
     rates = []
     for number, candidate in enumerate(rivals):
-        told(f"trying: {candidate.label}", 0.1 + 0.5 * number / len(rivals))
+        report(f"trying: {candidate.label}", 0.1 + 0.5 * number / len(rivals))
         _, shape, _ = build(candidate, base)
         fit = fit_free_run(few, shape)
         held = cross_validate(cut, shape, fit.rates) if cut is not None else None
@@ -195,8 +195,8 @@ def _fit(
     few = sampled(runs, budget)
     fit = fit_free_run(few, shape, begin=begin)
     noise = fit_noise(few, shape, fit, process_groups(base.alphabet))
-    told = well_seen(sha, shape, fit, base)
-    learned = learned_sha(name, sha, shape=shape, fit=fit, noise=noise, runs=few, base=told)
+    measured = well_seen(sha, shape, fit, base)
+    learned = learned_sha(name, sha, shape=shape, fit=fit, noise=noise, runs=few, base=measured)
     model = Model(
         sha=with_range(learned, runs, 4.0 * noise.sensor),
         alphabet=base.alphabet,
@@ -206,8 +206,8 @@ def _fit(
     )
     return _Fitted(
         replace(model, semi_markov=fit_stays(model, traces)),
-        stay_values(few, learned, shape=shape, fit=fit, noise=noise, base=told),
-        location_fits(learned, shape, fit, runs, told),
+        stay_values(few, learned, shape=shape, fit=fit, noise=noise, base=measured),
+        location_fits(learned, shape, fit, runs, measured),
         fit,
         noise,
     )

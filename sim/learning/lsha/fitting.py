@@ -184,7 +184,7 @@ def fit_motion(
             law = _law(fit, int(shape.target[number]), float(noise.scatter[number]), stays)
             location = _with_law(location, law, float(noise.process[groups[number]]))
             own = kinds[number] == flowing.hypothesis.kind
-            values[location.name] = (_told(flowing.sample, mine, law) if own else ()) or (law[0],)
+            values[location.name] = (_well_measured(flowing.sample, mine, law) if own else ()) or (law[0],)
         locations.append(location)
         table.append(
             _row(
@@ -201,7 +201,7 @@ def fit_motion(
     return FittedHypothesis(_sha(name, locations, hypothesis), noise.sensor, values, tuple(table))
 
 
-def _told(sample: SegmentSample, mine: Mask, law: tuple[float, float, float]) -> tuple[float, ...]:
+def _well_measured(sample: SegmentSample, mine: Mask, law: tuple[float, float, float]) -> tuple[float, ...]:
     """The parameters of the segments `mine` that are known to within twice the law's sigma."""
     sigma = float(np.hypot(law[1], law[2]))
     return tuple(sample.segments.value[mine & (np.sqrt(sample.segments.variance) <= 2.0 * sigma)].tolist())

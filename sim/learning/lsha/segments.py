@@ -14,7 +14,7 @@ from sim.engine.recursion import linear_recursion
 from sim.learning.runs import FreeRuns, Indices
 from sim.sha.trace import Array, Mask
 
-TOLD = 1e-9
+LEAST_INFORMATION = 1e-9
 """A segment tells m if x0 leaves this share of m's information."""
 
 
@@ -81,10 +81,10 @@ def parameters(runs: FreeRuns, group: Indices, motion: Motion, unit: float) -> T
     `unit` is a variance in the parameter's unit squared; segments whose own is a million times that say nothing and are
     left out.
     """
-    value, told, squares, count, begin = stay_fits(runs, motion)
+    value, information, squares, count, begin = stay_fits(runs, motion)
     good = np.isfinite(value) & (count >= 2)
     noise = _noise(squares[good], count[good] - 2)
-    variance = np.where(good, noise**2 / np.where(good, told, 1.0), np.inf)
+    variance = np.where(good, noise**2 / np.where(good, information, 1.0), np.inf)
     good &= variance < 1e6 * unit
     return TraceSegments(
         value=value[good],
@@ -104,10 +104,10 @@ def stay_fits(runs: FreeRuns, motion: Motion) -> tuple[Array, Array, Array, Arra
     begins = (np.diff(runs.stay, prepend=-1) != 0) | runs.first
     (ss, sm, mm, sy, my, yy, count), begin = _sums(runs, motion, begins)
     with np.errstate(divide="ignore", invalid="ignore"):
-        told = mm - sm**2 / ss
-        value = np.where(told > TOLD * mm, (my - sm * sy / ss) / told, np.nan)
-        squares = np.maximum(yy - sy**2 / ss - np.where(np.isnan(value), 0.0, told * value**2), 0.0)
-    return value, told, squares, count, begin
+        information = mm - sm**2 / ss
+        value = np.where(information > LEAST_INFORMATION * mm, (my - sm * sy / ss) / information, np.nan)
+        squares = np.maximum(yy - sy**2 / ss - np.where(np.isnan(value), 0.0, information * value**2), 0.0)
+    return value, information, squares, count, begin
 
 
 def _sums(runs: FreeRuns, motion: Motion, begins: Mask) -> tuple[tuple[Array, ...], Indices]:
