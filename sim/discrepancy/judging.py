@@ -164,7 +164,7 @@ def verdict_of(
         return "unexplained", (f"{step.members[0]} {refusal}",)
     if systematic(before) and before is not None and before.p <= SURELY:
         return "unexplained", ("a free learner predicts heat on cycles that it has not seen",)
-    if beyond is not None and beyond.there:
+    if beyond is not None and beyond.exceeded:
         return "unexplained", (beyond.words,)
     return "agree", ()
 

@@ -73,7 +73,7 @@ class Standing:
 class Pair:
     """Two models on the traces that both have: `difference` of the scores (one - other), degC, and what it tells.
 
-    `p` is corrected for all pairs (Holm). `better` is the model that is told to be better, or None; `wins` are the
+    `p` is corrected for all pairs (Holm). `better` is the model that is shown to be better, or None; `wins` are the
     traces on which each has the lower score (equal ones count a half for both).
     """
 
@@ -246,27 +246,28 @@ def _pairs(names: Sequence[str], scores: Mapping[str, Mapping[str, float]], seed
     found = [paired(each, rng) for each in differences]
     corrected = holm([1.0 if each.n == 0 else each.p for each in found])
     return tuple(
-        _pair(one, other, values=values, told=told, p=p, pairs=len(couples))
-        for (one, other), values, told, p in zip(couples, differences, found, corrected, strict=True)
+        _pair(one, other, values=values, difference=difference, p=p, pairs=len(couples))
+        for (one, other), values, difference, p in zip(couples, differences, found, corrected, strict=True)
     )
 
 
-def _pair(one: str, other: str, *, values: np.ndarray, told: Paired, p: float, pairs: int) -> Pair:
+def _pair(one: str, other: str, *, values: np.ndarray, difference: Paired, p: float, pairs: int) -> Pair:
     wins = (float((values < 0).sum() + (values == 0).sum() / 2), float((values > 0).sum() + (values == 0).sum() / 2))
     better = None
-    if told.n and pairs * told.least > LEVEL:
+    if difference.n and pairs * difference.least > LEVEL:
         sentence = (
-            f"nothing can be told from {told.n} trace{'' if told.n == 1 else 's'}: even if one were better on all, p "
-            f"would be {min(1.0, pairs * told.least):.2g} with {pairs} pair{'' if pairs == 1 else 's'}"
+            f"nothing can be told from {difference.n} trace{'' if difference.n == 1 else 's'}: even if one were better "
+            f"on all, p "
+            f"would be {min(1.0, pairs * difference.least):.2g} with {pairs} pair{'' if pairs == 1 else 's'}"
         )
-    elif not told.n:
+    elif not difference.n:
         sentence = "nothing can be told: they have no trace in common"
-    elif p < LEVEL and told.excludes_zero:
-        better, worse = (one, other) if told.mean < 0 else (other, one)
+    elif p < LEVEL and difference.excludes_zero:
+        better, worse = (one, other) if difference.mean < 0 else (other, one)
         sentence = f"{better} is better than {worse}"
     else:
         sentence = "not told apart"
-    return Pair(one=one, other=other, difference=told, p=p, better=better, sentence=sentence, wins=wins)
+    return Pair(one=one, other=other, difference=difference, p=p, better=better, sentence=sentence, wins=wins)
 
 
 def _notes(

@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.ranking.cross_validation import HeldOutFold, folds, held_out, usable
 from sim.ranking.paired import Paired, paired
-from sim.ranking.study import REASON, Facts, ask, interrupt, opened, told, unbroken
+from sim.ranking.study import REASON, Facts, ask, finished_trials, interrupt, opened, unbroken
 from sim.ranking.tuning_methods import Method, Settings, Task, Taught, method_of
 from sim.sha.events import Alphabet
 from sim.sha.trace import Trace
@@ -141,7 +141,9 @@ def tune(
         except KeyboardInterrupt:
             interrupt(study)
             stopped = True
-        return summary([_trial(place, one, plan) for place, one in enumerate(told(study))], notes, stopped=stopped)
+        return summary(
+            [_trial(place, one, plan) for place, one in enumerate(finished_trials(study))], notes, stopped=stopped
+        )
 
 
 def final_model(
@@ -203,7 +205,7 @@ def _facts(plan: StudyPlan, digest: str, alphabet: Alphabet, temperature: str, p
 def _run(study: "Study", search: _TuningSearch, trials: int, progress: Progress) -> None:
     space = method_of(search.plan.method).space
     together = 1 if search.prune else max(1, search.jobs // len(search.parts))
-    while (done := len(told(study))) < trials:
+    while (done := len(finished_trials(study))) < trials:
         asked = [ask(study, space, done + extra, search.plan.seed) for extra in range(min(together, trials - done))]
         progress(f"trial {done + 1} of {trials}{_best_so_far(study)}", done / trials)
         if search.prune:
@@ -217,7 +219,9 @@ def _run(study: "Study", search: _TuningSearch, trials: int, progress: Progress)
 
 
 def _best_so_far(study: "Study") -> str:
-    values = [trial.value for trial in told(study) if trial.value is not None and trial.state.name == "COMPLETE"]
+    values = [
+        trial.value for trial in finished_trials(study) if trial.value is not None and trial.state.name == "COMPLETE"
+    ]
     return f", best so far {min(values):.4g}" if values else ""
 
 
