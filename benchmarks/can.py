@@ -22,7 +22,7 @@ from drivers.can.bus import open_bus
 from drivers.can.driver import open_can
 from drivers.can.protection import Protection, protected
 from drivers.tag import DType, Tag
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 
 DEVICE = Path(__file__).parents[1] / "config" / "devices" / "decanter_can.toml"
 FRAMES = 60_000

@@ -20,7 +20,7 @@ import click
 from benchmarks.figures import Figure, best, give
 from drivers.driver import open_recording
 from drivers.tag import Sample
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data" / "can_obd2"

@@ -44,10 +44,10 @@ from drivers.canopen.driver import open_canopen
 from drivers.driver import open_driver
 from drivers.tag import Sample
 from gateway.demo.can_bus import can_hub
-from gateway.machine.clock import PlantClock
-from gateway.plant.devices import load_device
+from gateway.machine.reading.clock import PlantClock
+from gateway.settings.devices import load_device
 from sim.plc.record.judge import wrong_good
-from sim.plc.record.recording import BlockRow, Recording, read_recording
+from sim.plc.record.recording import BlockRow, PlcRecording, read_recording
 from sim.sha.trace import Trace
 
 CHANGES, PERIOD = 300, 1.0
@@ -141,7 +141,7 @@ def _provoke(plc: Plc, hub: Path, changes: int, rng: random.Random) -> list[floa
     return bare
 
 
-def _followed(recording: Recording, since: float, until: float, changes: int, bare: list[float]) -> Latency:
+def _followed(recording: PlcRecording, since: float, until: float, changes: int, bare: list[float]) -> Latency:
     truth = [row for row in recording.truth if row.tag == CURRENT and since < row.monotonic < until]
     frames = [row for row in recording.frames if row.sent and row.id == OWN_TPDO and row.data]
     blocks = [row for row in recording.blocks if row.accepted]

@@ -16,7 +16,8 @@ import click
 from benchmarks.fault_matrix import PERIOD, TOLERANCE_S, Matrix, suffered, table
 from benchmarks.rig import ROOT, Rig, make_rig, restless_trace
 from gateway.demo.can_bus import can_hub
-from sim.plc.record.recording import Recording
+from sim.plc.program.faults import ONLY_AT
+from sim.plc.record.recording import PlcRecording
 from sim.sha.trace import Trace
 
 DEVICE = ROOT / "config/devices/decanter_canopen.toml"
@@ -27,7 +28,7 @@ BLOCK = 0x2100
 WRITES = (1, 6)
 """Command specifiers of an SDO client's first frame that writes (download, block download)."""
 
-FAULTS: Mapping[str, Mapping[str, Any]] = {
+_ROWS: Mapping[str, Mapping[str, Any]] = {
     "missing heartbeat": {"kind": "missing_heartbeat", "duration": 1.0},
     "short PDO": {"kind": "short_pdo", "duration": 1.0},
     "long PDO": {"kind": "long_pdo", "pdo": 2, "duration": 1.0},
@@ -45,7 +46,16 @@ FAULTS: Mapping[str, Mapping[str, Any]] = {
     "babbling node, our identifiers": {"kind": "babbling_node", "rate": 500.0, "known": True, "duration": 1.5},
     "write ignored": {"kind": "write_ignored", "duration": 1.0},
 }
-"""What is ordered from the PLC, by the row's name."""
+_NAMED = {row["kind"] for row in _ROWS.values()}
+FAULTS: Mapping[str, Mapping[str, Any]] = {
+    **_ROWS,
+    **{
+        kind: {"kind": kind, "duration": 1.0}
+        for kind, faces in ONLY_AT.items()
+        if kind not in _NAMED and "canopen" in faces
+    },
+}
+"""What is ordered from the PLC, by the row's name: also each fault of a node without a row above, at its defaults."""
 TOLERATED = ("SDO abort", "SDO late", "SDO silent")
 """While the PDOs come, nothing is lost to these."""
 
@@ -85,7 +95,7 @@ def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]]) -> Matrix:
         return suffered(rig, faults, options, TOLERANCE_S + EVENT_TIMER_S)
 
 
-def outside(recording: Recording) -> list[str]:
+def outside(recording: PlcRecording) -> list[str]:
     """The objects that the gateway wrote by SDO and that are neither the block nor parameters of communication."""
     strange = []
     for row in recording.frames:
@@ -99,7 +109,7 @@ def outside(recording: Recording) -> list[str]:
     return strange
 
 
-def repeated(recording: Recording) -> int:
+def repeated(recording: PlcRecording) -> int:
     """How many first RPDOs of a block carry a sequence number that was there before."""
     sequences = [row.data[2:4] for row in recording.frames if not row.sent and row.id == 0x200 + NODE and row.data]
     return len(sequences) - len(set(sequences))

@@ -21,10 +21,12 @@ import click
 
 from benchmarks.rig import MAP, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
 from drivers.tag import Sample
-from gateway.machine.quality import STALE_PERIODS
+from gateway.machine.reading.quality import STALE_PERIODS
 from gateway.store.history import reading, samples
+from sim.plc.program.faults import FAULTS as KINDS
+from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.judge import wrong_good
-from sim.plc.record.recording import EventRow, Recording, RequestRow, read_recording
+from sim.plc.record.recording import EventRow, PlcRecording, RequestRow, read_recording
 
 PERIOD = 0.1
 TOLERANCE_S = STALE_PERIODS * PERIOD
@@ -36,7 +38,7 @@ BLOCK = range(400, 424)
 OUTAGES = ("refuse", "silent", "restart")
 """The PLC goes away and comes back: good readings must return within one second."""
 
-FAULTS: Mapping[str, Mapping[str, Any]] = {
+_ROWS: Mapping[str, Mapping[str, Any]] = {
     "refuse": {"kind": "refuse", "duration": 1.5},
     "silent": {"kind": "silent", "duration": 2.5},
     "half_open": {"kind": "half_open", "duration": 0.1},
@@ -59,8 +61,14 @@ FAULTS: Mapping[str, Mapping[str, Any]] = {
     "duplicate reply": {"kind": "duplicate", "duration": 1.0},
     "write ignored": {"kind": "write_ignored", "duration": 1.0},
 }
-"""What is ordered from the PLC, by the row's name. One frozen register behind a living heartbeat is not among them:
-nothing but a tag's own `frozen_after` can tell it (decision 0006)."""
+_NAMED = {row["kind"] for row in _ROWS.values()}
+FAULTS: Mapping[str, Mapping[str, Any]] = {
+    **_ROWS,
+    **{kind: {"kind": kind, "duration": 1.0} for kind in KINDS if kind not in _NAMED and kind not in ONLY_AT},
+}
+"""What is ordered from the PLC, by the row's name: each of its faults that any face can show, at its defaults unless
+it has a row above. One frozen register behind a living heartbeat is not among them: nothing but a tag's own
+`frozen_after` can tell it (decision 0006)."""
 TOLERATED = ("split reply", "duplicate reply")
 """No reading and no block may be lost to these."""
 
@@ -236,7 +244,7 @@ def _unconfirmed(historian: Path) -> list[float]:
     return [float(row[0]) for row in rows]
 
 
-def outside(recording: Recording) -> int:
+def outside(recording: PlcRecording) -> int:
     """How many writing requests touched an address outside the write-back block, whatever became of them."""
     return sum(
         not (row.function == 16 and row.address is not None and _inside(row.address, row.count or 0))

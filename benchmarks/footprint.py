@@ -40,8 +40,8 @@ from benchmarks.processes import (
     software_plc,
     until_usable,
 )
-from sim.plc.record.recording import Recording, read_recording
-from sim.plc.registers import read_map
+from sim.plc.program.registers import read_map
+from sim.plc.record.recording import PlcRecording, read_recording
 
 
 @contextmanager
@@ -90,7 +90,7 @@ def measure(seconds: float, period: float, model_folder: Path | None = None) -> 
     ]
 
 
-def _bare_polls(recording: Recording, since: float, until: float) -> int:
+def _bare_polls(recording: PlcRecording, since: float, until: float) -> int:
     """How many writes of the floor, which alone writes outside the block, arrived in between."""
     gateways = {block.peer for block in recording.blocks}
     return sum(

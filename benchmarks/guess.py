@@ -20,9 +20,9 @@ from benchmarks.figures import Figure, give
 from drivers.codec import decode, encode, registers_needed
 from drivers.errors import EncodingError
 from drivers.tag import DType, Order, Quality, Tag
-from gateway.commission.guess.advice import Advice, advise
-from gateway.commission.guess.reading import Shown
-from gateway.commission.guess.scoring import Candidate, Observation, rank
+from gateway.commission.encodings.advice import Advice, advise
+from gateway.commission.encodings.reading import ShownNumber
+from gateway.commission.encodings.scoring import EncodingCandidate, Observation, rank
 
 TYPES = {
     DType.INT16: 0.25,
@@ -177,18 +177,18 @@ def decoded(tag: Tag, words: Sequence[int]) -> float:
     return float(value)
 
 
-def show(value: float, one: Case, rng: np.random.Generator) -> Shown:
+def show(value: float, one: Case, rng: np.random.Generator) -> ShownNumber:
     """What the HMI shows of a stored value."""
     step = 10.0**-one.decimals
     how = draw(rng, HMI)
     if how == "cut":
-        return Shown(math.trunc(value / step + 1e-9) * step, step)
+        return ShownNumber(math.trunc(value / step + 1e-9) * step, step)
     if how == "moved":
         value += float(rng.normal(0.0, one.moves)) * (one.high - one.low)
-    return Shown(round(round(value / step) * step, one.decimals), step)
+    return ShownNumber(round(round(value / step) * step, one.decimals), step)
 
 
-def is_right(found: Candidate, one: Case, rng: np.random.Generator) -> bool:
+def is_right(found: EncodingCandidate, one: Case, rng: np.random.Generator) -> bool:
     """True if the encoding decodes every value of the range as the one that was drawn.
 
     One that reads other registers than the signal's own is wrong, unless it reads a part of them and the rest is never

@@ -51,9 +51,9 @@ from benchmarks.processes import (
     software_plc,
     until_usable,
 )
-from sim.plc.encode import encode
-from sim.plc.record.recording import BlockRow, Recording, RequestRow, TruthRow, read_recording
-from sim.plc.registers import RegisterMap, read_map
+from sim.plc.program.encode import encode
+from sim.plc.program.registers import RegisterMap, read_map
+from sim.plc.record.recording import BlockRow, PlcRecording, RequestRow, TruthRow, read_recording
 
 CURRENTS = (150.0, 250.0)
 STEP, STEPS = 0.02, 10
@@ -118,7 +118,7 @@ async def provoke(plc: Plc, first: float, changes: int, period: float, rng: rand
     return pairs
 
 
-def scans_in(recording: Recording, registers: RegisterMap) -> list[Scan]:
+def scans_in(recording: PlcRecording, registers: RegisterMap) -> list[Scan]:
     """Every read of the two forced tags that a block followed before the next read, on the gateway's connection.
 
     Raises BenchmarkError when there is none or more than one connection wrote blocks.
@@ -143,7 +143,7 @@ def _reads_both(row: RequestRow, registers: RegisterMap) -> bool:
     return all(set(registers.places[tag].addresses()) <= set(asked) for tag in (TEMPERATURE, CURRENT))
 
 
-def changes_in(recording: Recording, since: float, until: float) -> list[TruthRow]:
+def changes_in(recording: PlcRecording, since: float, until: float) -> list[TruthRow]:
     """The changes of the two tags after `since` and before `until` (monotonic s)."""
     return [row for row in recording.truth if row.tag in (TEMPERATURE, CURRENT) and since < row.monotonic < until]
 

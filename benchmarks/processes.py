@@ -126,7 +126,7 @@ minutes = 60
 [historian]
 path = "historian.sqlite"
 [log]
-path = "gateway.plant.log.jsonl"
+path = "gateway.log.jsonl"
 [forecast]
 period = {FORECAST_SCANS * period:g}
 """

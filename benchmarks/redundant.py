@@ -22,11 +22,11 @@ import numpy as np
 
 from benchmarks.figures import Figure, give, percentile
 from benchmarks.rig import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
-from gateway.machine.quality import STALE_PERIODS
+from gateway.machine.reading.quality import STALE_PERIODS
 from gateway.store.history import events as recorded_events
 from gateway.store.history import reading, samples
 from sim.plc.record.judge import wrong_good
-from sim.plc.record.recording import Recording, read_recording
+from sim.plc.record.recording import PlcRecording, read_recording
 from sim.sha.events import DECANTER, encode
 from sim.sha.trace import Array, Event, Trace
 
@@ -193,7 +193,7 @@ def _judged(rig: Rig, standby: str, switch_overs: int, returns: int) -> Outcome:
     )
 
 
-def true_events(recording: Recording) -> tuple[Event, ...]:
+def true_events(recording: PlcRecording) -> tuple[Event, ...]:
     """The events that the PLC's own signals made, by the same alphabet, from what the PLC recorded as true."""
     names = (RUNNING, CURRENT)
     rows = [row for row in recording.truth if row.tag in names]
@@ -233,7 +233,7 @@ def compare(
     return tuple(lost), tuple(doubled), tuple(delays)
 
 
-def switch_times(recording: Recording, historian: Path) -> tuple[float, ...]:
+def switch_times(recording: PlcRecording, historian: Path) -> tuple[float, ...]:
     """From the beginning of each fault to the switch-over that it caused, in real seconds (the clock runs at 1)."""
     began = [row.time for row in recording.events if row.event == "fault began"]
     with reading(historian) as connection:

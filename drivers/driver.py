@@ -5,10 +5,12 @@ A driver speaks one device. Polled and pushed inputs are two verbs: `Driver.read
 
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from enum import Enum
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
+from drivers.capabilities import Capabilities, LinkKind
 from drivers.errors import DriverError
 from drivers.tag import Sample, Tag, Value
 
@@ -90,11 +92,31 @@ class Recorded(Protocol):
         ...
 
 
+class PlanKind(Enum):
+    """What a line of a plan is about."""
+
+    PROBLEM = "problem"  # a tag that cannot be read, and why
+    HEARD = "heard"  # what comes by itself, and after how long without it it is late
+    OTHER = "other"  # a request, a cost, a source
+
+
+class PlanLine(str):
+    """One sentence of a plan for people, and its kind for those who decide by it."""
+
+    __slots__ = ("kind",)
+    kind: PlanKind
+
+    def __new__(cls, sentence: str, kind: PlanKind = PlanKind.OTHER) -> Self:
+        line = super().__new__(cls, sentence)
+        line.kind = kind
+        return line
+
+
 @runtime_checkable
 class Explains(Protocol):
     """A driver that can say beforehand how it would read."""
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """The plan in sentences: tags that cannot be read and why, each request, the worst-case cycle time."""
         ...
 
@@ -117,13 +139,111 @@ class Complains(Protocol):
         ...
 
 
-DRIVERS: dict[str, str] = {
-    "can": "drivers.can.driver:open_can",
-    "can-log": "drivers.vehicle.replay:open_can_log",
-    "canopen": "drivers.canopen.driver:open_canopen",
-    "modbus": "drivers.modbus.driver:open_modbus",
-    "soft": "drivers.soft.driver:open_soft",
+DRIVERS: dict[str, Capabilities] = {
+    "can": Capabilities(
+        opens="drivers.can.driver:open_can",
+        surveys="drivers.canopen.survey:open_survey",
+        decodes="drivers.vehicle.batch:decode_log",
+        speaks=True,
+        bus=True,
+        block="frames",
+        described_in="its DBC file",
+        files=frozenset({"dbc"}),
+        # It counts as a request each look at what it has heard; on the bus it asks nothing.
+        requests=("sent", "obd_requests"),
+    ),
+    "can-log": Capabilities(
+        opens="drivers.vehicle.replay:open_can_log",
+        decodes="drivers.vehicle.batch:decode_log",
+        speaks=True,
+        described_in="its DBC file",
+        files=frozenset({"log", "dbc"}),
+        requests=(),
+    ),
+    "canopen": Capabilities(
+        opens="drivers.canopen.driver:open_canopen",
+        surveys="drivers.canopen.survey:open_survey",
+        speaks=True,
+        nodes=True,
+        bus=True,
+        block="frames",
+        described_in="its EDS file",
+        files=frozenset({"eds"}),
+    ),
+    "modbus": Capabilities(
+        opens="drivers.modbus.driver:open_modbus",
+        surveys="drivers.modbus.survey:open_survey",
+        plans="drivers.modbus.preview:planned",
+        registers=True,
+        units=True,
+        block="words",
+        networked=True,
+        certificates=True,
+        files=frozenset({"certificates"}),
+    ),
+    "soft": Capabilities(opens="drivers.soft.driver:open_soft", block="words", described_in="its recording"),
 }
+"""Every driver. A new one is its module, its row here, and its line in the contract suite."""
+
+LINKS: dict[str, LinkKind] = {
+    "modbus": LinkKind(
+        driver="modbus",
+        medium="tcp",
+        needs=("host",),
+        settings={"transport": "tcp"},
+        mistaken_for="modbus-rtu-tcp",
+    ),
+    "modbus-tls": LinkKind(
+        driver="modbus", medium="tcp", needs=("host", "certificates"), settings={"transport": "tls"}
+    ),
+    "modbus-rtu": LinkKind(
+        driver="modbus",
+        medium="serial",
+        needs=("serial",),
+        settings={"transport": "rtu"},
+        sign="serial",
+        line=True,
+    ),
+    "modbus-rtu-tcp": LinkKind(
+        driver="modbus",
+        medium="tcp",
+        needs=("host", "port"),
+        settings={"transport": "rtu-tcp"},
+        line=True,
+        mistaken_for="modbus",
+    ),
+    "canopen": LinkKind(driver="canopen", medium="can", needs=("channel",), defaults={"node": 1}),
+    "can": LinkKind(driver="can", medium="can", needs=("channel",)),
+}
+"""Every link that `--link` names; of a driver's links the first one is meant where its settings do not say which."""
+
+
+def capabilities(driver: str) -> Capabilities:
+    """What the driver's devices are like. Raises DriverError with the list of known drivers for an unknown one."""
+    try:
+        return DRIVERS[driver]
+    except KeyError:
+        raise DriverError(f"unknown driver {driver!r}: known are {', '.join(sorted(DRIVERS))}") from None
+
+
+def link_of(driver: str, settings: Mapping[str, Any]) -> str:
+    """The name that `--link` would give to a driver with these settings: a key of LINKS, or the driver's own name."""
+    own = {name: link for name, link in LINKS.items() if link.driver == driver}
+    for name, link in own.items():
+        if link.settings and all(settings.get(key) == value for key, value in link.settings.items()):
+            return name
+    distinct = {key for link in own.values() for key in link.settings if key in settings}
+    if distinct:
+        return f"{driver}-{settings[min(distinct)]}"  # no such link, which the caller says
+    signs = (name for name, link in own.items() if link.sign and link.sign in settings)
+    return next(signs, next(iter(own), driver))
+
+
+def load_function(target: str) -> Callable[..., Any]:
+    """The function that `module:function` names; only now is its module imported, with the libraries that it needs."""
+    module, _, name = target.partition(":")
+    function: Callable[..., Any] = getattr(import_module(module), name)
+    return function
 
 
 def open_driver(
@@ -135,18 +255,8 @@ def open_driver(
     Only tags in `write_map` can ever be written. `seed` feeds the jitter of the back-off. Raises DriverError with the
     list of known kinds for an unknown one, and for a setting that the driver does not know or cannot use.
     """
-    target = DRIVERS.get(kind)
-    if target is None:
-        raise DriverError(f"unknown driver {kind!r}: known are {', '.join(sorted(DRIVERS))}")
-    module, _, function = target.partition(":")
-    factory: Callable[..., Driver] = getattr(import_module(module), function)
+    factory: Callable[..., Driver] = load_function(capabilities(kind).opens)
     return factory(settings, clock=clock, write_map=tuple(write_map), seed=seed)
-
-
-RECORDINGS: dict[str, str] = {
-    "can": "drivers.vehicle.batch:decode_log",
-    "can-log": "drivers.vehicle.batch:decode_log",
-}
 
 
 def open_recording(kind: str, path: Path, settings: Mapping[str, Any], tags: Sequence[Tag]) -> Recorded:
@@ -155,9 +265,9 @@ def open_recording(kind: str, path: Path, settings: Mapping[str, Any], tags: Seq
     `settings` are the driver's own. Raises DriverError for a driver that has no recordings (it lists those that have),
     a setting, an address or a file that cannot be used.
     """
-    target = RECORDINGS.get(kind)
-    if target is None:
-        raise DriverError(f"driver {kind!r} has no recordings; give a device of {' or '.join(sorted(RECORDINGS))}")
-    module, _, function = target.partition(":")
-    decode: Callable[..., Recorded] = getattr(import_module(module), function)
+    target = capabilities(kind).decodes
+    if not target:
+        known = " or ".join(sorted(name for name, row in DRIVERS.items() if row.decodes))
+        raise DriverError(f"driver {kind!r} has no recordings; give a device of {known}")
+    decode: Callable[..., Recorded] = load_function(target)
     return decode(path, settings, tags)

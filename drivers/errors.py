@@ -6,13 +6,27 @@
     ├── RecordingError(ValueError)      a recording that is no file, empty, or of no known format
     ├── WriteForbidden(PermissionError) the tag is not in the closed write map; nothing was sent
     ├── WriteUnverified                 the device confirmed the write but reads back something else
-    ├── LinkDown(ConnectionError)       no connection: refused, reset, unreachable, closed
+    ├── LinkDown(ConnectionError)       no connection: refused, reset, unreachable, closed (`fault`)
     ├── ReplyTimeout(TimeoutError)      no valid reply within the deadline
     ├── ReplyMismatch                   a reply that does not answer the request (unit, function, count, length, echo)
     └── DeviceException(code)           the device refused, and says why
 
-`connect` and `write` raise these; `read` turns them into samples of bad quality.
+`connect` and `write` raise these; `read` turns them into samples of bad quality. What a caller decides by is a field of
+the error, never its sentence.
 """
+
+from enum import Enum
+
+
+class LinkFault(Enum):
+    """Why there is no connection, where the driver knows it."""
+
+    REFUSED = "refused"  # the host is there, and nothing listens on the port
+    UNREACHABLE = "unreachable"  # there is no route to the host
+    SILENT = "silent"  # nobody answered within the deadline
+    CLOSED = "closed"  # the peer closed the connection
+    FOREIGN = "foreign"  # what arrives is another protocol
+    OTHER = "other"
 
 
 class DriverError(Exception):
@@ -40,7 +54,11 @@ class WriteUnverified(DriverError):
 
 
 class LinkDown(DriverError, ConnectionError):
-    """There is no connection: refused, reset, unreachable or closed."""
+    """There is no connection: refused, reset, unreachable or closed; `fault` says which, where it is known."""
+
+    def __init__(self, sentence: str = "", *, fault: LinkFault = LinkFault.OTHER) -> None:
+        super().__init__(sentence)
+        self.fault = fault
 
 
 class ReplyTimeout(DriverError, TimeoutError):

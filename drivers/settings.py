@@ -1,66 +1,184 @@
-"""A driver's settings checked against a table: every key known, every value of its type and in its range."""
+"""TOML in, checked settings out; what is wrong comes back as sentences: file, key, reason, what would be right.
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+It is the only place where such a sentence is made. A field's description is its remedy.
+"""
+
+import difflib
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
 
 from drivers.errors import DriverError
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """One key: its type, its default (None: it must be given, unless `optional`) and its inclusive range."""
+class ConfigError(ValueError):
+    """The configuration cannot be used. `problems` has one sentence each: file, key, reason, what would be right."""
 
-    kind: type
-    default: Any = None
-    low: float | None = None
-    high: float | None = None
-    optional: bool = False
+    def __init__(self, problems: Sequence[str]) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = tuple(problems)
 
 
-def check_settings(driver: str, settings: Mapping[str, Any], known: Mapping[str, Setting]) -> dict[str, Any]:
-    """Give every known key its value or default.
+class Section(BaseModel):
+    """A table of a TOML file: unknown keys and wrong types are refused."""
 
-    Raises DriverError, in one sentence, for a key that the driver does not know (it lists those that it does), a key
-    that is missing, and a value of the wrong type or outside its range.
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+Text = Annotated[str, Field(min_length=1)]
+
+
+class Reconnecting(Section):
+    """Settings of every driver that keeps a connection: the pauses between its attempts (see `drivers.link`)."""
+
+    backoff_first: float = Field(
+        0.2, ge=0.001, le=5.0, description="the seconds before the second attempt to connect, 0.001 to 5"
+    )
+    backoff_cap: float = Field(
+        0.5, ge=0.001, le=5.0, description="the most seconds between two attempts to connect, 0.001 to 5"
+    )
+
+
+S = TypeVar("S", bound=BaseModel)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The file's content. Raises ConfigError, with the line where TOML has one."""
+    try:
+        with path.open("rb") as stream:
+            return tomllib.load(stream)
+    except FileNotFoundError:
+        raise ConfigError([f"{path}: there is no such file; give the path of an existing TOML file"]) from None
+    except OSError as error:
+        raise ConfigError(
+            [f"{path}: cannot be read ({error.strerror}); give a TOML file that this user can read"]
+        ) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError([f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8"]) from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError([f"{path}: is not TOML: {error}; correct that place"]) from None
+
+
+def checked(section: type[S], data: Mapping[str, Any], file: Path) -> S:
+    """`data` as a `section`. Raises ConfigError with one sentence for each thing that is wrong."""
+    try:
+        return section.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(sentences(section, error, str(file))) from None
+
+
+def check_settings(driver: str, section: type[S], settings: Mapping[str, Any]) -> S:
+    """A driver's settings; None stands for a key that is not given.
+
+    Raises DriverError with the first thing that is wrong, in one sentence.
     """
-    unknown = sorted(set(settings) - set(known))
+    given = {key: value for key, value in settings.items() if value is not None}
+    try:
+        return section.model_validate(given)
+    except ValidationError as error:
+        raise DriverError(sentences(section, error, driver)[0]) from None
+
+
+def sentences(section: type[BaseModel], error: ValidationError, place: str) -> list[str]:
+    """What is wrong with the data of a `section`, each as `place: key: reason; what would be right`."""
+    return [_sentence(section, detail, place) for detail in error.errors(include_url=False)]
+
+
+def _sentence(section: type[BaseModel], detail: ErrorDetails, place: str) -> str:
+    unknown = detail["type"] == "extra_forbidden"
+    key, models, field = _found(section, detail["loc"], unknown=unknown)
+    where = f"{place}: {key}" if key else place
     if unknown:
-        raise DriverError(f"{driver}: unknown setting {unknown[0]!r}: known are {', '.join(sorted(known))}")
-    return {key: _checked(f"{driver}: {key}", settings.get(key), setting) for key, setting in known.items()}
+        return f"{where}: there is no such key; {_nearest(models, str(detail['loc'][-1]))}"
+    if detail["type"] == "value_error":
+        return f"{where}: {detail['msg'].removeprefix('Value error, ')}"
+    remedy = f"give {field.description}" if field and field.description else ""
+    if detail["type"] == "missing":
+        return f"{where}: is missing; {remedy or 'add it'}"
+    return f"{where}: {reason_of(detail)}, got {_short(detail['input'])}; {remedy or 'correct the value'}"
 
 
-def _checked(place: str, value: Any, setting: Setting) -> Any:
-    if value is None:
-        if setting.default is None and not setting.optional:
-            raise DriverError(f"{place} must be given")
-        return setting.default
-    if setting.kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if not isinstance(value, setting.kind) or (isinstance(value, bool) and setting.kind is not bool):
-        raise DriverError(f"{place} must be {_NAMES[setting.kind]}, not {value!r}")
-    if value == "":
-        raise DriverError(f"{place} must not be empty")
-    if isinstance(value, int | float):
-        _check_range(place, value, setting)
-    return value
-
-
-def _check_range(place: str, value: int | float, setting: Setting) -> None:
-    if not math.isfinite(value):
-        raise DriverError(f"{place} must be a finite number, not {value!r}")
-    if setting.low is not None and value < setting.low:
-        raise DriverError(f"{place} is {value!r} and must be at least {setting.low:g}")
-    if setting.high is not None and value > setting.high:
-        raise DriverError(f"{place} is {value!r} and must be at most {setting.high:g}")
-
-
-_NAMES: dict[type, str] = {
-    int: "a whole number",
-    float: "a number",
-    str: "text",
-    bool: "true or false",
-    dict: "a table",
-    list: "a list",
+_REASONS = {
+    "int_type": "must be a whole number",
+    "float_type": "must be a number",
+    "string_type": "must be text",
+    "int_parsing": "must be a whole number",
+    "float_parsing": "must be a number",
+    "union_tag_invalid": "{discriminator} must be one of {expected_tags}",
+    "bool_type": "must be true or false",
+    "dict_type": "must be a table",
+    "model_type": "must be a table",
+    "list_type": "must be a list",
+    "tuple_type": "must be a list",
+    "greater_than_equal": "must be at least {ge:g}",
+    "less_than_equal": "must be at most {le:g}",
+    "greater_than": "must be more than {gt:g}",
+    "less_than": "must be less than {lt:g}",
+    "string_too_short": "must have {min_length} characters or more",
+    "too_short": "must have {min_length} entries or more",
+    "too_long": "must have {max_length} entries or fewer",
 }
+"""pydantic's kinds of errors in words that need no Python; its own words serve for the rest."""
+
+
+def reason_of(detail: ErrorDetails) -> str:
+    """What is wrong with one value: "must be a whole number"."""
+    if detail["input"] in ("", []) and detail["type"] in ("string_too_short", "too_short"):
+        return "must not be empty"
+    if detail["type"] in _REASONS:
+        return _REASONS[detail["type"]].format(**detail.get("ctx", {}))
+    # pydantic says "Input should be ...", "String should match ...": the key takes the place of the subject.
+    _, should, rest = detail["msg"].partition(" should ")
+    return f"must {rest}" if should else detail["msg"][0].lower() + detail["msg"][1:]
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _nearest(models: Sequence[type[BaseModel]], key: str) -> str:
+    known = list(dict.fromkeys(name for model in models for name in model.model_fields))
+    close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+    return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
+
+
+def _found(
+    section: type[BaseModel], loc: Sequence[str | int], *, unknown: bool
+) -> tuple[str, Sequence[type[BaseModel]], FieldInfo | None]:
+    """The key as the file has it, the models that may lie there, and the last field on the way.
+
+    pydantic puts the member of a union that it has tried into the path, too; no file has that. The last part of the
+    path of an `unknown` key is no field.
+    """
+    key, models, field, is_mapping = "", [section], None, False
+    for number, part in enumerate(loc, start=1):
+        if isinstance(part, int):
+            key += f"[{part}]"
+            continue
+        own = next((model.model_fields[part] for model in models if part in model.model_fields), None)
+        if own is not None and not is_mapping:
+            key, field = f"{key}.{part}", own
+            models, is_mapping = _models_in(own.annotation), get_origin(own.annotation) is dict
+        elif is_mapping or not models or (unknown and number == len(loc)):
+            key, is_mapping = f"{key}.{part}", False
+        else:
+            models = [model for model in models if _is_tagged(model, part)] or models
+    return key.lstrip("."), models, field
+
+
+def _models_in(annotation: object) -> list[type[BaseModel]]:
+    """All models that the annotation names, through lists, unions and optional values."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]
+
+
+def _is_tagged(model: type[BaseModel], tag: str) -> bool:
+    """True if one of the model's fields can only be this word: it is the union's member of that name."""
+    return any(get_args(field.annotation) == (tag,) for field in model.model_fields.values())

@@ -7,10 +7,9 @@ raised as it is.
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, Protocol
 
-from drivers.driver import Clock
+from drivers.driver import Clock, capabilities, load_function
 from drivers.errors import DriverError
 from drivers.tag import Sample, Tag
 
@@ -30,15 +29,15 @@ class Raw:
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
+class ReadWords:
     """What one read request brought, and the seconds from its sending to the whole reply."""
 
     words: tuple[int, ...]
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannedRequest:
     """One request that would be sent: `kind` "read", "write" or "read back", `count` addresses from `place` on.
 
     `vain` of them belong to no tag; `seconds` is the longest that it can take.
@@ -52,7 +51,7 @@ class Request:
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReadPlan:
     """The requests of one scan and of one write of the block, and the longest that either can take (s).
 
@@ -60,8 +59,8 @@ class ReadPlan:
     registers.
     """
 
-    requests: tuple[Request, ...]
-    writes: tuple[Request, ...]
+    requests: tuple[PlannedRequest, ...]
+    writes: tuple[PlannedRequest, ...]
     problems: tuple[str, ...]
     seconds: float
     write_seconds: float
@@ -71,7 +70,7 @@ class ReadPlan:
 class AsksRegisters(Protocol):
     """A Modbus device. All verbs raise DriverError by its kinds; `unit` None is the configured one."""
 
-    async def read(self, area: str, start: int, count: int, unit: int | None = None) -> Words:
+    async def read(self, area: str, start: int, count: int, unit: int | None = None) -> ReadWords:
         """One request for registers or bits (0 and 1) of a table, sent once."""
         ...
 
@@ -118,44 +117,34 @@ class ListensToBus(Protocol):
         ...
 
 
-SURVEYS: dict[str, str] = {
-    "modbus": "drivers.modbus.survey:open_survey",
-    "canopen": "drivers.canopen.survey:open_survey",
-    "can": "drivers.canopen.survey:open_survey",
-}
-
-
-def open_registers(settings: Mapping[str, Any], *, clock: Clock) -> AbstractAsyncContextManager[AsksRegisters]:
-    """A connection to a Modbus device, by the Modbus driver's settings. Raises DriverError; LinkDown on entering."""
-    opened: Callable[..., AbstractAsyncContextManager[AsksRegisters]] = _factory("modbus")
+def open_registers(
+    driver: str, settings: Mapping[str, Any], *, clock: Clock
+) -> AbstractAsyncContextManager[AsksRegisters]:
+    """A connection to a device with registers, by its driver's settings. Raises DriverError; LinkDown on entering."""
+    row = capabilities(driver)
+    if not row.registers or not row.surveys:
+        raise DriverError(f"{driver!r} has no registers that can be asked for by hand: {row.described_in} says more")
+    opened: Callable[..., AbstractAsyncContextManager[AsksRegisters]] = load_function(row.surveys)
     return opened(settings, clock=clock)
 
 
 def open_bus_survey(
     driver: str, settings: Mapping[str, Any], *, clock: Clock
 ) -> AbstractAsyncContextManager[ListensToBus]:
-    """A CAN bus, by the settings of the driver `can` or `canopen`. Raises DriverError; LinkDown on entering."""
-    if driver not in ("can", "canopen"):
+    """A CAN bus, by the settings of a driver that is on one. Raises DriverError; LinkDown on entering."""
+    row = capabilities(driver)
+    if not row.bus or not row.surveys:
         raise DriverError(f"{driver!r} is no CAN bus: give --link can or --link canopen, and --channel")
-    opened: Callable[..., AbstractAsyncContextManager[ListensToBus]] = _factory(driver)
+    opened: Callable[..., AbstractAsyncContextManager[ListensToBus]] = load_function(row.surveys)
     return opened(settings, clock=clock)
-
-
-PLANS: dict[str, str] = {"modbus": "drivers.modbus.preview:planned"}
 
 
 def read_plan(
     driver: str, settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[Tag] = ()
 ) -> ReadPlan | None:
     """How a device of this driver would be read; None where a driver has no such plan. Raises DriverError."""
-    if driver not in PLANS:
+    target = capabilities(driver).plans
+    if not target:
         return None
-    module, _, function = PLANS[driver].partition(":")
-    planned: Callable[..., ReadPlan] = getattr(import_module(module), function)
+    planned: Callable[..., ReadPlan] = load_function(target)
     return planned(settings, tags, written)
-
-
-def _factory(driver: str) -> Callable[..., Any]:
-    module, _, function = SURVEYS[driver].partition(":")
-    made: Callable[..., Any] = getattr(import_module(module), function)
-    return made

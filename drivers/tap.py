@@ -14,8 +14,8 @@ from typing import Literal
 Medium = Literal["tcp", "serial", "can"]
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TapFrame:
     """Bytes as they were moved: `time` in seconds UTC (the wall clock), `sent` by us or received.
 
     `place` is the far end (`192.168.1.10:502`, `/dev/ttyUSB0`, `socketcan can0`), `local` our end where there is one.
@@ -31,7 +31,7 @@ class Frame:
     local: str = ""
 
 
-Tap = Callable[[Frame], None]
+Tap = Callable[[TapFrame], None]
 
 _TAP: ContextVar[Tap | None] = ContextVar("tap", default=None)
 
@@ -51,6 +51,6 @@ def current() -> Tap | None:
     return _TAP.get()
 
 
-def moved(medium: Medium, place: str, data: bytes, *, sent: bool, local: str = "") -> Frame:
+def moved(medium: Medium, place: str, data: bytes, *, sent: bool, local: str = "") -> TapFrame:
     """A frame of this moment."""
-    return Frame(time.time(), sent, medium, place, data, local)
+    return TapFrame(time=time.time(), sent=sent, medium=medium, place=place, data=data, local=local)

@@ -3,15 +3,20 @@
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import pytest
+
+from gateway.cli.main import main
+from gateway.console.lazy import LazyGroup
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for room in ("drivers", "sim", "gateway") for path in (ROOT / room).rglob("*.py"))
 HEAVY = (
     *("numpy", "pandas", "scipy", "matplotlib", "pymodbus", "pydantic", "rich", "structlog", "lark", "pydot"),
-    *("jinja2", "joblib", "optuna", "distributed", "dask", "sklearn"),
+    *("jinja2", "fpdf", "joblib", "optuna", "distributed", "dask", "sklearn"),
     *("can", "cantools", "canopen", "cryptography", "serial"),
 )
 
@@ -32,7 +37,7 @@ def modules_imported_by(code: str) -> set[str]:
     return set(done.stdout.splitlines()[-1].split())
 
 
-HELPED = [[], ["model"], ["plc"], ["plc", "scan"]]
+HELPED = [[], ["model"], ["trace"], ["plc"], ["plc", "scan"], ["plc", "write"], ["plc", "loop"]]
 """The groups: their help lists commands without loading one. A command's own help loads that command's module."""
 
 
@@ -57,3 +62,25 @@ def test_no_measured_data_lies_in_the_project() -> None:
     files = [ROOT / name for name in tracked.stdout.split("\0") if name]
     too_large = [str(path) for path in files if path.is_file() and path.stat().st_size > 1_500_000]
     assert too_large == []
+
+
+def lazy_commands(
+    group: LazyGroup, words: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], str, click.Command]]:
+    """Every command of the tables: its words, its line in the table, and the command itself."""
+    context = click.Context(group)
+    for name, (_, line) in group.table.items():
+        command = group.get_command(context, name)
+        assert command is not None
+        yield (*words, name), line, command
+        if isinstance(command, LazyGroup):
+            yield from lazy_commands(command, (*words, name))
+
+
+def test_the_tables_line_of_a_command_is_the_commands_own() -> None:
+    different = {
+        " ".join(words): (line, own)
+        for words, line, command in lazy_commands(main)
+        if (own := command.get_short_help_str(limit=1000)) != line
+    }
+    assert different == {}

@@ -46,7 +46,7 @@ class Column:
 
 def read_log(path: Path) -> Log:
     """A case's trace by our own loader, last readings held."""
-    from gateway.console.traces import load
+    from gateway.lab.traces.load import load
 
     trace = load([str(path)], "decanter")[0][0]
     held = {name: _held(column) for name, column in trace.signals.items()}

@@ -17,7 +17,7 @@ from pathlib import Path
 import cantools
 from cantools.database.can import Database, Message, Signal
 
-from drivers.can.fields import Bits, Condition, Field, check_type, frame_key
+from drivers.can.fields import Bits, Field, LayoutCondition, check_type, frame_key
 from drivers.can.protection import PROFILE, Protection
 from drivers.errors import AddressError, DriverError
 from drivers.tag import DType, Tag
@@ -68,7 +68,7 @@ class Dbc:
         signal = signals.get(signal_name)
         if signal is None:
             raise AddressError(f"{tag.name}: {name} has no signal {signal_name!r}; it has {', '.join(signals)}")
-        field = Field(self.messages[name].key, _bits(signal), tuple(_conditions(message, signal)))
+        field = Field(self.messages[name].key, bits_of(signal), tuple(conditions_of(message, signal)))
         completed = _completed(tag, signal)
         check_type(completed, field.bits)
         return completed, field, self.messages[name]
@@ -78,7 +78,14 @@ class Dbc:
         cycle = None if not message.cycle_time else message.cycle_time / 1000.0
         layouts = {ids for s in message.signals for ids in (tuple(s.multiplexer_ids or ()),) if ids}
         protection = self._protection(message)
-        return MessageFacts(message.name, key, message.length, cycle, max(1, len(layouts)), protection)
+        return MessageFacts(
+            name=message.name,
+            key=key,
+            length=message.length,
+            cycle=cycle,
+            layouts=max(1, len(layouts)),
+            protection=protection,
+        )
 
     def _protection(self, message: Message) -> Protection | None:
         attributes = message.dbc.attributes if message.dbc is not None else {}
@@ -97,16 +104,17 @@ class Dbc:
         return Protection(data_id, delta)
 
 
-def _bits(signal: Signal) -> Bits:
+def bits_of(signal: Signal) -> Bits:
+    """Where a signal lies."""
     return Bits(signal.start, signal.length, signal.byte_order == "big_endian")
 
 
-def _conditions(message: Message, signal: Signal) -> Iterator[Condition]:
+def conditions_of(message: Message, signal: Signal) -> Iterator[LayoutCondition]:
     """The multiplexors that must hold the signal's numbers, its own first, then those above it."""
     signals = {other.name: other for other in message.signals}
     while signal.multiplexer_ids and signal.multiplexer_signal:
         selector = signals[signal.multiplexer_signal]
-        yield Condition(_bits(selector), frozenset(signal.multiplexer_ids))
+        yield LayoutCondition(bits_of(selector), frozenset(signal.multiplexer_ids))
         signal = selector
 
 

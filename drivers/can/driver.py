@@ -14,22 +14,21 @@ from drivers.can.bus import open_bus
 from drivers.can.errors_on_bus import BusErrors, ControllerState
 from drivers.can.exchange import Exchange, put
 from drivers.can.fields import EXTENDED, frame_key, frame_name, layout_name, value_of
-from drivers.can.frame import Frame
+from drivers.can.frame import CanFrame
 from drivers.can.load import BusLoad
+from drivers.can.notations import is_message_tag, message_decoder
 from drivers.can.pump import Pump
 from drivers.can.reception import Channel, Reception, Slot
-from drivers.can.settings import SETTINGS
-from drivers.can.signals import Place, SignalMap, describe
+from drivers.can.settings import CanSettings
+from drivers.can.signals import SignalMap, SignalPlace, describe
 from drivers.can.streaming import Stream
 from drivers.can.writing import WriteMap
 from drivers.codec import Reading
-from drivers.driver import Clock
+from drivers.driver import Clock, PlanKind, PlanLine
 from drivers.errors import AddressError, DriverError, LinkDown
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.settings import check_settings
 from drivers.tag import Quality, Sample, Tag, Value
-from drivers.vehicle.decoding import is_vehicle
-from drivers.vehicle.live import LiveVehicle
 
 _LOOK = 0.1
 _PLACES_KEPT = 20_000
@@ -42,10 +41,10 @@ class _Heard:
 
     tag: Tag
     problem: str = ""
-    place: Place | None = None
+    place: SignalPlace | None = None
     channel: Channel | None = None
     slot: Slot | None = None
-    frame: Frame | None = None
+    frame: CanFrame | None = None
     reading: Reading = (None, Quality.WAITING_FOR_INITIAL_DATA, "")
 
 
@@ -57,36 +56,36 @@ def open_can(settings: Mapping[str, Any], *, clock: Clock, write_map: Sequence[T
     Raises DriverError for an unknown key, a value out of range, an interface or a DBC file that cannot be used;
     AddressError for a tag of the write map that cannot be written.
     """
-    checked = check_settings("can", settings, SETTINGS)
+    checked = check_settings("can", CanSettings, settings)
     known = {*can.interfaces.BACKENDS, "hub"}
-    if checked["interface"] not in known:
-        raise DriverError(f"can: interface {checked['interface']!r} is not known: known are {', '.join(sorted(known))}")
+    if checked.interface not in known:
+        raise DriverError(f"can: interface {checked.interface!r} is not known: known are {', '.join(sorted(known))}")
     return CanDriver(checked, clock=clock, write_map=tuple(write_map), seed=seed)
 
 
 class CanDriver:
     """One CAN bus; a Driver that Writes and Streams. Made by `open_can`."""
 
-    def __init__(self, settings: Mapping[str, Any], *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
+    def __init__(self, settings: CanSettings, *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
         self._settings = settings
         self._clock = clock
         self._signals = SignalMap(settings)
-        self._write_map = WriteMap(write_map, self._signals, settings["echo"] or {}, settings["pad"])
+        self._write_map = WriteMap(write_map, self._signals, settings.echo, settings.pad)
         self._reception = Reception()
-        self._vehicle = LiveVehicle(settings, self._reception)
+        self._messages = message_decoder(settings, self._reception)
         self._errors = BusErrors()
         self._off = False
-        self._load = BusLoad(settings["bitrate"])
+        self._load = BusLoad(settings.bitrate)
         self._heard: dict[int, _Heard] = {}
         self._streams: set[Stream] = set()
-        self._exchange = Exchange(self._write_map, self._reception, settings["timeout"])
+        self._exchange = Exchange(self._write_map, self._reception, settings.timeout)
         self._watching: asyncio.Task[None] | None = None
         self._counts = dict.fromkeys(("requests", "frames", "dropped"), 0)
         self._link: Link[Pump] = Link(
             self._connect,
             self._leave,
-            connect_deadline=settings["connect_timeout"],
-            backoff=Backoff(settings["backoff_first"], settings["backoff_cap"]),
+            connect_deadline=settings.connect_timeout,
+            backoff=Backoff(settings.backoff_first, settings.backoff_cap),
             # Silence is judged by the messages' own timeouts (_notice_silence): one verdict ends the connection.
             dead_peer=DeadPeer(1, float("inf")),
             seed=seed,
@@ -108,7 +107,7 @@ class CanDriver:
         if watching is not None:
             watching.cancel()
             await asyncio.wait({watching})
-        self._vehicle.stop()
+        self._messages.stop()
         for stream in self._streams:
             stream.end()
         await self._link.close()
@@ -128,7 +127,7 @@ class CanDriver:
             **self._exchange.counts,
             **{f"frames_{name}": count for name, count in self._reception.counts.items()},
             **self._errors.counts,
-            **self._vehicle.counts(),
+            **self._messages.counts(),
             "bus_load_percent": self._load.percent(now),
             "bus_load_peak_percent": self._load.peak,
             "transmit_errors": self._errors.transmit_errors,
@@ -143,18 +142,19 @@ class CanDriver:
         now = time.monotonic()
         return [self._sample(self._hearing(tag), now) for tag in tags]
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """In sentences: what cannot be read and why, each message with its timeout and signals, what may be sent."""
         heard = [self._hearing(tag) for tag in tags]
-        left_out = [f"{one.tag.name}: {one.problem}" for one in heard if one.problem]
+        left_out = [PlanLine(f"{one.tag.name}: {one.problem}", PlanKind.PROBLEM) for one in heard if one.problem]
         sent = [
             f"{frame_name(frame.key)}{layout_name(frame.conditions)} may be sent, {frame.length} bytes, echo "
             f"{frame_name(frame.echo)}: "
             f"{', '.join(frame.places)}"
             for frame in self._write_map.frames
         ]
-        plain = describe([one.place for one in heard if one.place is not None])
-        return (*left_out, *plain, *self._vehicle.describe(), *sent)
+        places = [one.place for one in heard if one.place is not None]
+        plain = [PlanLine(line, PlanKind.HEARD) for line in describe(places)]
+        return (*left_out, *plain, *self._messages.describe(), *map(PlanLine, sent))
 
     # ------------------------------------------------------------ Streams
 
@@ -201,8 +201,8 @@ class CanDriver:
         return one
 
     def _listening(self, tag: Tag) -> _Heard:
-        if is_vehicle(tag):
-            return self._telling(tag)
+        if is_message_tag(tag):
+            return self._listening_for_messages(tag)
         try:
             place = self._write_map.echoes[tag.name] if self._write_map.holds(tag) else self._signals.place(tag)
         except AddressError as error:
@@ -213,13 +213,13 @@ class CanDriver:
             self._filter_anew()
         return _Heard(tag, "", place, channel, slot)
 
-    def _telling(self, tag: Tag) -> _Heard:
-        """A tag of OBD-II or J1939: no place in frames but a slot of its own, for which all frames are needed."""
+    def _listening_for_messages(self, tag: Tag) -> _Heard:
+        """A tag without a place in frames: it has a slot of its own, for which all frames are needed."""
         try:
-            channel, slot = self._vehicle.listen(tag, time.monotonic())
+            channel, slot = self._messages.listen(tag, time.monotonic())
         except AddressError as error:
             return _Heard(tag, problem=str(error))
-        if (pump := self._link.connection) is not None and self._settings["only_mapped"]:
+        if (pump := self._link.connection) is not None and self._settings.only_mapped:
             pump.bus.set_filters(None)
         return _Heard(tag, "", None, channel, slot)
 
@@ -234,7 +234,7 @@ class CanDriver:
             quality, reason = missing or (Quality.WAITING_FOR_INITIAL_DATA, "")
             return self._no(one.tag, quality, f"{reason}; {_BUS_OFF}" if self._off else reason)
         if one.place is None:
-            one.reading = self._vehicle.reading(one.slot)
+            one.reading = self._messages.reading(one.slot)
         elif one.frame is not frame:
             one.frame, one.reading = frame, value_of(one.place.tag, one.place.field, frame.data)
         value, quality, reason = one.reading
@@ -247,8 +247,11 @@ class CanDriver:
 
     async def _connect(self) -> Pump:
         s = self._settings
-        options = {"bitrate": s["bitrate"], "fd": s["fd"], "filters": self._filters(), "options": s["options"]}
-        opening = asyncio.ensure_future(asyncio.to_thread(open_bus, s["interface"], s["channel"], **options))
+        opening = asyncio.ensure_future(
+            asyncio.to_thread(
+                open_bus, s.interface, s.channel, s.bitrate, fd=s.fd, filters=self._filters(), options=s.options
+            )
+        )
         try:
             bus = await asyncio.shield(opening)
         except asyncio.CancelledError:
@@ -259,7 +262,7 @@ class CanDriver:
         pumps: list[Pump] = []
         pump = Pump(bus, self._take, lambda reason: self._link.lost(pumps[0], reason))
         pumps.append(pump)
-        self._vehicle.start(partial(put, pump))
+        self._messages.start(partial(put, pump))
         return pump
 
     def _leave(self, pump: Pump) -> None:
@@ -273,7 +276,7 @@ class CanDriver:
             pump.bus.set_filters(filters)
 
     def _filters(self) -> list[can.typechecking.CanFilter] | None:
-        if not self._settings["only_mapped"] or self._vehicle.listens:
+        if not self._settings.only_mapped or self._messages.listens:
             return None
         return [
             {
@@ -289,16 +292,17 @@ class CanDriver:
         now = time.monotonic()
         self._counts["frames"] += 1
         if message.is_error_frame:
-            self._take_error(message)
+            self._errors.take(message.arbitration_id, bytes(message.data))
+            self._withdraw_if_bus_off()
             return
         self._off = False
         self._load.add(len(message.data), extended=message.is_extended_id, now=now)
         if message.is_remote_frame:
             return
         data, extended = bytes(message.data), message.is_extended_id
-        frame = Frame(self._clock(), message.arbitration_id, extended, data, str(message.channel or ""))
+        frame = CanFrame(self._clock(), message.arbitration_id, extended, data, str(message.channel or ""))
         key = frame_key(message.arbitration_id, extended=extended)
-        fresh = [*self._reception.take(key, frame, now), *self._vehicle.take(frame, now)]
+        fresh = [*self._reception.take(key, frame, now), *self._messages.take(frame, now)]
         if not fresh:
             return
         if (pump := self._link.connection) is not None:
@@ -306,10 +310,6 @@ class CanDriver:
         self._exchange.heard.set()
         for stream in self._streams:
             stream.hear(fresh)
-
-    def _take_error(self, message: can.Message) -> None:
-        self._errors.take(message.arbitration_id, bytes(message.data))
-        self._withdraw_if_bus_off()
 
     def _withdraw_if_bus_off(self) -> None:
         if self._errors.state is ControllerState.BUS_OFF and (pump := self._link.connection) is not None:
@@ -322,7 +322,7 @@ class CanDriver:
     async def _watch(self) -> None:
         """Look now and then at what no frame tells: silence, and a controller that says only when asked."""
         while True:
-            await asyncio.sleep(min(_LOOK, self._settings["max_silence"] / 2))
+            await asyncio.sleep(min(_LOOK, self._settings.max_silence / 2))
             pump = self._link.connection
             if pump is None:
                 self._exchange.heard.set()
@@ -340,7 +340,7 @@ class CanDriver:
             self._link.failed(pump, silent, "no usable frame has come")
 
     def _longest(self) -> float:
-        return max(self._reception.longest_timeout(), float(self._settings["max_silence"]))
+        return max(self._reception.longest_timeout(), float(self._settings.max_silence))
 
 
 def _shut(opening: "asyncio.Future[can.BusABC]") -> None:

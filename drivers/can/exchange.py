@@ -36,50 +36,40 @@ class Exchange:
                 raise LinkDown(reason)
             self.counts["writes"] += 1
             begun = time.monotonic()
+            echoes: list[tuple[Outgoing, bytes, Slot]] = []
             for frame, data in composed:
-                self._send(pump, frame, data)
-            await self._verified(composed, begun, lost)
-
-    def _send(self, pump: Pump, frame: Outgoing, data: bytes) -> None:
-        put(pump, frame.number, frame.extended, self._write_map.sealed(frame, data))
-        self.counts["sent"] += 1
-
-    async def _verified(
-        self, composed: Sequence[tuple[Outgoing, bytes]], begun: float, lost: Callable[[], str]
-    ) -> None:
-        """Wait for the echoes. Raises LinkDown, ReplyTimeout, WriteUnverified."""
-        deadline = asyncio.get_running_loop().time() + self._deadline
-        while True:
-            self.heard.clear()
-            doubts = [doubt for frame, data in composed if (doubt := self._doubt(frame, data, begun))]
-            if not doubts:
-                return
-            if reason := lost():
-                raise LinkDown(f"it is not known whether the device took the write: {reason}")
-            try:
-                async with asyncio.timeout_at(deadline):
-                    await self.heard.wait()
-            except TimeoutError:
-                break
-        wrong = [words for echoed, words in doubts if echoed]
-        if wrong:
-            self.counts["mismatches"] += 1
-            raise WriteUnverified(wrong[0])
-        self.counts["timeouts"] += 1
-        raise ReplyTimeout(f"{doubts[0][1]} within {self._deadline:g} s")
-
-    def _doubt(self, frame: Outgoing, data: bytes, begun: float) -> tuple[bool, str] | None:
-        """What speaks against a frame's having been stored: (an echo has come, words); None if it was confirmed."""
-        slot = self._echo(next(iter(frame.places)))
-        if slot.frame is None or slot.heard < begun:
-            return False, f"no echo {frame_name(frame.echo)} of {frame_name(frame.key)}"
-        difference = frame.echoed(data, slot.frame.data)
-        return (True, difference) if difference else None
-
-    def _echo(self, name: str) -> Slot:
-        place = self._write_map.echoes[name]
-        _, slot = self._reception.listen(place.rules, place.field.conditions, place.timeout, time.monotonic())
-        return slot
+                place = self._write_map.echoes[next(iter(frame.places))]
+                _, slot = self._reception.listen(place.rules, place.field.conditions, place.timeout, begun)
+                put(pump, frame.number, frame.extended, self._write_map.sealed(frame, data))
+                self.counts["sent"] += 1
+                echoes.append((frame, data, slot))
+            deadline = asyncio.get_running_loop().time() + self._deadline
+            while True:
+                self.heard.clear()
+                missing, wrong = [], []
+                for frame, data, slot in echoes:
+                    if slot.frame is None or slot.heard < begun:
+                        missing.append(frame)
+                    elif difference := frame.echoed(data, slot.frame.data):
+                        wrong.append(difference)
+                if not missing and not wrong:
+                    return
+                if reason := lost():
+                    raise LinkDown(f"it is not known whether the device took the write: {reason}")
+                # An echo that differs may still be that of the write before; the right one has until the deadline.
+                try:
+                    async with asyncio.timeout_at(deadline):
+                        await self.heard.wait()
+                except TimeoutError:
+                    break
+            if wrong:
+                self.counts["mismatches"] += 1
+                raise WriteUnverified(wrong[0])
+            self.counts["timeouts"] += 1
+            frame = missing[0]
+            raise ReplyTimeout(
+                f"no echo {frame_name(frame.echo)} of {frame_name(frame.key)} within {self._deadline:g} s"
+            )
 
 
 def put(pump: Pump, number: int, extended: bool, data: bytes) -> None:

@@ -71,7 +71,7 @@ class Bits:
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class LayoutCondition:
     """Bits that must hold one of some numbers: which of a multiplexed message's layouts a frame has."""
 
     bits: Bits
@@ -88,7 +88,7 @@ class Field:
 
     key: int
     bits: Bits
-    conditions: tuple[Condition, ...] = ()
+    conditions: tuple[LayoutCondition, ...] = ()
 
     @property
     def size(self) -> int:
@@ -106,7 +106,7 @@ def frame_name(key: int) -> str:
     return f"0x{key & ~EXTENDED:08X}" if key & EXTENDED else f"0x{key:03X}"
 
 
-def layout_name(conditions: Iterable[Condition]) -> str:
+def layout_name(conditions: Iterable[LayoutCondition]) -> str:
     """The layout of a multiplexed message for sentences: " [0|8=3]", "" for a message that has but one."""
     texts = [f"{c.bits.start}|{c.bits.length}={'/'.join(map(str, sorted(c.values)))}" for c in conditions]
     return f" [{', '.join(texts)}]" if texts else ""
@@ -217,11 +217,11 @@ def _bits(tag: Tag, start: str, length: str, order: str | None) -> Bits:
     return bits
 
 
-def _condition(tag: Tag, text: str) -> Condition:
+def _condition(tag: Tag, text: str) -> LayoutCondition:
     match = _CONDITION.fullmatch(text.strip())
     if match is None:
         raise AddressError(f"{tag.name}: [{text}] cannot be read; give the bits and what they hold, such as [0|8=3]")
     bits, value = _bits(tag, match[1], match[2], match[3]), int(match[4])
     if value >> bits.length:
         raise AddressError(f"{tag.name}: [{text}] can never be met: {bits.length} bits do not hold {value}")
-    return Condition(bits, frozenset({value}))
+    return LayoutCondition(bits, frozenset({value}))

@@ -7,7 +7,7 @@ from drivers.codec import Reading
 from drivers.tag import Tag
 
 
-class Frame(NamedTuple):
+class CanFrame(NamedTuple):
     """A data frame: `time` in seconds of the clock that stamped it, `id` without flags, 8 bytes at most unless `fd`."""
 
     time: float
@@ -18,17 +18,17 @@ class Frame(NamedTuple):
     fd: bool = False
 
 
-class Found(NamedTuple):
+class TagReading(NamedTuple):
     """What a message says of one tag."""
 
     tag: Tag
     reading: Reading
 
 
-class Listener(Protocol):
+class FrameListener(Protocol):
     """A decoder that follows a bus: frames in, readings of its tags out; it never raises for what a frame holds."""
 
-    def take(self, frame: Frame) -> Sequence[Found]:
+    def take(self, frame: CanFrame) -> Sequence[TagReading]:
         """What the frame, or the message that it completes, says of the tags."""
         ...
 

@@ -10,6 +10,7 @@ not: priorities, bit timing, collisions.
 """
 
 import argparse
+import errno
 import json
 import os
 import selectors
@@ -23,14 +24,15 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 
 FRAME_SIZES = frozenset({16, 72})
 QUEUE = 4096
+# After so many frames of one sender it is the next one's turn.
 _BURST = 64
 _MODE = 0o660  # who may join may say anything to the plant: the owner and the group
 # linux/can/error.h: error frame, class "controller", "receive buffer overflow".
 _OVERFLOW = struct.pack("=IB3x8s", 0x20000000 | 0x04, 8, b"\0\x01\0\0\0\0\0\0")
+_READ, _BOTH = selectors.EVENT_READ, selectors.EVENT_READ | selectors.EVENT_WRITE
 
 
 @dataclass(slots=True, eq=False)
@@ -39,7 +41,8 @@ class _Client:
 
     sock: socket.socket
     waiting: deque[bytes] = field(default_factory=deque)
-    untold: int = 0
+    dropped: int = 0
+    events: int = _READ
 
 
 class Hub:
@@ -50,35 +53,25 @@ class Hub:
     """
 
     def __init__(self, path: str | Path, *, queue: int = QUEUE) -> None:
-        self._path = Path(path)
-        self._queue = queue
-        self._clients: dict[int, _Client] = {}
-        self._counts = dict.fromkeys(("frames", "delivered", "dropped", "malformed", "joined", "left"), 0)
-        self._selector = selectors.DefaultSelector()
-        self._stopped = False
-        self._thread: threading.Thread | None = None
+        self._path, self._queue = Path(path), queue
+        self._clients: set[_Client] = set()
+        self._counts = dict.fromkeys(("frames", "delivered", "dropped", "malformed"), 0)
         self._listener = _listen(self._path)
-        self._wake_read, self._wake_write = os.pipe()
-        self._selector.register(self._listener, selectors.EVENT_READ)
-        self._selector.register(self._wake_read, selectors.EVENT_READ)
+        self._stopped, self._stop = socket.socketpair()
+        self._thread = threading.Thread(target=self.run, name="can hub", daemon=True)
 
     def __enter__(self) -> "Hub":
-        self._thread = threading.Thread(target=self.run, name="can hub", daemon=True)
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
-        if self._thread is not None:
-            self._thread.join()
+        self._thread.join()
 
     def stop(self) -> None:
         """End `run`; the clients see the interface go down. From any thread, or a signal handler."""
-        if not self._stopped:
-            self._stopped = True
-            os.write(self._wake_write, b"\0")
+        with suppress(OSError):  # it has ended already
+            self._stop.send(b"\0")
 
     def statistics(self) -> Mapping[str, float]:
         """Frames taken, copies delivered, copies dropped for clients that were behind, packets that were no frame."""
@@ -86,39 +79,39 @@ class Hub:
 
     def run(self) -> None:
         """Forward frames until `stop`."""
-        try:
-            while True:
+        with self._stopped, self._stop, self._listener, selectors.DefaultSelector() as self._selector:
+            self._selector.register(self._stopped, _READ)
+            self._selector.register(self._listener, _READ)
+            stopping = False
+            while not stopping:
                 for key, mask in self._selector.select():
-                    # `stop` has written to the pipe, and does not touch it any more.
-                    if key.fd == self._wake_read:
-                        return
-                    self._serve(key.fd, mask)
-        finally:
-            self._stopped = True
-            self._close()
-
-    def _serve(self, fd: int, mask: int) -> None:
-        if fd == self._listener.fileno():
-            self._accept()
-        elif fd in self._clients:
-            client = self._clients[fd]
-            if mask & selectors.EVENT_WRITE:
-                self._catch_up(client)
-            if mask & selectors.EVENT_READ and fd in self._clients:
-                self._take(client)
+                    client = key.data
+                    if client is None:
+                        stopping = stopping or key.fileobj is self._stopped
+                        if key.fileobj is self._listener:
+                            self._accept()
+                        continue
+                    # One that another's frames, or these, have found gone is a client no more.
+                    if mask & selectors.EVENT_WRITE and client in self._clients:
+                        self._flush(client)
+                    if mask & _READ and client in self._clients:
+                        self._forward(client)
+            for client in tuple(self._clients):
+                self._part(client)
+            self._path.unlink(missing_ok=True)
 
     def _accept(self) -> None:
         try:
             sock, _ = self._listener.accept()
         except OSError:
-            return
+            return  # whoever wanted to join has given up
         sock.setblocking(False)
-        self._clients[sock.fileno()] = _Client(sock)
-        self._selector.register(sock, selectors.EVENT_READ)
-        self._counts["joined"] += 1
+        client = _Client(sock)
+        self._clients.add(client)
+        self._selector.register(sock, _READ, client)
 
-    def _take(self, sender: _Client) -> None:
-        """A burst of the sender's frames, to all the others; then it is the next sender's turn."""
+    def _forward(self, sender: _Client) -> None:
+        """A burst of the sender's frames, to all the others."""
         for _ in range(_BURST):
             try:
                 packet = sender.sock.recv(128)
@@ -133,71 +126,52 @@ class Hub:
                 self._counts["malformed"] += 1
                 continue
             self._counts["frames"] += 1
-            for client in list(self._clients.values()):
-                if client is not sender:
-                    self._give(client, packet)
+            for client in tuple(self._clients):
+                if client is sender:
+                    continue
+                # Whoever has missed a frame misses all until it has taken the rest: the news of it stands at its place.
+                if client.dropped or len(client.waiting) >= self._queue:
+                    client.dropped += 1
+                    self._counts["dropped"] += 1
+                    continue
+                client.waiting.append(packet)
+                if len(client.waiting) == 1:
+                    self._flush(client)
 
-    def _give(self, client: _Client, packet: bytes) -> None:
-        if not client.waiting and not client.untold:
-            if self._send(client, packet):
-                return
-            if client.sock.fileno() < 0:
-                return
-            self._selector.modify(client.sock, selectors.EVENT_READ | selectors.EVENT_WRITE)
-        if client.untold or len(client.waiting) >= self._queue:
-            client.untold += 1
-            self._counts["dropped"] += 1
-        else:
-            client.waiting.append(packet)
-
-    def _catch_up(self, client: _Client) -> None:
-        """What waits for a client that can take something again, and then the news that some was lost."""
-        while client.waiting:
-            if not self._send(client, client.waiting[0]):
-                return
-            client.waiting.popleft()
-        if client.untold:
-            if not self._send(client, _OVERFLOW):
-                return
-            client.untold = 0
-        self._selector.modify(client.sock, selectors.EVENT_READ)
-
-    def _send(self, client: _Client, packet: bytes) -> bool:
-        """True if the kernel took the packet; a client that is gone is let go."""
+    def _flush(self, client: _Client) -> None:
+        """What waits for a client, as far as the kernel takes it now; and then the news that some was dropped."""
         try:
-            client.sock.send(packet)
+            while client.waiting:
+                client.sock.send(client.waiting[0])
+                client.waiting.popleft()
+                self._counts["delivered"] += 1
+                if client.dropped and not client.waiting:
+                    client.waiting.append(_OVERFLOW)
+                    client.dropped = 0
         except BlockingIOError:
-            return False
+            pass
         except OSError:
             self._part(client)
-            return False
-        self._counts["delivered"] += 1
-        return True
+            return
+        events = _BOTH if client.waiting else _READ
+        if events != client.events:
+            client.events = events
+            self._selector.modify(client.sock, events, client)
 
     def _part(self, client: _Client) -> None:
-        if client.sock.fileno() < 0:
-            return
-        del self._clients[client.sock.fileno()]
+        self._clients.discard(client)
         self._selector.unregister(client.sock)
         client.sock.close()
-        self._counts["left"] += 1
-
-    def _close(self) -> None:
-        for client in list(self._clients.values()):
-            self._part(client)
-        self._selector.close()
-        self._listener.close()
-        self._path.unlink(missing_ok=True)
-        os.close(self._wake_read)
-        os.close(self._wake_write)
 
 
 def _listen(path: Path) -> socket.socket:
     """The listening socket; a path that a dead hub has left behind is taken over."""
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
-        if path.is_socket() and _is_dead(path):
-            path.unlink()
+        if path.is_socket():
+            with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+                if probe.connect_ex(str(path)) == errno.ECONNREFUSED:
+                    path.unlink()
         listener.bind(str(path))
         path.chmod(_MODE)
         listener.listen(64)
@@ -206,15 +180,6 @@ def _listen(path: Path) -> socket.socket:
         raise OSError(error.errno, f"no CAN hub at {path}: {error.strerror or error}") from None
     listener.setblocking(False)
     return listener
-
-
-def _is_dead(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            return True
-    return False
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -234,23 +199,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: hub.stop())
     if options.stdin:
-        threading.Thread(target=_stop_at_end_of_input, args=(hub,), daemon=True).start()
+
+        def stop_at_end_of_input() -> None:
+            while os.read(sys.stdin.fileno(), 4096):
+                pass
+            hub.stop()
+
+        threading.Thread(target=stop_at_end_of_input, daemon=True).start()
     _say(event="ready", path=options.path)
     hub.run()
     _say(event="stopped", **hub.statistics())
     return 0
 
 
-def _stop_at_end_of_input(hub: Hub) -> None:
-    while os.read(sys.stdin.fileno(), 4096):
-        pass
-    hub.stop()
-
-
 def _say(**words: object) -> None:
     # Whoever started the hub may have gone before its last word.
     with suppress(OSError):
-        os.write(sys.stdout.fileno(), (json.dumps(words) + "\n").encode())
+        os.write(1, json.dumps(words).encode() + b"\n")
 
 
 if __name__ == "__main__":

@@ -87,36 +87,29 @@ class HubBus(can.BusABC):
             raise can.CanOperationError("the controller is bus-off")
         if msg.is_fd and self._can_protocol is not can.CanProtocol.CAN_FD:
             raise can.CanOperationError("an FD frame needs a bus opened with fd=True")
-        packet = pack(msg)
+        packet, patience = pack(msg), _SEND_TIMEOUT if timeout is None else timeout
         try:
-            self._socket.send(packet)
-        except BlockingIOError:
-            self._send_late(packet, _SEND_TIMEOUT if timeout is None else timeout)
+            try:
+                self._socket.send(packet)
+            except BlockingIOError:
+                if not self._writable.poll(patience * 1000.0):
+                    raise can.CanOperationError(f"the hub has not taken a frame for {patience:g} s") from None
+                self._socket.send(packet)
         except OSError as error:
             raise _down(error) from None
         if self._receive_own:
             self._own.append(msg)
 
-    def _send_late(self, packet: bytes, timeout: float) -> None:
-        if not self._writable.poll(timeout * 1000.0):
-            raise can.CanOperationError(f"the hub has not taken a frame for {timeout:g} s")
-        try:
-            self._socket.send(packet)
-        except OSError as error:
-            raise _down(error) from None
-
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if self._own:
             return self._own.popleft(), False
         try:
-            packet = self._socket.recv(128)
-        except BlockingIOError:
-            if timeout == 0.0 or not self._readable.poll(None if timeout is None else timeout * 1000.0):
-                return None, False
             try:
+                packet = self._socket.recv(128)  # without a look at the descriptor first: in a burst there is a frame
+            except BlockingIOError:
+                if timeout == 0.0 or not self._readable.poll(None if timeout is None else timeout * 1000.0):
+                    return None, False
                 packet = self._socket.recv(128)
-            except OSError as error:
-                raise _down(error) from None
         except OSError as error:
             raise _down(error) from None
         if not packet:

@@ -62,7 +62,7 @@ class Pump:
             try:
                 message = self.bus.recv(_LOOK)
             except (can.CanError, OSError) as error:
-                self._tell(self._gone, str(error))
+                self._call_in_loop(self._gone, str(error))
                 break
             if message is None:
                 continue
@@ -71,13 +71,13 @@ class Pump:
                 continue
             self._waiting.append(message)
             if len(self._waiting) == 1:
-                self._tell(self._drain)
+                self._call_in_loop(self._drain)
         self.bus.shutdown()
 
-    def _tell(self, what: Callable[..., None], *words: str) -> None:
+    def _call_in_loop(self, function: Callable[..., None], *arguments: str) -> None:
         # The loop may have ended before the thread has noticed that it is to end.
         try:
-            self._loop.call_soon_threadsafe(what, *words)
+            self._loop.call_soon_threadsafe(function, *arguments)
         except RuntimeError:
             self._closed = True
 

@@ -7,14 +7,14 @@ stands until its timeout; after that there is none. Moments are monotonic second
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivers.can.fields import Condition, layout_name
-from drivers.can.frame import Frame
+from drivers.can.fields import LayoutCondition, layout_name
+from drivers.can.frame import CanFrame
 from drivers.can.protection import Count, Protection, checked
 from drivers.tag import Quality
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class MessageRules:
     """How a message is judged: its `name` for sentences, its exact `length` (None: any), its protection if any."""
 
     key: int
@@ -28,9 +28,9 @@ class Slot:
     """One layout of a message: the last usable frame and the moment when it came; after `timeout` (s) it is too old."""
 
     name: str
-    conditions: tuple[Condition, ...]
+    conditions: tuple[LayoutCondition, ...]
     timeout: float
-    frame: Frame | None = None
+    frame: CanFrame | None = None
     heard: float = 0.0
     since: float = 0.0
 
@@ -43,14 +43,14 @@ class Slot:
 class Channel:
     """One message of the bus: its rules, its layouts, its counter, and the last frame that could not be used."""
 
-    rules: Rules
+    rules: MessageRules
     slots: list[Slot] = field(default_factory=list)
     count: Count | None = None
     refusal: str = ""
     refused: float = float("-inf")
     refused_count: int = 0
 
-    def take(self, frame: Frame, now: float) -> Sequence[Slot]:
+    def take(self, frame: CanFrame, now: float) -> Sequence[Slot]:
         """The layouts that this frame has brought up to date; none if it cannot be used."""
         self.refusal = self._problem(frame.data)
         if self.refusal:
@@ -93,7 +93,7 @@ class Reception:
         return tuple(self._channels)
 
     def listen(
-        self, rules: Rules, conditions: tuple[Condition, ...], timeout: float, now: float
+        self, rules: MessageRules, conditions: tuple[LayoutCondition, ...], timeout: float, now: float
     ) -> tuple[Channel, Slot]:
         """Listen for a layout of a message from now on; one that is listened for already is given as it is."""
         channel = self._channels.setdefault(rules.key, Channel(rules))
@@ -103,7 +103,7 @@ class Reception:
             channel.slots.append(slot)
         return channel, slot
 
-    def take(self, key: int, frame: Frame, now: float) -> Sequence[Slot]:
+    def take(self, key: int, frame: CanFrame, now: float) -> Sequence[Slot]:
         """The layouts that this frame has brought up to date."""
         channel = self._channels.get(key)
         if channel is None:

@@ -1,20 +1,20 @@
 """From tags to places: which message a tag lies in, how that message is judged, and when it is too old."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from drivers.can.dbc import PREFIX, Dbc, MessageFacts
 from drivers.can.fields import Field, frame_name, layout_name, parse_field, parse_frame
-from drivers.can.reception import Rules
+from drivers.can.reception import MessageRules
+from drivers.can.settings import DecodingSettings
 from drivers.errors import AddressError, DriverError
 from drivers.tag import Tag
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SignalPlace:
     """A tag as it is decoded (with what a DBC file adds), its field, its message's rules and timeout (s).
 
     `length` is the message's length in bytes as a DBC file gives it, None where there is none.
@@ -22,7 +22,7 @@ class Place:
 
     tag: Tag
     field: Field
-    rules: Rules
+    rules: MessageRules
     timeout: float
     length: int | None
 
@@ -30,13 +30,11 @@ class Place:
 class SignalMap:
     """Locates tags by a driver's settings (`dbc`, `timeouts`, `message_timeout`, ...). Raises DriverError for those."""
 
-    def __init__(self, settings: Mapping[str, Any]) -> None:
+    def __init__(self, settings: DecodingSettings) -> None:
         self._settings = settings
-        self._dbc = None if settings["dbc"] is None else Dbc(Path(settings["dbc"]))
+        self._dbc = None if settings.dbc is None else Dbc(Path(settings.dbc))
         self._messages = {} if self._dbc is None else {facts.key: facts for facts in self._dbc.messages.values()}
-        self._timeouts = {
-            self.key(name, "timeouts"): _seconds(name, s) for name, s in (settings["timeouts"] or {}).items()
-        }
+        self._timeouts = {self.key(name, "timeouts"): _seconds(name, s) for name, s in settings.timeouts.items()}
 
     def key(self, name: str, where: str) -> int:
         """The key of a message by its name in the DBC file, or of a frame by its id. Raises DriverError."""
@@ -47,7 +45,7 @@ class SignalMap:
         known = "" if self._dbc is None else f" or one of the messages {', '.join(self._dbc.messages)}"
         raise DriverError(f"can: {where}: {name!r} is no message; give a frame id such as 0x181{known}")
 
-    def place(self, tag: Tag) -> Place:
+    def place(self, tag: Tag) -> SignalPlace:
         """Where the tag lies. Raises AddressError."""
         if tag.address.startswith(PREFIX):
             if self._dbc is None:
@@ -57,38 +55,38 @@ class SignalMap:
             completed, field = tag, parse_field(tag)
         return self._placed(completed, field)
 
-    def at(self, place: Place, key: int) -> Place:
+    def at(self, place: SignalPlace, key: int) -> SignalPlace:
         """The same place in the frames of another id: an echo has the layout of what it echoes."""
         return self._placed(place.tag, Field(key, place.field.bits, place.field.conditions))
 
-    def _placed(self, tag: Tag, field: Field) -> Place:
+    def _placed(self, tag: Tag, field: Field) -> SignalPlace:
         facts = self._messages.get(field.key)
         name = frame_name(field.key) if facts is None else f"{facts.name} ({frame_name(field.key)})"
         length = None if facts is None else facts.length
-        exact = length if self._settings["exact_length"] else None
+        exact = length if self._settings.exact_length else None
         protection = None if facts is None else facts.protection
-        rules = Rules(field.key, name, exact, protection)
-        return Place(tag, field, rules, self._timeout(field.key, facts), length)
+        rules = MessageRules(field.key, name, exact, protection)
+        return SignalPlace(tag, field, rules, self._timeout(field.key, facts), length)
 
     def _timeout(self, key: int, facts: MessageFacts | None) -> float:
         """The message's own, else by its cycle (the layouts of a multiplexed message take turns), else the default."""
         if key in self._timeouts:
             return self._timeouts[key]
         if facts is None or facts.cycle is None:
-            return float(self._settings["message_timeout"])
+            return float(self._settings.message_timeout)
         cycle = facts.cycle * facts.layouts
-        return max(float(self._settings["least_timeout"]), float(self._settings["timeout_cycles"]) * cycle)
+        return max(float(self._settings.least_timeout), float(self._settings.timeout_cycles) * cycle)
 
 
-def describe(places: Sequence[Place]) -> list[str]:
+def describe(places: Sequence[SignalPlace]) -> list[str]:
     """The messages in sentences: one line a message and layout, with its signals and its timeout."""
-    groups: dict[tuple[int, object], list[Place]] = {}
+    groups: dict[tuple[int, object], list[SignalPlace]] = {}
     for place in places:
         groups.setdefault((place.field.key, place.field.conditions), []).append(place)
     return [_describe(group) for _, group in sorted(groups.items(), key=lambda item: item[0][0])]
 
 
-def _describe(group: Sequence[Place]) -> str:
+def _describe(group: Sequence[SignalPlace]) -> str:
     rules, names = group[0].rules, ", ".join(place.tag.name for place in group)
     length = "any length" if rules.length is None else f"{rules.length} bytes"
     guarded = ", with CRC and counter" if rules.protection else ""

@@ -29,7 +29,7 @@ class Stream:
                 self._positions.setdefault(id(slot), []).append(position)
         self._queue: deque[Sample] = deque()
         self._wake = asyncio.Event()
-        self._told: dict[int, Quality] = {}
+        self._last_quality: dict[int, Quality] = {}
         self._ended = False
 
     def hear(self, fresh: Collection[Slot]) -> None:
@@ -60,7 +60,7 @@ class Stream:
     def _look(self) -> None:
         for position in range(len(self._slots)):
             sample = self._now(position)
-            if sample.value is None and self._told.get(position) is not sample.quality:
+            if sample.value is None and self._last_quality.get(position) is not sample.quality:
                 self._put(position, sample)
 
     def _put(self, position: int, sample: Sample) -> None:
@@ -68,5 +68,5 @@ class Stream:
             self._queue.popleft()
             self.dropped += 1
         self._queue.append(sample)
-        self._told[position] = sample.quality
+        self._last_quality[position] = sample.quality
         self._wake.set()

@@ -21,16 +21,16 @@ class TappedBus(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Put one frame on the bus."""
         self._bus.send(msg, timeout)
-        self._tell(msg, sent=True)
+        self._report(msg, sent=True)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Take one frame, or None after `timeout` seconds."""
         message = self._bus.recv(timeout)
         if message is not None:
-            self._tell(message, sent=False)
+            self._report(message, sent=False)
         return message
 
-    def _tell(self, message: can.Message, *, sent: bool) -> None:
+    def _report(self, message: can.Message, *, sent: bool) -> None:
         self._tap(moved("can", self._place, packed(message), sent=sent))
 
     def fileno(self) -> int:

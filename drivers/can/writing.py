@@ -8,9 +8,9 @@ answers each frame with its echo, a frame of another id and of the same layout t
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.can.fields import EXTENDED, Bits, Condition, frame_name, raw_of
+from drivers.can.fields import EXTENDED, Bits, LayoutCondition, frame_name, raw_of
 from drivers.can.protection import Protection, protected
-from drivers.can.signals import Place, SignalMap
+from drivers.can.signals import SignalMap, SignalPlace
 from drivers.errors import AddressError, WriteForbidden
 from drivers.tag import Tag, Value
 
@@ -20,9 +20,9 @@ class Outgoing:
     """One frame that may be sent: its tags' places by name, its length in bytes, and the id of its echo."""
 
     key: int
-    conditions: tuple[Condition, ...]
+    conditions: tuple[LayoutCondition, ...]
     length: int
-    places: Mapping[str, Place]
+    places: Mapping[str, SignalPlace]
     echo: int
     protection: Protection | None
 
@@ -103,8 +103,8 @@ class WriteMap:
         return protected(frame.protection, counter, data)
 
 
-def _frames(places: Sequence[tuple[str, Place]], echoes: Mapping[int, int], pad: int) -> tuple[Outgoing, ...]:
-    groups: dict[tuple[int, tuple[Condition, ...]], dict[str, Place]] = {}
+def _frames(places: Sequence[tuple[str, SignalPlace]], echoes: Mapping[int, int], pad: int) -> tuple[Outgoing, ...]:
+    groups: dict[tuple[int, tuple[LayoutCondition, ...]], dict[str, SignalPlace]] = {}
     for name, place in places:
         groups.setdefault((place.field.key, place.field.conditions), {})[name] = place
     frames = []
@@ -120,11 +120,20 @@ def _frames(places: Sequence[tuple[str, Place]], echoes: Mapping[int, int], pad:
         first = next(iter(group.values()))
         needed = max(place.field.size for place in group.values())
         length = _padded(max(needed, pad) if first.length is None else first.length)
-        frames.append(Outgoing(key, conditions, length, group, echoes[key], first.rules.protection))
+        frames.append(
+            Outgoing(
+                key=key,
+                conditions=conditions,
+                length=length,
+                places=group,
+                echo=echoes[key],
+                protection=first.rules.protection,
+            )
+        )
     return tuple(frames)
 
 
-def _check_overlaps(group: Mapping[str, Place], conditions: Sequence[Condition]) -> None:
+def _check_overlaps(group: Mapping[str, SignalPlace], conditions: Sequence[LayoutCondition]) -> None:
     """Two values in one bit cannot both be written."""
     owners: dict[int, str] = {}
     taken = [("the number of the layout", condition.bits) for condition in conditions]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from drivers.canopen.channel import SdoChannel
-from drivers.canopen.place import Place
+from drivers.canopen.place import ObjectPlace
 from drivers.driver import Clock
 from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, ReplyTimeout
 from drivers.tag import Quality
@@ -22,7 +22,7 @@ _QUALITY: dict[int, Quality] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class SdoAnswer:
     """An object's bytes, or None with quality and reason. Times by the driver's clock."""
 
     payload: bytes | None
@@ -32,14 +32,14 @@ class Answer:
     reason: str = ""
 
 
-async def ask(sdo: SdoChannel, place: Place, size: int | None, clock: Clock, *, block: bool) -> Answer:
+async def ask(sdo: SdoChannel, place: ObjectPlace, size: int | None, clock: Clock, *, block: bool) -> SdoAnswer:
     """Read one object by SDO. Never raises for what bus or device do."""
     sent = clock()
     try:
         payload = await sdo.read(place, size, block=block)
     except DriverError as error:
-        return Answer(None, clock(), sent, quality_of(error), str(error))
-    return Answer(payload, clock(), sent)
+        return SdoAnswer(None, clock(), sent, quality_of(error), str(error))
+    return SdoAnswer(payload, clock(), sent)
 
 
 def quality_of(error: DriverError) -> Quality:

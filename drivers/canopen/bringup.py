@@ -9,18 +9,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.canopen.channel import SdoChannel
-from drivers.canopen.eds import Sheet, parse_sheet
+from drivers.canopen.eds import DataSheet, parse_sheet
 from drivers.canopen.options import Options
-from drivers.canopen.pdo import COMMUNICATION, MAPPING, Kind, Pdo, from_objects, wanted, writes
-from drivers.canopen.place import Place
+from drivers.canopen.pdo import COMMUNICATION, MAPPING, Kind, PdoMapping, from_objects, wanted, writes
+from drivers.canopen.place import ObjectPlace
 from drivers.canopen.sdo import ABOUT_OBJECTS, SdoAbort
 from drivers.errors import DriverError, ReplyTimeout, WriteForbidden
 
 START, ENTER_PRE_OPERATIONAL = 1, 128
 OPERATIONAL = 5
-HEARTBEAT_TIME, ERROR_REGISTER, NEWEST_ERROR = Place(0x1017), Place(0x1001), Place(0x1003, 1)
-STORE_EDS, STORE_FORMAT = Place(0x1021), Place(0x1022)
-VENDOR, PRODUCT = Place(0x1018, 1), Place(0x1018, 2)
+HEARTBEAT_TIME, ERROR_REGISTER, NEWEST_ERROR = ObjectPlace(0x1017), ObjectPlace(0x1001), ObjectPlace(0x1003, 1)
+STORE_EDS, STORE_FORMAT = ObjectPlace(0x1021), ObjectPlace(0x1022)
+VENDOR, PRODUCT = ObjectPlace(0x1018, 1), ObjectPlace(0x1018, 2)
 BEATS = 2.5
 """Heartbeat periods without a heartbeat after which the node is gone."""
 STARTED = 1.0
@@ -31,9 +31,9 @@ STARTED = 1.0
 class Brought:
     """What is known of a node that is up. `error`: code and register of a standing error; `life`: the life counter."""
 
-    sheet: Sheet
-    tpdos: tuple[Pdo, ...]
-    rpdos: tuple[Pdo, ...]
+    sheet: DataSheet
+    tpdos: tuple[PdoMapping, ...]
+    rpdos: tuple[PdoMapping, ...]
     heartbeat_timeout: float
     error: tuple[int, int] | None = None
     life: int | None = None
@@ -51,7 +51,7 @@ class BringUp:
         sdo: SdoChannel,
         command: Callable[[int], None],
         options: Options,
-        sheet: Sheet | None,
+        sheet: DataSheet | None,
         state: Callable[[], int | None],
     ) -> None:
         self._sdo, self._command, self._options, self._sheet, self._state = sdo, command, options, sheet, state
@@ -75,13 +75,14 @@ class BringUp:
         code = (await self._number(NEWEST_ERROR, 4) or 0) & 0xFFFF if register else 0
         life = await self._number(options.life[0], 2) if options.life else None
         return Brought(
-            sheet,
-            tuple(pdo for pdo in present if pdo.kind == "T"),
-            tuple(pdo for pdo in present if pdo.kind == "R"),
-            options.heartbeat_timeout or BEATS * beat / 1000.0,
-            (code or 0x1000, register) if register else None,
-            life,
-            changed,
+            sheet=sheet,
+            tpdos=tuple(pdo for pdo in present if pdo.kind == "T"),
+            rpdos=tuple(pdo for pdo in present if pdo.kind == "R"),
+            heartbeat_timeout=options.heartbeat_timeout or BEATS * beat / 1000.0,
+            # A register that is set while 0x1003 is empty or absent is a generic error, 0x1000 (CiA 301, 7.2.7).
+            error=(code or 0x1000, register) if register else None,
+            life=life,
+            changed=changed,
         )
 
     async def start(self) -> None:
@@ -92,6 +93,7 @@ class BringUp:
         """
         options = self._options
         if options.configure and self._state() != OPERATIONAL:
+            # The NMT command is not confirmed (CiA 301, 7.2.8.3.1): only the next heartbeat says that it was obeyed.
             self._command(START)
         if not self._beats or options.listen_only:
             return
@@ -111,14 +113,14 @@ class BringUp:
         tpdos = wanted(sheet.pdos("T"), self._options.tpdo, sheet.bits)
         return Brought(sheet, tpdos, sheet.pdos("R"), self._options.heartbeat_timeout or BEATS * beat)
 
-    async def _own_sheet(self) -> Sheet:
+    async def _own_sheet(self) -> DataSheet:
         """The EDS that the device keeps itself (0x1021), by block transfer where it can."""
         text = await self._sdo.read(STORE_EDS, block=True)
         if await self._number(STORE_FORMAT, 1):
             raise DriverError("its own EDS (0x1021) is compressed; give the setting eds")
         return parse_sheet(text.decode("utf-8", errors="replace"), self._options.node, "0x1021 of the device")
 
-    async def _identified(self, sheet: Sheet) -> None:
+    async def _identified(self, sheet: DataSheet) -> None:
         """Raises DriverError if vendor or product are not those of the EDS (0 in the EDS: any)."""
         for place, what in ((VENDOR, "vendor"), (PRODUCT, "product")):
             expected = sheet.value(place)
@@ -128,33 +130,40 @@ class BringUp:
                     f"it is another device: {what} 0x{found:08X}, and {sheet.origin} is of 0x{expected:08X}"
                 )
 
-    async def _pdos(self, sheet: Sheet, kind: Kind) -> list[Pdo]:
+    async def _pdos(self, sheet: DataSheet, kind: Kind) -> list[PdoMapping]:
         """The PDOs as the device has them now."""
         found = []
         for number in sheet.numbers(kind):
             values = {}
             communication, mapping = COMMUNICATION[kind] + number - 1, MAPPING[kind] + number - 1
-            for place, size in ((Place(communication, 1), 4), (Place(communication, 2), 1), (Place(mapping, 0), 1)):
+            for place, size in (
+                (ObjectPlace(communication, 1), 4),
+                (ObjectPlace(communication, 2), 1),
+                (ObjectPlace(mapping, 0), 1),
+            ):
                 values[place] = await self._number(place, size)
-            for place in (Place(communication, 3), Place(communication, 5)):
+            for place in (ObjectPlace(communication, 3), ObjectPlace(communication, 5)):
                 values[place] = await self._number(place, 2) if place in sheet.objects else None
-            for sub in range(1, min(values[Place(mapping, 0)] or 0, 64) + 1):
-                values[Place(mapping, sub)] = await self._number(Place(mapping, sub), 4)
+            for sub in range(1, min(values[ObjectPlace(mapping, 0)] or 0, 64) + 1):
+                values[ObjectPlace(mapping, sub)] = await self._number(ObjectPlace(mapping, sub), 4)
             pdo = from_objects(kind, number, values.get)
             found += [pdo] if pdo else []
         return found
 
-    async def _configure(self, sheet: Sheet, present: list[Pdo]) -> tuple[bool, list[Pdo]]:
+    async def _configure(self, sheet: DataSheet, present: list[PdoMapping]) -> tuple[bool, list[PdoMapping]]:
         """Make the device's PDOs those that are wanted; whether anything had to be written."""
         aims = [*wanted(sheet.pdos("T"), self._options.tpdo, sheet.bits), *sheet.pdos("R")]
         by_name = {(pdo.kind, pdo.number): pdo for pdo in present}
         steps = [step for aim in aims for step in writes(aim, by_name[aim.kind, aim.number])]
         if not steps:
             return False, aims
+        # Between two steps a mapping is half the old and half the new: PDOs rest in pre-operational, while SDO works
+        # (CiA 301, 7.3.2.2). A node that has not been heard may be operational.
         if self._state() in (None, OPERATIONAL):
             self._command(ENTER_PRE_OPERATIONAL)
         for place, data in steps:
             await self._configured(place, data)
+        # Devices confirm what they round or ignore (an event timer in steps of 10 ms, say): what they kept is asked.
         kept = [*await self._pdos(sheet, "T"), *await self._pdos(sheet, "R")]
         wrong = [aim.name for aim, pdo in zip(aims, kept, strict=True) if writes(aim, pdo)]
         if wrong:
@@ -168,13 +177,13 @@ class BringUp:
             return milliseconds
         return present
 
-    async def _configured(self, place: Place, data: bytes) -> None:
+    async def _configured(self, place: ObjectPlace, data: bytes) -> None:
         """Write one communication parameter. Raises WriteForbidden for any other object."""
         if not (self._options.configure and (0x1400 <= place.index < 0x1C00 or place == HEARTBEAT_TIME)):
             raise WriteForbidden(f"{place} is no communication parameter, or configure is false; nothing was sent")
         await self._sdo.write(place, data)
 
-    async def _number(self, place: Place, size: int) -> int | None:
+    async def _number(self, place: ObjectPlace, size: int) -> int | None:
         """The object as an unsigned number; None where the device has none."""
         try:
             return int.from_bytes((await self._sdo.read(place, size))[:size], "little")

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 
-from drivers.canopen.place import Place
+from drivers.canopen.place import ObjectPlace
 from drivers.canopen.sdo import (
     BLOCK_UPLOAD_END,
     TIMED_OUT,
@@ -20,7 +20,7 @@ from drivers.canopen.sdo import (
 )
 from drivers.errors import DriverError, LinkDown, ReplyMismatch, ReplyTimeout
 
-DEVICE_TYPE = Place(0x1000)
+DEVICE_TYPE = ObjectPlace(0x1000)
 """The one object that every CANopen device has; reading it puts requests and answers in step again."""
 BLOCK_FROM = 64
 """Bytes from which block transfer is tried: below it the segments cost less than its beginning and end."""
@@ -60,7 +60,7 @@ class SdoChannel:
         """Transfers that were begun, those that find the step again among them, and how they failed."""
         return dict(self._counts)
 
-    async def read(self, place: Place, size: int | None = None, *, block: bool = False) -> bytes:
+    async def read(self, place: ObjectPlace, size: int | None = None, *, block: bool = False) -> bytes:
         """The object's bytes; `size` is how many they are where that is known. `block` tries a block transfer first.
 
         Raises LinkDown, ReplyTimeout, ReplyMismatch or SdoAbort.
@@ -76,7 +76,7 @@ class SdoChannel:
                 return data
         return await self._run(place, upload(place, size))
 
-    async def write(self, place: Place, data: bytes) -> None:
+    async def write(self, place: ObjectPlace, data: bytes) -> None:
         """Write the object, once. Raises as `read` does; after a timeout it is not known whether it was written."""
         if self._blocks and len(data) >= BLOCK_FROM:
             try:
@@ -89,7 +89,7 @@ class SdoChannel:
                 return
         await self._run(place, download(place, data))
 
-    async def _run(self, place: Place, transfer: Transfer, end: bytes = b"") -> bytes:
+    async def _run(self, place: ObjectPlace, transfer: Transfer, end: bytes = b"") -> bytes:
         async with self._lock:
             if not self._in_step:
                 await self._carried(DEVICE_TYPE, upload(DEVICE_TYPE))
@@ -99,7 +99,7 @@ class SdoChannel:
                 self._send(end)
             return data
 
-    async def _carried(self, place: Place, transfer: Transfer) -> bytes:
+    async def _carried(self, place: ObjectPlace, transfer: Transfer) -> bytes:
         """Carry one transfer to its end; one that does not end well leaves the server told so."""
         self._answers.clear()
         self._counts["requests"] += 1
@@ -133,7 +133,7 @@ class SdoChannel:
                 with suppress(DriverError):
                     self._send(abort_frame(place, TIMED_OUT))
 
-    async def _answer(self, place: Place, deadline: float) -> bytes:
+    async def _answer(self, place: ObjectPlace, deadline: float) -> bytes:
         while not self._answers:
             if self._closed:
                 raise LinkDown(self._closed)

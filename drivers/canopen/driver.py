@@ -8,17 +8,17 @@ from typing import Any
 import can
 
 from drivers.can.bus import open_bus
-from drivers.canopen.asking import Answer, ask
-from drivers.canopen.eds import Sheet, Where, load_sheet, locate
-from drivers.canopen.listeners import Listener
-from drivers.canopen.node import Heard, Node
+from drivers.canopen.asking import SdoAnswer, ask
+from drivers.canopen.eds import DataSheet, Where, load_sheet, locate
+from drivers.canopen.listeners import PdoListener
+from drivers.canopen.node import ReceivedPdo, RemoteNode
 from drivers.canopen.options import Options, read_options
-from drivers.canopen.pdo import Mapped, Pdo, wanted
-from drivers.canopen.place import Place, bytes_needed, from_bytes
+from drivers.canopen.pdo import PdoMapping, wanted
+from drivers.canopen.place import ObjectPlace, bytes_needed, from_bytes
 from drivers.canopen.port import Port
 from drivers.canopen.writing import Writing
 from drivers.codec import Reading
-from drivers.driver import Clock
+from drivers.driver import Clock, PlanKind, PlanLine
 from drivers.errors import LinkDown
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.tag import DType, Quality, Sample, Tag, Value
@@ -33,7 +33,7 @@ class Connection:
     """An open bus and what is known of the node on it."""
 
     port: Port
-    node: Node
+    node: RemoteNode
 
 
 def open_canopen(
@@ -63,12 +63,12 @@ class CanopenDriver:
     """One CANopen node; a Driver that Streams and Writes. Made by `open_canopen`."""
 
     def __init__(
-        self, options: Options, sheet: Sheet | None, *, clock: Clock, write_map: tuple[Tag, ...], seed: int
+        self, options: Options, sheet: DataSheet | None, *, clock: Clock, write_map: tuple[Tag, ...], seed: int
     ) -> None:
         self._options, self._sheet, self._clock = options, sheet, clock
         self._writing = Writing(write_map, options, sheet)
-        self._places: dict[int, tuple[Tag, Where, Sheet | None]] = {}
-        self._listeners: set[Listener] = set()
+        self._places: dict[int, tuple[Tag, Where, DataSheet | None]] = {}
+        self._listeners: set[PdoListener] = set()
         self._open = False
         self._past: dict[str, float] = {}
         self._counts = dict.fromkeys(("reads", "writes"), 0)
@@ -134,8 +134,8 @@ class CanopenDriver:
         After one SDO request without an answer the others of this call are not sent.
         """
         self._counts["reads"] += 1
-        found: dict[Place, Answer] = {}
-        silent: Answer | None = None
+        found: dict[ObjectPlace, SdoAnswer] = {}
+        silent: SdoAnswer | None = None
         samples = []
         for tag in tags:
             sample = self._held(tag)
@@ -148,22 +148,25 @@ class CanopenDriver:
             samples.append(sample)
         return samples
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """Which TPDO brings which tags and when it is late, which tags are asked for, and which lie nowhere."""
         options, maps = self._options, self._tpdos()
-        carried: dict[Place, Pdo] = {}
+        carried: dict[ObjectPlace, PdoMapping] = {}
         for pdo in maps:
             carried |= {one.place: pdo for one in pdo.objects if one.place not in carried}
         here = [(tag, self._where(tag)) for tag in tags]
-        lines = [f"{tag.name}: {where.misplaced}" for tag, where in here if where.misplaced]
+        lines = [PlanLine(f"{tag.name}: {where.misplaced}", PlanKind.PROBLEM) for tag, where in here if where.misplaced]
         for pdo in maps:
             names = [tag.name for tag, where in here if not where.misplaced and carried.get(where.place) is pdo]
             limit = pdo.timeout(options.pdo_timeout, options.sync_period)
             late = f"late after {limit:g} s" if limit else "without a period of its own"
-            lines += [f"{pdo.name}, {late}: {', '.join(names)}"] if names else []
+            kind = PlanKind.HEARD if limit else PlanKind.OTHER
+            lines += [PlanLine(f"{pdo.name}, {late}: {', '.join(names)}", kind)] if names else []
         asked = [tag.name for tag, where in here if not where.misplaced and where.place not in carried]
         worst = len(asked) * options.timeout
-        return (*lines, *([f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(asked)}"] if asked else []))
+        if asked:
+            lines.append(PlanLine(f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(asked)}"))
+        return tuple(lines)
 
     # ------------------------------------------------------------ Streams
 
@@ -173,7 +176,7 @@ class CanopenDriver:
         A tag that becomes unusable (late, malformed, node gone) yields one sample of bad quality. Tags that no TPDO
         carries yield nothing: `read` asks for them.
         """
-        listener = Listener(tags)
+        listener = PdoListener(tags)
         self._listeners.add(listener)
         try:
             while self._open:
@@ -211,40 +214,38 @@ class CanopenDriver:
     def _held(self, tag: Tag) -> Sample | None:
         """What is known of a tag without asking; None if the device must be asked."""
         now, moment = self._clock(), asyncio.get_running_loop().time()
+
+        def no(quality: Quality, reason: str) -> Sample:
+            return Sample(tag.name, None, quality, now, reason=reason)
+
         where = self._where(tag)
         if where.misplaced:
-            return Sample(tag.name, None, Quality.CONFIGURATION_ERROR, now, reason=where.misplaced)
+            return no(Quality.CONFIGURATION_ERROR, where.misplaced)
         connection = self._link.connection
         if connection is None:
-            return Sample(tag.name, None, Quality.NOT_CONNECTED, now, reason=self._link.reason)
-        hindrance = connection.node.hindrance(moment)
-        if hindrance is not None:
-            return Sample(tag.name, None, hindrance[0], now, reason=hindrance[1])
-        carrier = connection.node.carrier(where.place)
+            return no(Quality.NOT_CONNECTED, self._link.reason)
+        node = connection.node
+        if (hindrance := node.hindrance(moment)) is not None:
+            return no(*hindrance)
+        carrier = node.carrier(where.place)
         if carrier is None:
-            return self._not_carried(tag, now) if self._options.listen_only else None
-        return self._carried(tag, connection.node, *carrier, now, moment)
-
-    def _carried(self, tag: Tag, node: Node, heard: Heard, mapped: Mapped, now: float, moment: float) -> Sample | None:
-        late = node.lateness(heard, moment)
-        if late:
-            return Sample(tag.name, None, Quality.TIMEOUT, now, reason=late)
+            reason = f"no TPDO carries {tag.address}, and listen_only forbids to ask for it"
+            return no(Quality.CONFIGURATION_ERROR, reason) if self._options.listen_only else None
+        # From here on a TPDO answers for the tag, also when it is late or faulty: an SDO read might say what the
+        # program's memory holds, but not that the program still runs.
+        heard, mapped = carrier
+        if late := node.lateness(heard, moment):
+            return no(Quality.TIMEOUT, late)
         if heard.fault:
-            return Sample(tag.name, None, Quality.COMMUNICATION_ERROR, now, reason=heard.fault)
+            return no(Quality.COMMUNICATION_ERROR, heard.fault)
         if heard.asleep and node.life is not None and mapped.place != node.life.place:
-            reason = f"the device's program was not running when it sent {heard.pdo.name}"
-            return Sample(tag.name, None, Quality.OUT_OF_SERVICE, now, reason=reason)
+            return no(Quality.OUT_OF_SERVICE, f"the device's program was not running when it sent {heard.pdo.name}")
         payload = heard.value(mapped)
-        if payload is None:
+        if payload is None:  # it has not come since the node is up
             if not self._options.listen_only:
                 return None
-            reason = f"{heard.pdo.name} has not come yet"
-            return Sample(tag.name, None, Quality.WAITING_FOR_INITIAL_DATA, now, reason=reason)
+            return no(Quality.WAITING_FOR_INITIAL_DATA, f"{heard.pdo.name} has not come yet")
         return self._sample(tag, from_bytes(tag, payload), heard.time, None)
-
-    def _not_carried(self, tag: Tag, now: float) -> Sample:
-        reason = f"no TPDO carries {tag.address}, and listen_only forbids to ask for it"
-        return Sample(tag.name, None, Quality.CONFIGURATION_ERROR, now, reason=reason)
 
     def _sample(self, tag: Tag, reading: Reading, time: float, sent: float | None) -> Sample:
         """The reading as far as the node's own emergencies let it count."""
@@ -254,18 +255,18 @@ class CanopenDriver:
         if verdict is not None and not quality.is_bad:
             quality, reason = verdict
             value = None if quality.is_bad else value
-        return Sample(tag.name, value, quality, time, sent, reason)
+        return Sample(tag.name, value, quality, time, sent=sent, reason=reason)
 
-    def _answered(self, tag: Tag, answer: Answer) -> Sample:
+    def _answered(self, tag: Tag, answer: SdoAnswer) -> Sample:
         if answer.payload is None:
-            return Sample(tag.name, None, answer.quality, answer.time, answer.sent, answer.reason)
+            return Sample(tag.name, None, answer.quality, answer.time, sent=answer.sent, reason=answer.reason)
         return self._sample(tag, from_bytes(tag, answer.payload), answer.time, answer.sent)
 
-    async def _ask(self, tag: Tag, place: Place) -> Answer:
+    async def _ask(self, tag: Tag, place: ObjectPlace) -> SdoAnswer:
         connection = self._link.connection
         if connection is None:
             now = self._clock()
-            return Answer(None, now, now, Quality.NOT_CONNECTED, self._link.reason)
+            return SdoAnswer(None, now, now, Quality.NOT_CONNECTED, self._link.reason)
         node = connection.node
         entry = node.sheet.objects.get(place) if node.sheet else None
         text = tag.dtype is DType.STRING
@@ -284,11 +285,11 @@ class CanopenDriver:
             known = self._places[id(tag)] = (tag, locate(tag, sheet), sheet)
         return known[1]
 
-    def _known_sheet(self) -> Sheet | None:
+    def _known_sheet(self) -> DataSheet | None:
         connection = self._link.connection
         return (connection.node.sheet if connection is not None else None) or self._sheet
 
-    def _tpdos(self) -> tuple[Pdo, ...]:
+    def _tpdos(self) -> tuple[PdoMapping, ...]:
         """The TPDOs as the device has them, or as the EDS says while it has not been asked."""
         connection = self._link.connection
         if connection is not None and connection.node.brought is not None:
@@ -308,9 +309,9 @@ class CanopenDriver:
         except asyncio.CancelledError:
             opening.add_done_callback(_let_go)
             raise
-        node: Node
+        node: RemoteNode
         port = Port(bus, self._clock, lambda frame: node.take(frame), lambda reason: self._gone(port, reason))
-        node = Node(port.send, options, self._sheet, self._told)
+        node = RemoteNode(port.send, options, self._sheet, self._on_pdo)
         self._ports.add(port)
         node.start()
         return Connection(port, node)
@@ -326,7 +327,7 @@ class CanopenDriver:
         if connection is not None and connection.port is port:
             self._link.lost(connection, reason)
 
-    def _told(self, node: Node, heard: Heard) -> None:
+    def _on_pdo(self, node: RemoteNode, heard: ReceivedPdo) -> None:
         """A TPDO has come: the bus works, and whoever streams its tags hears of it."""
         connection = self._link.connection
         if connection is None or connection.node is not node:

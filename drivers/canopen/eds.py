@@ -10,14 +10,14 @@ from canopen import ObjectDictionary
 from canopen.objectdictionary import ODVariable
 from canopen.objectdictionary.eds import import_eds
 
-from drivers.canopen.pdo import COMMUNICATION, Kind, Pdo, from_objects
-from drivers.canopen.place import Place, bytes_needed, from_bytes, parse_place
+from drivers.canopen.pdo import COMMUNICATION, Kind, PdoMapping, from_objects
+from drivers.canopen.place import ObjectPlace, bytes_needed, from_bytes, parse_place
 from drivers.errors import AddressError, DriverError
 from drivers.tag import Tag
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class EdsEntry:
     """One object: its name, bytes (None where they vary: text, domain), access, and the EDS's value (a number)."""
 
     name: str
@@ -29,18 +29,18 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class DataSheet:
     """The whole object dictionary of one node, with its node id worked in."""
 
     origin: str
-    objects: Mapping[Place, Entry]
+    objects: Mapping[ObjectPlace, EdsEntry]
 
-    def value(self, place: Place) -> int | None:
+    def value(self, place: ObjectPlace) -> int | None:
         """The number that the EDS gives to an object (ParameterValue before DefaultValue); None where it has none."""
         entry = self.objects.get(place)
         return entry.value if entry else None
 
-    def bits(self, place: Place) -> int | None:
+    def bits(self, place: ObjectPlace) -> int | None:
         """The bits of an object that may be mapped into a PDO; None for any other."""
         entry = self.objects.get(place)
         return 8 * entry.size if entry and entry.mappable and entry.size else None
@@ -52,7 +52,7 @@ class Sheet:
             place.index - first + 1 for place in self.objects if place.subindex == 1 and 0 <= place.index - first < 512
         ]
 
-    def pdos(self, kind: Kind) -> tuple[Pdo, ...]:
+    def pdos(self, kind: Kind) -> tuple[PdoMapping, ...]:
         """The PDOs as the EDS maps them. Raises AddressError for a mapping that no frame can carry."""
         found = (from_objects(kind, number, self.value) for number in self.numbers(kind))
         return tuple(pdo for pdo in found if pdo is not None)
@@ -62,18 +62,18 @@ class Sheet:
 class Where:
     """The object in which a tag lies; `misplaced`: why it cannot be read from there."""
 
-    place: Place
+    place: ObjectPlace
     misplaced: str = ""
 
 
-def locate(tag: Tag, sheet: Sheet | None) -> Where:
+def locate(tag: Tag, sheet: DataSheet | None) -> Where:
     """Where a tag lies, held against the EDS as far as that is known."""
     try:
         place = parse_place(tag.address, tag.name)
         needed = bytes_needed(tag)
         from_bytes(tag, bytes(needed or 1))
     except AddressError as error:
-        return Where(Place(0), str(error))
+        return Where(ObjectPlace(0), str(error))
     entry = sheet.objects.get(place) if sheet else None
     if sheet is None or (entry is not None and entry.readable and entry.size in (None, needed, needed or entry.size)):
         return Where(place)
@@ -84,7 +84,7 @@ def locate(tag: Tag, sheet: Sheet | None) -> Where:
     return Where(place, f"{place} has {entry.size} bytes, and a {tag.dtype} has {needed}")
 
 
-def load_sheet(path: Path, node: int) -> Sheet:
+def load_sheet(path: Path, node: int) -> DataSheet:
     """The EDS (or DCF) in a file, for this node id. Raises DriverError naming file and reason."""
     try:
         text = path.read_text(encoding="utf-8-sig", errors="replace")
@@ -93,7 +93,7 @@ def load_sheet(path: Path, node: int) -> Sheet:
     return parse_sheet(text, node, str(path))
 
 
-def parse_sheet(text: str, node: int, origin: str) -> Sheet:
+def parse_sheet(text: str, node: int, origin: str) -> DataSheet:
     """The EDS in a text. Raises DriverError naming `origin` and the reason."""
     if "[DeviceInfo]" not in text:  # the library warns of that in a way that is deprecated itself
         text += "\n[DeviceInfo]\n"
@@ -105,18 +105,25 @@ def parse_sheet(text: str, node: int, origin: str) -> Sheet:
         raise DriverError(
             f"canopen: eds: {origin} is no EDS: {reason}; give the device's electronic data sheet"
         ) from None
-    objects: dict[Place, Entry] = {}
+    objects: dict[ObjectPlace, EdsEntry] = {}
     for index, item in dictionary.items():
         members = [item] if isinstance(item, ODVariable) else list(item.values())
         for one in members:
-            objects[Place(index, one.subindex)] = _entry(one)
+            objects[ObjectPlace(index, one.subindex)] = _entry(one)
     if not objects:
         raise DriverError(f"canopen: eds: {origin} has no objects; give the device's own")
-    return Sheet(origin, objects)
+    return DataSheet(origin, objects)
 
 
-def _entry(one: ODVariable) -> Entry:
+def _entry(one: ODVariable) -> EdsEntry:
     given = one.default if one.value is None else one.value
     value = given if isinstance(given, int) else None
     size = len(one) // 8 if one.fixed_size else None
-    return Entry(one.name, size, one.readable, one.writable, one.pdo_mappable, value)
+    return EdsEntry(
+        name=one.name,
+        size=size,
+        readable=one.readable,
+        writable=one.writable,
+        mappable=one.pdo_mappable,
+        value=value,
+    )

@@ -7,7 +7,7 @@ that repeats a count says nothing newer than the first frame with it, as from a 
 
 from dataclasses import dataclass
 
-from drivers.canopen.place import Place
+from drivers.canopen.place import ObjectPlace
 
 JITTER = 0.05
 """Seconds by which a frame may be late on its way without being taken for a stranger's."""
@@ -26,6 +26,7 @@ class _Course:
     def goes_on(self, value: int, moment: float, rate: float, jitter: float) -> bool:
         if 0 in (value, self.value):  # the program has stopped, or has begun anew
             return value == self.value
+        # One step more than the time allows: the count may have been due just as the last frame was sent.
         step = (value - self.value) % _ROUND
         return step <= rate * (max(moment - self.moment, 0.0) + jitter) + 1
 
@@ -37,7 +38,7 @@ class Life:
     `since` is when the present count was first heard: time by the driver's clock, and moment by the loop's.
     """
 
-    place: Place
+    place: ObjectPlace
     rate: float
     strangers: int = 0
     since: tuple[float, float] = (0.0, 0.0)
@@ -63,10 +64,12 @@ class Life:
         return believed
 
     def _believed(self, value: int, moment: float) -> bool:
+        # A stranger who guesses meets the window of a plain frame now and then; just after a wrong guess it is closed.
         jitter = 0.0 if moment - self._stranger < ALERT else JITTER
         if self._course is not None and self._course.goes_on(value, moment, self.rate, jitter):
             self.anchor(value, moment)
             return True
+        # The node itself may have begun anew unheard: frames that continue one another are believed in the end.
         if self._other is not None and self._other.goes_on(value, moment, self.rate, jitter):
             self._confirmed += 1
         else:

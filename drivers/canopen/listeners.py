@@ -13,7 +13,7 @@ WAITING = 10_000
 """Samples kept for a reader that is behind; then the oldest are dropped."""
 
 
-class Listener:
+class PdoListener:
     """The samples of one stream that its reader has not taken yet, in the order in which they came."""
 
     def __init__(self, tags: Sequence[Tag]) -> None:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from drivers.canopen.bringup import ENTER_PRE_OPERATIONAL, BringUp, Brought
 from drivers.canopen.channel import DEVICE_TYPE, SdoChannel
-from drivers.canopen.eds import Sheet
+from drivers.canopen.eds import DataSheet
 from drivers.canopen.emergency import Emergencies
 from drivers.canopen.options import Options
-from drivers.canopen.pdo import Mapped, Pdo
-from drivers.canopen.place import Place
-from drivers.canopen.port import Frame
+from drivers.canopen.pdo import Mapped, PdoMapping
+from drivers.canopen.place import ObjectPlace
+from drivers.canopen.port import StampedFrame
 from drivers.errors import DriverError
 from drivers.tag import Quality
 
@@ -26,13 +26,13 @@ SYNC, EMCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x080, 0x080, 0x580, 0x600, 0x7
 
 
 @dataclass(slots=True)
-class Heard:
+class ReceivedPdo:
     """A TPDO and its last frame: `time` by the driver's clock, `moment` by the loop's, `fault` why it means nothing.
 
     `asleep`: the device's program did not run when it was sent, by the life counter in it.
     """
 
-    pdo: Pdo
+    pdo: PdoMapping
     data: bytes | None = None
     time: float = 0.0
     moment: float = 0.0
@@ -57,7 +57,7 @@ class Counts:
     starts: int = 0
 
 
-class Node:
+class RemoteNode:
     """The node of one open bus. `send` puts a frame on it; `heard` is told of each usable or faulty TPDO.
 
     All methods are called in the event loop. `closed` is the reason that the bus was given up, "" while it is open.
@@ -67,10 +67,10 @@ class Node:
         self,
         send: Callable[[int, bytes], None],
         options: Options,
-        sheet: Sheet | None,
-        heard: Callable[["Node", Heard], None],
+        sheet: DataSheet | None,
+        heard: Callable[["RemoteNode", ReceivedPdo], None],
     ) -> None:
-        self.options, self.send, self._told = options, send, heard
+        self.options, self.send, self._on_pdo = options, send, heard
         self.sdo = SdoChannel(lambda data: send(SDO_REQUEST + options.node, data), options.timeout)
         self.emergencies = Emergencies(options.emcy_ignore)
         self.counts = Counts()
@@ -80,8 +80,8 @@ class Node:
         self.state: int | None = None
         self.life = options.new_life()
         self.reason = f"node {options.node} has not been heard yet"
-        self._tpdos: dict[int, Heard] = {}
-        self._carriers: dict[Place, list[tuple[Heard, Mapped]]] = {}
+        self._tpdos: dict[int, ReceivedPdo] = {}
+        self._carriers: dict[ObjectPlace, list[tuple[ReceivedPdo, Mapped]]] = {}
         self._beat: float | None = None
         self._news, self._pdo_news = asyncio.Event(), asyncio.Event()
         self._rebooted = False
@@ -101,7 +101,7 @@ class Node:
 
     # ------------------------------------------------------------ frames
 
-    def take(self, frame: Frame) -> None:
+    def take(self, frame: StampedFrame) -> None:
         """A frame of the bus; what is not this node's is nobody's business here."""
         node = self.options.node
         tpdo = self._tpdos.get(frame.id)
@@ -114,7 +114,7 @@ class Node:
         elif frame.id == EMCY + node:
             self.emergencies.take(frame.data)
 
-    def _take_pdo(self, heard: Heard, frame: Frame) -> None:
+    def _take_pdo(self, heard: ReceivedPdo, frame: StampedFrame) -> None:
         pdo, length, since = heard.pdo, len(frame.data), (frame.time, frame.moment)
         self.counts.pdos += 1
         if length != pdo.length:
@@ -124,20 +124,21 @@ class Node:
             count = self._count(pdo, frame)
             if self.life is not None and count is not None:
                 if not self.life.own(count, frame.time, frame.moment):
-                    return
+                    return  # another node sends under this identifier: nothing of it is used
+                # A repeated count brings nothing newer than the first frame with it: the value's age begins there.
                 since = self.life.since
             heard.data, heard.fault, heard.asleep = frame.data, "", count == 0
         heard.time, heard.moment = since
-        self._told(self, heard)
+        self._on_pdo(self, heard)
         self._pdo_news.set()
 
-    def _count(self, pdo: Pdo, frame: Frame) -> int | None:
+    def _count(self, pdo: PdoMapping, frame: StampedFrame) -> int | None:
         """The life counter in a frame; None where there is none."""
         place = self.life.place if self.life is not None else None
         counter = next((one for one in pdo.objects if one.place == place), None)
         return None if counter is None else int.from_bytes(counter.cut(frame.data), "little")
 
-    def _take_heartbeat(self, frame: Frame) -> None:
+    def _take_heartbeat(self, frame: StampedFrame) -> None:
         state = frame.data[0] & 0x7F if len(frame.data) == 1 else -1
         if state not in STATES:
             self.counts.malformed_heartbeats += 1
@@ -145,6 +146,8 @@ class Node:
         self.counts.heartbeats += 1
         if state == BOOT_UP:
             self.counts.boots += 1
+            # After boot-up a node is pre-operational without saying so (CiA 301, 7.3.2.2.1), and its parameters are
+            # those of power-on again: what it was configured to counts no more.
             self._rebooted, state = True, PRE_OPERATIONAL
             self._forget()
         self._beat, self.state = frame.moment, state
@@ -157,12 +160,12 @@ class Node:
 
     # ------------------------------------------------------------ what can be used
 
-    def value(self, place: Place) -> bytes | None:
+    def value(self, place: ObjectPlace) -> bytes | None:
         """An object's bytes in the last TPDO that carries it; None where none does, or none that can be used."""
         carrier = self.carrier(place)
         return None if carrier is None else carrier[0].value(carrier[1])
 
-    def carrier(self, place: Place) -> tuple[Heard, Mapped] | None:
+    def carrier(self, place: ObjectPlace) -> tuple[ReceivedPdo, Mapped] | None:
         """The TPDO that has brought the object last and whole, and where it lies in it; None if no TPDO carries it."""
         carriers = self._carriers.get(place)
         return max(carriers, key=lambda carrier: (not carrier[0].fault, carrier[0].moment)) if carriers else None
@@ -181,7 +184,7 @@ class Node:
             return Quality.OUT_OF_SERVICE, f"node {node} is {STATES[self.state or BOOT_UP]}"
         return None
 
-    def lateness(self, heard: Heard, moment: float) -> str:
+    def lateness(self, heard: ReceivedPdo, moment: float) -> str:
         """Why the last frame of a TPDO is too old or faulty at this moment; empty if it may be used."""
         options = self.options
         limit = heard.pdo.timeout(options.pdo_timeout, options.sync_period)
@@ -236,7 +239,7 @@ class Node:
         self.sheet, self.brought = brought.sheet, brought
         now = self._loop.time()
         enabled = [pdo for pdo in brought.tpdos if pdo.enabled and pdo.objects]
-        self._tpdos = {pdo.cob_id: Heard(pdo, moment=now) for pdo in enabled}
+        self._tpdos = {pdo.cob_id: ReceivedPdo(pdo, moment=now) for pdo in enabled}
         self._carriers = {}
         for heard in self._tpdos.values():
             for one in heard.pdo.objects:
@@ -297,7 +300,7 @@ class Node:
             await asyncio.sleep(CONFIRM_ERRORS)
             if self.emergencies.active:
                 with suppress(DriverError):
-                    if not any(await self.sdo.read(Place(0x1001), 1)):
+                    if not any(await self.sdo.read(ObjectPlace(0x1001), 1)):
                         self.emergencies.active.clear()
 
     def _command(self, code: int) -> None:

@@ -1,61 +1,78 @@
 """The settings of the driver `canopen`: what each key means, and the checked whole."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, model_validator
 
 from drivers.canopen.life import Life
-from drivers.canopen.place import Place, parse_place
-from drivers.errors import DriverError
-from drivers.settings import Setting, check_settings
-
-SETTINGS: dict[str, Setting] = {
-    "interface": Setting(str, "socketcan"),
-    "channel": Setting(str),
-    "bitrate": Setting(int, low=1000, high=1_000_000, optional=True),
-    "node": Setting(int, low=1, high=127),
-    "eds": Setting(str, optional=True),
-    "configure": Setting(bool, False),
-    "listen_only": Setting(bool, False),
-    "timeout": Setting(float, 0.3, 0.001, 60.0),
-    "connect_timeout": Setting(float, 1.0, 0.001, 60.0),
-    "heartbeat_time": Setting(float, 0.2, 0.0, 65.0),
-    "heartbeat_timeout": Setting(float, 0.0, 0.0, 3600.0),
-    "pdo_timeout": Setting(float, 0.0, 0.0, 3600.0),
-    "sync_period": Setting(float, 0.0, 0.0, 60.0),
-    "tpdo": Setting(list, optional=True),
-    "life": Setting(dict, optional=True),
-    "acknowledge": Setting(dict, optional=True),
-    "emcy_ignore": Setting(list, optional=True),
-    "backoff_first": Setting(float, 0.2, 0.001, 5.0),
-    "backoff_cap": Setting(float, 0.5, 0.001, 5.0),
-}
+from drivers.canopen.place import ObjectPlace, parse_place
+from drivers.settings import Reconnecting, check_settings
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """The settings, checked. Times in seconds; 0 for a time-out: what the device's own periods make of it."""
+def _life(given: object) -> tuple[ObjectPlace, float]:
+    match given:
+        case {"object": str() as text, "rate": int() | float() as rate, **rest} if rate > 0 and not rest:
+            return parse_place(text), float(rate)
+    raise ValueError(f"{given!r} must be a table such as {{ object = '0x2002:1', rate = 60 }}")
 
-    interface: str
-    channel: str
-    bitrate: int | None
-    node: int
-    eds: Path | None
-    configure: bool
-    listen_only: bool
-    timeout: float
-    connect_timeout: float
-    heartbeat_time: float
-    heartbeat_timeout: float
-    pdo_timeout: float
-    sync_period: float
-    tpdo: tuple[object, ...]
-    life: tuple[Place, float] | None
-    acknowledge: Mapping[Place, Place]
-    emcy_ignore: frozenset[int]
-    backoff_first: float
-    backoff_cap: float
+
+def _acknowledge(given: object) -> dict[ObjectPlace, ObjectPlace]:
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{given!r} must be a table such as {{ '0x2100:2' = '0x2101:1' }}")
+    found = {}
+    for written, answered in given.items():
+        if not isinstance(answered, str):
+            raise ValueError(f"{answered!r} is no object; give a table such as {{ '0x2100:2' = '0x2101:1' }}")
+        found[parse_place(written)] = parse_place(answered)
+    return found
+
+
+def _error_codes(given: object) -> frozenset[int]:
+    if not isinstance(given, list) or not all(isinstance(code, int) and 0 <= code <= 0xFFFF for code in given):
+        raise ValueError(f"{given!r} must be a list of error codes such as [0x8120]")
+    return frozenset(given)
+
+
+class Options(Reconnecting):
+    """The settings. Times in seconds; 0 for a time-out: what the device's own periods make of it."""
+
+    interface: str = Field("socketcan", min_length=1, description="python-can's name of the interface, or 'hub'")
+    channel: str = Field(min_length=1, description="the interface's own name of the bus, such as 'can0'")
+    bitrate: int | None = Field(None, ge=1000, le=1_000_000, description="bits a second, 1000 to 1000000")
+    node: int = Field(ge=1, le=127, description="a node id from 1 to 127")
+    eds: Annotated[Path | None, Field(strict=False)] = Field(None, description="the path of the node's EDS file")
+    configure: bool = Field(False, description="true: this program is the node's master")
+    listen_only: bool = Field(False, description="true: nothing is sent")
+    timeout: float = Field(0.3, ge=0.001, le=60.0, description="the deadline of an answer in seconds, 0.001 to 60")
+    connect_timeout: float = Field(
+        1.0, ge=0.001, le=60.0, description="the deadline of opening the bus in seconds, 0.001 to 60"
+    )
+    heartbeat_time: float = Field(
+        0.2, ge=0.0, le=65.0, description="the seconds between two heartbeats that the node is set to, 0 to 65"
+    )
+    heartbeat_timeout: float = Field(0.0, ge=0.0, le=3600.0, description="the longest time without one, 0 to 3600 s")
+    pdo_timeout: float = Field(0.0, ge=0.0, le=3600.0, description="the longest time without a PDO, 0 to 3600 s")
+    sync_period: float = Field(0.0, ge=0.0, le=60.0, description="the seconds between two SYNC, 0 (none) to 60")
+    tpdo: Annotated[tuple[object, ...], Field(strict=False)] = Field((), description="a list of TPDOs and their maps")
+    life: Annotated[tuple[ObjectPlace, float] | None, BeforeValidator(_life)] = Field(
+        None, description="a life counter"
+    )
+    acknowledge: Annotated[dict[ObjectPlace, ObjectPlace], BeforeValidator(_acknowledge)] = Field(
+        default_factory=dict, description="a table of objects and those that acknowledge them"
+    )
+    emcy_ignore: Annotated[frozenset[int], BeforeValidator(_error_codes)] = Field(
+        frozenset(), description="a list of error codes"
+    )
+
+    @model_validator(mode="after")
+    def _one_role(self) -> "Options":
+        if self.configure and self.listen_only:
+            raise ValueError("configure and listen_only exclude each other: who only listens configures nothing")
+        if self.listen_only and self.eds is None:
+            raise ValueError("listen_only needs eds: the device cannot be asked for its own")
+        return self
 
     def new_life(self) -> Life | None:
         """A life counter that knows nothing yet, if one is configured."""
@@ -64,38 +81,4 @@ class Options:
 
 def read_options(settings: Mapping[str, Any]) -> Options:
     """The settings as options. Raises DriverError in one sentence for what cannot be used."""
-    given = check_settings("canopen", settings, SETTINGS)
-    if given["configure"] and given["listen_only"]:
-        raise DriverError("canopen: configure and listen_only exclude each other: who only listens configures nothing")
-    if given["listen_only"] and given["eds"] is None:
-        raise DriverError("canopen: listen_only needs eds: the device cannot be asked for its own")
-    ignored = given["emcy_ignore"] or []
-    if not all(isinstance(code, int) and 0 <= code <= 0xFFFF for code in ignored):
-        raise DriverError(f"canopen: emcy_ignore: {ignored!r} must be a list of error codes such as [0x8120]")
-    given |= {
-        "eds": None if given["eds"] is None else Path(given["eds"]),
-        "tpdo": tuple(given["tpdo"] or ()),
-        "life": _life(given["life"]),
-        "acknowledge": _acknowledge(given["acknowledge"] or {}),
-        "emcy_ignore": frozenset(ignored),
-    }
-    return Options(**given)
-
-
-def _life(given: Mapping[str, Any] | None) -> tuple[Place, float] | None:
-    if given is None:
-        return None
-    match given:
-        case {"object": str() as text, "rate": int() | float() as rate, **rest} if rate > 0 and not rest:
-            return parse_place(text, "canopen: life"), float(rate)
-    raise DriverError(f"canopen: life: {given!r} must be a table such as {{ object = '0x2002:1', rate = 60 }}")
-
-
-def _acknowledge(given: Mapping[str, Any]) -> dict[Place, Place]:
-    what = "canopen: acknowledge"
-    found = {}
-    for written, answered in given.items():
-        if not isinstance(answered, str):
-            raise DriverError(f"{what}: {answered!r} is no object; give a table such as {{ '0x2100:2' = '0x2101:1' }}")
-        found[parse_place(written, what)] = parse_place(answered, what)
-    return found
+    return check_settings("canopen", Options, settings)

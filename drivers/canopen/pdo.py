@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from drivers.canopen.place import Place, parse_place
+from drivers.canopen.place import ObjectPlace, parse_place
 from drivers.errors import AddressError, DriverError
 
 Kind = Literal["T", "R"]
@@ -21,7 +21,7 @@ LATE = 3.0
 class Mapped:
     """One object in a PDO: `bits` of it, from bit `offset` of the PDO on."""
 
-    place: Place
+    place: ObjectPlace
     offset: int
     bits: int
 
@@ -32,7 +32,7 @@ class Mapped:
 
 
 @dataclass(frozen=True, slots=True)
-class Pdo:
+class PdoMapping:
     """One PDO of a device. Times in seconds, 0 where there is none."""
 
     kind: Kind
@@ -68,30 +68,33 @@ class Pdo:
         return LATE * max(self.transmission, 1) * sync_period if self.transmission <= 240 else 0.0
 
 
-def from_objects(kind: Kind, number: int, value: Callable[[Place], int | None]) -> Pdo | None:
+def from_objects(kind: Kind, number: int, value: Callable[[ObjectPlace], int | None]) -> PdoMapping | None:
     """The PDO that the objects describe, None where there is none. `value` gives an object's number, None: not there.
 
     Raises AddressError for a mapping that no frame can carry.
     """
     communication, mapping = COMMUNICATION[kind] + number - 1, MAPPING[kind] + number - 1
-    identifier = value(Place(communication, 1))
+    identifier = value(ObjectPlace(communication, 1))
     if identifier is None:
         return None
-    entries = [value(Place(mapping, sub)) or 0 for sub in range(1, (value(Place(mapping, 0)) or 0) + 1)]
-    transmission = value(Place(communication, 2))
-    return Pdo(
-        kind,
-        number,
-        identifier & 0x1FFFFFFF,
-        not identifier & NOT_VALID,
-        255 if transmission is None else transmission,
-        (value(Place(communication, 3)) or 0) * 1e-4,
-        (value(Place(communication, 5)) or 0) * 1e-3,
-        laid_out([(Place(entry >> 16, entry >> 8 & 0xFF), entry & 0xFF) for entry in entries], f"{kind}PDO {number}"),
+    entries = [value(ObjectPlace(mapping, sub)) or 0 for sub in range(1, (value(ObjectPlace(mapping, 0)) or 0) + 1)]
+    transmission = value(ObjectPlace(communication, 2))
+    # CiA 301, 7.5.2.37: bit 31 of the COB-ID switches a PDO off; inhibit time counts 100 us, the event timer 1 ms.
+    return PdoMapping(
+        kind=kind,
+        number=number,
+        cob_id=identifier & 0x1FFFFFFF,
+        enabled=not identifier & NOT_VALID,
+        transmission=255 if transmission is None else transmission,
+        inhibit=(value(ObjectPlace(communication, 3)) or 0) * 1e-4,
+        event_timer=(value(ObjectPlace(communication, 5)) or 0) * 1e-3,
+        objects=laid_out(
+            [(ObjectPlace(entry >> 16, entry >> 8 & 0xFF), entry & 0xFF) for entry in entries], f"{kind}PDO {number}"
+        ),
     )
 
 
-def laid_out(objects: Iterable[tuple[Place, int]], what: str) -> tuple[Mapped, ...]:
+def laid_out(objects: Iterable[tuple[ObjectPlace, int]], what: str) -> tuple[Mapped, ...]:
     """Places and bits, one after the other from bit 0 on. Raises AddressError if they exceed 64 bits."""
     found, offset = [], 0
     for place, bits in objects:
@@ -102,7 +105,9 @@ def laid_out(objects: Iterable[tuple[Place, int]], what: str) -> tuple[Mapped, .
     return tuple(found)
 
 
-def wanted(pdos: Sequence[Pdo], changes: Sequence[object], bits: Callable[[Place], int | None]) -> tuple[Pdo, ...]:
+def wanted(
+    pdos: Sequence[PdoMapping], changes: Sequence[object], bits: Callable[[ObjectPlace], int | None]
+) -> tuple[PdoMapping, ...]:
     """The TPDOs of the EDS with the changes of the setting `tpdo`. Raises DriverError for one that makes no sense."""
     by_number = {pdo.number: pdo for pdo in pdos}
     for change in changes:
@@ -124,7 +129,7 @@ _CHANGES: dict[str, tuple[type | tuple[type, ...], str]] = {
 _MOST = {"transmission": 255, "event_timer": 65.0, "inhibit": 6.5, "number": 512}
 
 
-def _changed(pdo: Pdo, change: Mapping[str, Any], bits: Callable[[Place], int | None]) -> Pdo:
+def _changed(pdo: PdoMapping, change: Mapping[str, Any], bits: Callable[[ObjectPlace], int | None]) -> PdoMapping:
     what = f"canopen: tpdo {pdo.number}"
     for key, value in change.items():
         if key not in _CHANGES:
@@ -147,7 +152,7 @@ def _changed(pdo: Pdo, change: Mapping[str, Any], bits: Callable[[Place], int | 
     )
 
 
-def _sized(text: str, what: str, bits: Callable[[Place], int | None]) -> tuple[Place, int]:
+def _sized(text: str, what: str, bits: Callable[[ObjectPlace], int | None]) -> tuple[ObjectPlace, int]:
     place = parse_place(text, what)
     size = bits(place)
     if not size:
@@ -155,7 +160,7 @@ def _sized(text: str, what: str, bits: Callable[[Place], int | None]) -> tuple[P
     return place, size
 
 
-def writes(pdo: Pdo, present: Pdo) -> list[tuple[Place, bytes]]:
+def writes(pdo: PdoMapping, present: PdoMapping) -> list[tuple[ObjectPlace, bytes]]:
     """What must be written, in CiA 301's order, to make the `present` PDO of the device the one that is wanted.
 
     Empty if nothing differs. The PDO is switched off first, its mapping emptied, and both are put back last.
@@ -167,26 +172,26 @@ def writes(pdo: Pdo, present: Pdo) -> list[tuple[Place, bytes]]:
     identifier = pdo.cob_id | (EXTENDED if pdo.cob_id > 0x7FF else 0)
     # An identifier may only be changed while the PDO is off: the first write leaves it, the last one sets it.
     off = present.cob_id | (EXTENDED if present.cob_id > 0x7FF else 0) | NOT_VALID
-    steps = [(Place(communication, 1), off.to_bytes(4, "little"))]
+    steps = [(ObjectPlace(communication, 1), off.to_bytes(4, "little"))]
     if "transmission" in changes:
-        steps.append((Place(communication, 2), bytes([pdo.transmission])))
+        steps.append((ObjectPlace(communication, 2), bytes([pdo.transmission])))
     if "inhibit" in changes:
-        steps.append((Place(communication, 3), round(pdo.inhibit * 1e4).to_bytes(2, "little")))
+        steps.append((ObjectPlace(communication, 3), round(pdo.inhibit * 1e4).to_bytes(2, "little")))
     if "event_timer" in changes:
-        steps.append((Place(communication, 5), round(pdo.event_timer * 1e3).to_bytes(2, "little")))
+        steps.append((ObjectPlace(communication, 5), round(pdo.event_timer * 1e3).to_bytes(2, "little")))
     if "objects" in changes:
-        steps.append((Place(mapping, 0), b"\0"))
+        steps.append((ObjectPlace(mapping, 0), b"\0"))
         for sub, one in enumerate(pdo.objects, start=1):
             entry = one.place.index << 16 | one.place.subindex << 8 | one.bits
-            steps.append((Place(mapping, sub), entry.to_bytes(4, "little")))
-        steps.append((Place(mapping, 0), bytes([len(pdo.objects)])))
+            steps.append((ObjectPlace(mapping, sub), entry.to_bytes(4, "little")))
+        steps.append((ObjectPlace(mapping, 0), bytes([len(pdo.objects)])))
     last = identifier if pdo.enabled else identifier | NOT_VALID
     if last != off:
-        steps.append((Place(communication, 1), last.to_bytes(4, "little")))
+        steps.append((ObjectPlace(communication, 1), last.to_bytes(4, "little")))
     return steps
 
 
-def _differences(pdo: Pdo, present: Pdo) -> set[str]:
+def _differences(pdo: PdoMapping, present: PdoMapping) -> set[str]:
     keys = ("cob_id", "enabled", "transmission", "objects")
     found = {key for key in keys if getattr(pdo, key) != getattr(present, key)}
     found |= {key for key in ("inhibit", "event_timer") if abs(getattr(pdo, key) - getattr(present, key)) > 5e-5}

@@ -11,7 +11,7 @@ _ADDRESS = re.compile(r"0x([0-9A-Fa-f]{1,4})(?::(0x[0-9A-Fa-f]{1,2}|[0-9]{1,3}))
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Place:
+class ObjectPlace:
     """Index (0..0xFFFF) and sub-index (0..0xFF) of one object."""
 
     index: int
@@ -21,14 +21,15 @@ class Place:
         return f"0x{self.index:04X}:{self.subindex}"
 
 
-def parse_place(text: str, what: str) -> Place:
-    """`0x2001:1` (or `0x1017`, sub-index 0) as a place. Raises AddressError, which begins with `what`."""
+def parse_place(text: str, what: str = "") -> ObjectPlace:
+    """`0x2001:1` (or `0x1017`, sub-index 0) as a place. Raises AddressError, which begins with `what`, if given."""
     match = _ADDRESS.fullmatch(text)
     if match is not None:
-        place = Place(int(match[1], 16), int(match[2] or "0", 0))
+        place = ObjectPlace(int(match[1], 16), int(match[2] or "0", 0))
         if place.subindex <= 0xFF:
             return place
-    raise AddressError(f"{what}: {text!r} is no object; give its index and sub-index, such as '0x2001:1'")
+    subject = f"{what}: " if what else ""
+    raise AddressError(f"{subject}{text!r} is no object; give its index and sub-index, such as '0x2001:1'")
 
 
 def bytes_needed(tag: Tag) -> int:

@@ -23,7 +23,7 @@ _BUS_OFF = 0x40  # linux/can/error.h: error class "bus-off"
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class StampedFrame:
     """One data frame with an 11-bit identifier; `time` by the driver's clock, `moment` by the loop's."""
 
     id: int
@@ -39,11 +39,11 @@ class Port:
     """
 
     def __init__(
-        self, bus: can.BusABC, clock: Clock, take: Callable[[Frame], None], lost: Callable[[str], None]
+        self, bus: can.BusABC, clock: Clock, take: Callable[[StampedFrame], None], lost: Callable[[str], None]
     ) -> None:
         self._bus, self._clock, self._take, self._lost = bus, clock, take, lost
         self._loop = asyncio.get_running_loop()
-        self._frames: deque[Frame] = deque()
+        self._frames: deque[StampedFrame] = deque()
         self._scheduled = self._closing = False
         self.counts = dict.fromkeys(("frames", "foreign_frames", "dropped_frames", "error_frames"), 0)
         self._thread = threading.Thread(target=self._read, name="canopen reader", daemon=True)
@@ -95,7 +95,7 @@ class Port:
         if len(self._frames) >= WAITING:
             self._frames.popleft()
             self.counts["dropped_frames"] += 1
-        frame = Frame(message.arbitration_id, bytes(message.data), self._clock(), self._loop.time())
+        frame = StampedFrame(message.arbitration_id, bytes(message.data), self._clock(), self._loop.time())
         self._frames.append(frame)
         if not self._scheduled:
             self._scheduled = True

@@ -11,7 +11,7 @@ a confirmed download, and blocks a thread.
 from binascii import crc_hqx
 from collections.abc import Generator
 
-from drivers.canopen.place import Place
+from drivers.canopen.place import ObjectPlace
 from drivers.errors import DeviceException, ReplyMismatch
 
 Transfer = Generator[list[bytes] | None, bytes, bytes]
@@ -59,19 +59,20 @@ ABOUT_OBJECTS = frozenset(code for code in ABORTS if code >> 24 == 0x06)
 class SdoAbort(DeviceException):
     """The server aborted the transfer; `code` is its abort code."""
 
-    def __init__(self, place: Place, code: int) -> None:
+    def __init__(self, place: ObjectPlace, code: int) -> None:
         super().__init__(code, f"{place}: SDO abort 0x{code:08X}, {ABORTS.get(code, 'no code of CiA 301')}")
         self.place = place
 
 
-def abort_frame(place: Place, code: int) -> bytes:
+def abort_frame(place: ObjectPlace, code: int) -> bytes:
     """The frame by which a client gives a transfer up."""
     return _head(0x80, place) + code.to_bytes(4, "little")
 
 
-def upload(place: Place, size: int | None = None) -> Transfer:
+def upload(place: ObjectPlace, size: int | None = None) -> Transfer:
     """Read an object. `size` (bytes) cuts an expedited answer that does not say how much of it is data."""
     answer = yield from _initiated([_head(0x40, place) + bytes(4)], place, 2)
+    # CiA 301, 7.2.4.3.6: bit 1 expedited, bit 0 whether a size is said, bits 2..3 how many of the four bytes are none.
     command = answer[0]
     if command & 2:
         count = 4 - (command >> 2 & 3) if command & 1 else min(size or 4, 4)
@@ -79,6 +80,8 @@ def upload(place: Place, size: int | None = None) -> Transfer:
     announced = int.from_bytes(answer[4:8], "little") if command & 1 else None
     if announced is not None and announced > LARGEST:
         raise ReplyMismatch(f"{place}: {announced} bytes are announced, and {LARGEST} are the most")
+    # 7.2.4.3.7: the toggle bit (4) changes with every segment, so that one that comes twice is not taken for the next;
+    # bits 1..3 are the bytes without data, bit 0 says that it was the last.
     data, toggle, more = bytearray(), 0, True
     while more:
         answer = yield from _segment(bytes([0x60 | toggle]) + bytes(7), place, 0, toggle)
@@ -89,7 +92,7 @@ def upload(place: Place, size: int | None = None) -> Transfer:
     return _whole(place, bytes(data), announced)
 
 
-def download(place: Place, data: bytes) -> Transfer:
+def download(place: ObjectPlace, data: bytes) -> Transfer:
     """Write an object, expedited up to 4 bytes and in segments above."""
     if 1 <= len(data) <= 4:
         yield from _initiated([_head(0x23 | (4 - len(data)) << 2, place) + data.ljust(4, b"\0")], place, 3)
@@ -105,19 +108,21 @@ def download(place: Place, data: bytes) -> Transfer:
     return b""
 
 
-def block_upload(place: Place) -> Transfer:
+def block_upload(place: ObjectPlace) -> Transfer:
     """Read an object by block transfer with CRC. A server that knows none aborts with UNKNOWN_COMMAND."""
     answer = yield from _initiated([_head(0xA4, place) + bytes([BLOCK, 0, 0, 0])], place, 6)
     announced = int.from_bytes(answer[4:8], "little") if answer[0] & 2 else None
     checked = bool(answer[0] & 4)
     data, confirm, more = bytearray(), [bytes([0xA3]) + bytes(7)], True
     while more:
+        # 7.2.4.3.14: a block ends with its last segment, or with the one marked by bit 7. Segments after a gap are not
+        # kept: the confirmation names the last in sequence, and the server goes on behind it.
         taken, sequence, answer = 0, 0, b""
         while sequence != BLOCK and not (answer and answer[0] & 0x80):
             answer = yield confirm
             confirm = []
             sequence = answer[0] & 0x7F
-            if sequence == 0:
+            if sequence == 0:  # no segment has that number; an abort (0x80) looks so
                 _refused(answer, place)
                 answer = b""
             elif sequence == taken + 1:
@@ -130,6 +135,7 @@ def block_upload(place: Place) -> Transfer:
     while answer[0] & 0xE3 != 0xC1:
         _refused(answer, place)
         answer = yield None
+    # Only the end says how much of the last segment was data, and the CRC-16-CCITT of it all (7.2.4.3.15 and .16).
     whole = bytes(data[: len(data) - (answer[0] >> 2 & 7)])
     if checked and crc_hqx(whole, 0) != int.from_bytes(answer[1:3], "little"):
         raise ReplyMismatch(f"{place}: the CRC of the block transfer is wrong")
@@ -140,13 +146,15 @@ BLOCK_UPLOAD_END = bytes([0xA1]) + bytes(7)
 """What a client confirms a block upload with, after its end; nothing answers it."""
 
 
-def block_download(place: Place, data: bytes) -> Transfer:
+def block_download(place: ObjectPlace, data: bytes) -> Transfer:
     """Write an object by block transfer with CRC."""
     answer = yield from _initiated([_head(0xC6, place) + len(data).to_bytes(4, "little")], place, 5)
     checked, size = bool(answer[0] & 4), answer[4]
     pieces = [data[at : at + 7] for at in range(0, max(len(data), 1), 7)]
     done = 0
     while done < len(pieces):
+        # 7.2.4.3.10: each confirmation says how many segments have come in sequence, and how many the next block may
+        # have; what did not come in sequence is sent again.
         if not 1 <= size <= BLOCK:
             raise ReplyMismatch(f"{place}: the server asks for blocks of {size} segments")
         burst = pieces[done : done + size]
@@ -169,20 +177,21 @@ def block_download(place: Place, data: bytes) -> Transfer:
     return b""
 
 
-def _head(command: int, place: Place) -> bytes:
+def _head(command: int, place: ObjectPlace) -> bytes:
     return bytes([command]) + place.index.to_bytes(2, "little") + bytes([place.subindex])
 
 
-def _initiated(frames: list[bytes], place: Place, specifier: int) -> Transfer:
+def _initiated(frames: list[bytes], place: ObjectPlace, specifier: int) -> Transfer:
     """The answer to a first request: the one that names the object; all others are not for it."""
     answer = yield frames
+    # Nothing numbers SDO answers; index and sub-index are all by which a late answer to an earlier request is told.
     while answer[1:4] != frames[0][1:4] or answer[0] >> 5 not in (specifier, 4):
         answer = yield None
     _refused(answer, place)
     return answer
 
 
-def _segment(frame: bytes, place: Place, specifier: int, toggle: int) -> Transfer:
+def _segment(frame: bytes, place: ObjectPlace, specifier: int, toggle: int) -> Transfer:
     """The answer to a segment. A server that has lost count is told so."""
     answer = yield [frame]
     while answer[0] >> 5 != specifier:
@@ -193,13 +202,13 @@ def _segment(frame: bytes, place: Place, specifier: int, toggle: int) -> Transfe
     return answer
 
 
-def _refused(answer: bytes, place: Place) -> None:
+def _refused(answer: bytes, place: ObjectPlace) -> None:
     """Raises SdoAbort if the answer is the server's abort of this transfer."""
-    if answer[0] >> 5 == 4 and Place(int.from_bytes(answer[1:3], "little"), answer[3]) == place:
+    if answer[0] >> 5 == 4 and ObjectPlace(int.from_bytes(answer[1:3], "little"), answer[3]) == place:
         raise SdoAbort(place, int.from_bytes(answer[4:8], "little"))
 
 
-def _whole(place: Place, data: bytes, announced: int | None) -> bytes:
+def _whole(place: ObjectPlace, data: bytes, announced: int | None) -> bytes:
     if announced is not None and announced != len(data):
         raise ReplyMismatch(f"{place}: {announced} bytes were announced and {len(data)} came")
     return data

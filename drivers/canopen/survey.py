@@ -13,7 +13,7 @@ from drivers.can.bus import open_bus
 from drivers.can.pump import Pump
 from drivers.canopen.asking import quality_of
 from drivers.canopen.channel import SdoChannel
-from drivers.canopen.place import Place, from_bytes, parse_place
+from drivers.canopen.place import ObjectPlace, from_bytes, parse_place
 from drivers.driver import Clock
 from drivers.errors import DriverError, LinkDown
 from drivers.survey import BusFrame, Raw
@@ -47,7 +47,7 @@ class BusSurvey:
         self._lost = ""
         self._begun = time.monotonic()
         self._frames: list[BusFrame] | None = None
-        self._asked: dict[tuple[int, float], SdoChannel] = {}
+        self._channels: dict[tuple[int, float], SdoChannel] = {}
         self._gone = asyncio.Event()
         self._heard = self._errors = 0
         self._pump = Pump(bus, self._take, self._on_lost)
@@ -59,10 +59,10 @@ class BusSurvey:
     def statistics(self) -> Mapping[str, float]:
         """Counters by the names of the drivers'."""
         heard = {"frames": self._heard, "error_frames": self._errors, "dropped": self._pump.dropped}
-        asked = Counter[str]()
-        for channel in self._asked.values():
-            asked.update(channel.counts)
-        return {**dict.fromkeys(("requests", "timeouts", "mismatches", "aborts"), 0), **asked, **heard}
+        counts = Counter[str]()
+        for channel in self._channels.values():
+            counts.update(channel.counts)
+        return {**dict.fromkeys(("requests", "timeouts", "mismatches", "aborts"), 0), **counts, **heard}
 
     async def listen(self, seconds: float) -> list[BusFrame]:
         """All data frames of so many seconds. Raises LinkDown if the bus goes meanwhile."""
@@ -77,11 +77,11 @@ class BusSurvey:
 
     async def object(self, node: int, index: int, subindex: int, timeout: float) -> bytes:
         """One object of a node. Raises ReplyTimeout, DeviceException, ReplyMismatch or LinkDown."""
-        channel = self._asked.get((node, timeout))
+        channel = self._channels.get((node, timeout))
         if channel is None:
             channel = SdoChannel(lambda data: self._send(_SDO_REQUEST + node, data), timeout)
-            self._asked[node, timeout] = channel
-        return await channel.read(Place(index, subindex))
+            self._channels[node, timeout] = channel
+        return await channel.read(ObjectPlace(index, subindex))
 
     async def tags(self, tags: Sequence[Tag], node: int, timeout: float) -> list[Raw]:
         """Each tag of a node by SDO, with the bytes of its object; after one without an answer no more is asked."""
@@ -101,9 +101,8 @@ class BusSurvey:
             value, quality, reason = from_bytes(tag, data)
         except DriverError as error:
             return self._failed(tag, quality_of(error), str(error))
-        return Raw(
-            tag, Sample(tag.name, value, quality, self._clock(), sent, reason), str(place), len(data), tuple(data)
-        )
+        sample = Sample(tag.name, value, quality, self._clock(), sent=sent, reason=reason)
+        return Raw(tag, sample, str(place), len(data), tuple(data))
 
     def _failed(self, tag: Tag, quality: Quality, reason: str) -> Raw:
         return Raw(tag, Sample(tag.name, None, quality, self._clock(), reason=reason), tag.address, 0)
@@ -128,12 +127,12 @@ class BusSurvey:
             self._frames.append(BusFrame(since, number, message.is_extended_id, data))
         node = number - _SDO_ANSWER
         if not message.is_extended_id:
-            for (asked, _), channel in self._asked.items():
-                if asked == node:
+            for (server, _), channel in self._channels.items():
+                if server == node:
                     channel.heard(data)
 
     def _on_lost(self, reason: str) -> None:
         self._lost = reason
         self._gone.set()
-        for channel in self._asked.values():
+        for channel in self._channels.values():
             channel.close(reason)

@@ -4,20 +4,20 @@ import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.canopen.eds import Sheet
-from drivers.canopen.node import Node
+from drivers.canopen.eds import DataSheet
+from drivers.canopen.node import RemoteNode
 from drivers.canopen.options import Options
-from drivers.canopen.pdo import Pdo
-from drivers.canopen.place import Place, parse_place, to_bytes
+from drivers.canopen.pdo import PdoMapping
+from drivers.canopen.place import ObjectPlace, parse_place, to_bytes
 from drivers.errors import AddressError, DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Tag, Value
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class WritePiece:
     """One object to be written, and its bytes."""
 
-    place: Place
+    place: ObjectPlace
     data: bytes
     name: str
 
@@ -28,7 +28,7 @@ class Writing:
     Raises AddressError for a tag of the map that is no object, or one that the EDS calls read-only.
     """
 
-    def __init__(self, write_map: Sequence[Tag], options: Options, sheet: Sheet | None) -> None:
+    def __init__(self, write_map: Sequence[Tag], options: Options, sheet: DataSheet | None) -> None:
         self._options = options
         self._map = {tag.name: (tag, parse_place(tag.address, tag.name)) for tag in write_map}
         self._places = frozenset(place for _, place in self._map.values())
@@ -39,7 +39,7 @@ class Writing:
                 what = "is not in the EDS" if entry is None else "is read-only"
                 raise AddressError(f"{name}: {place} {what} ({sheet.origin}); the write map needs an object to write")
 
-    def checked(self, values: Sequence[tuple[Tag, Value]], sheet: Sheet | None) -> list[Piece]:
+    def checked(self, values: Sequence[tuple[Tag, Value]], sheet: DataSheet | None) -> list[WritePiece]:
         """The objects of the values, in their order. Raises WriteForbidden, EncodingError or AddressError."""
         for tag, _ in values:
             known = self._map.get(tag.name)
@@ -53,12 +53,12 @@ class Writing:
             raise AddressError(f"{', '.join(map(str, sorted(doubled)))} would be written twice; nothing was sent")
         return pieces
 
-    def _piece(self, tag: Tag, value: Value, sheet: Sheet | None) -> Piece:
+    def _piece(self, tag: Tag, value: Value, sheet: DataSheet | None) -> WritePiece:
         place = self._map[tag.name][1]
         entry = sheet.objects.get(place) if sheet else None
-        return Piece(place, to_bytes(tag, value, entry.size if entry else None), tag.name)
+        return WritePiece(place, to_bytes(tag, value, entry.size if entry else None), tag.name)
 
-    async def carried_out(self, pieces: Sequence[Piece], node: Node) -> None:
+    async def carried_out(self, pieces: Sequence[WritePiece], node: RemoteNode) -> None:
         """Send the pieces, each once, and verify that the device has taken them. Raises as `Writes.write` says."""
         async with self._lock:
             waiting = self._acknowledges(pieces, node)
@@ -75,12 +75,12 @@ class Writing:
             else:
                 await self._acknowledged(*waiting, node)
 
-    def _carriers(self, pieces: Sequence[Piece], node: Node) -> list[Pdo]:
+    def _carriers(self, pieces: Sequence[WritePiece], node: RemoteNode) -> list[PdoMapping]:
         """The RPDOs that carry pieces and nothing else, the one with the last piece last."""
         order = {piece.place: number for number, piece in enumerate(pieces)}
         sizes = {piece.place: 8 * len(piece.data) for piece in pieces}
-        found: list[Pdo] = []
-        taken: set[Place] = set()
+        found: list[PdoMapping] = []
+        taken: set[ObjectPlace] = set()
         for pdo in node.brought.rpdos if node.brought else ():
             places = [one.place for one in pdo.objects]
             fits = all(sizes.get(one.place) == one.bits for one in pdo.objects)
@@ -90,7 +90,7 @@ class Writing:
                 taken.update(places)
         return sorted(found, key=lambda pdo: max(order[one.place] for one in pdo.objects))
 
-    def _acknowledges(self, pieces: Sequence[Piece], node: Node) -> tuple[Place, bytes] | None:
+    def _acknowledges(self, pieces: Sequence[WritePiece], node: RemoteNode) -> tuple[ObjectPlace, bytes] | None:
         """The object that will tell, and what it has to say; None if there is none or it says so already."""
         for piece in pieces:
             place = self._options.acknowledge.get(piece.place)
@@ -98,7 +98,7 @@ class Writing:
                 return None if node.value(place) in (None, piece.data) else (place, piece.data)
         return None
 
-    async def _acknowledged(self, place: Place, expected: bytes, node: Node) -> None:
+    async def _acknowledged(self, place: ObjectPlace, expected: bytes, node: RemoteNode) -> None:
         try:
             async with asyncio.timeout(self._options.timeout):
                 while node.value(place) != expected:
@@ -107,7 +107,7 @@ class Writing:
             reason = f"{place} has not acknowledged it within {self._options.timeout:g} s"
             raise WriteUnverified(f"sent, and {reason}") from None
 
-    async def _read_back(self, pieces: Sequence[Piece], node: Node) -> None:
+    async def _read_back(self, pieces: Sequence[WritePiece], node: RemoteNode) -> None:
         for piece in pieces:
             try:
                 stored = await node.sdo.read(piece.place, len(piece.data))
@@ -120,7 +120,7 @@ class Writing:
                 )
 
 
-def _frame(pdo: Pdo, data: dict[Place, bytes]) -> bytes:
+def _frame(pdo: PdoMapping, data: dict[ObjectPlace, bytes]) -> bytes:
     number = 0
     for one in pdo.objects:
         number |= int.from_bytes(data[one.place], "little") << one.offset

@@ -29,7 +29,7 @@ class Area(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
+class TagSpan:
     """A tag's own addresses: `start`..`start + count - 1` of `area`, PDU addresses (0-based)."""
 
     tag: Tag
@@ -76,7 +76,7 @@ def _explain_reference(text: str, digit: str, number: int) -> str:
     return f"{text!r} is a reference number that counts from 1: write the PDU address {meant}"
 
 
-def locate(tag: Tag) -> Span:
+def locate(tag: Tag) -> TagSpan:
     """Give the addresses that the tag covers.
 
     Raises AddressError if the notation is wrong, if a bit table is asked for anything but a bool, or if the tag reaches
@@ -91,4 +91,4 @@ def locate(tag: Tag) -> Span:
         raise AddressError(f"{tag.name}: {tag.address} is a single bit: dtype must be bool, without bit")
     if start + count > 65536:
         raise AddressError(f"{tag.name}: {count} registers from {tag.address} reach beyond the last address 65535")
-    return Span(tag, area, start, count)
+    return TagSpan(tag, area, start, count)

@@ -9,7 +9,7 @@ from typing import Any
 from pymodbus.pdu import ModbusPDU
 
 from drivers.codec import decode, encode
-from drivers.driver import Clock
+from drivers.driver import Clock, PlanKind, PlanLine
 from drivers.errors import (
     AddressError,
     DeviceException,
@@ -21,12 +21,22 @@ from drivers.errors import (
     WriteUnverified,
 )
 from drivers.link import Backoff, DeadPeer, Link
-from drivers.modbus.address import Span, locate
-from drivers.modbus.quarantine import Refused
-from drivers.modbus.transport import AnyWire, checked, make_transport
+from drivers.modbus.address import TagSpan, locate
+from drivers.modbus.plan import (
+    AddressBlock,
+    Quarantine,
+    RequestLimits,
+    bisect,
+    describe,
+    fitting,
+    plan_spans,
+    refusal_of,
+)
+from drivers.modbus.quarantine import RefusedAddresses
+from drivers.modbus.settings import ModbusSettings, read_settings
+from drivers.modbus.transport import AnyWire, make_transport
 from drivers.modbus.verify import quality_of
-from drivers.modbus.wire import Reply, read_request, write_request
-from drivers.plan import Block, Limits, Quarantine, bisect, describe, fitting, plan_spans, refusal_of
+from drivers.modbus.wire import WireReply, read_request, write_request
 from drivers.tag import Quality, Sample, Tag, Value
 
 # A device exception that can be about one address of several. 5, 6, 10, 11 are about the moment or the way there.
@@ -45,17 +55,17 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True)
-class _Layout:
+class _TagLayout:
     """The tags of one call, located or with the reason why not, and the block plan under one quarantine.
 
     `tags` are held so that their identities, by which layouts are found again, stay theirs.
     """
 
     tags: tuple[Tag, ...]
-    spans: tuple[Span, ...]
+    spans: tuple[TagSpan, ...]
     misplaced: tuple[tuple[Tag, str], ...]
     quarantine: Quarantine
-    blocks: tuple[Block, ...]
+    blocks: tuple[AddressBlock, ...]
 
 
 def open_modbus(
@@ -79,25 +89,23 @@ def open_modbus(
     Raises DriverError for an unknown key (it lists the known ones), a value out of range and certificates that cannot
     be used, AddressError for a tag of the write map that cannot be written.
     """
-    return ModbusDriver(checked(settings), clock=clock, write_map=tuple(write_map), seed=seed)
+    return ModbusDriver(read_settings(settings), clock=clock, write_map=tuple(write_map), seed=seed)
 
 
 class ModbusDriver:
     """One Modbus device behind one connection; a Driver that Writes. Made by `open_modbus`."""
 
-    def __init__(self, settings: Mapping[str, Any], *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
+    def __init__(self, settings: ModbusSettings, *, clock: Clock, write_map: tuple[Tag, ...], seed: int) -> None:
         self._settings = settings
         self._clock = clock
-        self._limits = Limits(
-            settings["max_registers"], settings["max_bits"], settings["max_gap"], settings["pause_ms"] / 1000
-        )
+        self._limits = settings.limits
         self._write_map = {span.tag.name: span for span in map(_writable, write_map)}
         self._writable_addresses = frozenset(
             (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
         )
         self._lock = asyncio.Lock()
-        self._refused = Refused(settings["refused_first"], settings["refused_cap"])
-        self._layouts: dict[tuple[int, ...], _Layout] = {}
+        self._refused = RefusedAddresses(settings.refused_first, settings.refused_cap)
+        self._layouts: dict[tuple[int, ...], _TagLayout] = {}
         self._last_exchange = float("-inf")
         self._foreign = 0
         self._counts = dict.fromkeys(
@@ -107,9 +115,9 @@ class ModbusDriver:
         self._link: Link[AnyWire] = Link(
             self._connect,
             self._disconnect,
-            connect_deadline=settings["connect_timeout"],
-            backoff=Backoff(settings["backoff_first"], settings["backoff_cap"]),
-            dead_peer=DeadPeer(settings["max_failures"], settings["max_silence"]),
+            connect_deadline=settings.connect_timeout,
+            backoff=Backoff(settings.backoff_first, settings.backoff_cap),
+            dead_peer=DeadPeer(settings.max_failures, settings.max_silence),
             seed=seed,
         )
 
@@ -156,13 +164,14 @@ class ModbusDriver:
                 samples[id(span.tag)] = self._no(span.tag, *self._refused.verdict(span, now))
         return [samples[id(tag)] for tag in tags]
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """The block plan in sentences: what cannot be read and why, each request, the worst-case cycle time."""
         layout = self._layout(tags)
         refused = [(span, refusal_of(span, layout.quarantine)) for span in layout.spans]
         left_out = [reason for _, reason in layout.misplaced]
         left_out += [f"{span.tag.name}: in quarantine: {refusal.reason}" for span, refusal in refused if refusal]
-        return (*left_out, *describe(layout.blocks, self._limits, self._settings["timeout"]))
+        problems = [PlanLine(line, PlanKind.PROBLEM) for line in left_out]
+        return (*problems, *map(PlanLine, describe(layout.blocks, self._limits, self._settings.timeout)))
 
     def cautions(self) -> tuple[str, ...]:
         """What works and should not stay as it is, in sentences: a key that others may read, a certificate's end."""
@@ -182,7 +191,7 @@ class ModbusDriver:
         block, words = self._write_block(values)
         async with self._lock:
             self._counts["writes"] += 1
-            request = write_request(block.area, block.start, words, self._settings["unit"])
+            request = write_request(block.area, block.start, words, self._settings.unit)
             await self._once(request)
             try:
                 stored = await self._read_back(block)
@@ -194,34 +203,34 @@ class ModbusDriver:
         """Send a write. One without an answer ends the connection, so that it cannot be delivered later."""
         wire = self._link.connection
         try:
-            await self._exchange(request, self._settings["timeout"])
+            await self._exchange(request, self._settings.timeout)
         except (ReplyTimeout, ReplyMismatch):
             if wire is not None:
                 self._link.lost(wire, "a write was not answered: what is left of it must not arrive later")
             raise
 
-    async def _read_back(self, block: Block) -> list[int]:
+    async def _read_back(self, block: AddressBlock) -> list[int]:
         """What the device holds now, in as many requests as its read limit asks for (the lock is held)."""
         words: list[int] = []
         largest = self._limits.largest(block.area)
         for start in range(block.start, block.stop, largest):
-            part = Block(block.area, start, min(largest, block.stop - start), ())
+            part = AddressBlock(block.area, start, min(largest, block.stop - start), ())
             words += (await self._attempts(part)).words
         return words
 
-    def _write_block(self, values: Sequence[tuple[Tag, Value]]) -> tuple[Block, list[int]]:
+    def _write_block(self, values: Sequence[tuple[Tag, Value]]) -> tuple[AddressBlock, list[int]]:
         """The one block of the write and its words, checked against the write map first."""
         pieces = sorted(((self._mapped(tag), value) for tag, value in values), key=lambda piece: piece[0].start)
         spans = tuple(span for span, _ in pieces)
         block = _contiguous(spans)
-        largest = _MAX_WRITE_BITS if block.area.is_bits else self._settings["max_write_registers"]
+        largest = _MAX_WRITE_BITS if block.area.is_bits else self._settings.max_write_registers
         if block.count > largest:
             raise AddressError(f"{block.count} words do not fit in one write request, which takes {largest}")
         if not self._writable_addresses.issuperset((block.area, number) for number in range(block.start, block.stop)):
             raise WriteForbidden(f"{block.area}:{block.start} count {block.count} reaches outside the write map")
         return block, [word for span, value in pieces for word in encode(span.tag, value)]
 
-    def _mapped(self, tag: Tag) -> Span:
+    def _mapped(self, tag: Tag) -> TagSpan:
         span = self._write_map.get(tag.name)
         if span is None or span.tag != tag:
             raise WriteForbidden(f"{tag.name} ({tag.address}) is not in the write map; nothing was sent")
@@ -229,7 +238,7 @@ class ModbusDriver:
 
     # ------------------------------------------------------------ reading blocks
 
-    def _layout(self, tags: Sequence[Tag]) -> _Layout:
+    def _layout(self, tags: Sequence[Tag]) -> _TagLayout:
         """Where the tags lie and how they are read, worked out anew only when the quarantine has changed."""
         key = tuple(map(id, tags))
         layout = self._layouts.get(key)
@@ -239,17 +248,17 @@ class ModbusDriver:
             layout = self._layouts[key] = _lay_out(tags, self._limits, self._refused.quarantine)
         return layout
 
-    async def _settled(self, block: Block) -> dict[int, Sample]:
+    async def _settled(self, block: AddressBlock) -> dict[int, Sample]:
         """The block's samples; if the device refuses it, those of its parts."""
         outcome = await self._ask(block)
         samples = self._samples(block, outcome)
-        if isinstance(outcome, Reply):
+        if isinstance(outcome, WireReply):
             self._refused.answered(block)
         elif outcome.code in _ABOUT_ADDRESSES and self._refused.may_bisect(block, _now()):
             return samples | await self._bisected(block, outcome)
         return samples
 
-    async def _bisected(self, block: Block, refusal: Failure) -> dict[int, Sample]:
+    async def _bisected(self, block: AddressBlock, refusal: Failure) -> dict[int, Sample]:
         """Find the refused addresses of a refused block; the samples of the parts that were asked on the way."""
         self._counts["bisections"] += 1
         samples: dict[int, Sample] = {}
@@ -274,16 +283,16 @@ class ModbusDriver:
                 part = None
         return samples
 
-    async def _tried(self, trial: Block) -> dict[int, Sample]:
+    async def _tried(self, trial: AddressBlock) -> dict[int, Sample]:
         """Ask a quarantined place again, in a request of its own."""
         outcome = await self._ask(trial)
-        if isinstance(outcome, Reply):
+        if isinstance(outcome, WireReply):
             self._refused.rejoin(trial)
         elif outcome.code in _ABOUT_ADDRESSES:
             self._refused.again(trial, outcome.reason, _now())
         return self._samples(trial, outcome)
 
-    def _samples(self, block: Block, outcome: Reply | Failure) -> dict[int, Sample]:
+    def _samples(self, block: AddressBlock, outcome: WireReply | Failure) -> dict[int, Sample]:
         if isinstance(outcome, Failure):
             return {id(span.tag): self._no(span.tag, outcome.quality, outcome.reason) for span in block.spans}
         return {id(span.tag): _sample(span, block, outcome) for span in block.spans}
@@ -291,7 +300,7 @@ class ModbusDriver:
     def _no(self, tag: Tag, quality: Quality, reason: str) -> Sample:
         return Sample(tag.name, None, quality, self._clock(), reason=reason)
 
-    async def _ask(self, block: Block) -> Reply | Failure:
+    async def _ask(self, block: AddressBlock) -> WireReply | Failure:
         """Read one block; what goes wrong is a Failure."""
         async with self._lock:
             try:
@@ -307,10 +316,10 @@ class ModbusDriver:
 
     # ------------------------------------------------------------ one exchange (the lock is held)
 
-    async def _attempts(self, block: Block) -> Reply:
+    async def _attempts(self, block: AddressBlock) -> WireReply:
         """Read a block, again with a new transaction id if no valid reply came, all within the deadline."""
-        attempts = self._settings["attempts"]
-        patience = self._settings["timeout"] / attempts
+        attempts = self._settings.attempts
+        patience = self._settings.timeout / attempts
         for _ in range(attempts - 1):
             try:
                 return await self._exchange(self._read_request(block), patience)
@@ -320,10 +329,10 @@ class ModbusDriver:
                 self._counts["retries"] += 1
         return await self._exchange(self._read_request(block), patience)
 
-    def _read_request(self, block: Block) -> ModbusPDU:
-        return read_request(block.area, block.start, block.count, self._settings["unit"])
+    def _read_request(self, block: AddressBlock) -> ModbusPDU:
+        return read_request(block.area, block.start, block.count, self._settings.unit)
 
-    async def _exchange(self, request: ModbusPDU, deadline: float) -> Reply:
+    async def _exchange(self, request: ModbusPDU, deadline: float) -> WireReply:
         """Send one request once, and tell the link how it went."""
         if (rest := self._last_exchange + self._limits.pause - _now()) > 0.0:
             await asyncio.sleep(rest)
@@ -362,7 +371,7 @@ class ModbusDriver:
         wire.abandon()
 
     def _why_down(self) -> str:
-        hint = "; this device serves one client only: is another one connected?" if self._settings["one_client"] else ""
+        hint = "; this device serves one client only: is another one connected?" if self._settings.one_client else ""
         return f"not connected: {self._link.reason}{hint}"
 
 
@@ -373,8 +382,8 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def _lay_out(tags: Sequence[Tag], limits: Limits, quarantine: Quarantine) -> _Layout:
-    spans: list[Span] = []
+def _lay_out(tags: Sequence[Tag], limits: RequestLimits, quarantine: Quarantine) -> _TagLayout:
+    spans: list[TagSpan] = []
     misplaced: list[tuple[Tag, str]] = []
     for tag in tags:
         try:
@@ -382,16 +391,16 @@ def _lay_out(tags: Sequence[Tag], limits: Limits, quarantine: Quarantine) -> _La
         except AddressError as error:
             misplaced.append((tag, str(error)))
     blocks = plan_spans(spans, limits, quarantine)
-    return _Layout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks)
+    return _TagLayout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks)
 
 
-def _sample(span: Span, block: Block, reply: Reply) -> Sample:
+def _sample(span: TagSpan, block: AddressBlock, reply: WireReply) -> Sample:
     first = span.start - block.start
     value, quality, reason = decode(span.tag, reply.words[first : first + span.count])
-    return Sample(span.tag.name, value, quality, reply.received, reply.sent, reason)
+    return Sample(span.tag.name, value, quality, reply.received, sent=reply.sent, reason=reason)
 
 
-def _writable(tag: Tag) -> Span:
+def _writable(tag: Tag) -> TagSpan:
     """The tag's place, if the protocol can write it. Raises AddressError where it cannot."""
     span = locate(tag)
     if not span.area.is_writable:
@@ -401,7 +410,7 @@ def _writable(tag: Tag) -> Span:
     return span
 
 
-def _contiguous(spans: tuple[Span, ...]) -> Block:
+def _contiguous(spans: tuple[TagSpan, ...]) -> AddressBlock:
     """The block that the spans fill without gap or overlap. Raises AddressError if they do not."""
     for left, right in pairwise(spans):
         if left.area is not right.area or left.stop != right.start:
@@ -409,10 +418,10 @@ def _contiguous(spans: tuple[Span, ...]) -> Block:
                 f"{left.tag.name} ({left.tag.address}) and {right.tag.name} ({right.tag.address}) are not neighbours: "
                 "one write is one request, so its tags must follow one another without gap or overlap"
             )
-    return Block(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
+    return AddressBlock(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
 
 
-def _compare(block: Block, written: Sequence[int], read: Sequence[int]) -> None:
+def _compare(block: AddressBlock, written: Sequence[int], read: Sequence[int]) -> None:
     """Raise WriteUnverified, naming the tags, if the words read back are not those that were written."""
     wrong = []
     for span in block.spans:

@@ -6,10 +6,10 @@ from typing import Any
 
 from drivers.errors import AddressError
 from drivers.modbus import rtu
-from drivers.modbus.address import Span, locate
-from drivers.modbus.transport import checked
-from drivers.plan import Block, Limits, fitting, plan_spans
-from drivers.survey import ReadPlan, Request
+from drivers.modbus.address import TagSpan, locate
+from drivers.modbus.plan import AddressBlock, RequestLimits, fitting, plan_spans
+from drivers.modbus.settings import ModbusSettings, read_settings
+from drivers.survey import PlannedRequest, ReadPlan
 from drivers.tag import Tag
 
 _ASKED, _HEAD = 8, 5
@@ -18,9 +18,9 @@ _ASKED, _HEAD = 8, 5
 
 def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[Tag]) -> ReadPlan:
     """The requests of one scan, and those of one write of the block. Raises DriverError for a setting."""
-    given = checked(settings)
-    limits = Limits(given["max_registers"], given["max_bits"], given["max_gap"], given["pause_ms"] / 1000)
-    spans: list[Span] = []
+    given = read_settings(settings)
+    limits = given.limits
+    spans: list[TagSpan] = []
     problems: list[str] = []
     for tag in tags:
         try:
@@ -30,27 +30,38 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
     requests = [_request(block, given) for block in plan_spans(spans, limits)]
     writes, refused = _writing(written, given, limits)
     seconds = sum(one.seconds for one in requests) + limits.pause * max(0, len(requests) - 1)
-    writing = sum(one.seconds for one in writes)
-    return ReadPlan(tuple(requests), writes, (*problems, *refused), seconds, writing, _overlaps(spans))
+    return ReadPlan(
+        requests=tuple(requests),
+        writes=writes,
+        problems=(*problems, *refused),
+        seconds=seconds,
+        write_seconds=sum(one.seconds for one in writes),
+        overlaps=_overlaps(spans),
+    )
 
 
-def _request(block: Block, given: Mapping[str, Any]) -> Request:
+def _request(block: AddressBlock, given: ModbusSettings) -> PlannedRequest:
     used = {number for span in block.spans for number in range(span.start, span.stop)}
-    names = tuple(span.tag.name for span in block.spans)
-    place = f"{block.area}:{block.start}"
-    return Request("read", place, block.count, block.count - len(used), names, _worst(block.count, block, given))
+    return PlannedRequest(
+        kind="read",
+        place=f"{block.area}:{block.start}",
+        count=block.count,
+        vain=block.count - len(used),
+        tags=tuple(span.tag.name for span in block.spans),
+        seconds=_worst(block.count, block, given),
+    )
 
 
-def _worst(count: int, block: Block, given: Mapping[str, Any]) -> float:
+def _worst(count: int, block: AddressBlock, given: ModbusSettings) -> float:
     """The deadline, and on a serial line the time that the bytes need (s)."""
     octets = (count + 7) // 8 if block.area.is_bits else 2 * count
-    wire = rtu.transmission(_ASKED + _HEAD + octets, given["baud"]) if given.get("serial") else 0.0
-    return float(given["timeout"]) + wire
+    wire = rtu.transmission(_ASKED + _HEAD + octets, given.baud) if given.serial else 0.0
+    return given.timeout + wire
 
 
 def _writing(
-    written: Sequence[Tag], given: Mapping[str, Any], limits: Limits
-) -> tuple[tuple[Request, ...], tuple[str, ...]]:
+    written: Sequence[Tag], given: ModbusSettings, limits: RequestLimits
+) -> tuple[tuple[PlannedRequest, ...], tuple[str, ...]]:
     """One write of the block, and the requests that read it back; and what keeps it from being one request."""
     if not written:
         return (), ()
@@ -58,24 +69,37 @@ def _writing(
         spans = tuple(sorted((locate(tag) for tag in written), key=lambda span: span.start))
     except AddressError as error:
         return (), (str(error),)
-    whole = Block(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
-    most = given["max_write_registers"]
+    whole = AddressBlock(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
+    most = given.max_write_registers
     problems: tuple[str, ...] = ()
     if whole.count > most:
         problems = (
             f"the block has {whole.count} words and the device takes {most} in one write: leave fields out "
             "(decanter plc bind --block)",
         )
-    place, names = f"{whole.area}:{whole.start}", tuple(span.tag.name for span in spans)
-    found = [Request("write", place, whole.count, 0, names, _worst(0, whole, given))]
+    found = [
+        PlannedRequest(
+            kind="write",
+            place=f"{whole.area}:{whole.start}",
+            count=whole.count,
+            vain=0,
+            tags=tuple(span.tag.name for span in spans),
+            seconds=_worst(0, whole, given),
+        )
+    ]
     largest = limits.largest(whole.area)
     for start in range(whole.start, whole.stop, largest):
         count = min(largest, whole.stop - start)
-        found.append(Request("read back", f"{whole.area}:{start}", count, 0, (), _worst(count, whole, given)))
+        seconds = _worst(count, whole, given)
+        found.append(
+            PlannedRequest(
+                kind="read back", place=f"{whole.area}:{start}", count=count, vain=0, tags=(), seconds=seconds
+            )
+        )
     return tuple(found), problems
 
 
-def _overlaps(spans: Sequence[Span]) -> tuple[str, ...]:
+def _overlaps(spans: Sequence[TagSpan]) -> tuple[str, ...]:
     """Neighbours of which one begins before the other ends, bits of one register apart."""
     found = []
     for left, right in pairwise(sorted(spans, key=lambda span: (span.area, span.start, span.stop))):

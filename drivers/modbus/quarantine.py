@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from drivers.modbus.address import Area, Span
-from drivers.plan import Block, Quarantine, Refusal, refusal_of, retry_delay, with_refusal, without
+from drivers.modbus.address import Area, TagSpan
+from drivers.modbus.plan import AddressBlock, Quarantine, RefusedRange, refusal_of, retry_delay, with_refusal, without
 from drivers.tag import Quality
 
 
-class Refused:
+class RefusedAddresses:
     """The quarantine of one device.
 
     A refused place is asked again, alone, after `first` seconds, then after twice as long, up to `cap`; at most one
@@ -21,7 +21,7 @@ class Refused:
         self._first = first
         self._cap = cap
         self._connects = 0
-        self._hopeless: dict[tuple[Area, int, int], Refusal] = {}
+        self._hopeless: dict[tuple[Area, int, int], RefusedRange] = {}
         self.quarantine: Quarantine = ()
 
     @property
@@ -40,7 +40,7 @@ class Refused:
             kept = (refusal for refusal in self.quarantine if not (refusal.is_seam and refusal.retry_at <= now))
             self.quarantine = tuple(kept)
 
-    def trial(self, spans: Sequence[Span], now: float) -> Block | None:
+    def trial(self, spans: Sequence[TagSpan], now: float) -> AddressBlock | None:
         """The refused place among these tags that has waited longest and may be asked again, if any."""
         due = [refusal for refusal in self.quarantine if not refusal.is_seam and refusal.retry_at <= now]
         for refusal in sorted(due, key=lambda refusal: refusal.retry_at):
@@ -48,10 +48,10 @@ class Refused:
             if barred:
                 least = min(barred, key=lambda span: span.count)
                 same = tuple(span for span in barred if (span.start, span.count) == (least.start, least.count))
-                return Block(least.area, least.start, least.count, same)
+                return AddressBlock(least.area, least.start, least.count, same)
         return None
 
-    def verdict(self, span: Span, now: float) -> tuple[Quality, str]:
+    def verdict(self, span: TagSpan, now: float) -> tuple[Quality, str]:
         """Quality and reason of a tag that was not asked because its place is refused."""
         refusal = refusal_of(span, self.quarantine)
         if refusal is None:
@@ -59,19 +59,19 @@ class Refused:
         wait = max(0.0, refusal.retry_at - now)
         return Quality.CONFIGURATION_ERROR, f"{refusal.reason} (in quarantine, asked again in {wait:.1f} s)"
 
-    def may_bisect(self, block: Block, now: float) -> bool:
+    def may_bisect(self, block: AddressBlock, now: float) -> bool:
         """False while a block of which no part answered waits."""
         hopeless = self._hopeless.get((block.area, block.start, block.count))
         return hopeless is None or hopeless.retry_at <= now
 
-    def answered(self, block: Block) -> None:
+    def answered(self, block: AddressBlock) -> None:
         """The block as a whole answers (again)."""
         self._hopeless.pop((block.area, block.start, block.count), None)
 
     def found(
         self,
-        block: Block,
-        refusals: Sequence[Refusal],
+        block: AddressBlock,
+        refusals: Sequence[RefusedRange],
         *,
         answered: bool,
         reasons: Mapping[tuple[int, int], str],
@@ -83,19 +83,19 @@ class Refused:
             before = self._hopeless.get(key)
             strikes = before.strikes + 1 if before else 1
             wait = retry_delay(strikes, self._first, self._cap)
-            self._hopeless[key] = Refusal(block.area, block.start, block.stop, now + wait, strikes)
+            self._hopeless[key] = RefusedRange(block.area, block.start, block.stop, now + wait, strikes)
             return
         for refusal in refusals:
             wait = self._cap if refusal.is_seam else self._first
             reason = reasons.get((refusal.start, refusal.stop), "")
             self.quarantine = with_refusal(self.quarantine, replace(refusal, retry_at=now + wait, reason=reason))
 
-    def rejoin(self, trial: Block) -> None:
+    def rejoin(self, trial: AddressBlock) -> None:
         """A trial has answered: its place is planned with its neighbours again."""
         for refusal in self._within(trial):
             self.quarantine = without(self.quarantine, refusal)
 
-    def again(self, trial: Block, reason: str, now: float) -> None:
+    def again(self, trial: AddressBlock, reason: str, now: float) -> None:
         """A trial was refused: it waits twice as long."""
         for refusal in self._within(trial):
             strikes = refusal.strikes + 1
@@ -103,6 +103,6 @@ class Refused:
             again = replace(refusal, retry_at=now + wait, strikes=strikes, reason=reason)
             self.quarantine = with_refusal(self.quarantine, again)
 
-    def _within(self, trial: Block) -> Quarantine:
+    def _within(self, trial: AddressBlock) -> Quarantine:
         refused = (refusal for refusal in self.quarantine if not refusal.is_seam and refusal.area is trial.area)
         return tuple(refusal for refusal in refused if trial.start <= refusal.start and refusal.stop <= trial.stop)

@@ -15,35 +15,17 @@ import serial
 from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import Clock
-from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus import rtu
+from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.verify import Asked, check_reply
-from drivers.modbus.wire import Reply, socket_place
+from drivers.modbus.wire import WireReply, socket_place
 from drivers.tap import current, moved
 
 GAP_S = 0.02
 """A pause that ends a reply of unknown length: long against an operating system's buffers, short against a deadline."""
 _FLOOD = 65536
 _CHUNK = 4096
-
-
-@dataclass(frozen=True, slots=True)
-class LineSettings:
-    """Where the line is (`serial` path, or `host` and `port`), its speed, and its habits; see `open_modbus`."""
-
-    serial: str
-    host: str
-    port: int
-    baud: int
-    parity: str
-    stopbits: int
-    echo: bool
-    longest_reply: float
-
-    @property
-    def place(self) -> str:
-        """What it is called in a sentence."""
-        return self.serial or f"{self.host}:{self.port}"
 
 
 @dataclass(slots=True)
@@ -68,7 +50,7 @@ class _Port(Protocol):
 class LineWire:
     """An open line, from `connect` to `abandon`, for one exchange at a time. `on_lost` hears why it broke."""
 
-    def __init__(self, settings: LineSettings, quiet: Quiet, *, clock: Clock, on_lost: Callable[[str], None]) -> None:
+    def __init__(self, settings: ModbusSettings, quiet: Quiet, *, clock: Clock, on_lost: Callable[[str], None]) -> None:
         self._settings, self._quiet, self._clock, self._on_lost = settings, quiet, clock, on_lost
         self._port: _Port | None = None
         self._data = b""
@@ -77,6 +59,7 @@ class LineWire:
         self._tap = current()
         self.foreign = 0
         self.last = b""
+        self.fault = LinkFault.OTHER
 
     async def connect(self) -> None:
         """Open the line; the caller sets the deadline by cancelling. Raises LinkDown with the system's own reason."""
@@ -102,7 +85,7 @@ class LineWire:
             port.close()
         self._arrived.set()
 
-    async def ask(self, request: ModbusPDU, deadline: float) -> Reply:
+    async def ask(self, request: ModbusPDU, deadline: float) -> WireReply:
         """Send the request once and wait for its reply: `deadline` seconds, and the time that both need on the line.
 
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the line is gone.
@@ -123,7 +106,7 @@ class LineWire:
         self._data = self._data[len(reply) :]
         self._checked(wanted, reply)
         self.last = reply[:-2]
-        return Reply(rtu.words_of(wanted, reply), sent, received)
+        return WireReply(rtu.words_of(wanted, reply), sent, received)
 
     def _checked(self, wanted: Asked, reply: bytes) -> None:
         """Raises ReplyMismatch or DeviceException; the line is free where this was the reply, whatever it said."""
@@ -233,17 +216,18 @@ class LineWire:
             place, local = self._port.ends
             self._tap(moved("tcp" if local else "serial", place, data, sent=sent, local=local))
 
-    def broken(self, reason: str) -> None:
+    def broken(self, reason: str, fault: LinkFault = LinkFault.OTHER) -> None:
         """The line is gone."""
         if self._port is not None:
             self.abandon()
+            self.fault = fault
             self._on_lost(f"{self._settings.place}: {reason}")
 
 
 class _SerialPort:
     """A serial port of the operating system, by pyserial, driven by the event loop."""
 
-    def __init__(self, settings: LineSettings, wire: LineWire) -> None:
+    def __init__(self, settings: ModbusSettings, wire: LineWire) -> None:
         self._wire = wire
         self._serial = serial.Serial(
             settings.serial,
@@ -303,7 +287,7 @@ class _Dialled(asyncio.Protocol):
         self._wire.heard(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._wire.broken("the peer closed the connection")
+        self._wire.broken("the peer closed the connection", LinkFault.CLOSED)
 
     @property
     def ends(self) -> tuple[str, str]:
@@ -323,7 +307,7 @@ class _Dialled(asyncio.Protocol):
             self._transport.abort()
 
 
-async def _dial(settings: LineSettings, wire: LineWire) -> _Dialled:
+async def _dial(settings: ModbusSettings, wire: LineWire) -> _Dialled:
     loop = asyncio.get_running_loop()
     _, protocol = await loop.create_connection(lambda: _Dialled(wire), settings.host, settings.port)
     return protocol

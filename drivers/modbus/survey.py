@@ -10,13 +10,14 @@ from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 
 from drivers.codec import decode
 from drivers.driver import Clock
-from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
-from drivers.modbus.address import Area, Span, locate
-from drivers.modbus.transport import AnyWire, checked, make_transport
+from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
+from drivers.modbus.address import Area, TagSpan, locate
+from drivers.modbus.plan import AddressBlock, fitting, plan_spans
+from drivers.modbus.settings import ModbusSettings, read_settings
+from drivers.modbus.transport import AnyWire, make_transport
 from drivers.modbus.verify import quality_of
-from drivers.modbus.wire import Reply, read_request
-from drivers.plan import Block, Limits, fitting, plan_spans
-from drivers.survey import Raw, Words
+from drivers.modbus.wire import WireReply, read_request
+from drivers.survey import Raw, ReadWords
 from drivers.tag import Quality, Sample, Tag
 
 _ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
@@ -28,7 +29,7 @@ _MOST_PARTS = 16
 @asynccontextmanager
 async def open_survey(settings: Mapping[str, Any], *, clock: Clock) -> AsyncIterator["ModbusSurvey"]:
     """A connection by the Modbus driver's settings. Raises DriverError; LinkDown if it is not made."""
-    survey = ModbusSurvey(checked(settings), clock)
+    survey = ModbusSurvey(read_settings(settings), clock)
     try:
         await survey.connect()
         yield survey
@@ -39,12 +40,12 @@ async def open_survey(settings: Mapping[str, Any], *, clock: Clock) -> AsyncIter
 class ModbusSurvey:
     """One connection, made anew when the device has closed it. Made by `open_survey`."""
 
-    def __init__(self, settings: Mapping[str, Any], clock: Clock) -> None:
+    def __init__(self, settings: ModbusSettings, clock: Clock) -> None:
         self._settings, self._clock = settings, clock
         self._transport = make_transport(settings, clock)
-        self._limits = Limits(settings["max_registers"], settings["max_bits"], settings["max_gap"])
+        self._limits = settings.limits
         self._wire: AnyWire | None = None
-        self._lost = ""
+        self._lost, self._fault = "", LinkFault.OTHER
         self._answered = False
         self._last_exchange = float("-inf")
         self._foreign = 0
@@ -53,12 +54,13 @@ class ModbusSurvey:
     async def connect(self) -> None:
         """Make the connection. Raises LinkDown with the reason."""
         wire = self._transport.wire(self._on_lost)
-        deadline = self._settings["connect_timeout"]
+        deadline = self._settings.connect_timeout
         try:
             async with asyncio.timeout(deadline):
                 await wire.connect()
         except TimeoutError:
-            raise LinkDown(f"no connection within {deadline:g} s: nobody answers there at all") from None
+            said = f"no connection within {deadline:g} s: nobody answers there at all"
+            raise LinkDown(said, fault=LinkFault.SILENT) from None
         self._wire, self._lost = wire, ""
         self._counts["connects"] += 1
 
@@ -79,10 +81,10 @@ class ModbusSurvey:
 
     # ------------------------------------------------------------ asking
 
-    async def read(self, area: str, start: int, count: int, unit: int | None = None) -> Words:
+    async def read(self, area: str, start: int, count: int, unit: int | None = None) -> ReadWords:
         """One request for `count` registers or bits. Raises DriverError by its kinds."""
         reply = await self._exchange(read_request(Area(area), start, count, self._unit(unit)))
-        return Words(reply.words, reply.received - reply.sent)
+        return ReadWords(reply.words, reply.received - reply.sent)
 
     async def identity(self, unit: int | None = None) -> Mapping[str, str]:
         """What the device says of itself; raises DeviceException where it says nothing (many do not)."""
@@ -99,7 +101,7 @@ class ModbusSurvey:
 
     async def tags(self, tags: Sequence[Tag]) -> list[Raw]:
         """Each tag with its raw words, by the fewest requests; a refused block is asked again tag by tag."""
-        spans: dict[int, Span] = {}
+        spans: dict[int, TagSpan] = {}
         found: dict[int, Raw] = {}
         for tag in tags:
             try:
@@ -110,14 +112,14 @@ class ModbusSurvey:
             found |= await self._block(block)
         return [found[id(tag)] for tag in tags]
 
-    async def _block(self, block: Block) -> dict[int, Raw]:
+    async def _block(self, block: AddressBlock) -> dict[int, Raw]:
         try:
             reply = await self._patiently(block)
         except DeviceException as error:
             if error.code in _ABOUT_ADDRESSES and len(block.spans) > 1:
                 found: dict[int, Raw] = {}
                 for span in block.spans:
-                    found |= await self._block(Block(span.area, span.start, span.count, (span,)))
+                    found |= await self._block(AddressBlock(span.area, span.start, span.count, (span,)))
                 return found
             return self._block_failed(block, quality_of(error.code), str(error))
         except DriverError as error:
@@ -126,17 +128,17 @@ class ModbusSurvey:
             return self._block_failed(block, quality, str(error))
         return {id(span.tag): _raw(span, block, reply) for span in block.spans}
 
-    async def _patiently(self, block: Block) -> Reply:
+    async def _patiently(self, block: AddressBlock) -> WireReply:
         """As often as the settings allow, as the driver would."""
         request = (block.area, block.start, block.count, self._unit(None))
-        for _ in range(self._settings["attempts"] - 1):
+        for _ in range(self._settings.attempts - 1):
             try:
                 return await self._exchange(read_request(*request))
             except (ReplyTimeout, ReplyMismatch):
                 continue
         return await self._exchange(read_request(*request))
 
-    def _block_failed(self, block: Block, quality: Quality, reason: str) -> dict[int, Raw]:
+    def _block_failed(self, block: AddressBlock, quality: Quality, reason: str) -> dict[int, Raw]:
         return {
             id(span.tag): self._failed(span.tag, f"{span.area}:{span.start}", span.count, quality, reason)
             for span in block.spans
@@ -146,11 +148,11 @@ class ModbusSurvey:
         return Raw(tag, Sample(tag.name, None, quality, self._clock(), reason=reason), place, count)
 
     def _unit(self, unit: int | None) -> int:
-        return int(self._settings["unit"]) if unit is None else unit
+        return self._settings.unit if unit is None else unit
 
-    async def _exchange(self, request: ModbusPDU) -> Reply:
+    async def _exchange(self, request: ModbusPDU) -> WireReply:
         """One request, once; a connection that the device has closed after an answer is made anew before."""
-        if (rest := self._last_exchange + self._settings["pause_ms"] / 1000 - _now()) > 0.0:
+        if (rest := self._last_exchange + self._settings.pause_ms / 1000 - _now()) > 0.0:
             await asyncio.sleep(rest)
         if self._wire is None:
             if not self._answered:
@@ -161,7 +163,7 @@ class ModbusSurvey:
             raise LinkDown(self._lost)
         self._counts["requests"] += 1
         try:
-            reply = await wire.ask(request, self._settings["timeout"])
+            reply = await wire.ask(request, self._settings.timeout)
         except DeviceException as error:
             self._answered = True
             self._counts["exceptions"] += 1
@@ -171,8 +173,8 @@ class ModbusSurvey:
             raise
         except LinkDown as error:
             self.close()
-            self._lost = str(error)
-            raise self._turned_away() if not self._answered else LinkDown(self._lost) from None
+            self._lost, self._fault = str(error), error.fault
+            raise self._turned_away() if not self._answered else LinkDown(self._lost, fault=self._fault) from None
         finally:
             self._last_exchange = _now()
         self._answered = True
@@ -180,16 +182,18 @@ class ModbusSurvey:
 
     def _turned_away(self) -> LinkDown:
         """The connection was made and ended before any answer: what that means."""
-        if "closed the connection" in self._lost and "TLS" not in self._lost:
+        if self._fault is LinkFault.CLOSED:
             return LinkDown(
                 f"{self._lost} before it answered anything: it may be busy with another client (some devices serve "
-                "one at a time), or it does not accept this machine's address"
+                "one at a time), or it does not accept this machine's address",
+                fault=self._fault,
             )
-        return LinkDown(self._lost)
+        return LinkDown(self._lost, fault=self._fault)
 
     def _on_lost(self, reason: str) -> None:
         wire, self._wire, self._lost = self._wire, None, reason
         if wire is not None:
+            self._fault = wire.fault
             self._foreign += wire.foreign
 
 
@@ -197,11 +201,11 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def _raw(span: Span, block: Block, reply: Reply) -> Raw:
+def _raw(span: TagSpan, block: AddressBlock, reply: WireReply) -> Raw:
     first = span.start - block.start
     words = reply.words[first : first + span.count]
     value, quality, reason = decode(span.tag, words)
-    sample = Sample(span.tag.name, value, quality, reply.received, reply.sent, reason)
+    sample = Sample(span.tag.name, value, quality, reply.received, sent=reply.sent, reason=reason)
     return Raw(span.tag, sample, f"{span.area}:{span.start}", span.count, tuple(words))
 
 

@@ -8,6 +8,8 @@ tests/drivers/test_pymodbus_contract.py fails if they change.
 """
 
 import asyncio
+import errno
+import re
 import socket
 import ssl
 import struct
@@ -26,7 +28,7 @@ from pymodbus.pdu.register_message import (
 )
 
 from drivers.driver import Clock
-from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area
 from drivers.modbus.verify import Asked, asked, check_reply, split_frames
 from drivers.tap import current, moved
@@ -45,7 +47,7 @@ _READS: dict[Area, type[ModbusPDU]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class WireReply:
     """The registers (or bits as 0 and 1) of one reply, with the moments of sending and of complete reception."""
 
     words: tuple[int, ...]
@@ -96,6 +98,7 @@ class Wire:
         self._seen = 0
         self.foreign = 0
         self.last = b""
+        self.fault = LinkFault.OTHER
         self._tap = current()
 
     def _made(self, host: str, port: int, secured: Secured | None) -> AsyncModbusTcpClient:
@@ -127,7 +130,9 @@ class Wire:
         except (OSError, ValueError) as error:  # ValueError: a host name that DNS or TLS cannot even be asked for
             self._client.close()
             reason = self._secured.sentence(error) if self._secured else _reason(error)
-            raise LinkDown(f"{parameters.host}:{parameters.port} does not connect: {reason}") from error
+            raise LinkDown(
+                f"{parameters.host}:{parameters.port} does not connect: {reason}", fault=_fault_of(error)
+            ) from error
         except asyncio.CancelledError:
             self._client.close()
             raise
@@ -147,7 +152,7 @@ class Wire:
             transport.abort()
         self._client.close()
 
-    async def ask(self, request: ModbusPDU, deadline: float) -> Reply:
+    async def ask(self, request: ModbusPDU, deadline: float) -> WireReply:
         """Send the request once and wait up to `deadline` seconds for the reply that answers it.
 
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the connection breaks or cannot be
@@ -172,11 +177,11 @@ class Wire:
             self._verdict = None
             exchange.cancel()
 
-    def _reply(self, pdu: ModbusPDU) -> Reply:
+    def _reply(self, pdu: ModbusPDU) -> WireReply:
         count = self._request.count if self._request else 0
         words = tuple(int(word) for word in (pdu.registers or pdu.bits)[:count])
         self._request = None
-        return Reply(words, self._sent, self._received)
+        return WireReply(words, self._sent, self._received)
 
     # ------------------------------------------------------------ called by pymodbus
 
@@ -209,7 +214,7 @@ class Wire:
         try:
             frames, self._stream = split_frames(self._stream)
         except ReplyMismatch as error:
-            self._break(str(error))
+            self._break(str(error), LinkFault.FOREIGN)
             return b""
         passed = b""
         for frame in frames:
@@ -238,17 +243,19 @@ class Wire:
 
     def _disconnected(self, exc: Exception | None) -> None:
         where = " in the middle of a reply" if self._stream else ""
-        said = f"the peer closed the connection{where}"
+        said, self.fault = f"the peer closed the connection{where}", LinkFault.CLOSED
         if self._secured is not None and isinstance(exc, ssl.SSLError):
-            said = self._secured.sentence(exc)
+            said, self.fault = self._secured.sentence(exc), LinkFault.OTHER
         elif self._secured is not None and not self._received and not where:
             said = "the peer closed the connection after the TLS handshake: it may not accept our certificate"
-        self._fail(LinkDown(said))
+            self.fault = LinkFault.OTHER
+        self._fail(LinkDown(said, fault=self.fault))
         self._on_lost(said)
 
-    def _break(self, reason: str) -> None:
+    def _break(self, reason: str, fault: LinkFault = LinkFault.OTHER) -> None:
         self.abandon()
-        self._fail(LinkDown(reason))
+        self.fault = fault
+        self._fail(LinkDown(reason, fault=fault))
         self._on_lost(reason)
 
     def _fail(self, error: DriverError) -> None:
@@ -259,6 +266,25 @@ class Wire:
 def socket_place(name: tuple[str, int] | None) -> str:
     """A socket's name as `host:port`."""
     return f"{name[0]}:{name[1]}" if name else ""
+
+
+_FAULTS = {
+    errno.ECONNREFUSED: LinkFault.REFUSED,
+    errno.EHOSTUNREACH: LinkFault.UNREACHABLE,
+    errno.ENETUNREACH: LinkFault.UNREACHABLE,
+}
+_ERRNO = re.compile(r"\[Errno (-?\d+)\]")
+
+
+def _fault_of(error: Exception) -> LinkFault:
+    """Why a connection was not made. A refusal by one of a host's addresses counts before anything else."""
+    numbers = [error.errno] if isinstance(error, OSError) and error.errno is not None else []
+    if not numbers:
+        # Where a name has several addresses, asyncio of Python 3.11 keeps their errors only as the text of one OSError
+        # without a number ("Multiple exceptions: ..."); from 3.12 on create_connection(all_errors=True) gives them.
+        numbers = [int(number) for number in _ERRNO.findall(str(error))]
+    faults = [_FAULTS[number] for number in numbers if number in _FAULTS]
+    return LinkFault.REFUSED if LinkFault.REFUSED in faults else faults[0] if faults else LinkFault.OTHER
 
 
 def _reason(error: Exception) -> str:

@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from pydantic import Field
+
 from drivers.codec import Reading, decode, encode, judge
 from drivers.driver import Clock
 from drivers.errors import (
@@ -21,30 +23,34 @@ from drivers.errors import (
     WriteForbidden,
     WriteUnverified,
 )
-from drivers.settings import Setting, check_settings
-from drivers.soft.recorded import Recording, load_csv, make_recording
+from drivers.settings import Section, check_settings
+from drivers.soft.recorded import SoftRecording, load_csv, make_recording
 from drivers.tag import DType, Quality, Sample, Tag, Value
 
-SETTINGS: dict[str, Setting] = {
-    "values": Setting(dict, optional=True),
-    "csv": Setting(str, optional=True),
-    "time_column": Setting(str, "time"),
-    "times": Setting(list, optional=True),
-    "columns": Setting(dict, optional=True),
-    "start": Setting(float, optional=True),
-    "speed": Setting(float, 1.0, 1e-6, 1e6),
-    "loop": Setting(bool, False),
-    "max_gap": Setting(float, 60.0, 0.0),
-    "outages": Setting(list, optional=True),
-    "silence": Setting(float, 5.0, 0.001),
-}
+
+class SoftSettings(Section):
+    """What the soft device holds or plays; see `open_soft`."""
+
+    values: dict[str, Any] | None = Field(None, description="a table of tags and what they hold at first")
+    csv: str | None = Field(None, min_length=1, description="the path of a CSV file")
+    time_column: str = Field("time", min_length=1, description="the name of the column of times")
+    times: list[Any] | None = Field(None, description="a list of seconds")
+    columns: dict[str, Any] | None = Field(None, description="a table of signals and their values")
+    start: float | None = Field(None, description="the moment of the first row in seconds")
+    speed: float = Field(1.0, ge=1e-6, le=1e6, description="how many times as fast as recorded, 0.000001 to 1000000")
+    loop: bool = Field(False, description="true to begin anew at the end")
+    max_gap: float = Field(60.0, ge=0.0, description="the seconds for which a row holds at most")
+    outages: list[Any] | None = Field(None, description="a list of [from, to, fault] in seconds")
+    silence: float = Field(5.0, ge=0.001, description="the seconds after which a stream says that nothing came")
+
+
 # A stream looks at the clock this often (s of the event loop): the driver's clock may be any, and may jump.
 _LOOK = 0.02
 _STREAM_LIMIT = 10_000
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class SoftFault:
     """What a failure does: the quality and the sentence of every reading, and what a write raises."""
 
     quality: Quality
@@ -53,16 +59,16 @@ class Fault:
     reachable: bool = True
 
 
-FAULTS: dict[str, Fault] = {
-    "refuse": Fault(Quality.NOT_CONNECTED, "the connection is refused", LinkDown, reachable=False),
-    "silent": Fault(Quality.TIMEOUT, "there is no reply", ReplyTimeout, reachable=False),
-    "mismatch": Fault(Quality.COMMUNICATION_ERROR, "the reply answers another request", ReplyMismatch),
-    "busy": Fault(Quality.NO_DATA, "exception 6, server device busy", partial(DeviceException, 6)),
-    "failure": Fault(Quality.DEVICE_FAILURE, "exception 4, server device failure", partial(DeviceException, 4)),
+FAULTS: dict[str, SoftFault] = {
+    "refuse": SoftFault(Quality.NOT_CONNECTED, "the connection is refused", LinkDown, reachable=False),
+    "silent": SoftFault(Quality.TIMEOUT, "there is no reply", ReplyTimeout, reachable=False),
+    "mismatch": SoftFault(Quality.COMMUNICATION_ERROR, "the reply answers another request", ReplyMismatch),
+    "busy": SoftFault(Quality.NO_DATA, "exception 6, server device busy", partial(DeviceException, 6)),
+    "failure": SoftFault(Quality.DEVICE_FAILURE, "exception 4, server device failure", partial(DeviceException, 4)),
     # Readings stay good: the device answers and confirms, and keeps what it had.
-    "ignore-writes": Fault(Quality.GOOD, "the device confirmed the write, but has not stored it", WriteUnverified),
+    "ignore-writes": SoftFault(Quality.GOOD, "the device confirmed the write, but has not stored it", WriteUnverified),
 }
-_CLOSED = Fault(Quality.NOT_CONNECTED, "not opened", LinkDown, reachable=False)
+_CLOSED = SoftFault(Quality.NOT_CONNECTED, "not opened", LinkDown, reachable=False)
 
 
 def open_soft(
@@ -78,7 +84,7 @@ def open_soft(
 
     Raises DriverError for a setting or a file that cannot be used.
     """
-    checked = check_settings("soft", settings, SETTINGS)
+    checked = check_settings("soft", SoftSettings, settings)
     return SoftDriver(checked, _recording(checked), clock=clock, write_map=tuple(write_map))
 
 
@@ -86,21 +92,21 @@ class SoftDriver:
     """An in-memory or replayed device; a Driver that Writes and Streams. Made by `open_soft`."""
 
     def __init__(
-        self, settings: Mapping[str, Any], recording: Recording | None, *, clock: Clock, write_map: tuple[Tag, ...]
+        self, settings: SoftSettings, recording: SoftRecording | None, *, clock: Clock, write_map: tuple[Tag, ...]
     ) -> None:
         self._settings = settings
         self._recording = recording
-        self._speed: float = settings["speed"]
+        self._speed: float = settings.speed
         self._clock = clock
         self._write_map = write_map
         self._values: dict[str, tuple[Value | None, Quality, str]] = {}
-        self._outages = tuple(_outage(item) for item in settings["outages"] or ())
+        self._outages = tuple(_outage(item) for item in settings.outages or ())
         self._fault: str | None = None
         self._opened_at: float | None = None
         self._open = False
         self._listeners: set[_Listener] = set()
         self._counts = dict.fromkeys(("requests", "failed", "writes", "dropped"), 0)
-        for name, value in (settings["values"] or {}).items():
+        for name, value in (settings.values or {}).items():
             self.put(name, value)
 
     # ------------------------------------------------------------ the device's side
@@ -189,7 +195,7 @@ class SoftDriver:
                     yield sample
                 if fresh:
                     heard, quiet = now, False
-                elif not quiet and now - heard >= self._settings["silence"]:
+                elif not quiet and now - heard >= self._settings.silence:
                     quiet = True
                     for tag in tags:
                         yield Sample(tag.name, None, Quality.TIMEOUT, now, reason=f"silent for {now - heard:.3g} s")
@@ -218,7 +224,7 @@ class SoftDriver:
             return None, Quality.WAITING_FOR_INITIAL_DATA, "nothing has been put yet"
         return self._recorded(tag, self._recording, row, now)
 
-    def _recorded(self, tag: Tag, recording: Recording, row: int, now: float) -> Reading:
+    def _recorded(self, tag: Tag, recording: SoftRecording, row: int, now: float) -> Reading:
         signal = next((name for name in (tag.name, tag.address) if name in recording.columns), None)
         if signal is None:
             names = ", ".join(recording.columns)
@@ -226,7 +232,7 @@ class SoftDriver:
         if row < 0:
             return None, Quality.WAITING_FOR_INITIAL_DATA, "the recording has not begun"
         age = (now - self._played_at(recording, row)) * self._speed
-        if age > self._settings["max_gap"]:
+        if age > self._settings.max_gap:
             return None, Quality.NO_DATA, f"a gap in the recording: its last row is {age:.6g} s old"
         return _as_tag(tag, recording.value(signal, row))
 
@@ -236,23 +242,23 @@ class SoftDriver:
         start = self._start(self._recording)
         return self._recording.row_at(self._recording.times[0] + (now - start) * self._speed)
 
-    def _played_at(self, recording: Recording, row: int) -> float:
+    def _played_at(self, recording: SoftRecording, row: int) -> float:
         """The row's moment by the driver's clock."""
         offset = recording.time_of(row) - recording.times[0]
         return self._start(recording) + offset / self._speed
 
-    def _start(self, recording: Recording) -> float:
-        start: float | None = self._settings["start"]
+    def _start(self, recording: SoftRecording) -> float:
+        start: float | None = self._settings.start
         return recording.times[0] if start is None else start
 
-    def _failure(self) -> Fault | None:
+    def _failure(self) -> SoftFault | None:
         """What keeps readings from being answered at present."""
         if not self._open:
             return _CLOSED
         fault = self._active_fault()
         return fault if fault is not None and fault.quality is not Quality.GOOD else None
 
-    def _active_fault(self) -> Fault | None:
+    def _active_fault(self) -> SoftFault | None:
         if self._fault is not None:
             return FAULTS[self._fault]
         since = 0.0 if self._opened_at is None else self._clock() - self._opened_at
@@ -294,7 +300,7 @@ class _Listener:
 
 def _sample(tag: Tag, reading: Reading, time: float, sent: float | None) -> Sample:
     value, quality, reason = reading
-    return Sample(tag.name, value, quality, time, sent, reason)
+    return Sample(tag.name, value, quality, time, sent=sent, reason=reason)
 
 
 def _as_tag(tag: Tag, value: Value | None) -> Reading:
@@ -314,18 +320,18 @@ def _as_tag(tag: Tag, value: Value | None) -> Reading:
     return number, *judge(tag, number)
 
 
-def _recording(settings: Mapping[str, Any]) -> Recording | None:
+def _recording(settings: SoftSettings) -> SoftRecording | None:
     """The recording that the settings name, if any. Raises DriverError."""
-    rows = settings["times"], settings["columns"]
-    if settings["csv"] is not None:
-        if rows != (None, None):
+    times, columns = settings.times, settings.columns
+    if settings.csv is not None:
+        if times is not None or columns is not None:
             raise DriverError("soft: give either csv, or times and columns")
-        return load_csv(Path(settings["csv"]), settings["time_column"], loop=settings["loop"])
-    if rows == (None, None):
+        return load_csv(Path(settings.csv), settings.time_column, loop=settings.loop)
+    if times is None and columns is None:
         return None
-    if None in rows:
+    if times is None or columns is None:
         raise DriverError("soft: times and columns belong together")
-    return make_recording(*rows, loop=settings["loop"])
+    return make_recording(times, columns, loop=settings.loop)
 
 
 def _known_fault(fault: object) -> str:

@@ -16,7 +16,7 @@ _WORDS: dict[str, Value | None] = {"": None, "true": True, "false": False}
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class SoftRecording:
     """Rows at rising `times` (s) and one column a signal; None where a row has no value. `loop` repeats without end."""
 
     times: tuple[float, ...]
@@ -48,7 +48,7 @@ class Recording:
 
 def make_recording(
     times: Sequence[float], columns: Mapping[str, Sequence[Value | None]], *, loop: bool, source: str = "soft"
-) -> Recording:
+) -> SoftRecording:
     """Check rows and make a recording. Raises DriverError if there are none or they do not fit together."""
     if not times:
         raise DriverError(f"{source}: there are no rows")
@@ -61,10 +61,10 @@ def make_recording(
     for name, column in columns.items():
         if len(column) != len(times):
             raise DriverError(f"{source}: {name} has {len(column)} values for {len(times)} times")
-    return Recording(tuple(times), {name: tuple(column) for name, column in columns.items()}, loop)
+    return SoftRecording(tuple(times), {name: tuple(column) for name, column in columns.items()}, loop)
 
 
-def load_csv(path: Path, time_column: str, *, loop: bool) -> Recording:
+def load_csv(path: Path, time_column: str, *, loop: bool) -> SoftRecording:
     """Read a CSV with a header: a time column (seconds, or ISO 8601, UTC unless it says otherwise) and signals.
 
     Empty cells are missing values, true and false are bools, what is not a number is text. Raises DriverError with
@@ -79,7 +79,7 @@ def load_csv(path: Path, time_column: str, *, loop: bool) -> Recording:
         raise DriverError(f"{path}: is not UTF-8 text ({error.reason})") from None
 
 
-def _read(stream: Iterable[str], time_column: str, loop: bool, source: str) -> Recording:
+def _read(stream: Iterable[str], time_column: str, loop: bool, source: str) -> SoftRecording:
     rows = _rows(stream, source)
     _, header = next(rows, (1, []))
     header = [name.strip() for name in header]

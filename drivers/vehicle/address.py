@@ -23,7 +23,7 @@ _FORM = re.compile(r"(?P<space>[a-z0-9]+):(?P<what>[^@>]+)(@(?P<source>[0-9A-Fa-
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class VehicleAddress:
     """An address taken apart: `source` is the number behind @, `limit` the one behind >."""
 
     space: str
@@ -32,17 +32,19 @@ class Place:
     limit: float | None
 
 
-def place(tag: Tag) -> Place:
+def place(tag: Tag) -> VehicleAddress:
     """The tag's address taken apart. Raises AddressError with an example of what would be right."""
     match = _FORM.fullmatch(tag.address.replace(" ", ""))
     if match is None:
         example = "give one such as 'obd:0C', 'obd:05@7E9', 'spn:190', 'spn:84@47' or 'pgn:F004/4.1/16'"
         raise AddressError(f"{tag.name}: {tag.address!r} is no address of this driver; {example}")
     limit = _limit(tag, match["limit"])
-    return Place(match["space"], match["what"], None if match["source"] is None else int(match["source"], 16), limit)
+    return VehicleAddress(
+        match["space"], match["what"], None if match["source"] is None else int(match["source"], 16), limit
+    )
 
 
-def number(tag: Tag, where: Place, value: float, *, whole: bool) -> Reading:
+def number(tag: Tag, where: VehicleAddress, value: float, *, whole: bool) -> Reading:
     """The tag's reading for a number in the standard's unit: the tag's own scale, offset, range and limit on top.
 
     `whole`: the standard's formula gives whole numbers; with an integer dtype, scale 1 and offset 0 they stay so.

@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.can.settings import SETTINGS as LIVE
+from drivers.can.settings import CanSettings
 from drivers.errors import AddressError
 from drivers.settings import check_settings
 from drivers.tag import Sample, Tag
 from drivers.vehicle.decoding import Decoder
 from drivers.vehicle.j1939 import identifier
 from drivers.vehicle.log import Log, open_log, require_frames
-from drivers.vehicle.replay import SETTINGS
+from drivers.vehicle.replay import CanLogSettings
 
 _LOOK = 5_000
 _MOST_IDENTIFIERS = 10_000
@@ -70,13 +70,14 @@ def decode_log(path: Path, settings: Mapping[str, Any], tags: Sequence[Tag]) -> 
     What says how to play or to open a bus is not used. Raises DriverError for a setting, an address or a log that
     cannot be used.
     """
-    own = {key: value for key, value in settings.items() if key in SETTINGS or key not in LIVE}
-    checked = check_settings("can-log", {**own, "log": str(path)}, SETTINGS)
+    live = CanSettings.model_fields.keys() - CanLogSettings.model_fields.keys()
+    own = {key: value for key, value in settings.items() if key not in live}
+    checked = check_settings("can-log", CanLogSettings, {**own, "log": str(path)})
     decoder = Decoder(checked)
     decoder.listen(tags)
     for problem in decoder.problems.values():
         raise AddressError(problem)
-    return Decoded(open_log(path, checked["format"]), decoder, checked["bus"])
+    return Decoded(open_log(path, checked.format), decoder, checked.bus)
 
 
 def _name(number: int, extended: bool) -> str:

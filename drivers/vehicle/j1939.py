@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 from drivers.can.dbc import PREFIX, Dbc
 from drivers.can.fields import EXTENDED, Bits
-from drivers.can.frame import Found, Frame
+from drivers.can.frame import CanFrame, TagReading
 from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import DType, Quality, Tag
 from drivers.vehicle import address
 from drivers.vehicle import dm1 as j1939_dm1
-from drivers.vehicle.address import Place
-from drivers.vehicle.j1939_transport import BROADCAST, TP_CM, TP_DT, Key, Transport
+from drivers.vehicle.address import VehicleAddress
+from drivers.vehicle.j1939_transport import BROADCAST, TP_CM, TP_DT, Key, TransportSessions
 from drivers.vehicle.spns import SPNS
 
 ENGINE = 0x00
@@ -37,7 +37,7 @@ class Identifier(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Signal:
+class GroupSignal:
     """Where a number lies in a parameter group, and its formula: value = raw * scale + offset."""
 
     pgn: int
@@ -48,14 +48,14 @@ class Signal:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class J1939Tag:
     """One tag: its source address, and either a signal or what of DM1."""
 
     tag: Tag
-    where: Place
+    where: VehicleAddress
     source: int
     pgn: int
-    signal: Signal | None
+    signal: GroupSignal | None
     word: str = ""
 
 
@@ -67,7 +67,7 @@ def identifier(number: int) -> Identifier:
     return Identifier(number >> 26, group, number & 0xFF, BROADCAST)
 
 
-def wanted(tag: Tag, source: int, dbc: Dbc | None) -> Wanted:
+def wanted(tag: Tag, source: int, dbc: Dbc | None) -> J1939Tag:
     """What the tag's address means; `source` is meant where it has no @, `dbc` is the file of `j1939:` addresses.
 
     Raises AddressError with what would be right.
@@ -79,9 +79,9 @@ def wanted(tag: Tag, source: int, dbc: Dbc | None) -> Wanted:
     if where.space == "dm1":
         if where.what not in _DM1_WORDS:
             raise AddressError(f"{tag.name}: dm1 has {', '.join(_DM1_WORDS)}, not {where.what!r}")
-        return Wanted(tag, where, unit, j1939_dm1.PGN, None, where.what)
+        return J1939Tag(tag, where, source=unit, pgn=j1939_dm1.PGN, signal=None, word=where.what)
     signal = _SPACES[where.space](tag, where, dbc)
-    return Wanted(tag, where, unit, signal.pgn, signal)
+    return J1939Tag(tag, where, source=unit, pgn=signal.pgn, signal=signal)
 
 
 class J1939Listener:
@@ -98,15 +98,15 @@ class J1939Listener:
         dbc: Dbc | None = None,
         conversion: int | None = None,
     ) -> None:
-        self.transport = Transport()
+        self.transport = TransportSessions()
         self._conversion = conversion
         self._counts = dict.fromkeys(("frames", "single", "not_j1939", "transport"), 0)
-        self._wanted: dict[tuple[int, int], list[Wanted]] = {}
+        self._wanted: dict[tuple[int, int], list[J1939Tag]] = {}
         for tag in tags:
             one = wanted(tag, source, dbc)
             self._wanted.setdefault((one.pgn, one.source), []).append(one)
 
-    def take(self, frame: Frame) -> Sequence[Found]:
+    def take(self, frame: CanFrame) -> Sequence[TagReading]:
         """What the frame, or the message that it completes, says of the tags."""
         self._counts["frames"] += 1
         if not frame.extended or frame.fd:
@@ -128,13 +128,13 @@ class J1939Listener:
         """Every frame by what became of it: frames = single + not_j1939 + all tp_ (frames of transport sessions)."""
         return self._counts | self.transport.counts()
 
-    def _message(self, pgn: int, source: int, data: bytes) -> Sequence[Found]:
+    def _message(self, pgn: int, source: int, data: bytes) -> Sequence[TagReading]:
         ones = self._wanted.get((pgn, source))
         if ones is None:
             return ()
-        return [Found(one.tag, self._reading(one, data)) for one in ones]
+        return [TagReading(one.tag, self._reading(one, data)) for one in ones]
 
-    def _reading(self, one: Wanted, data: bytes) -> Reading:
+    def _reading(self, one: J1939Tag, data: bytes) -> Reading:
         if one.signal is not None:
             return _number(one, one.signal, data)
         if len(data) < 2:
@@ -169,7 +169,7 @@ _SPECIAL = {
 }
 
 
-def _number(one: Wanted, signal: Signal, data: bytes) -> Reading:
+def _number(one: J1939Tag, signal: GroupSignal, data: bytes) -> Reading:
     if len(data) < signal.bits.size:
         return (
             None,
@@ -188,23 +188,23 @@ def _number(one: Wanted, signal: Signal, data: bytes) -> Reading:
     return address.number(one.tag, one.where, raw * signal.scale + signal.offset, whole=whole)
 
 
-def _lamp(one: Wanted, bits: int) -> Reading:
+def _lamp(one: J1939Tag, bits: int) -> Reading:
     if bits > 1:
         return None, *_SPECIAL[0xFF if bits == 3 else 0xFE]
     return address.number(one.tag, one.where, bits, whole=True)
 
 
-def _spn(tag: Tag, where: Place, _: Dbc | None) -> Signal:
+def _spn(tag: Tag, where: VehicleAddress, _: Dbc | None) -> GroupSignal:
     spn = SPNS.get(int(where.what)) if where.what.isdecimal() else None
     if spn is None:
         raise AddressError(
             f"{tag.name}: SPN {where.what} is not in the table (drivers/vehicle/spns.py); give its place instead, "
             f"such as 'pgn:F004/4.1/16' with scale and offset"
         )
-    return Signal(spn.pgn, Bits((spn.byte - 1) * 8 + spn.bit - 1, spn.bits), spn.scale, spn.offset)
+    return GroupSignal(spn.pgn, Bits((spn.byte - 1) * 8 + spn.bit - 1, spn.bits), spn.scale, spn.offset)
 
 
-def _pgn(tag: Tag, where: Place, _: Dbc | None) -> Signal:
+def _pgn(tag: Tag, where: VehicleAddress, _: Dbc | None) -> GroupSignal:
     match = _PGN_FORM.fullmatch(where.what)
     if match is None or not 1 <= int(match["bits"]) <= 64 or int(match["byte"]) < 1 or int(match["pgn"], 16) > 0x3FFFF:
         raise AddressError(
@@ -212,10 +212,10 @@ def _pgn(tag: Tag, where: Place, _: Dbc | None) -> Signal:
             f"of bits, such as 'pgn:F004/4.1/16'"
         )
     start = (int(match["byte"]) - 1) * 8 + int(match["bit"] or 1) - 1
-    return Signal(int(match["pgn"], 16), Bits(start, int(match["bits"])), signed=tag.dtype in _SIGNED)
+    return GroupSignal(int(match["pgn"], 16), Bits(start, int(match["bits"])), signed=tag.dtype in _SIGNED)
 
 
-def _named(tag: Tag, where: Place, dbc: Dbc | None) -> Signal:
+def _named(tag: Tag, where: VehicleAddress, dbc: Dbc | None) -> GroupSignal:
     """A signal of a DBC file, in the parameter group of its message whatever the source address there."""
     if dbc is None:
         raise AddressError(f"{tag.name}: address {tag.address!r} needs a DBC file; give its path as dbc")
@@ -223,7 +223,7 @@ def _named(tag: Tag, where: Place, dbc: Dbc | None) -> Signal:
     if not message.key & EXTENDED or field.conditions or completed.dtype in (DType.FLOAT32, DType.FLOAT64):
         raise AddressError(f"{tag.name}: {where.what} is no plain number in a message with a 29-bit identifier")
     pgn = identifier(message.key & ~EXTENDED).pgn
-    return Signal(pgn, field.bits, completed.scale, completed.offset, completed.dtype in _SIGNED)
+    return GroupSignal(pgn, field.bits, completed.scale, completed.offset, completed.dtype in _SIGNED)
 
 
 _SPACES = {"spn": _spn, "pgn": _pgn, "j1939": _named}

@@ -51,7 +51,7 @@ class _Session:
 
 
 @dataclass(slots=True)
-class Transport:
+class TransportSessions:
     """All sessions on the buses that are listened to.
 
     `frames` counts transport frames by what became of them: `complete` (in messages that were given), the reasons for

@@ -3,15 +3,17 @@
 import asyncio
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import Any
 
-from drivers.can.frame import Frame
-from drivers.can.reception import Channel, Reception, Rules, Slot
+from drivers.can.frame import CanFrame
+from drivers.can.notations import Send
+from drivers.can.reception import Channel, MessageRules, Reception, Slot
+from drivers.can.settings import CanSettings
 from drivers.codec import Reading
+from drivers.driver import PlanKind, PlanLine
 from drivers.errors import AddressError, DriverError
 from drivers.tag import Quality, Tag
 from drivers.vehicle.decoding import Vehicle
-from drivers.vehicle.obd_poll import Poller, Send
+from drivers.vehicle.obd_poll import Poller
 
 _RETRY = 1.0
 
@@ -19,10 +21,10 @@ _RETRY = 1.0
 class LiveVehicle:
     """What units tell by themselves, and with `poll = true` what they answer. Moments are monotonic seconds."""
 
-    def __init__(self, settings: Mapping[str, Any], reception: Reception) -> None:
+    def __init__(self, settings: CanSettings, reception: Reception) -> None:
         self._vehicle = Vehicle(settings)
         self._reception = reception
-        self._poller = Poller(lambda: self._vehicle.parameters, settings) if settings["poll"] else None
+        self._poller = Poller(lambda: self._vehicle.parameters, settings) if settings.poll else None
         self._polling: asyncio.Task[None] | None = None
         self._places: dict[str, tuple[Channel, Slot]] = {}
         self._readings: dict[int, Reading] = {}
@@ -40,11 +42,11 @@ class LiveVehicle:
             raise AddressError(problem)
         if tag.name not in self._places:
             # No frame has a negative key: a slot of its own, which ages and restarts like the others.
-            rules = Rules(-1 - len(self._places), tag.address)
+            rules = MessageRules(-1 - len(self._places), tag.address)
             self._places[tag.name] = self._reception.listen(rules, (), self._vehicle.timeout(tag), now)
         return self._places[tag.name]
 
-    def take(self, frame: Frame, now: float) -> Sequence[Slot]:
+    def take(self, frame: CanFrame, now: float) -> Sequence[Slot]:
         """The tags' slots that this frame has brought up to date."""
         if not self._places:
             return ()
@@ -53,10 +55,10 @@ class LiveVehicle:
             with suppress(DriverError):  # the unit waits in vain, and is asked again in the next round
                 self._poller.take(timed)
         fresh = []
-        for found in self._vehicle.take(timed):
-            _, slot = self._places[found.tag.name]
+        for reading in self._vehicle.take(timed):
+            _, slot = self._places[reading.tag.name]
             slot.frame, slot.heard = frame, now
-            self._readings[id(slot)] = found.reading
+            self._readings[id(slot)] = reading.reading
             fresh.append(slot)
         if fresh:
             self._reception.heard = now
@@ -66,10 +68,13 @@ class LiveVehicle:
         """What was told last for the slot's tag."""
         return self._readings.get(id(slot), (None, Quality.WAITING_FOR_INITIAL_DATA, ""))
 
-    def describe(self) -> list[str]:
+    def describe(self) -> list[PlanLine]:
         """In sentences: the tags that are listened for with their timeouts, and what is asked for."""
-        told = [f"{slot.name}, bad after {slot.timeout:.3g} s: {name}" for name, (_, slot) in self._places.items()]
-        return told + ([] if self._poller is None else self._poller.describe())
+        heard = [
+            PlanLine(f"{slot.name}, bad after {slot.timeout:.3g} s: {name}", PlanKind.HEARD)
+            for name, (_, slot) in self._places.items()
+        ]
+        return heard + ([] if self._poller is None else [PlanLine(line) for line in self._poller.describe()])
 
     def counts(self) -> Mapping[str, int]:
         """What became of messages, and requests that were sent."""
@@ -78,19 +83,21 @@ class LiveVehicle:
     def start(self, send: Send) -> None:
         """Begin to ask, if the settings say so: the bus is there (anew)."""
         self.stop()
-        if self._poller is not None:
-            self._polling = asyncio.create_task(_ask(self._poller, send), name="obd poll")
+        poller = self._poller
+        if poller is None:
+            return
+
+        async def ask() -> None:
+            # Until cancelled; a bus that takes no frame (nobody acknowledges, the queue is full) is tried again.
+            while True:
+                with suppress(DriverError):
+                    await poller.run(send)
+                await asyncio.sleep(_RETRY)
+
+        self._polling = asyncio.create_task(ask(), name="obd poll")
 
     def stop(self) -> None:
         """Stop asking."""
         polling, self._polling = self._polling, None
         if polling is not None:
             polling.cancel()
-
-
-async def _ask(poller: Poller, send: Send) -> None:
-    """Until cancelled; a bus that takes no frame (nobody acknowledges, the queue is full) is tried again."""
-    while True:
-        with suppress(DriverError):
-            await poller.run(send)
-        await asyncio.sleep(_RETRY)

@@ -20,7 +20,7 @@ from typing import BinaryIO, TextIO, cast
 import can
 from can.io.blf import OBJ_HEADER_BASE_STRUCT, BLFParseError
 
-from drivers.can.frame import Frame
+from drivers.can.frame import CanFrame
 from drivers.errors import RecordingError
 
 _LONGEST_LINE = 4096
@@ -131,7 +131,7 @@ class Log:
             return 0.0
         return min(1.0, self._raw.tell() / self.size)
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self) -> Iterator[CanFrame]:
         """The data frames in the order of the log, from its beginning; times as they are logged (finite seconds)."""
         kind = FORMATS[self.format]
         try:
@@ -170,7 +170,7 @@ class Log:
         except errors as error:
             self.note("broken", f"after {self.counts['frames']} frames: {str(error) or type(error).__name__}")
 
-    def _frame(self, message: can.Message) -> Frame | None:
+    def _frame(self, message: can.Message) -> CanFrame | None:
         if message.is_error_frame:
             self.counts["error_frames"] += 1
             return None
@@ -186,7 +186,14 @@ class Log:
             self.note("refused", f"no frame has the identifier {message.arbitration_id:X} at {message.timestamp}")
             return None
         channel = "" if message.channel is None else str(message.channel)
-        return Frame(message.timestamp, message.arbitration_id, message.is_extended_id, data, channel, message.is_fd)
+        return CanFrame(
+            time=message.timestamp,
+            id=message.arbitration_id,
+            extended=message.is_extended_id,
+            data=data,
+            channel=channel,
+            fd=message.is_fd,
+        )
 
     def note(self, what: str, sentence: str) -> None:
         """Count a fault; the first one is remembered."""

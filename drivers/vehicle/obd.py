@@ -7,14 +7,14 @@ it can be read to its last byte. Requests are watched too, as a refusal (0x7F) d
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.can.frame import Found, Frame
+from drivers.can.frame import CanFrame, TagReading
 from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import Quality, Tag
 from drivers.vehicle import address
-from drivers.vehicle.address import Place
+from drivers.vehicle.address import VehicleAddress
 from drivers.vehicle.isotp import Reassembler
-from drivers.vehicle.obd_pids import PIDS, Field
+from drivers.vehicle.obd_pids import PidField, pids, single_frame
 
 CURRENT, STORED, PENDING, VEHICLE, PERMANENT = 0x01, 0x03, 0x07, 0x09, 0x0A
 ANSWER, REFUSAL = 0x40, 0x7F
@@ -49,14 +49,14 @@ _CODE_SYSTEMS = "PCBU"
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class ObdTag:
     """One tag: the service and parameter that hold it, and the field (none for a text or a list)."""
 
     tag: Tag
-    where: Place
+    where: VehicleAddress
     service: int
     parameter: int
-    field: Field | None
+    field: PidField | None
     count: bool = False
 
 
@@ -69,7 +69,7 @@ class _Request:
     parameters: bytes
 
 
-def wanted(tag: Tag) -> Wanted:
+def wanted(tag: Tag) -> ObdTag:
     """What the tag's address means. Raises AddressError with what would be right."""
     where = address.place(tag)
     name, _, part = where.what.partition(".")
@@ -77,30 +77,29 @@ def wanted(tag: Tag) -> Wanted:
         service, parameter = _WORDS[name]
         if part not in ("", "count") or (part and service == VEHICLE):
             raise AddressError(f"{tag.name}: {tag.address!r}: {name} has no {part!r}")
-        return Wanted(tag, where, service, parameter, None, part == "count")
+        return ObdTag(tag, where, service, parameter, field=None, count=part == "count")
     try:
         number = int(name, 16)
     except ValueError:
         known = ", ".join(_WORDS)
         raise AddressError(f"{tag.name}: {name!r} is neither a parameter such as 0C nor one of {known}") from None
-    pid = PIDS.get(number)
+    pid = pids().get(number)
     if pid is None or not pid.fields:
         raise AddressError(
-            f"{tag.name}: service 01 parameter {number:02X} is not in the table (drivers/vehicle/obd_pids.py)"
+            f"{tag.name}: service 01 parameter {number:02X} is not in the table (drivers/vehicle/obd.dbc)"
         )
-    names = [field.name for field in pid.fields]
+    names = tuple(pid.fields)
     if part not in (*names, "") or (not part and len(names) > 1):
         first = f"obd:{number:02X}.{names[0]}"
         raise AddressError(f"{tag.name}: parameter {number:02X} has {', '.join(names)}; give one, such as {first!r}")
-    field = pid.fields[names.index(part) if part else 0]
-    return Wanted(tag, where, CURRENT, number, field)
+    return ObdTag(tag, where, CURRENT, number, pid.fields[part or names[0]])
 
 
 class ObdListener:
     """Readings of `obd:` tags from the frames of one or more buses. Raises AddressError for a tag it cannot mean."""
 
     def __init__(self, tags: Sequence[Tag]) -> None:
-        self._wanted: dict[tuple[int, int, int], list[Wanted]] = {}
+        self._wanted: dict[tuple[int, int, int], list[ObdTag]] = {}
         self._found_units: dict[tuple[str, int], Reassembler] = {}
         self._requests: dict[tuple[str, int], _Request] = {}
         self._counts = dict.fromkeys(("answers", "unread", "refusals", "unasked_refusals", "requests"), 0)
@@ -110,7 +109,7 @@ class ObdListener:
             for unit in units:
                 self._wanted.setdefault((unit, one.service, one.parameter), []).append(one)
 
-    def take(self, frame: Frame) -> Sequence[Found]:
+    def take(self, frame: CanFrame) -> Sequence[TagReading]:
         """What the frame, or the answer that it completes, says of the tags."""
         if frame.fd:
             return ()
@@ -134,37 +133,37 @@ class ObdListener:
                 total[f"isotp_{name}"] = total.get(f"isotp_{name}", 0) + count
         return total
 
-    def _payload(self, frame: Frame, payload: bytes) -> Sequence[Found]:
+    def _payload(self, frame: CanFrame, payload: bytes) -> Sequence[TagReading]:
         service = payload[0] - ANSWER
         if payload[0] == REFUSAL:
             return self._refused(frame, payload)
-        found: Sequence[Found] | None = None
+        readings: Sequence[TagReading] | None = None
         if service == CURRENT:
-            found = self._current(frame.id, payload)
+            readings = self._current(frame.id, payload)
         elif service in (STORED, PENDING, PERMANENT):
-            found = self._codes(frame.id, service, payload)
+            readings = self._codes(frame.id, service, payload)
         elif service == VEHICLE:
-            found = self._vehicle(frame.id, payload)
-        self._counts["unread" if found is None else "answers"] += 1
-        return found or ()
+            readings = self._vehicle(frame.id, payload)
+        self._counts["unread" if readings is None else "answers"] += 1
+        return readings or ()
 
-    def _current(self, unit: int, payload: bytes) -> list[Found] | None:
+    def _current(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """Service 01: one or several parameters, each number followed by its data; None if they do not add up."""
         parts, at = {}, 1
         while at < len(payload):
-            pid = PIDS.get(payload[at])
+            pid = pids().get(payload[at])
             if pid is None or pid.number in parts or at + 1 + pid.length > len(payload):
                 return self._unreadable(unit, payload)
             parts[pid.number] = payload[at + 1 : at + 1 + pid.length]
             at += 1 + pid.length
         return [
-            Found(one.tag, _field(one, one.field, data))
+            TagReading(one.tag, _field(one, one.field, single_frame(number, data)))
             for number, data in parts.items()
             for one in self._wanted.get((unit, CURRENT, number), ())
             if one.field is not None
         ]
 
-    def _unreadable(self, unit: int, payload: bytes) -> list[Found] | None:
+    def _unreadable(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """An answer whose length is not that of its parameters: the first one is named, and is not good."""
         ones = self._wanted.get((unit, CURRENT, payload[1]), ()) if len(payload) > 1 else ()
         if not ones:
@@ -172,24 +171,31 @@ class ObdListener:
         self._counts["unread"] += 1
         self._counts["answers"] -= 1
         reason = f"the answer {payload.hex(' ')} is not as long as its parameters"
-        return [Found(one.tag, (None, Quality.DECODING_ERROR, reason)) for one in ones]
+        return [TagReading(one.tag, (None, Quality.DECODING_ERROR, reason)) for one in ones]
 
-    def _codes(self, unit: int, service: int, payload: bytes) -> list[Found] | None:
+    def _codes(self, unit: int, service: int, payload: bytes) -> list[TagReading] | None:
         """Services 03, 07, 0A: how many trouble codes, then two bytes each."""
         if len(payload) < 2 or len(payload) != 2 + 2 * payload[1]:
             return None
         codes = [trouble_code(payload[at], payload[at + 1]) for at in range(2, len(payload), 2)]
-        return [Found(one.tag, _listed(one, codes)) for one in self._wanted.get((unit, service, 0), ())]
+        count, text = len(codes), " ".join(codes)
+        return [
+            TagReading(
+                one.tag,
+                address.number(one.tag, one.where, count, whole=True) if one.count else address.text(one.tag, text),
+            )
+            for one in self._wanted.get((unit, service, 0), ())
+        ]
 
-    def _vehicle(self, unit: int, payload: bytes) -> list[Found] | None:
+    def _vehicle(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """Service 09: parameter, number of items, text."""
         if len(payload) < 4:
             return None
         words = payload[3:].strip(b"\0 ").decode("latin-1")
         ones = self._wanted.get((unit, VEHICLE, payload[1]), ())
-        return [Found(one.tag, address.text(one.tag, words)) for one in ones]
+        return [TagReading(one.tag, address.text(one.tag, words)) for one in ones]
 
-    def _note(self, frame: Frame) -> None:
+    def _note(self, frame: CanFrame) -> None:
         length = frame.data[0] if frame.data else 0
         if not 1 <= length <= 7 or len(frame.data) < length + 1:
             return
@@ -197,7 +203,7 @@ class ObdListener:
         request = _Request(frame.time, frame.data[1], bytes(frame.data[2 : length + 1]))
         self._requests[frame.channel, asked_unit(frame.id, frame.extended)] = request
 
-    def _refused(self, frame: Frame, payload: bytes) -> Sequence[Found]:
+    def _refused(self, frame: CanFrame, payload: bytes) -> Sequence[TagReading]:
         """A refusal makes the tags of the request that it answers bad; "response pending" changes nothing."""
         if len(payload) != 3:
             self._counts["unread"] += 1
@@ -206,7 +212,7 @@ class ObdListener:
         self._counts["refusals"] += 1
         if code == RESPONSE_PENDING:
             return ()
-        request = self._asked(frame, service)
+        request = self._request_before(frame, service)
         if request is None:
             self._counts["unasked_refusals"] += 1
             return ()
@@ -214,9 +220,9 @@ class ObdListener:
         reason = f"unit {frame.id:X} refuses service {service:02X}: {name} (0x{code:02X})"
         parameters = request.parameters if service in (CURRENT, VEHICLE) else b"\0"
         ones = [one for number in parameters for one in self._wanted.get((frame.id, service, number), ())]
-        return [Found(one.tag, (None, quality, reason)) for one in ones]
+        return [TagReading(one.tag, (None, quality, reason)) for one in ones]
 
-    def _asked(self, frame: Frame, service: int) -> _Request | None:
+    def _request_before(self, frame: CanFrame, service: int) -> _Request | None:
         """The latest request for the service, to this unit or to all."""
         requests = [self._requests.get((frame.channel, unit)) for unit in (frame.id, 0)]
         fitting = [
@@ -249,22 +255,13 @@ def trouble_code(high: int, low: int) -> str:
     return f"{_CODE_SYSTEMS[high >> 6]}{high >> 4 & 3}{high & 15:X}{low:02X}"
 
 
-def _field(one: Wanted, field: Field, data: bytes) -> Reading:
-    whole = int.from_bytes(data, "big")
-    raw = whole >> 8 * len(data) - field.bit - field.bits & (1 << field.bits) - 1
-    if field.present is not None and not whole >> 8 * len(data) - 1 - field.present & 1:
+def _field(one: ObdTag, field: PidField, frame: bytes) -> Reading:
+    if not all(condition.met(frame) for condition in field.conditions):
         return None, Quality.NO_DATA, f"{field.name} is not there in this vehicle"
-    if raw in (field.unused, one.tag.sentinel):
+    raw = field.bits.get(frame)
+    if raw in field.unused or raw == one.tag.sentinel:
         return None, Quality.NO_DATA, f'the unit says "not used" ({raw})'
-    if field.signed and raw >> field.bits - 1:
-        raw -= 1 << field.bits
+    if field.signed and raw >> field.bits.length - 1:
+        raw -= 1 << field.bits.length
     is_whole = field.scale.is_integer() and field.offset.is_integer()
     return address.number(one.tag, one.where, raw * field.scale + field.offset, whole=is_whole)
-
-
-def _listed(one: Wanted, codes: Sequence[str]) -> Reading:
-    return (
-        address.number(one.tag, one.where, len(codes), whole=True)
-        if one.count
-        else address.text(one.tag, " ".join(codes))
-    )

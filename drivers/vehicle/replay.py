@@ -2,34 +2,78 @@
 
 import asyncio
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.can.frame import Frame
-from drivers.codec import Reading
-from drivers.driver import Clock
-from drivers.errors import LinkDown
-from drivers.settings import Setting, check_settings
-from drivers.tag import Quality, Sample, Tag
-from drivers.vehicle.decoding import DECODING, VEHICLE, Decoder
-from drivers.vehicle.log import Log, open_log, require_frames
-from drivers.vehicle.timeline import Timeline
+from pydantic import Field
 
-SETTINGS: dict[str, Setting] = {
-    "log": Setting(str),
-    "format": Setting(str, optional=True),
-    "bus": Setting(str, optional=True),
-    "speed": Setting(float, 1.0, 1e-6, 1e6),
-    "loop": Setting(bool, False),
-    "start": Setting(float, optional=True),
-    "max_gap": Setting(float, 60.0, 0.001),
-    "silence": Setting(float, 5.0, 0.001),
-    **DECODING,
-    **VEHICLE,
-}
+from drivers.can.frame import CanFrame
+from drivers.can.settings import DecodingSettings
+from drivers.codec import Reading
+from drivers.driver import Clock, PlanKind, PlanLine
+from drivers.errors import LinkDown
+from drivers.settings import check_settings
+from drivers.tag import Quality, Sample, Tag
+from drivers.vehicle.decoding import Decoder
+from drivers.vehicle.log import Log, open_log, require_frames
+
+
+class CanLogSettings(DecodingSettings):
+    """How a log is played and read; see `open_can_log`."""
+
+    log: str = Field(min_length=1, description="the path of the log")
+    format: str | None = Field(None, min_length=1, description="the log's format where its suffix does not say it")
+    bus: str | None = Field(None, min_length=1, description="the bus to listen to, as the log names it")
+    speed: float = Field(1.0, ge=1e-6, le=1e6, description="how many times as fast as recorded, 0.000001 to 1000000")
+    loop: bool = Field(False, description="true to begin anew at the end")
+    start: float | None = Field(None, description="the moment of the first frame in seconds")
+    max_gap: float = Field(60.0, ge=0.001, description="the longest pause that is played in seconds, from 0.001")
+    silence: float = Field(
+        5.0, ge=0.001, description="the seconds without a frame that count as disconnected, from 0.001"
+    )
+
+
 # The event loop gets its turn after so many frames.
 _BURST = 500
+_JITTER = 1.0
+"""Seconds by which logged times may step back as buses are written in turn; more is a clock that was set back."""
+_AFTER_END = 1.0
+"""Seconds between the last frame of a log and its first one when it is played anew."""
+
+
+@dataclass(slots=True)
+class Timeline:
+    """When a recorded frame is played: seconds since the first frame, on a line that only goes forward (pure).
+
+    A pause longer than `max_gap` (s) is played as `max_gap` long. A clock that was set back goes on without a pause.
+    Counted: steps `back`, and pauses that were `shortened`.
+    """
+
+    max_gap: float
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("back", "shortened"), 0))
+    _shift: float | None = None
+    _played: float = 0.0
+
+    def at(self, logged: float) -> float:
+        """The frame's moment on the line: never before the one given last."""
+        if self._shift is None:
+            self._shift = self._played - logged
+        step = logged + self._shift - self._played
+        if step < 0.0:
+            self.counts["back"] += 1
+        if step < -_JITTER:
+            self._shift -= step
+        elif step > self.max_gap:
+            self.counts["shortened"] += 1
+            self._shift -= step - self.max_gap
+        self._played = max(self._played, logged + self._shift)
+        return self._played
+
+    def again(self) -> None:
+        """The log begins anew."""
+        self._shift = None
+        self._played += _AFTER_END
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +93,12 @@ def open_can_log(
     Settings: `log`, the file, and its `format` where the suffix does not say it; `bus`, the one to listen to as the log
     names it (all by default); `speed`; `loop`; `start`, the moment of the first frame by the driver's clock (s; the
     first `open` by default); `max_gap`, the longest pause that is played (s of the log); `silence`, the seconds of the
-    log without any frame after which it counts as disconnected. DECODING and VEHICLE say how frames are read.
+    log without any frame after which it counts as disconnected. How frames are read, `drivers.can.settings` says.
 
     Raises DriverError for a setting or a log that cannot be used, and for a log without a data frame.
     """
-    checked = check_settings("can-log", settings, SETTINGS)
-    log = open_log(Path(checked["log"]), checked["format"])
+    checked = check_settings("can-log", CanLogSettings, settings)
+    log = open_log(Path(checked.log), checked.format)
     next(log.frames(), None)
     require_frames(log)
     return CanLogDriver(checked, clock=clock)
@@ -63,17 +107,17 @@ def open_can_log(
 class CanLogDriver:
     """A log that is played; a Driver. Made by `open_can_log`."""
 
-    def __init__(self, settings: Mapping[str, Any], *, clock: Clock) -> None:
+    def __init__(self, settings: CanLogSettings, *, clock: Clock) -> None:
         self._settings = settings
         self._clock = clock
-        self._speed: float = settings["speed"]
+        self._speed: float = settings.speed
         self._decoder = Decoder(settings)
-        self._timeline = Timeline(settings["max_gap"])
+        self._timeline = Timeline(settings.max_gap)
         self._held: dict[str, _Held] = {}
-        self._log = open_log(Path(settings["log"]), settings["format"])
-        self._frames: Iterator[Frame] = iter(())
-        self._next: tuple[Frame, float] | None = None
-        self._began: float | None = settings["start"]
+        self._log = open_log(Path(settings.log), settings.format)
+        self._frames: Iterator[CanFrame] = iter(())
+        self._next: tuple[CanFrame, float] | None = None
+        self._began: float | None = settings.start
         self._last = 0.0
         self._open = self._opened = False
         self._counts = dict.fromkeys(("requests", "frames", "readings", "rounds"), 0)
@@ -101,7 +145,7 @@ class CanLogDriver:
     @property
     def connected(self) -> bool:
         """True while open and frames are being played."""
-        return self._open and self._counts["frames"] > 0 and self._now() - self._last <= self._settings["silence"]
+        return self._open and self._counts["frames"] > 0 and self._now() - self._last <= self._settings.silence
 
     def statistics(self) -> Mapping[str, float]:
         """Counters: readings, frames played, what of the log was no frame, and what became of the frames."""
@@ -121,17 +165,18 @@ class CanLogDriver:
         now = self._now()
         return [self._sample(tag, now) for tag in tags]
 
-    def explain(self, tags: Sequence[Tag]) -> tuple[str, ...]:
+    def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """In sentences: what cannot be read and why, the log, and each tag with its timeout."""
         self._decoder.listen(tags)
         problems = self._decoder.problems
         speed = "" if self._speed == 1.0 else f" at {self._speed:g} times its speed"
-        told = [
-            f"{tag.address}, bad after {self._decoder.timeout(tag):.3g} s: {tag.name}"
+        heard = [
+            PlanLine(f"{tag.address}, bad after {self._decoder.timeout(tag):.3g} s: {tag.name}", PlanKind.HEARD)
             for tag in tags
             if tag.name not in problems
         ]
-        return (*problems.values(), f"{self._log.path} is replayed{speed}", *told)
+        refused = [PlanLine(line, PlanKind.PROBLEM) for line in problems.values()]
+        return (*refused, PlanLine(f"{self._log.path} is replayed{speed}"), *heard)
 
     # ------------------------------------------------------------ inside
 
@@ -150,22 +195,22 @@ class CanLogDriver:
             if burst % _BURST == 0:
                 await asyncio.sleep(0)
 
-    def _take(self, frame: Frame, played: float) -> None:
+    def _take(self, frame: CanFrame, played: float) -> None:
         self._last = played
         self._counts["frames"] += 1
         moment = (self._began or 0.0) + played / self._speed
         # Timeouts of the transport protocols run on the line that is played, which never goes back.
-        for found in self._decoder.take(frame._replace(time=played)):
+        for reading in self._decoder.take(frame._replace(time=played)):
             self._counts["readings"] += 1
-            self._held[found.tag.name] = _Held(found.reading, moment, played)
+            self._held[reading.tag.name] = _Held(reading.reading, moment, played)
 
-    def _following(self) -> tuple[Frame, float] | None:
+    def _following(self) -> tuple[CanFrame, float] | None:
         """The next frame of the bus and its moment on the line; with `loop` the log never ends."""
         for _ in range(2):
             for frame in self._frames:
-                if self._settings["bus"] in (None, frame.channel):
+                if self._settings.bus in (None, frame.channel):
                     return frame, self._timeline.at(frame.time)
-            if not self._settings["loop"]:
+            if not self._settings.loop:
                 return None
             self._timeline.again()
             self._rewind_log()

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import click
 
-from gateway.console.output import sentences
+from gateway.certificates import make_all
+from gateway.console.exits import sentences
 
 
-@click.command()
+@click.command(short_help="Make certificates and keys for Modbus/TCP Security.")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
 @click.option(
     "--host", "hosts", multiple=True, required=True, help="A name or address by which the PLC is called; repeatable."
@@ -21,7 +22,5 @@ def certificates(folder: Path, hosts: tuple[str, ...], role: str, days: int) -> 
     names FOLDER as `certificates`. Keep ca.key away from both: it makes further certificates.
     """
     with sentences():
-        from gateway.certificates import make_all
-
         made = make_all(folder, hosts=hosts, role=role, days=days)
     click.echo(f"{made}: ca.pem, ca.key, server.pem, server.key, client.pem, client.key (role {role}, {days} days)")

@@ -11,6 +11,7 @@ PROGRAM = "from sim.plc.__main__ import main; main(prog_name='decanter emulate')
 @click.command(
     context_settings={"ignore_unknown_options": True, "help_option_names": []},
     add_help_option=False,
+    short_help="Start the software PLC, which replays a trace, as a process of its own.",
 )
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 def emulate(arguments: tuple[str, ...]) -> None:

@@ -7,12 +7,12 @@ from gateway.console.threads import one_thread
 
 COMMANDS: Table = {
     "demo": (
-        "gateway.cli.demo:demo",
+        "gateway.demo.command:demo",
         "Run the main job end to end on this machine: PLC, gateway, outage, summary, picture.",
     ),
     "run": ("gateway.cli.run:run", "Run the gateway with a configuration file."),
     "check": (
-        "gateway.cli.run:check",
+        "gateway.cli.check:check",
         "Check a configuration, its register map and its model; with --connect the PLC too.",
     ),
     "emulate": (

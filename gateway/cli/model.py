@@ -8,7 +8,7 @@ COMMANDS: Table = {
     "learn": ("gateway.lab.learn:learn", "Learn a model from traces and write its directory."),
     "show": ("gateway.lab.show:show", "Show a model and where it comes from."),
     "simulate": ("gateway.lab.simulate:simulate", "Let a model run along measured traces; say how far off it is."),
-    "check": ("gateway.lab.check_model:check", "Answer a query: how probable, how hot, whether it can."),
+    "check": ("gateway.lab.check:check", "Answer a query: how probable, how hot, whether it can."),
     "correct": ("gateway.lab.correct:correct", "Learn T' = k T + b from traces and write the corrected model."),
     "validate": (
         "gateway.lab.validate:validate",
@@ -22,6 +22,8 @@ COMMANDS: Table = {
 }
 
 
-@click.group(cls=LazyGroup, table=COMMANDS)
+@click.group(
+    cls=LazyGroup, table=COMMANDS, short_help="The model laboratory: learn, validate, check and export models."
+)
 def model() -> None:
     """Learn, look at, validate and check models."""

@@ -1,4 +1,4 @@
-"""`decanter plc`: commissioning, one module a command; the options that they share are in `plc_options`."""
+"""`decanter plc`: commissioning, one module a command; what they share is in `gateway.commission.session`."""
 
 import click
 
@@ -6,57 +6,57 @@ from gateway.console.lazy import LazyGroup, Table
 
 COMMANDS: Table = {
     "doctor": (
-        "gateway.commission.plc_doctor:doctor",
+        "gateway.commission.doctor:doctor",
         "Look at this machine before the plant: clock, network, ports, files.",
     ),
-    "probe": ("gateway.commission.plc_probe:probe", "Is the device there, does it speak, and who is it?"),
-    "scan": ("gateway.commission.plc_scan:scan", "Look for units, nodes, CAN frames, or readable registers."),
-    "read": ("gateway.commission.plc_read:read", "Read tags or bare addresses: raw words and values side by side."),
+    "probe": ("gateway.commission.probe:probe", "Is the device there, does it speak, and who is it?"),
+    "scan": ("gateway.cli.plc:scan", "Look for units, nodes, CAN frames, or readable registers."),
+    "read": ("gateway.commission.read:read", "Read tags or bare addresses: raw words and values side by side."),
     "guess": (
-        "gateway.commission.plc_guess:guess",
+        "gateway.commission.guess:guess",
         "Find type, word order, scale and address from what the HMI shows.",
     ),
-    "watch": ("gateway.commission.plc_watch:watch", "Watch tags as they change."),
+    "watch": ("gateway.commission.watch:watch", "Watch tags as they change."),
     "bind": (
-        "gateway.commission.plc_bind:bind",
+        "gateway.commission.bind:bind",
         "Bind a place in the device to a tag's name; TOML edits keep comments.",
     ),
     "import": (
-        "gateway.commission.plc_bind:import_list",
+        "gateway.commission.import_list:import_list",
         "Take the tags of an I/O list (CSV, XLSX) into the device file.",
     ),
-    "check": ("gateway.commission.plc_check:check", "Check the configuration, and with the device every tag of it."),
+    "check": ("gateway.commission.check:check", "Check the configuration, and with the device every tag of it."),
     "plan": (
-        "gateway.commission.plc_plan:plan",
+        "gateway.commission.plan:plan",
         "The requests of one scan, and their longest time against the period.",
     ),
     "verify": (
-        "gateway.commission.plc_verify:verify",
+        "gateway.commission.verify:verify",
         "Compare with the HMI: two values per analogue, both states per bool.",
     ),
     "soak": (
-        "gateway.commission.plc_soak:soak",
+        "gateway.commission.soak:soak",
         "Read for a longer time: cycle times, losses, the period to be recommended.",
     ),
     "codegen": (
-        "gateway.commission.plc_codegen:codegen",
+        "gateway.commission.writeback.codegen:codegen",
         "Generate the PLC's side of the write-back as Structured Text.",
     ),
-    "write": ("gateway.commission.plc_write:write", "What would be written to the PLC; nothing is sent."),
-    "arm": ("gateway.commission.plc_arm:arm", "Let blocks be written: by whom, why and for how many minutes."),
-    "disarm": ("gateway.commission.plc_arm:disarm", "Take the arming back."),
-    "loop": ("gateway.commission.plc_write:loop", "Loop tests of alarm bits and heartbeats; needs an arming."),
+    "write": ("gateway.cli.plc:write", "What would be written to the PLC; nothing is sent."),
+    "arm": ("gateway.commission.writeback.arm:arm", "Let blocks be written: by whom, why and for how many minutes."),
+    "disarm": ("gateway.commission.writeback.arm:disarm", "Take the arming back."),
+    "loop": ("gateway.cli.plc:loop", "Loop tests of alarm bits and heartbeats; needs an arming."),
     "conformance": (
-        "gateway.commission.plc_write:conformance",
+        "gateway.commission.writeback.conformance:conformance",
         "Put the PLC's side of the contract through its suite.",
     ),
-    "audit": ("gateway.commission.plc_arm:audit", "Show and verify the audit log."),
-    "report": ("gateway.commission.plc_report:report", "Make or verify the site acceptance report: page, paper, JSON."),
-    "replay": ("gateway.commission.plc_replay:replay", "Send a recording through the gateway, without a PLC."),
+    "audit": ("gateway.commission.writeback.audit:audit", "Show and verify the audit log."),
+    "report": ("gateway.commission.report:report", "Make or verify the site acceptance report: page, paper, JSON."),
+    "replay": ("gateway.commission.replay:replay", "Send a recording through the gateway, without a PLC."),
 }
 
 
-@click.group(cls=LazyGroup, table=COMMANDS)
+@click.group(cls=LazyGroup, table=COMMANDS, short_help="Commission a PLC: probe, scan, read, guess, bind, verify, arm.")
 def plc() -> None:
     """Commission a PLC: look, read, understand, bind, verify. Nothing is written unless armed.
 
@@ -64,4 +64,38 @@ def plc() -> None:
 
     Exit codes: 0 in order, 1 a check failed, 2 wrong usage or input, 3 cannot connect, 4 the device refused, 5 no
     reply in time, 6 not armed.
+    """
+
+
+SCANS: Table = {
+    "units": ("gateway.commission.scan:units", "Which Modbus units answer behind this connection."),
+    "nodes": ("gateway.commission.scan:nodes", "Which CANopen nodes are on this bus."),
+    "can": ("gateway.commission.scan:can", "Which frames are on this CAN bus; nothing is sent."),
+    "registers": ("gateway.commission.scan:registers", "Which registers can be read, and how many at once."),
+}
+WRITES: Table = {
+    "plan": ("gateway.commission.writeback.write:plan", "What the gateway would write, word by word; nothing is sent."),
+}
+LOOPS: Table = {
+    "alarms": ("gateway.commission.writeback.loop:alarms", "Each alarm bit through to the HMI, one after another."),
+    "heartbeat": ("gateway.commission.writeback.loop:heartbeat", "Both heartbeats, and the PLC's timer."),
+}
+
+
+@click.group(cls=LazyGroup, table=SCANS)
+def scan() -> None:
+    """Look for units, nodes, CAN frames, or readable registers."""
+
+
+@click.group(cls=LazyGroup, table=WRITES, short_help="What would be written to the PLC; nothing is sent.")
+def write() -> None:
+    """What would be written."""
+
+
+@click.group(cls=LazyGroup, table=LOOPS, short_help="Loop tests of alarm bits and heartbeats; needs an arming.")
+def loop() -> None:
+    """Loop tests of the write-back. They write, so they need an arming (decanter plc arm).
+
+    Their blocks have validity 0, and the last one takes everything back; only the test of the PLC's timer needs a block
+    that is valid, with a probability of 0 and no other number in it.
     """

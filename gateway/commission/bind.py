@@ -1,109 +1,90 @@
-"""`bind` and `import` at work: the change is made in the file's own text, shown, checked and written in one step."""
+"""`decanter plc bind`: a place in the device bound to a tag's name, in the device file's own text."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import tomlkit
+import click
 
-from gateway.checked import ConfigError
-from gateway.commission.files.device_file import ENCODING, encoding, fields_that_fit, set_block, set_device, set_tag
-from gateway.commission.files.io_list import IoList
-from gateway.commission.files.plan_files import Files, device_edit, plant_edit, save
-from gateway.commission.outcome import Outcome
-from gateway.commission.records import read_records
-
-_LAYOUT, _TIMER_S = 1, 5.0
-_MOST_WORDS = 123
-
-
-@dataclass(frozen=True, slots=True)
-class Binding:
-    """One tag and its keys: those that say how it lies (all of them where `place` is true), and the others given."""
-
-    name: str
-    keys: Mapping[str, Any]
-    place: bool
+from drivers.driver import capabilities
+from drivers.settings import ConfigError
+from gateway.commission.files.change import Binding, BlockPlace, FileChange, carry_out
+from gateway.commission.files.device_file import ENCODING
+from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit_files, pairs, template
+from gateway.commission.files.plan_files import Files, settings_of
+from gateway.commission.read import ORDERS, TYPES
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.records import read_records
+from gateway.commission.session.site import CommandResult
+from gateway.commission.survey.addresses import parse_register
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
-    """The write-back block: its first address, its fields (None: as many as fit), the layout's version, the timer."""
+@click.command(short_help="Bind a place in the device to a tag's name; TOML edits keep comments.")
+@click.argument("name", required=False)
+@click.argument("address", required=False)
+@click.option("--type", "dtype", type=click.Choice(TYPES), help="What lies there (uint16).")
+@click.option("--order", type=click.Choice(ORDERS), help="Byte and word order (ABCD).")
+@click.option("--scale", type=float, help="Engineering units per count (1).")
+@click.option("--offset", type=float, help="Engineering units at raw 0 (0).")
+@click.option("--bit", type=click.IntRange(0, 15), help="One bit of the register.")
+@click.option("--length", type=click.IntRange(1), help="Bytes of a string.")
+@click.option("--guess", "rank", type=click.IntRange(1), help="Bind what the last guess found; 1 is its best.")
+@click.option("--units", help="The engineering unit as text, such as degC.")
+@click.option("--low", type=float, help="The lowest plausible value.")
+@click.option("--high", type=float, help="The highest plausible value.")
+@click.option("--sentinel", type=int, help="The raw number that means 'not available'.")
+@click.option("--max-rate", type=float, help="The fastest believable change in units a second.")
+@click.option("--label", "labels", multiple=True, metavar="RAW=TEXT", callback=pairs, help="A name of a raw number.")
+@click.option("--block", metavar="ADDRESS", help="Where the write-back block begins.")
+@click.option("--fields", help="Its fields, with commas between; as many as the PLC takes in one write by default.")
+@click.option("--layout", type=click.IntRange(0, 65535), help="Its layout version (1).")
+@click.option("--timer", type=float, help="The PLC's timer in seconds (5).")
+@HEARTBEAT
+@KEEP
+@DRY_RUN
+@link_options
+def bind(given: SharedOptions, **options: Any) -> None:
+    """Bind a place in the device to a tag's NAME, in the device file: shown as a diff, checked, a backup kept.
 
-    address: str
-    fields: Sequence[str] | None = None
-    version: int | None = None
-    timer: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """Everything that one `bind` or `import` changes."""
-
-    tags: Sequence[Binding] = ()
-    block: Block | None = None
-    heartbeat: str | None = None
-    device: Mapping[str, Any] = field(default_factory=dict)
-    plant: Mapping[str, Any] = field(default_factory=dict)
-
-
-def carry_out(files: Files, wanted: Wanted, template: Path, *, dry_run: bool) -> dict[str, Any]:
-    """Change the files; gives the diff and the backups. With `dry_run` nothing is written, and nothing is checked.
-
-    `template` is the shipped register map, whose block's fields are the pattern. Raises ConfigError or OSError.
+    ADDRESS is a PDU address (holding:100), a number as HMIs show it (40101), or the link's own (0x2001:1). With --guess
+    it is what the last guess found. Comments and order of the file stay. A file that is not there is made.
+    Without NAME only --block, --heartbeat and --keep are put in.
     """
 
-    def change(document: tomlkit.TOMLDocument) -> None:
-        set_device(document, wanted.device)
-        if wanted.heartbeat is not None:
-            set_device(document, {"heartbeat": wanted.heartbeat or None})
-        for tag in wanted.tags:
-            set_tag(document, tag.name, _keys(tag))
-        if wanted.block is not None:
-            _put_block(document, wanted.block, template)
+    def work(files: Files) -> CommandResult:
+        device, plant = settings_of(options["keep"])
+        tags = [_binding(given, files, options)] if options["name"] else []
+        block = None
+        if options["block"]:
+            names = options["fields"].replace(",", " ").split() if options["fields"] else None
+            block = BlockPlace(_address(files, options["block"]), names, options["layout"], options["timer"])
+        wanted = FileChange(tags, block, options["heartbeat"], device, plant)
+        return CommandResult(carry_out(files, wanted, template(), dry_run=options["dry_run"]))
 
-    device = device_edit(files, change)
-    plant = plant_edit(files, wanted.plant)
-    if wanted.plant and plant is None:
-        raise ConfigError([f"--keep {next(iter(wanted.plant))}: is a key of the plant file; give --config FILE"])
-    edits = [edit for edit in (device, plant) if edit is not None and edit.changed]
-    backups = [] if dry_run else save(device, plant)
-    return {
-        "files": [str(edit.path) for edit in edits],
-        "new": [str(edit.path) for edit in edits if edit.before is None],
-        "diff": "\n".join(edit.diff() for edit in edits),
-        "changes": [{"file": str(edit.path), "new": edit.before is None, "diff": edit.diff()} for edit in edits],
-        "backups": [str(path) for path in backups],
-        "written": bool(edits) and not dry_run,
-    }
+    if not any(options[key] for key in ("name", "block", "heartbeat", "keep")):
+        raise click.UsageError("what is to be bound? Give NAME and ADDRESS, or --block, --heartbeat or --keep")
+    edit_files(given, "bind", {key: value for key, value in options.items() if value not in (None, (), {})}, work)
 
 
-def _keys(tag: Binding) -> dict[str, Any]:
-    rest = {key: value for key, value in tag.keys.items() if key not in encoding({})}
-    own = encoding(tag.keys)
-    return {**(own if tag.place else {key: own[key] for key in own if key in tag.keys}), **rest}
+def _binding(given: SharedOptions, files: Files, options: Mapping[str, Any]) -> Binding:
+    """The tag of the command line; a new place wins over the old one in all its keys."""
+    keys = {key: options[key] for key in (*ENCODING, "low", "high", "sentinel", "max_rate") if options[key] is not None}
+    keys |= {"unit": options["units"]} if options["units"] is not None else {}
+    keys |= {"labels": options["labels"]} if options["labels"] else {}
+    if options["rank"] is not None:
+        keys = guessed(given.records, options["rank"]) | keys
+    if "address" in keys:
+        keys["address"] = _address(files, str(keys["address"]))
+    if keys.get("bit") is not None and "dtype" not in keys:
+        keys["dtype"] = "bool"
+    if not keys:
+        raise ValueError(f"where is {options['name']!r}? Give its ADDRESS, or --guess 1 for what the last guess found")
+    return Binding(options["name"], keys, place="address" in keys)
 
 
-def _put_block(document: tomlkit.TOMLDocument, block: Block, template: Path) -> None:
-    table: Any = document.get("writeback", {})
-    names = block.fields
-    if names is None and "fields" not in table:
-        names = fields_that_fit(_room(document))
-    version = block.version if block.version is not None else table.get("layout_version", _LAYOUT)
-    timer = block.timer if block.timer is not None else table.get("timeout_s", _TIMER_S)
-    set_block(document, {"address": block.address, "layout_version": version, "timeout_s": timer}, names, template)
-
-
-def _room(document: tomlkit.TOMLDocument) -> int:
-    """How many words the device takes in one write, by its settings."""
-    device: Any = document.get("device", {})
-    if device.get("driver") != "modbus":
-        return _MOST_WORDS
-    return int(device.get("max_write_registers", min(_MOST_WORDS, device.get("max_registers", _MOST_WORDS))))
-
-
-# ---------------------------------------------------------------- from a guess
+def _address(files: Files, text: str) -> str:
+    """A register as a PDU address, whichever way it is written; of any other device as it is. Raises ValueError."""
+    return str(parse_register(text)) if capabilities(files.driver).registers else text
 
 
 def guessed(records: Path, rank: int) -> dict[str, Any]:
@@ -119,39 +100,3 @@ def guessed(records: Path, rank: int) -> dict[str, Any]:
         raise ConfigError([f"--guess {rank}: the last guess has {len(candidates)} candidates; give 1 for the best"])
     one = candidates[rank - 1]
     return {key: one[key] for key in ENCODING if one.get(key) is not None}
-
-
-# ---------------------------------------------------------------- from a list
-
-
-def bindings(found: IoList) -> list[Binding]:
-    """The list's tags; what the list says nothing of stays as it is in the file."""
-    return [
-        Binding(tag.name, {key: value for key, value in tag.keys.items() if value is not None or key == "bit"}, True)
-        for tag in found.tags
-    ]
-
-
-def import_outcome(
-    found: IoList, files: Files, wanted: Wanted, template: Path, *, dry_run: bool, skip: bool
-) -> Outcome:
-    """Write the list's tags, unless a row of it is wrong and `skip` is false. Raises ConfigError or OSError."""
-    data: dict[str, Any] = {
-        "list": str(found.sheet.path),
-        "header_line": found.sheet.header_line,
-        "columns": dict(found.sheet.columns),
-        "ignored_columns": list(found.sheet.ignored),
-        "tags": [{"name": tag.name, "line": tag.line, **_said(tag.keys)} for tag in found.tags],
-        "problems": list(found.problems),
-    }
-    if found.problems and not skip:
-        count = len(found.problems)
-        said = f"{count} rows cannot be used, nothing was written: correct them, or give --skip-bad"
-        return Outcome({**data, "diff": "", "written": False, "files": [], "backups": []}, 1, said)
-    done = carry_out(files, wanted, template, dry_run=dry_run)
-    left = [f"import: a row was left out: {problem}" for problem in found.problems]
-    return Outcome({**data, **done, "open_points": left})
-
-
-def _said(keys: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in keys.items() if value is not None}

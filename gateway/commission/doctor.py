@@ -1,4 +1,4 @@
-"""Is this machine fit for the plant: clock, network, serial ports, CAN, disk, files. Nothing is sent to any device."""
+"""`decanter plc doctor`: is this machine fit for the plant? Nothing is sent to any device."""
 
 import asyncio
 import ctypes
@@ -8,14 +8,20 @@ import time
 from pathlib import Path
 from typing import Any
 
+import click
+from serial.tools.list_ports import comports
+
 from drivers.driver import Cautions
 from drivers.errors import LinkDown
-from gateway.commission.outcome import Outcome, Site
-from gateway.commission.records import RecordsError, broken_at, versions
-from gateway.commission.steps import Step, failed, ok, verdict, warning
+from gateway.commission.session.gateway_line import running_gateway
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.records import RecordsError, broken_at, check_writable, versions
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
+from gateway.commission.session.target import Target, make_target
 from gateway.commission.survey.network import addresses_of, local_end
-from gateway.commission.target import Target
-from gateway.commission.through import running_gateway
+from gateway.console.exits import sentences
 
 LEAST_FREE_MB = 500
 OLDEST = 1_735_689_600.0
@@ -25,7 +31,7 @@ _STA_UNSYNC = 0x40
 _NET = Path("/sys/class/net")
 
 
-async def doctor(site: Site, records: Path) -> Outcome:
+async def examine_machine(site: Site, records: Path) -> CommandResult:
     """All checks of this machine, and of what the command's options name."""
     target, found = site.target, versions()
     steps = [ok("software", ", ".join(f"{name} {number}" for name, number in found.items()))]
@@ -35,7 +41,7 @@ async def doctor(site: Site, records: Path) -> Outcome:
         steps.append(await _host(str(target.settings["host"])))
     steps += _files(target)
     code, complaint = verdict(steps)
-    return Outcome({"steps": [step.plain() for step in steps], "versions": found}, code, complaint)
+    return CommandResult({"steps": [step.plain() for step in steps], "versions": found}, code, complaint)
 
 
 class _Timex(ctypes.Structure):
@@ -64,26 +70,26 @@ def clock_error() -> float | None:
     return float(state.maxerror) * 1e-6
 
 
-def _clock() -> Step:
+def _clock() -> CheckStep:
     now = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime())
     if time.time() < OLDEST:
         return failed("clock", f"it is {now} by this machine's clock, which was never set: set it before anything else")
     error = clock_error()
     if error is None:
-        said = f"{now}, and no time server steers this clock: compare it with the HMI's, and set up NTP"
-        return warning("clock", said)
+        sentence = f"{now}, and no time server steers this clock: compare it with the HMI's, and set up NTP"
+        return warning("clock", sentence)
     return ok("clock", f"{now}, steered by a time server, wrong by {1e3 * error:.0f} ms at most")
 
 
-def _network() -> Step:
+def _network() -> CheckStep:
     links = [path for path in sorted(_NET.glob("*")) if path.name != "lo" and _word(path / "type") != _ARPHRD_CAN]
     up = [path.name for path in links if _word(path / "operstate") == "up"]
     down = [path.name for path in links if path.name not in up]
-    said = f"up: {', '.join(up) or 'none'}" + (f"; not up: {', '.join(down)}" if down else "")
-    return ok("network", said) if up else warning("network", f"no network interface is up ({said})")
+    sentence = f"up: {', '.join(up) or 'none'}" + (f"; not up: {', '.join(down)}" if down else "")
+    return ok("network", sentence) if up else warning("network", f"no network interface is up ({sentence})")
 
 
-async def _host(host: str) -> Step:
+async def _host(host: str) -> CheckStep:
     """The way to the device, without asking it anything."""
     try:
         address = (await addresses_of(host))[0]
@@ -93,14 +99,18 @@ async def _host(host: str) -> Step:
         return failed("way", sentence, LinkDown(sentence))
 
 
-def _disk(folder: Path) -> Step:
+def _disk(folder: Path) -> CheckStep:
     place = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     free = shutil.disk_usage(place).free / 1e6
-    said = f"{free:,.0f} MB free at {place}"
-    return ok("disk", said) if free >= LEAST_FREE_MB else failed("disk", f"only {said}: records and history need room")
+    sentence = f"{free:,.0f} MB free at {place}"
+    return (
+        ok("disk", sentence)
+        if free >= LEAST_FREE_MB
+        else failed("disk", f"only {sentence}: records and history need room")
+    )
 
 
-def _records(path: Path) -> Step:
+def _records(path: Path) -> CheckStep:
     if not path.is_file() or not path.stat().st_size:
         return ok("records", f"{path}: begins with this command")
     try:
@@ -112,7 +122,7 @@ def _records(path: Path) -> Step:
     return ok("records", f"{path}: unbroken")
 
 
-def _can(target: Target) -> Step:
+def _can(target: Target) -> CheckStep:
     found = [path.name for path in sorted(_NET.glob("*")) if _word(path / "type") == _ARPHRD_CAN]
     up = [name for name in found if _word(_NET / name / "operstate") in ("up", "unknown")]
     wanted = str(target.settings.get("channel", ""))
@@ -125,9 +135,7 @@ def _can(target: Target) -> Step:
     return ok("can", f"{wanted} is up")
 
 
-def _serial_ports(target: Target) -> list[Step]:
-    from serial.tools.list_ports import comports
-
+def _serial_ports(target: Target) -> list[CheckStep]:
     found = sorted(port.device for port in comports())
     wanted = str(target.settings.get("serial", ""))
     if not wanted:
@@ -139,20 +147,24 @@ def _serial_ports(target: Target) -> list[Step]:
     return [ok("serial", f"{wanted} is there and may be opened")]
 
 
-def _files(target: Target) -> list[Step]:
+def _files(target: Target) -> list[CheckStep]:
     """The plant file or device file (which could be read, or this would not run), certificates, a running gateway."""
-    steps: list[Step] = []
+    steps: list[CheckStep] = []
     if target.map is not None:
         names = ", ".join(map(str, target.files))
         steps.append(ok("files", f"{names}: {len(target.tags)} tags of driver {target.driver}"))
-    if target.driver == "modbus":
+    if target.driver and target.capabilities.certificates:
         driver: Any = target.make_driver()
-        steps += [warning("certificates", said) for said in driver.cautions()] if isinstance(driver, Cautions) else []
+        steps += (
+            [warning("certificates", sentence) for sentence in driver.cautions()]
+            if isinstance(driver, Cautions)
+            else []
+        )
     line = running_gateway(target)
     if line is not None:
         try:
-            said = f"one runs with this plant file (pid {line.ask('status')['pid']}): read and watch go through it"
-            steps.append(ok("gateway", said))
+            sentence = f"one runs with this plant file (pid {line.ask('status')['pid']}): read and watch go through it"
+            steps.append(ok("gateway", sentence))
         finally:
             line.close()
     return steps
@@ -163,3 +175,18 @@ def _word(path: Path) -> str:
         return path.read_text(encoding="ascii", errors="replace").strip()
     except OSError:
         return ""
+
+
+@click.command(short_help="Look at this machine before the plant: clock, network, ports, files.")
+@link_options
+def doctor(given: SharedOptions) -> None:
+    """Look at this machine before the plant: clock, network, serial ports, CAN, disk, files.
+
+    With --config, --device or --host what they name is looked at too. Nothing is sent to any device.
+    """
+    with sentences():
+        anything = given.plant or given.device or given.link or given.settings
+        target = make_target(given.plant, given.device, given.link, given.settings) if anything else None
+        check_writable(given.records)
+    place = target or Target("this machine", "", {})
+    perform(given, "doctor", {}, lambda site: examine_machine(site, given.records), show_steps, target=place)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.tag import DType, Tag, Value
-from gateway.commission.files.cells import ListError, Sheet, key_of, read_sheet
+from gateway.commission.encodings.reading import ReadingError, parse_shown
+from gateway.commission.files.cells import ListError, ListSheet, key_of, read_sheet
 from gateway.commission.files.io_words import COLUMNS, flag_of
-from gateway.commission.guess.reading import ReadingError, parse_shown
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "name": COLUMNS["name"],
@@ -38,7 +38,7 @@ _FLOAT_STEP = {DType.FLOAT32: 2.0**-23, DType.FLOAT64: 2.0**-52}
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class HmiReading:
     """What the HMI showed for a tag: as text, at a time (s UTC) or now; `where` is its place in the list."""
 
     tag: str
@@ -47,7 +47,7 @@ class Shown:
     where: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
     """One comparison. `tolerance` is by how much the two may differ; `definition` says which place the tag had."""
 
@@ -75,7 +75,7 @@ def definition_of(tag: Tag) -> str:
 # ---------------------------------------------------------------- lists
 
 
-def read_hmi_list(path: Path, tags: Sequence[Tag], now: float) -> list[Shown]:
+def read_hmi_list(path: Path, tags: Sequence[Tag], now: float) -> list[HmiReading]:
     """The readings in a list: one row a reading (tag, value, time if any), or one column a tag.
 
     Times without a date are of the day of `now`, in this machine's time zone. Raises ListError.
@@ -98,11 +98,11 @@ def read_hmi_list(path: Path, tags: Sequence[Tag], now: float) -> list[Shown]:
             )
         if text:
             when = _time(sheet.where(line, "time"), line.get("time"), now)
-            found.append(Shown(known[key_of(name)], text, when, sheet.where(line, "value")))
+            found.append(HmiReading(known[key_of(name)], text, when, sheet.where(line, "value")))
     return found
 
 
-def _wide(path: Path, columns: Mapping[str, tuple[str, ...]]) -> Sheet | None:
+def _wide(path: Path, columns: Mapping[str, tuple[str, ...]]) -> ListSheet | None:
     """The list with a column a tag: the tags that it has columns of; None where it has none."""
     for name in columns:
         try:
@@ -112,12 +112,12 @@ def _wide(path: Path, columns: Mapping[str, tuple[str, ...]]) -> Sheet | None:
     return None
 
 
-def _shown_wide(sheet: Sheet, now: float) -> list[Shown]:
+def _shown_wide(sheet: ListSheet, now: float) -> list[HmiReading]:
     found = []
     for line in sheet.lines:
         when = _time(sheet.where(line, "time"), line.get("time"), now)
         names = [name for name in sheet.columns if name != "time" and line.get(name)]
-        found += [Shown(name, line.get(name), when, sheet.where(line, name)) for name in names]
+        found += [HmiReading(name, line.get(name), when, sheet.where(line, name)) for name in names]
     return found
 
 
@@ -151,7 +151,7 @@ def _time(where: str, text: str, now: float) -> float | None:
 # ---------------------------------------------------------------- comparing
 
 
-def compare(tag: Tag, shown: Shown, values: Sequence[Value], now: float, slack: float = 0.0) -> Point:
+def compare(tag: Tag, shown: HmiReading, values: Sequence[Value], now: float, slack: float = 0.0) -> Point:
     """Whether the HMI's reading agrees with one of the PLC's, or lies between them while the value moves.
 
     A number may be off by one step of its last digit (an HMI rounds, or cuts), half a step of the raw value, and
@@ -159,10 +159,19 @@ def compare(tag: Tag, shown: Shown, values: Sequence[Value], now: float, slack: 
     """
     wanted, tolerance = _meaning(tag, shown, slack)
     ok, read, reason = _agreement(wanted, values, tolerance, tag)
-    return Point(tag.name, shown.text, read, ok, reason, tolerance, definition_of(tag), now)
+    return Point(
+        tag=tag.name,
+        shown=shown.text,
+        read=read,
+        ok=ok,
+        reason=reason,
+        tolerance=tolerance,
+        definition=definition_of(tag),
+        time=now,
+    )
 
 
-def _meaning(tag: Tag, shown: Shown, slack: float) -> tuple[Value, float]:
+def _meaning(tag: Tag, shown: HmiReading, slack: float) -> tuple[Value, float]:
     """What the text says, and the tolerance."""
     key = key_of(shown.text)
     if tag.dtype is DType.STRING:
@@ -176,13 +185,13 @@ def _meaning(tag: Tag, shown: Shown, slack: float) -> tuple[Value, float]:
             raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no state; give 1 or 0, on or off")
         return flag, 0.0
     try:
-        said = parse_shown(shown.text)
+        reading = parse_shown(shown.text)
     except ReadingError as error:
         raise ListError(f"{shown.where or tag.name}: {error}") from None
-    if isinstance(said, bool):
+    if isinstance(reading, bool):
         raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no number; give it as the HMI shows it")
-    raw = abs(said.value) * _FLOAT_STEP[tag.dtype] if tag.dtype in _FLOAT_STEP else abs(tag.scale) / 2
-    return said.value, said.step * 1.000001 + raw + slack
+    raw = abs(reading.value) * _FLOAT_STEP[tag.dtype] if tag.dtype in _FLOAT_STEP else abs(tag.scale) / 2
+    return reading.value, reading.step * 1.000001 + raw + slack
 
 
 def _agreement(wanted: Value, values: Sequence[Value], tolerance: float, tag: Tag) -> tuple[bool, Value | None, str]:

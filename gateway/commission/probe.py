@@ -1,16 +1,23 @@
-"""Is the device there, does it speak, and who is it? Each step has its sentence; the first failure ends it."""
+"""`decanter plc probe`: is the device there, does it speak, and who is it? The first step that fails ends it."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
 from statistics import median
 from typing import Any
 
-from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+import click
+
+from drivers.driver import LINKS
+from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, open_registers
-from gateway.commission.outcome import Outcome, Site
-from gateway.commission.steps import Step, failed, ok, verdict, warning
-from gateway.commission.survey.addresses import Register, parse_register
+from gateway.commission.session.gateway_line import mention_gateway
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
+from gateway.commission.session.target import CONNECT_S, Target
+from gateway.commission.survey.addresses import Register
 from gateway.commission.survey.bus_probe import probe_bus
 from gateway.commission.survey.network import (
     addresses_of,
@@ -20,8 +27,7 @@ from gateway.commission.survey.network import (
     looks_like,
     not_modbus,
 )
-from gateway.commission.target import CONNECT_S, Target
-from gateway.commission.through import mention_gateway
+from gateway.commission.survey.registers import first_register
 
 ROUND_TRIPS = 10
 OTHER_UNITS = (1, 255, 0, 2, 247)
@@ -31,20 +37,23 @@ _ILLEGAL_FUNCTION = 1
 _TABLES = ("coil", "discrete", "input", "holding")
 
 
-async def probe(site: Site) -> Outcome:
+async def probe_device(site: Site) -> CommandResult:
     """Every step to the device, who it is, and which tables it offers. Sends reads only."""
-    steps: list[Step] = []
+    steps: list[CheckStep] = []
     facts: dict[str, Any] = {}
     mention_gateway(site)
-    if site.target.driver == "modbus":
+    own = site.target.capabilities
+    if own.registers:
         await _probe_modbus(site, steps, facts)
-    else:
+    elif own.bus:
         await probe_bus(site, steps, facts)
+    else:
+        await _probe_driver(site, steps)
     code, complaint = verdict(steps)
-    return Outcome({"steps": [step.plain() for step in steps], **facts}, code, complaint)
+    return CommandResult({"steps": [step.plain() for step in steps], **facts}, code, complaint)
 
 
-async def _probe_modbus(site: Site, steps: list[Step], facts: dict[str, Any]) -> None:
+async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -> None:
     settings = site.target.settings
     if "host" in settings and not await _way(str(settings["host"]), steps, facts):
         return
@@ -53,7 +62,8 @@ async def _probe_modbus(site: Site, steps: list[Step], facts: dict[str, Any]) ->
         target = target.with_settings(connect_timeout=CONNECT_S)
     async with AsyncExitStack() as stack:
         try:
-            survey = await stack.enter_async_context(open_registers(target.settings, clock=time.time))
+            opening = open_registers(target.driver, target.settings, clock=time.time)
+            survey = await stack.enter_async_context(opening)
         except LinkDown as error:
             steps.append(failed("connection", _no_connection(target, error), error))
             return
@@ -66,7 +76,17 @@ async def _probe_modbus(site: Site, steps: list[Step], facts: dict[str, Any]) ->
             site.count(survey.statistics())
 
 
-async def _way(host: str, steps: list[Step], facts: dict[str, Any]) -> bool:
+async def _probe_driver(site: Site, steps: list[CheckStep]) -> None:
+    """A device that cannot be asked by hand: whether its driver finds it."""
+    try:
+        async with site.target.opened() as driver:
+            steps.append(ok("connection", f"the driver {site.target.driver!r} has its device"))
+            site.count(driver.statistics())
+    except DriverError as error:
+        steps.append(failed("connection", str(error), error))
+
+
+async def _way(host: str, steps: list[CheckStep], facts: dict[str, Any]) -> bool:
     """Name and route; False ends the probe."""
     try:
         facts["addresses"] = await addresses_of(host)
@@ -100,7 +120,7 @@ def port_of(settings: Mapping[str, Any]) -> int:
 # ---------------------------------------------------------------- does it speak Modbus
 
 
-async def _speaks(site: Site, survey: AsksRegisters, steps: list[Step]) -> Register | None:
+async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> Register | None:
     """Whether the unit answers; the register that was asked."""
     register = first_register(site.target)
     unit = int(site.target.settings.get("unit", 1))
@@ -109,10 +129,12 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[Step]) -> Regis
         words = await survey.read(register.table, register.number, 1)
     except DeviceException as error:
         if error.code in _BEHIND_GATEWAY:
-            said = f"a gateway answers for unit {unit} that it cannot reach it (exception {error.code})"
-            steps.append(failed("modbus", await _with_others(survey, unit, said), error))
+            text = f"a gateway answers for unit {unit} that it cannot reach it (exception {error.code})"
+            text += _hint(await _other_units(survey, unit))
+            steps.append(failed("modbus", text, error))
             return None
-        steps.append(ok("modbus", f"unit {unit} answers in {_ms(begun)}, with a refusal: {error}"))
+        took = 1e3 * (time.monotonic() - begun)
+        steps.append(ok("modbus", f"unit {unit} answers in {took:.1f} ms, with a refusal: {error}"))
     except ReplyTimeout as error:
         sentence, kind = await _silent(site, survey, unit, error)
         steps.append(failed("modbus", sentence, kind))
@@ -131,7 +153,7 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[Step]) -> Regis
 def _strange(site: Site, error: LinkDown) -> str:
     """The peer was there and broke off: another protocol, or busy."""
     received = site.evidence.greeting
-    if received and ("not Modbus TCP" in str(error) or looks_like(received)):
+    if received and (error.fault is LinkFault.FOREIGN or looks_like(received)):
         return not_modbus(port_of(site.target.settings), received)
     return str(error)
 
@@ -141,23 +163,24 @@ async def _silent(
 ) -> tuple[str, ReplyTimeout | LinkDown]:
     """Connected and no reply: another unit, another protocol, or nothing at all. The sentence, and its kind."""
     settings = site.target.settings
-    said = await _with_others(survey, unit, f"unit {unit} does not answer")
-    if "give --unit" in said or site.target.kind not in ("modbus", "modbus-rtu-tcp"):
-        return said, error
+    others = await _other_units(survey, unit)
+    text = f"unit {unit} does not answer{_hint(others)}"
+    other = LINKS[site.target.kind].mistaken_for if site.target.kind in LINKS else ""
+    if others or not other:
+        return text, error
     received = site.evidence.greeting or await greeting_of(str(settings["host"]), port_of(settings))
     if looks_like(received):
         sentence = not_modbus(port_of(settings), received)
         return sentence, LinkDown(sentence)
-    other = "modbus-rtu-tcp" if site.target.kind == "modbus" else "modbus"
     sentence = (
-        f"{said}: the port takes connections and answers no request; is it a Modbus port, is the device busy with "
+        f"{text}: the port takes connections and answers no request; is it a Modbus port, is the device busy with "
         f"another client, or does it want other frames (--link {other})? `decanter plc scan units` tries all units"
     )
     return sentence, error
 
 
-async def _with_others(survey: AsksRegisters, unit: int, said: str) -> str:
-    """The sentence with the units that do answer, where some do."""
+async def _other_units(survey: AsksRegisters, unit: int) -> list[int]:
+    """The units that do answer, of those that devices have where nothing was set."""
     found = []
     for other in OTHER_UNITS:
         if other == unit:
@@ -172,15 +195,18 @@ async def _with_others(survey: AsksRegisters, unit: int, said: str) -> str:
             break
         else:
             found.append(other)
-    if not found:
-        return said
-    return f"{said}, and unit {' and '.join(map(str, found))} does: give --unit {found[0]}"
+    return found
+
+
+def _hint(others: Sequence[int]) -> str:
+    """What goes on the sentence of a silent unit; "" where no other one answers."""
+    return f", and unit {' and '.join(map(str, others))} does: give --unit {others[0]}" if others else ""
 
 
 # ---------------------------------------------------------------- who is it
 
 
-async def _facts(survey: AsksRegisters, register: Register, steps: list[Step], facts: dict[str, Any]) -> None:
+async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckStep], facts: dict[str, Any]) -> None:
     try:
         facts["identity"] = dict(await survey.identity())
         steps.append(ok("identity", ", ".join(f"{name} {text}" for name, text in facts["identity"].items()) or "empty"))
@@ -195,8 +221,8 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[Step], f
             await survey.read(register.table, register.number, 1)
         times.append(1e3 * (time.monotonic() - begun))
     facts["round_trip_ms"] = {"min": min(times), "median": median(times), "max": max(times)}
-    said = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
-    steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {said}"))
+    sentence = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
+    steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {sentence}"))
 
 
 async def _tables(survey: AsksRegisters) -> dict[str, str]:
@@ -214,10 +240,12 @@ async def _tables(survey: AsksRegisters) -> dict[str, str]:
     return found
 
 
-def first_register(target: Target) -> Register:
-    """The address of the first tag, or holding:0 without a map."""
-    return parse_register(target.tags[0].address) if target.tags else Register("holding", 0)
+@click.command()
+@link_options
+def probe(given: SharedOptions) -> None:
+    """Is the device there, does it speak, and who is it?
 
-
-def _ms(begun: float) -> str:
-    return f"{1e3 * (time.monotonic() - begun):.1f} ms"
+    Name, route, connection, first reply, identity, tables and round trip; for CAN the bus, its traffic and the node.
+    Each step that fails has its own sentence. Nothing but reads is sent.
+    """
+    perform(given, "probe", {}, probe_device, show_steps)

@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from gateway.console.exits import Exit, fail
+
 Table = Mapping[str, tuple[str, str]]
 """Command name -> ("module:attribute", its line in the help text)."""
 
@@ -37,8 +39,6 @@ class LazyGroup(click.Group):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            from gateway.console.output import Exit, fail
-
             if ctx.find_root().params.get("traceback"):
                 raise
             fail("stopped before the end", Exit.INTERRUPTED)

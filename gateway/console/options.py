@@ -1,7 +1,6 @@
 """Options that several commands share."""
 
 from math import isfinite
-from pathlib import Path
 
 import click
 
@@ -21,21 +20,3 @@ def finite(_: click.Context, __: click.Parameter, number: float | None) -> float
     if number is not None and not isfinite(number):
         raise click.BadParameter(f"{number} is no finite number")
     return number
-
-
-def _drawable(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
-    """Refuse what cannot be drawn before anything is computed."""
-    if path is not None:
-        from sim.validation.plots import ENDINGS
-
-        if path.suffix.lower() not in ENDINGS:
-            raise click.BadParameter(f"{str(path)!r} is no picture; give a name that ends in {', '.join(ENDINGS)}")
-    return path
-
-
-picture_option = click.option(
-    "--picture",
-    type=click.Path(path_type=Path, dir_okay=False),
-    callback=_drawable,
-    help="Also draw the first trace to this file.",
-)

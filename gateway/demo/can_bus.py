@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from gateway.demo.processes import DemoError, stop
+from gateway.demo.child import DemoError, stop
 
 LONGEST_PATH = 100
 """Bytes that the path of a Unix socket may have (Linux: 107)."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 MARKER = ".decanter-demo"
 WRITTEN = (
-    "device.toml", "plant.toml", "replay.csv", "plc.jsonl", "plc.log", "gateway.out", "gateway.plant.log.jsonl",
+    "device.toml", "plant.toml", "replay.csv", "plc.jsonl", "plc.log", "gateway.out", "gateway.log.jsonl",
     "can_hub.log", "status.json", "samples.jsonl", "demo.png", "historian.sqlite", "historian.sqlite-wal",
     "historian.sqlite-shm", "historian.sqlite.lock", "certificates/ca.pem", "certificates/ca.key",
     "certificates/server.pem", "certificates/server.key", "certificates/client.pem", "certificates/client.key",

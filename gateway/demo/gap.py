@@ -1,13 +1,26 @@
-"""The demonstration of the gap workflow: a plant that changes unseen, the model learned before, the diagnosis after."""
+"""`decanter demo --discrepancy`: a plant that changes unseen; the hidden effect found, named, added to the model."""
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import click
+
+from gateway.console.exits import Exit, fail, sentences
+from gateway.console.output import emit, make_folder, progress
+from gateway.console.places import shipped
+from gateway.demo.folder import held
+from gateway.lab.diagnose import DiagnosisRequest, roles_of, run
+from gateway.lab.learn import learn_from, write
+from sim.discrepancy.output.document import document
+from sim.discrepancy.output.folder import check_folder
 from sim.plant.cooled import CooledPlant, cooled_days
 from sim.sha.events import Alphabet, encode
 from sim.sha.trace import Trace
+from sim.traces.column_map import load_map
+from sim.traces.trace_file import write_trace
 
 HIDDEN = "pump-cooling"
 COOLING = 7e-5
@@ -55,22 +68,66 @@ def figures(document: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     }
 
 
-def sentences(data: Mapping[str, Any]) -> list[str]:
+def summary_of(data: Mapping[str, Any]) -> list[str]:
     """What the figures say."""
     held = data["held_out"]
-    said = [f"hidden in the plant: {data['hidden']}; the model was learned before it", f"found: {data['sentence']}"]
+    lines = [f"hidden in the plant: {data['hidden']}; the model was learned before it", f"found: {data['sentence']}"]
     if data["localisation"]:
         place = data["localisation"][0]
-        said.append(f"where most of the heat was: {place['location']}, {place['share']:.0%}, {place['cycles']} cycles")
+        lines.append(f"where most of the heat was: {place['location']}, {place['share']:.0%}, {place['cycles']} cycles")
     if held and data["named"]:
         low, high = held["ci95"]
-        said.append(
+        lines.append(
             f"the gap shrinks on {held['cycles']} cycles that were never fitted: free-run error "
             f"{held['rmse_before']:.3f} -> {held['rmse_after']:.3f} °C, noise floor {held['noise_floor']:.3f} °C, "
             f"{held['excess_removed']:.0%} of the excess removed ({low:.0%} to {high:.0%})"
         )
     if data["right"]:
-        said.append("the hidden effect was found, and nothing else was named")
+        lines.append("the hidden effect was found, and nothing else was named")
     else:
-        said.append("THE WRONG EFFECT WAS NAMED" if data["wrong"] else "the hidden effect was not clearly named")
-    return said
+        lines.append("THE WRONG EFFECT WAS NAMED" if data["wrong"] else "the hidden effect was not clearly named")
+    return lines
+
+
+MOST = 3
+"""Effects that may be named."""
+
+
+def demonstrate(seed: int, out: Path, *, as_json: bool) -> None:
+    """Run it in `out` and say what came out; leaves with code 1 when a wrong effect was named."""
+    with sentences(), held(out):
+        data = perform(seed, out)
+    emit(data, lambda: show(data), as_json_line=as_json)
+    if data["wrong"]:
+        fail("an effect was named that is not the hidden one", Exit.CHECK_FAILED)
+
+
+def perform(seed: int, out: Path) -> dict[str, Any]:
+    """Learn the model before the change and diagnose it after; the figures. Raises ValueError or OSError."""
+    column_map, folder, before = load_map(shipped("traces", "decanter")), out / "diagnosis", out / "model_before"
+    check_folder(folder, before)
+    plant = days(seed, column_map.alphabet)
+    for name, traces in (("before", plant.before), ("after", plant.after)):
+        make_folder(out / name)
+        for trace in traces:
+            write_trace(trace, out / name / f"{trace.name}.csv")
+    with progress("learning before the change") as report:
+        learned = learn_from(plant.before, column_map, name="bearing", seed=seed, report=report)
+    write(before, learned)
+    request = DiagnosisRequest(
+        where=str(before), out=folder, source=str(out / "after"), seed=seed, most=MOST, created=time.time()
+    )
+    with progress("diagnosing after it") as report:
+        result = run(request, learned.model, plant.after, roles_of(column_map), report)
+    return figures(document(result.diagnosis), folder)
+
+
+def show(data: dict[str, Any]) -> None:
+    """Print the summary."""
+    click.echo("decanter demo: a hidden effect (SYNTHETIC data, not measured on a plant)")
+    for sentence in summary_of(data):
+        click.echo(f"  {sentence}")
+    if data["model_after"]:
+        click.echo(f"new model: {data['model_after']}")
+    click.echo(f"picture: {data['picture']}")
+    click.echo(f"report: {data['report']}")

@@ -6,6 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gateway.certificates import make_all
+from gateway.console.places import config_dir
+from gateway.demo.can_bus import can_hub, hub_path
+
 Ready = Mapping[str, Any]
 """The ready line of the software PLC; what a face says of itself stands under `faces` and the face's name."""
 
@@ -31,8 +35,6 @@ class DemoLink:
 
 def certificates(folder: Path) -> Path:
     """The demonstration's certificates, made on the spot: they are good for this machine and a few days."""
-    from gateway.certificates import make_all
-
     return make_all(folder / "certificates", hosts=("localhost", "127.0.0.1"), days=7)
 
 
@@ -64,9 +66,6 @@ def _rtu_tcp(_: Path, ready: Ready) -> dict[str, Any]:
 
 def _can(folder: Path, face: str) -> Sequence[object]:
     """Raw CAN frames, or a CANopen node, over a hub between the two processes."""
-    from gateway.console.places import config_dir
-    from gateway.demo.can_bus import hub_path
-
     device = config_dir() / "devices" / f"decanter_{face}.toml"
     return f"--{face}", device, "--can-interface", "hub", "--can-channel", hub_path(folder)
 
@@ -87,10 +86,10 @@ def _canopen_settings(_: Path, ready: Ready) -> dict[str, Any]:
 
 
 def _hub(folder: Path) -> AbstractContextManager[object]:
-    from gateway.demo.can_bus import can_hub
-
     return can_hub(folder)
 
+
+DEFAULT_LINK = "modbus"
 
 LINKS: dict[str, DemoLink] = {
     "modbus": DemoLink(lambda folder: (), _tcp),

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,17 @@ from rich.table import Table
 from rich.text import Text
 
 ZONE_COLOURS = {"green": "green", "yellow": "yellow", "red": "red"}
+
+
+class DemoPhase(Enum):
+    """Where a demonstration is; the value is what people read."""
+
+    RUNNING = "running"
+    OUTAGE = "OUTAGE: the PLC refuses its connections"
+    RECOVERING = "recovering"
+    ENDED = "end of the trace"
+
+
 ALARM_STATES = ("unacknowledged", "acknowledged")
 
 
@@ -27,15 +39,15 @@ def _number(value: object, digits: int = 2, unit: str = "") -> str:
     return f"{value:.{digits}f}{unit}" if isinstance(value, int | float) else "–"
 
 
-def live_table(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: str, phase: str) -> RenderableType:
+def live_table(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: str, phase: DemoPhase) -> RenderableType:
     """Measured, predicted with band, location, events, alarms, and what the PLC has received; 80 columns suffice."""
     grid = Table(box=SIMPLE, show_header=False, pad_edge=False)
     grid.add_column(style="bold", no_wrap=True)
     grid.add_column(overflow="fold")
     for name, text in _rows(status, plc, temperature):
         grid.add_row(name, text if isinstance(text, Text) else Text(text))  # no markup: names come from files
-    style = "bold red" if phase.startswith("OUTAGE") else "bold"
-    return Group(Text(f"decanter demo, {temperature}: {phase}", style=style), grid)
+    style = "bold red" if phase is DemoPhase.OUTAGE else "bold"
+    return Group(Text(f"decanter demo, {temperature}: {phase.value}", style=style), grid)
 
 
 def _rows(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: str) -> list[tuple[str, Text | str]]:

@@ -10,10 +10,11 @@ from typing import Any
 from rich.console import Console, RenderableType
 from rich.live import Live
 
+from gateway.demo.child import DemoError, last_words
 from gateway.demo.links import LINKS
-from gateway.demo.live import live_table, read_status
-from gateway.demo.prepare import Setting, write_plant
-from gateway.demo.processes import READY_S, DemoError, Plc, gateway, last_words, software_plc
+from gateway.demo.live import DemoPhase, live_table, read_status
+from gateway.demo.prepare import DemoRun, write_plant
+from gateway.demo.processes import READY_S, PlcProcess, gateway, software_plc
 
 OUTAGE_AT = 0.45
 """Where in the replay the PLC refuses its connections, as a share of its duration."""
@@ -21,7 +22,7 @@ OUTAGE_S = 2.0
 REFRESH_S = 0.25
 
 
-def play(setting: Setting, console: Console, *, quiet: bool) -> tuple[Path, Path]:
+def play(setting: DemoRun, console: Console, *, quiet: bool) -> tuple[Path, Path]:
     """Run it; returns the PLC's recording and the gateway's historian. Raises DemoError.
 
     The folder has no recording and no historian of an earlier run.
@@ -44,7 +45,7 @@ def play(setting: Setting, console: Console, *, quiet: bool) -> tuple[Path, Path
     return recording, historian
 
 
-def _wait_for_readings(status: Path, process: "subprocess.Popen[bytes]", folder: Path) -> None:
+def _wait_for_readings(status: Path, process: subprocess.Popen[bytes], folder: Path) -> None:
     deadline = time.monotonic() + READY_S
     while time.monotonic() < deadline:
         seen = read_status(status)
@@ -56,15 +57,17 @@ def _wait_for_readings(status: Path, process: "subprocess.Popen[bytes]", folder:
     raise DemoError(f"the gateway did not get a good reading: {last_words(folder / 'gateway.out')}")
 
 
-def _phase(account: Mapping[str, Any], status: Mapping[str, Any]) -> str:
+def _phase(account: Mapping[str, Any], status: Mapping[str, Any]) -> DemoPhase:
+    if account["ended"]:
+        return DemoPhase.ENDED
     if any(fault["in_force"] for fault in account["faults"]):
-        return "OUTAGE: the PLC refuses its connections"
-    return "running" if status["link"]["alive"] else "recovering"
+        return DemoPhase.OUTAGE
+    return DemoPhase.RUNNING if status["link"]["alive"] else DemoPhase.RECOVERING
 
 
 def _states(
-    setting: Setting, plc: Plc, process: "subprocess.Popen[bytes]", status: Path
-) -> Iterator[tuple[str, RenderableType]]:
+    setting: DemoRun, plc: PlcProcess, process: subprocess.Popen[bytes], status: Path
+) -> Iterator[tuple[DemoPhase, RenderableType]]:
     """(phase, table) four times a second, the last at the end of the trace. Raises DemoError."""
     ended = False
     while not ended:
@@ -74,20 +77,20 @@ def _states(
         account, seen = plc.command("status"), read_status(status)
         ended = bool(account["ended"])
         if seen is not None and seen["prediction"]:
-            phase = "end of the trace" if ended else _phase(account, seen)
+            phase = _phase(account, seen)
             yield phase, live_table(seen, account, setting.model.temperature, phase)
         time.sleep(0.0 if ended else REFRESH_S)
 
 
-def _watch_live(states: Iterator[tuple[str, RenderableType]], console: Console) -> None:
+def _watch_live(states: Iterator[tuple[DemoPhase, RenderableType]], console: Console) -> None:
     with Live(console=console, refresh_per_second=8) as screen:
         for _, table in states:
             screen.update(table)
 
 
-def _watch_plainly(states: Iterator[tuple[str, RenderableType]], console: Console) -> None:
+def _watch_plainly(states: Iterator[tuple[DemoPhase, RenderableType]], console: Console) -> None:
     """Off a terminal: the table once for each phase."""
-    shown = ""
+    shown: DemoPhase | None = None
     for phase, table in states:
         if phase != shown:
             console.print(table)

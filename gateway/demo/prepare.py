@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
 from sim.sha.trace import Trace
@@ -32,8 +32,8 @@ PLANT_LIMIT = 80.0
 Report = Callable[[str, float], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DemoRun:
     """All files of one demonstration in `folder`, and the figures that its processes need.
 
     `device` is the register map; `addresses` is the link's own device file where that is another one. `limit` (degC) is
@@ -167,7 +167,7 @@ def _toml(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def write_plant(setting: Setting, settings: Mapping[str, object]) -> Path:
+def write_plant(setting: DemoRun, settings: Mapping[str, object]) -> Path:
     """The gateway's configuration: armed on this machine, everything in one folder, over the link of `settings`."""
     rows = "\n".join(f"{key} = {_value(value)}" for key, value in settings.items())
     setting.plant.write_text(
@@ -200,7 +200,7 @@ limit = {setting.limit:g}
 path = "historian.sqlite"
 
 [log]
-path = "gateway.plant.log.jsonl"
+path = "gateway.log.jsonl"
 
 [forecast]
 horizons = [60, 300, 900]

@@ -6,39 +6,29 @@ stops when its standard input ends, so that none outlives a demonstration that w
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
+from gateway.demo.child import DemoError, last_words, stop
 from gateway.demo.links import LINKS
-from gateway.demo.prepare import Setting
+from gateway.demo.prepare import DemoRun
 
 READY_S = 20.0
 """Real seconds within which a process must be up."""
-
-
-class DemoError(RuntimeError):
-    """A process of the demonstration did not do what it had to; the message says which, and where its words are."""
-
-
-def last_words(log: Path) -> str:
-    """The last line that a process wrote, and where the rest is."""
-    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines() if log.is_file() else []
-    return f"{lines[-1]} ({log})" if lines else f"it left no word in {log}"
 
 
 def _environment() -> dict[str, str]:
     return os.environ | {"PYTHONUNBUFFERED": "1"}
 
 
-class Plc:
+class PlcProcess:
     """The software PLC as a process: commands go to its standard input, answers come as lines of JSON."""
 
-    def __init__(self, process: "subprocess.Popen[str]", ready: Mapping[str, Any]) -> None:
+    def __init__(self, process: subprocess.Popen[str], ready: Mapping[str, Any]) -> None:
         self.process, self.ready = process, ready
 
     @property
@@ -66,7 +56,7 @@ class Plc:
 
 
 @contextmanager
-def software_plc(setting: Setting, recording: Path) -> Iterator[Plc]:
+def software_plc(setting: DemoRun, recording: Path) -> Iterator[PlcProcess]:
     """Start the PLC with its replay held; terminated on leaving. Raises DemoError when it does not come up."""
     epoch = float(setting.trace.times[0])
     arguments: list[object] = [
@@ -93,7 +83,7 @@ def software_plc(setting: Setting, recording: Path) -> Iterator[Plc]:
             process_group=0,
         )
         try:
-            plc = Plc(process, {})
+            plc = PlcProcess(process, {})
             line = plc.pipes[1].readline()
             if not line:
                 raise DemoError(f"the software PLC did not start: {last_words(log)}")
@@ -104,7 +94,7 @@ def software_plc(setting: Setting, recording: Path) -> Iterator[Plc]:
 
 
 @contextmanager
-def gateway(setting: Setting, ready: Mapping[str, Any], status: Path) -> Iterator["subprocess.Popen[bytes]"]:
+def gateway(setting: DemoRun, ready: Mapping[str, Any], status: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Start the gateway on the PLC's clock; asked to stop on leaving."""
     clock = f"{ready['epoch']!r},{ready['monotonic']!r},{ready['speed']!r}"
     arguments = ["run", "--config", setting.plant, "--clock", clock, "--status", status]
@@ -122,21 +112,3 @@ def gateway(setting: Setting, ready: Mapping[str, Any], status: Path) -> Iterato
             yield process
         finally:
             stop(process)
-
-
-def stop(process: "subprocess.Popen[Any]", patience_s: float = 10.0) -> int:
-    """Ask a process to end, insist after `patience_s` or when interrupted once more; returns its exit code."""
-    try:
-        if process.poll() is None:
-            process.send_signal(signal.SIGTERM)
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(patience_s)
-    finally:
-        if process.poll() is None:
-            process.kill()
-        code = process.wait()
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with suppress(BrokenPipeError):
-                    pipe.close()
-    return code

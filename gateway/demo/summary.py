@@ -11,19 +11,20 @@ from typing import Any
 import numpy as np
 
 from drivers.tag import Quality
-from gateway.demo.prepare import Setting
-from gateway.demo.processes import DemoError
-from gateway.machine.quality import STALE_PERIODS
-from gateway.plant.devices import load_device
+from gateway.demo.child import DemoError
+from gateway.demo.prepare import DemoRun
+from gateway.machine.reading.quality import STALE_PERIODS
+from gateway.settings.devices import load_device
 from gateway.store.history import events, history, matured, samples, to_trace
 from gateway.store.score import Scorecard, scorecard
 from sim.sha.trace import Array, Mask
+from sim.validation.plots import Curve, Picture, draw
 
 AHEAD_S = 300.0
 """The horizon (s) that the picture shows."""
 
 
-def judge(setting: Setting, recording: Path, historian: Path) -> dict[str, Any]:
+def judge(setting: DemoRun, recording: Path, historian: Path) -> dict[str, Any]:
     """The verdict of the PLC's recording on every reading that the gateway held for good. Raises DemoError.
 
     A good value may be as old as the gateway's rule allows (three periods), and no older.
@@ -65,10 +66,10 @@ def verdict(recording: Path, readings: Path, *, tolerance: float) -> dict[str, A
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if not done.stdout:
         raise DemoError(f"the recording could not be judged: {done.stderr.strip()}")
-    said: dict[str, Any] = json.loads(done.stdout)
-    if not said["good"]:
+    account: dict[str, Any] = json.loads(done.stdout)
+    if not account["good"]:
         raise DemoError(f"nothing could be judged: the gateway held no reading for good ({readings} is empty)")
-    return said
+    return account
 
 
 def outage(happened: Sequence[Mapping[str, Any]], times: Array, good: Mask, speed: float) -> dict[str, float | None]:
@@ -94,10 +95,10 @@ def _first(times: Array, after: float) -> float:
     return float(later[0]) if later.size else inf
 
 
-def result(setting: Setting, recording: Path, historian: Path, picture: Path) -> dict[str, Any]:
+def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) -> dict[str, Any]:
     """The demonstration's figures as one object; errors in degC."""
     card = scorecard(historian)
-    said, seen = judge(setting, recording, historian), history(historian)
+    account, seen = judge(setting, recording, historian), history(historian)
     return {
         "synthetic": setting.trace.synthetic,
         "trace": setting.trace.name,
@@ -114,16 +115,16 @@ def result(setting: Setting, recording: Path, historian: Path, picture: Path) ->
         "forecast": _forecasts(card),
         "guards": dict(card.guards),
         "writeback": {
-            "accepted": said["blocks_accepted"],
-            "refused": said["blocks_refused"],
+            "accepted": account["blocks_accepted"],
+            "refused": account["blocks_refused"],
             "latency_ms": {"p50": card.writes.p50, "p99": card.writes.p99},
         },
-        "outage": outage(said["events"], seen.times, np.isfinite(seen.measured), setting.speed),
-        "wrong_good": said["wrong_good"],
-        "judged": said["judged"],
+        "outage": outage(account["events"], seen.times, np.isfinite(seen.measured), setting.speed),
+        "wrong_good": account["wrong_good"],
+        "judged": account["judged"],
         "notes": list(setting.notes),
         "picture": str(picture),
-        "log": str(setting.folder / "gateway.plant.log.jsonl"),
+        "log": str(setting.folder / "gateway.log.jsonl"),
     }
 
 
@@ -142,38 +143,36 @@ def _forecasts(card: Scorecard) -> dict[str, dict[str, float]]:
     }
 
 
-def sentences(data: Mapping[str, Any]) -> list[str]:
+def findings(data: Mapping[str, Any]) -> list[str]:
     """What the figures say, honestly: where persistence wins, it is said."""
-    said = []
+    lines = []
     for horizon, one in data["forecast"].items():
         if not one["count"]:
-            said.append(f"{float(horizon) / 60:g} min ahead: no forecast matured within the replay")
+            lines.append(f"{float(horizon) / 60:g} min ahead: no forecast matured within the replay")
             continue
         wins = "the model is better" if one["mae"] < one["persistence_mae"] else "PERSISTENCE IS AS GOOD OR BETTER"
-        said += [
+        lines += [
             f"{float(horizon) / 60:g} min ahead: mean error {one['mae']:.3f} °C, persistence "
             f"{one['persistence_mae']:.3f} °C: {wins}",
             f"  the 90 % band held {100 * one['coverage90']:.0f} % of {one['count']} readings",
         ]
-    return said + _guarded(data["guards"])
+    return lines + _guarded(data["guards"])
 
 
 def _guarded(guards: Mapping[str, Any]) -> list[str]:
     """What the model's guards had to say, if anything."""
-    said = []
+    lines = []
     if guards.get("review"):
         flagged = ", ".join(name for name, one in guards["reviews"].items() if one["flagged"])
-        said.append(f"REVIEW: readings lie beyond 3 sigma of the model too often ({flagged})")
+        lines.append(f"REVIEW: readings lie beyond 3 sigma of the model too often ({flagged})")
     left = sum(guards.get("clamps", {}).values())
     if left:
-        said.append(f"the model left its temperature range {left} times and was put back to its border")
-    return said
+        lines.append(f"the model left its temperature range {left} times and was put back to its border")
+    return lines
 
 
-def draw_result(setting: Setting, historian: Path, path: Path) -> Path:
+def draw_result(setting: DemoRun, historian: Path, path: Path) -> Path:
     """The picture of the run: measured, predicted with band, free run, forecast made five minutes before, events."""
-    from sim.validation.plots import Curve, Picture, draw
-
     seen, temperature = history(historian), setting.model.temperature
     measured, known = np.isfinite(seen.measured), np.isfinite(seen.mean)
     free = np.isfinite(seen.free_run)
@@ -194,11 +193,11 @@ def draw_result(setting: Setting, historian: Path, path: Path) -> Path:
             ahead.quantiles[:, ahead.levels.index(0.95)],
         ),
         inputs=[
-            Curve(channel.signal, trace.times[there], trace.signals[channel.signal][there])
+            Curve(channel.signal, trace.times[present], trace.signals[channel.signal][present])
             for channel in setting.model.alphabet.channels
             if channel.signal in trace.signals
-            and (there := np.isfinite(trace.signals[channel.signal])).any()
-            and set(np.unique(trace.signals[channel.signal][there])) - {0.0, 1.0}
+            and (present := np.isfinite(trace.signals[channel.signal])).any()
+            and set(np.unique(trace.signals[channel.signal][present])) - {0.0, 1.0}
         ],
         events=events(historian),
         outages=_outages(seen.times, measured),

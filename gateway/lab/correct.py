@@ -1,20 +1,25 @@
 """`decanter model correct`: a calibration correction of a model, learned from traces that it was not fitted to."""
 
+import time
 from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from gateway.console.exits import Exit, fail, sentences
 from gateway.console.options import json_option, map_option
-from gateway.console.output import Exit, emit, fail, progress, sentences, table
-from gateway.console.traces import load
-
-if TYPE_CHECKING:
-    from sim.learning.correction import LearnedCorrection
-    from sim.learning.max_rate import Bite, MaxRate
-    from sim.sha.model import Model
-    from sim.sha.trace import Trace
+from gateway.console.output import emit, progress, table
+from gateway.lab.traces.load import load
+from sim.artefacts.find import find_model
+from sim.artefacts.model_directory import write_model_directory
+from sim.artefacts.model_json import model_hash
+from sim.artefacts.store import STORE_FILE, save
+from sim.learning.correction import FORMS, LearnedCorrection, corrected_model, learn_correction
+from sim.learning.max_rate import Bite, MaxRate, bite, learn_max_rate, with_max_rate
+from sim.sha.events import encode
+from sim.sha.trace import joint_hash
 
 
 @click.command(short_help="Learn T' = k T + b from traces and write the corrected model.")
@@ -41,12 +46,27 @@ def correct(
     accepted nothing is written, and the exit code is 1.
     """
     with sentences(), progress("correcting") as report:
-        chosen, traces = _given(name, paths, map_name)
-        learned, rate, bites = _learn(chosen, traces, form, limit_rate, report)
+        traces, column_map = load(paths, map_name)
+        model = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature).runnable()
+        if model.alphabet.channels:  # the model's own alphabet, where it has one, and not the map's
+            traces = [replace(trace, events=encode(trace, model.alphabet)) for trace in traces]
+        wanted = [one for one in FORMS if form in ("best", one)]
+        learned = learn_correction(model, traces, forms=wanted, progress=report)
+        rate = bites = None
+        if limit_rate:
+            rate = learn_max_rate(traces, model.temperature)
+            bites = bite(with_max_rate(replace(model, correction=learned.correction), rate), traces)
         accepted = learned.chosen is not None or (bites is not None and bites.accepted)
-        written = _write(chosen, traces, learned, rate if bites and bites.accepted else None, out) if accepted else None
+        written = None
+        if accepted:
+            new = corrected_model(model, learned, joint_hash(traces), model_hash(model))
+            if rate is not None and bites is not None and bites.accepted:
+                new = with_max_rate(new, rate)
+            is_store = (out / STORE_FILE).is_file()
+            written = save(out, new, created=time.time()) if is_store else str(write_model_directory(out, new))
     data = _plain(learned, rate, bites) | {
-        "training traces": _seen_before(chosen, traces),
+        # Of the very traces that the model was learned from, the held-out error is none.
+        "training traces": model.provenance.data_hash == joint_hash(traces),
         "written": written,
         "out": str(out) if written else None,
     }
@@ -55,67 +75,7 @@ def correct(
         fail(f"nothing was accepted, so nothing was written: {learned.best.reason}", Exit.CHECK_FAILED)
 
 
-def _given(name: str, paths: Sequence[str], map_name: str) -> "tuple[Model, list[Trace]]":
-    """The model, and the traces with the events of its own alphabet."""
-    from dataclasses import replace
-
-    from sim.artefacts.find import find_model
-    from sim.sha.events import encode
-
-    traces, column_map = load(paths, map_name)
-    chosen = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature).runnable()
-    if chosen.alphabet.channels:
-        traces = [replace(trace, events=encode(trace, chosen.alphabet)) for trace in traces]
-    return chosen, traces
-
-
-def _learn(
-    chosen: "Model", traces: "list[Trace]", form: str, limit_rate: bool, report: Any
-) -> "tuple[LearnedCorrection, MaxRate | None, Bite | None]":
-    from dataclasses import replace
-
-    from sim.learning.correction import FORMS, learn_correction
-    from sim.learning.max_rate import bite, learn_max_rate, with_max_rate
-
-    wanted = [one for one in FORMS if form in ("best", one)]
-    learned = learn_correction(chosen, traces, forms=wanted, progress=report)
-    if not limit_rate:
-        return learned, None, None
-    rate = learn_max_rate(traces, chosen.temperature)
-    corrected = replace(chosen, correction=learned.correction)
-    return learned, rate, bite(with_max_rate(corrected, rate), traces)
-
-
-def _write(
-    chosen: "Model", traces: "list[Trace]", learned: "LearnedCorrection", rate: "MaxRate | None", out: Path
-) -> str:
-    """Write the new model; returns the path of its file, or the name of its version in a store."""
-    import time
-
-    from sim.artefacts.model_directory import write_model_directory
-    from sim.artefacts.model_json import model_hash
-    from sim.artefacts.store import STORE_FILE, save
-    from sim.learning.correction import corrected_model
-    from sim.learning.max_rate import with_max_rate
-    from sim.sha.trace import joint_hash
-
-    model = corrected_model(chosen, learned, joint_hash(traces), model_hash(chosen))
-    model = model if rate is None else with_max_rate(model, rate)
-    if (out / STORE_FILE).is_file():
-        return save(out, model, created=time.time())
-    return str(write_model_directory(out, model))
-
-
-def _seen_before(chosen: "Model", traces: "list[Trace]") -> bool:
-    """Whether these are the very traces that the model was learned from: the held-out error is no such thing then."""
-    from sim.sha.trace import joint_hash
-
-    return chosen.provenance.data_hash == joint_hash(traces)
-
-
-def _plain(learned: "LearnedCorrection", rate: "MaxRate | None", bites: "Bite | None") -> dict[str, Any]:
-    from dataclasses import asdict
-
+def _plain(learned: LearnedCorrection, rate: MaxRate | None, bites: Bite | None) -> dict[str, Any]:
     fits = []
     for fit in learned.fits:
         row = asdict(fit)

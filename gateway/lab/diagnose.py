@@ -1,30 +1,166 @@
 """`decanter diagnose`: where model and measurement disagree, which effect is missing, and the model that has it."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from gateway.console.exits import sentences
 from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import emit, progress, sentences, table
+from gateway.console.output import emit, progress, table
 from gateway.console.places import shipped
-from gateway.console.traces import load
+from gateway.lab.traces.load import load
+from gateway.store.history import recent
+from sim.artefacts.find import find_model
+from sim.artefacts.model_json import model_hash
+from sim.checking.proof.verify import verify
+from sim.discrepancy.augment import augmented
+from sim.discrepancy.catalogue import ROLES
+from sim.discrepancy.diagnosis import Diagnosis
+from sim.discrepancy.fitting.record import overlapping
+from sim.discrepancy.heat_map import span
+from sim.discrepancy.output.document import document
+from sim.discrepancy.output.folder import MODEL, check_folder, write_diagnosis
+from sim.discrepancy.output.report import Occasion
+from sim.discrepancy.workflow import DiagnosisOutcome
+from sim.discrepancy.workflow import diagnose as diagnose_model
+from sim.sha.model import Model
+from sim.sha.trace import Trace, joint_hash
+from sim.traces.column_map import ColumnMap, load_map
 
-if TYPE_CHECKING:
-    from gateway.lab.diagnosing import Request, Told
-    from sim.discrepancy.diagnosis import HeatPlace
-    from sim.sha.model import Model
-    from sim.sha.trace import Trace
-    from sim.traces.column_map import ColumnMap
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiagnosisRequest:
+    """What is to be diagnosed, and where the result goes. `created` is the time for the report, in seconds UTC.
+
+    `source` says where the traces are from, as it stands in the report; `most` is how many effects may be named.
+    Without `report` there are no page and no pictures.
+    """
+
+    where: str
+    out: Path
+    source: str
+    seed: int
+    most: int
+    created: float
+    temperature: str | None = None
+    report: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisResult:
+    """What came out: the diagnosis as it was written, and why the new model is not deployable (None: there is none)."""
+
+    diagnosis: Diagnosis
+    verification: tuple[str, ...] | None
+
+
+def model_of(request: DiagnosisRequest, column_map: ColumnMap) -> Model:
+    """The model to be diagnosed. Raises ValueError where there is none, or `request.out` cannot take the result."""
+    check_folder(request.out, Path(request.where))
+    temperature = request.temperature or column_map.temperature
+    model = find_model(request.where, alphabet=column_map.alphabet, temperature=temperature).runnable()
+    if request.temperature not in (None, model.temperature):
+        raise ValueError(
+            f"{request.where}: this model predicts {model.temperature!r}; leave --temperature out, it is for models "
+            f"that do not say what they predict"
+        )
+    return model
+
+
+def roles_of(column_map: ColumnMap | None) -> Mapping[str, str]:
+    """role -> signal: the map's own table, else the plant's names."""
+    return ROLES if column_map is None or column_map.effects is None else column_map.effects.roles
+
+
+def check_traces(model: Model, traces: Sequence[Trace], source: str) -> None:
+    """Raises ValueError, in one sentence, where the traces have not what the model needs at least."""
+    present = dict.fromkeys(name for trace in traces for name in trace.signals)
+    needed = [model.temperature, *(channel.signal for channel in model.alphabet.channels)]
+    missing = [name for name in dict.fromkeys(needed) if name not in present]
+    if missing:
+        raise ValueError(
+            f"{source}: the model needs {missing[0]!r}, which no trace has (they have "
+            f"{', '.join(list(present)[:12])}); give traces of the same plant, or the --map that names their columns"
+        )
+
+
+def run(
+    request: DiagnosisRequest, model: Model, traces: Sequence[Trace], roles: Mapping[str, str], progress: Progress
+) -> DiagnosisResult:
+    """Diagnose and write everything. Raises ValueError or OSError; then nothing in the folder has changed."""
+    check_traces(model, traces, request.source)
+    outcome = diagnose_model(model, traces, seed=request.seed, roles=roles, most=request.most, progress=progress)
+    progress("writing the report", 0.97)
+    new = new_model(request, model, traces, outcome)
+    reasons = None if new is None else verify(new).reasons
+    after = None if new is None else str(request.out / MODEL)
+    diagnosis = replace(outcome.diagnosis, model_before=request.where, model_after=after)
+    occasion = _occasion(request, model, traces, roles, reasons)
+    write_diagnosis(diagnosis, occasion, new, report=request.report)
+    return DiagnosisResult(diagnosis, reasons)
+
+
+def new_model(
+    request: DiagnosisRequest, model: Model, traces: Sequence[Trace], outcome: DiagnosisOutcome
+) -> Model | None:
+    """The model with what was found and its lineage; None where nothing is added."""
+    if outcome.fitted is None or not outcome.diagnosis.effects:
+        return None
+    names = tuple(trace.name for trace in traces)
+    new = augmented(outcome.fitted, data_hash=joint_hash(traces), traces=names, readings=traces)
+    found = outcome.diagnosis.held_out
+    scores = {} if found is None else {"held_out_rmse": found.rmse_after, "held_out_noise_floor": found.noise_floor}
+    origin = replace(
+        new.provenance,
+        synthetic=model.provenance.synthetic or any(trace.synthetic for trace in traces),
+        settings={**new.provenance.settings, "seed": request.seed},
+        scores={**new.provenance.scores, **scores},
+        parent=model_hash(model),
+    )
+    return replace(new, provenance=origin)
+
+
+def _occasion(
+    request: DiagnosisRequest,
+    model: Model,
+    traces: Sequence[Trace],
+    roles: Mapping[str, str],
+    verification: tuple[str, ...] | None,
+) -> Occasion:
+    made = sum(trace.synthetic for trace in traces)
+    parts = [f"{made} of {len(traces)} traces are synthetic"] if made else []
+    parts += ["the model was learned from synthetic traces"] if model.provenance.synthetic else []
+    rows = sum(trace.times.size for trace in traces)
+    return Occasion(
+        name=model.sha.name,
+        temperature=model.temperature,
+        created=datetime.fromtimestamp(request.created, UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        facts={
+            "model": request.where,
+            "traces": f"{len(traces)} with {rows} rows from {request.source}",
+            "seed": str(request.seed),
+            "decanter": version("decanter-gateway"),
+        },
+        roles={role: signal for role, signal in roles.items() if any(signal in trace.signals for trace in traces)},
+        folder=request.out,
+        synthetic="; ".join(parts),
+        verification=verification,
+    )
 
 
 RECENT = "14d"
 """What of a historian is read where nobody says how much."""
 
 
-@click.command(short_help="Find where model and traces disagree, name what is missing, add it, prove it.")
+@click.command(short_help="Find where a model and traces disagree, name what is missing, add it, prove it.")
 @click.argument("more", nargs=-1, metavar="[TRACES]...")
 @click.option("--model", "where", required=True, help="A model directory, a store, a model.json, or DIR/NAME.")
 @click.option("--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
@@ -57,63 +193,70 @@ def diagnose(
     be verified, promoted and diagnosed again. Nothing is named that chance, moved parameters or a rough plant could
     make: the verdict may be "agree", "unexplained" or "too-little-data". The exit code is 0 whatever the verdict.
     """
-    from gateway.lab.diagnosing import Request, roles_of, run
-    from sim.discrepancy.fitting.record import overlapping
-
     sources = (*paths, *more)
     if bool(sources) == (historian is not None):
         raise click.UsageError("give either --traces or --historian")
     if since is not None and historian is None:
         raise click.UsageError("--since belongs to --historian")
     with sentences(), progress("diagnosing") as report:
-        request = Request(where, out, _source(sources, historian), seed, most, time.time(), temperature, not no_report)
+        request = DiagnosisRequest(
+            where=where,
+            out=out,
+            source=", ".join(sources) if historian is None else str(historian),
+            seed=seed,
+            most=most,
+            created=time.time(),
+            temperature=temperature,
+            report=not no_report,
+        )
         report("reading", 0.0)
         model, traces, column_map = _read(request, sources, historian, since, map_name)
         if found := overlapping(traces):
             click.echo(f"{found}: the traces are taken one after the other, as given (a folder by names)", err=True)
-        told = run(request, model, traces, roles_of(column_map), report)
-    emit(_data(told, out), lambda: show(told, out), as_json_line=as_json)
-
-
-def _source(sources: Sequence[str], historian: Path | None) -> str:
-    return ", ".join(sources) if historian is None else str(historian)
+        result = run(request, model, traces, roles_of(column_map), report)
+    emit(_data(result, out), lambda: show(result, out), as_json_line=as_json)
 
 
 def _read(
-    request: "Request", sources: Sequence[str], historian: Path | None, since: str | None, map_name: str
-) -> "tuple[Model, list[Trace], ColumnMap | None]":
+    request: DiagnosisRequest, sources: Sequence[str], historian: Path | None, since: str | None, map_name: str
+) -> tuple[Model, list[Trace], ColumnMap | None]:
     """The model, its traces, and the map that names their roles (a historian's have the plant's names)."""
-    from gateway.lab.diagnosing import model_of
-    from sim.traces.column_map import load_map
-
     model = model_of(request, load_map(shipped("traces", map_name)))
     if historian is None:
         traces, column_map = load(sources, map_name)
         return model, traces, column_map
-    from gateway.store.history import recent
-
     return model, [recent(historian, since or RECENT)], None
 
 
-def _data(told: "Told", out: Path) -> dict[str, Any]:
-    from sim.discrepancy.output.document import document
-
-    verification = told.verification
+def _data(result: DiagnosisResult, out: Path) -> dict[str, Any]:
+    verification = result.verification
     page = out / "report.html"
     more: dict[str, Any] = {"out": str(out), "report": str(page) if page.exists() else None}
     if verification is not None:
         more |= {"verified": not verification, "refused": list(verification)}
-    return document(told.diagnosis) | more
+    return document(result.diagnosis) | more
 
 
-def show(told: "Told", out: Path) -> None:
+def show(result: DiagnosisResult, out: Path) -> None:
     """Print the verdict with its evidence."""
-    one = told.diagnosis
+    one = result.diagnosis
     click.echo(f"{one.verdict}: {one.sentence}")
     for reason in one.reasons:
         click.echo(f"  {reason}")
     if one.places:
-        rows = [_place(place) for place in one.places[:5]]
+        rows = [
+            [
+                place.location,
+                place.after,
+                span(*place.seconds),
+                place.share,
+                place.heat,
+                f"{place.cycles[0]} of {place.cycles[1]}",
+                place.p,
+                place.when or place.correlates,
+            ]
+            for place in one.places[:5]
+        ]
         columns = ("location", "after", "seconds", "share", "heat (°C/h)", "cycles", "p", "goes with")
         table("where the unexplained heat is", columns, rows)
     if one.effects:
@@ -127,41 +270,18 @@ def show(told: "Told", out: Path) -> None:
     if one.shifts:
         rows = [[s.location, s.parameter, s.before, s.after, s.unit, s.change, s.sigma] for s in one.shifts]
         table("parameters that moved", ("location", "parameter", "before", "after", "unit", "change", "sigma"), rows)
-    _show_held_out(told)
+    held = one.held_out
+    if held is not None:
+        errors = f"{held.rmse_before:.3f} °C"
+        if one.effects:
+            low, high = held.ci95
+            errors += f" before, {held.rmse_after:.3f} °C after"
+            errors += f"; {held.excess_removed:.0%} of the excess removed ({low:.0%} to {high:.0%})"
+        click.echo(f"held out: {held.cycles} cycles, free-run error {errors}; noise floor {held.noise_floor:.3f} °C")
     if one.untested:
         click.echo(f"not tested: {', '.join(one.untested)} (the report says why)")
     if (out / "report.html").exists():
         click.echo(f"report: {out / 'report.html'}")
     if one.model_after is not None:
-        click.echo(f"new model: {one.model_after}{_verified(told.verification)}")
-
-
-def _place(one: "HeatPlace") -> list[object]:
-    goes = one.when or one.correlates
-    return [one.location, one.after, _span(one.seconds), one.share, one.heat, _of(one.cycles), one.p, goes]
-
-
-def _show_held_out(told: "Told") -> None:
-    held = told.diagnosis.held_out
-    if held is None:
-        return
-    said = f"held out: {held.cycles} cycles, free-run error {held.rmse_before:.3f} °C"
-    if told.diagnosis.effects:
-        low, high = held.ci95
-        said += f" before, {held.rmse_after:.3f} °C after"
-        said += f"; {held.excess_removed:.0%} of the excess removed ({low:.0%} to {high:.0%})"
-    click.echo(f"{said}; noise floor {held.noise_floor:.3f} °C")
-
-
-def _verified(reasons: tuple[str, ...] | None) -> str:
-    return "; it verifies" if not reasons else f"; it DOES NOT VERIFY: {'; '.join(reasons)}"
-
-
-def _of(cycles: tuple[int, int]) -> str:
-    return f"{cycles[0]} of {cycles[1]}"
-
-
-def _span(seconds: tuple[float, float]) -> str:
-    from sim.discrepancy.heat_map import span
-
-    return span(*seconds)
+        verdict = f"it DOES NOT VERIFY: {'; '.join(result.verification)}" if result.verification else "it verifies"
+        click.echo(f"new model: {one.model_after}; {verdict}")

@@ -1,18 +1,131 @@
 """`decanter model export`: a model for UPPAAL along traces, run there where a plant has it; or the public artefacts."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+import numpy as np
 
+from gateway.console.exits import Exit, fail, sentences
 from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import Exit, emit, fail, progress, sentences, table
-from gateway.console.traces import load
+from gateway.console.output import emit, progress, table
+from gateway.lab.traces.load import load
+from sim.artefacts.bundle import file_names, write_artefacts
+from sim.artefacts.find import Found, find_model
+from sim.artefacts.from_model import to_artefacts
+from sim.engine.open_loop import Start
+from sim.engine.schedule import Policy
+from sim.sha.model import Model
+from sim.sha.trace import Trace
+from sim.traces.column_map import ColumnMap
+from sim.uppaal.compare import compare, native_runs
+from sim.uppaal.export import base_name, write
+from sim.uppaal.export import export as export_trace
+from sim.uppaal.verifyta import EngineError, find_engine, run_engine
 
-if TYPE_CHECKING:
-    from sim.engine.open_loop import Start
-    from sim.engine.schedule import Policy
+
+@dataclass(frozen=True, slots=True)
+class EngineOptions:
+    """How verifyta is to be run: the option's path (None: look for it), seconds a file, seed."""
+
+    path: str | None
+    timeout: float
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportOptions:
+    """What is to be written, and where; `engine` None does not run anything."""
+
+    out: Path
+    queries: tuple[str, ...]
+    policy: Policy
+    start: Start
+    tick: int
+    engine: EngineOptions | None
+
+
+def export_artefacts(where: str, out: Path) -> list[str]:
+    """Writes the public artefact files of a model; returns their paths. Raises ArtefactError."""
+    found = find_model(where)
+    artefacts = found.artefacts or to_artefacts(found.runnable())
+    write_artefacts(out, artefacts)
+    return [str(out / file) for file in file_names(artefacts.name).values() if (out / file).is_file()]
+
+
+def export_uppaal(
+    where: str,
+    traces: Sequence[Trace],
+    column_map: ColumnMap,
+    order: ExportOptions,
+    report: Callable[[str, float], None],
+) -> list[dict[str, Any]]:
+    """One row a trace; a trace that fails has `error` and does not stop the others.
+
+    A missing or failing engine is told in `engine`, and the files stand. Raises ValueError for a model that is none.
+    """
+    found: Found = find_model(where, alphabet=column_map.alphabet, temperature=column_map.temperature)
+    model = found.runnable()
+    _check_names(model, traces)
+    engine, missing = None, ""
+    if order.engine is not None:
+        try:
+            engine = find_engine(order.engine.path, os.environ)
+        except EngineError as error:
+            missing = str(error)
+    rows = []
+    for index, trace in enumerate(traces):
+        report(trace.name, index / len(traces))
+        try:
+            rows.append(_one(model, trace, order, engine, missing))
+        except ValueError as error:
+            rows.append({"trace": trace.name, "error": str(error)})
+    return rows
+
+
+def _check_names(model: Model, traces: Sequence[Trace]) -> None:
+    """Raises ValueError when two traces would be written to one file."""
+    seen: dict[str, str] = {}
+    for trace in traces:
+        name = base_name(model.sha.name, trace.name).casefold()
+        if name in seen:
+            raise ValueError(
+                f"the traces {seen[name]!r} and {trace.name!r} would both be written to {name}.xml; rename one of them"
+            )
+        seen[name] = trace.name
+
+
+def _one(model: Model, trace: Trace, order: ExportOptions, engine: Path | None, missing: str) -> dict[str, Any]:
+    """The files of one trace, and where there is an engine its answers beside the native ones."""
+    exported = export_trace(
+        model, trace, policy=order.policy, start=order.start, tick=order.tick, formulas=order.queries
+    )
+    files = [str(path) for path in write(order.out, exported)]
+    rows: list[dict[str, Any]] = []
+    failures: list[str] = []
+    if engine is not None and order.engine is not None:
+        rng = np.random.default_rng(order.engine.seed)
+        native = native_runs(model, trace, exported.replay, policy=order.policy, tick=order.tick, rng=rng)
+        for document in (exported.minimal, exported.main):
+            path = order.out / f"{document.name}.xml"
+            queries, wanted = path.with_suffix(".q"), len(document.questions)
+            ran = run_engine(engine, path, queries, wanted=wanted, timeout=order.engine.timeout, seed=order.engine.seed)
+            rows += [asdict(row) for row in compare(document.questions, ran.output.answers, native, model)]
+            if ran.failure:
+                failures.append(f"{document.name}: {ran.failure}")
+    return {
+        "trace": trace.name,
+        "events": len(exported.replay.times),
+        "seconds": exported.replay.duration,
+        "accepted": exported.replay.accepted,
+        "files": files,
+        "notes": list(exported.main.notes),
+        "comparison": rows,
+        "engine": missing or "; ".join(failures),
+    }
 
 
 @click.command(short_help="Write a model for UPPAAL along traces; compare with its engine.")
@@ -51,8 +164,8 @@ def export(
     map_name: str,
     out: Path,
     queries: Sequence[str],
-    policy: "Policy",
-    start: "Start",
+    policy: Policy,
+    start: Start,
     tick: int,
     wanted: bool,
     verifyta: str | None,
@@ -69,16 +182,14 @@ def export(
         raise click.UsageError("say what to write: --uppaal, --artefacts or both")
     if uppaal and not paths:
         raise click.UsageError("--uppaal needs the traces that the model replays: --trace FILE")
-    from gateway.lab.exporting import Engine, Export, export_artefacts, export_uppaal
-
     data: dict[str, Any] = {"model": model, "out": str(out), "artefacts": [], "traces": []}
     with sentences(), progress("exporting") as report:
         if artefacts:
             data["artefacts"] = export_artefacts(model, out)
         if uppaal:
             traces, column_map = load(paths, map_name)
-            engine = Engine(verifyta, timeout, seed) if wanted or verifyta else None
-            order = Export(out, tuple(queries), policy, start, tick, engine)
+            engine = EngineOptions(verifyta, timeout, seed) if wanted or verifyta else None
+            order = ExportOptions(out=out, queries=tuple(queries), policy=policy, start=start, tick=tick, engine=engine)
             data["traces"] = export_uppaal(model, traces, column_map, order, report)
     emit(data, lambda: _show(data), as_json_line=as_json)
     failed = [str(row["error"]) for row in data["traces"] if "error" in row]
@@ -96,7 +207,14 @@ def _show(data: dict[str, Any]) -> None:
     done = [row for row in data["traces"] if "error" not in row]
     if done:
         columns = ("trace", "events", "seconds", "accepted", "files")
-        cells = [[row[name] for name in columns[:3]] + [_accepted(row), _names(row)] for row in done]
+        cells = [
+            [
+                *(row[name] for name in columns[:3]),
+                "yes" if row["accepted"] else "NO",
+                ", ".join(Path(path).name for path in row["files"]),
+            ]
+            for row in done
+        ]
         table(f"exported for UPPAAL to {data['out']}", columns, cells)
     for row in done:
         for note in row["notes"]:
@@ -104,14 +222,6 @@ def _show(data: dict[str, Any]) -> None:
         if row["comparison"]:
             headings = ("quantity", "native", "UPPAAL", "difference", "native 95 %", "UPPAAL 95 %", "agree", "note")
             table(f"{row['trace']}: native against UPPAAL", headings, [_cells(one) for one in row["comparison"]])
-
-
-def _accepted(row: dict[str, Any]) -> str:
-    return "yes" if row["accepted"] else "NO"
-
-
-def _names(row: dict[str, Any]) -> str:
-    return ", ".join(Path(path).name for path in row["files"])
 
 
 def _cells(row: dict[str, Any]) -> list[Any]:

@@ -1,22 +1,25 @@
 """`decanter model learn`: a model from traces, written with all its artefacts."""
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from gateway.console.exits import sentences
 from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import emit, progress, sentences, table
-from gateway.console.traces import load
+from gateway.console.output import emit, progress, table
 from gateway.lab.show import show_model, summary
-
-if TYPE_CHECKING:
-    from sim.learning.bins.learn import Learned
-    from sim.learning.lsha.learn import LearnedLsha
-    from sim.sha.trace import Trace
-    from sim.traces.column_map import ColumnMap
+from gateway.lab.traces.load import load
+from sim.artefacts.model_directory import write_model_directory
+from sim.learning.bins.learn import Learned, learn_bins
+from sim.learning.lsha.learn import LearnedLsha, learn_lsha
+from sim.learning.lsha.report import report_document, report_text
+from sim.learning.lsha.settings import LshaSettings
+from sim.sha.trace import Trace
+from sim.strict_json import json_text
+from sim.traces.column_map import ColumnMap
 
 FLOWS = ("constant", "linear", "logarithmic", "exponential", "driven")
 REPORT = "learning_report"
@@ -65,16 +68,37 @@ def learn(
             raise ValueError(f"--{_option(settings)} belongs to --method lsha; leave it out, or choose that method")
         traces, column_map = load(paths, map_name)
         if method == "lsha":
-            data, show = _lsha(traces, column_map, name, seed, settings, report, out)
+            words_learned = learn_lsha(
+                traces,
+                column_map.alphabet,
+                column_map.temperature,
+                name=name,
+                seed=seed,
+                settings=LshaSettings(**settings),
+                progress=report,
+            )
+            written = _write_lsha(out, words_learned, name)
+            model, shown, acceptance = (
+                words_learned.model,
+                lsha_diagnostics(words_learned),
+                words_learned.report.acceptance,
+            )
         else:
             learned = learn_from(traces, column_map, name=name, seed=seed, report=report)
             written = write(out, learned)
-            data = {"model": str(out), "file": str(written), **summary(learned.model)}
-            data["diagnostics"] = diagnostics(learned)
+            model, shown, acceptance = learned.model, diagnostics(learned), None
+    data = {"model": str(out), "file": str(written), **summary(model), "diagnostics": shown}
 
-            def show() -> None:
-                show_model(learned.model)
-                _show_tables(diagnostics(learned), out)
+    def show() -> None:
+        show_model(model)
+        for title, rows in shown.items():
+            if rows:
+                table(title, list(rows[0]), [list(row.values()) for row in rows])
+        click.echo(f"model directory: {out}")
+        if acceptance is not None:
+            counts = f"{acceptance.accepted} of {acceptance.traces} training traces"
+            click.echo(f"accepted: {counts}, by the observed edges alone")
+            click.echo(f"learning report: {out / (REPORT + '.md')}")
 
     emit(data, show, as_json_line=as_json)
 
@@ -84,10 +108,8 @@ def _option(settings: Mapping[str, Any]) -> str:
     return {"complete": "observed-edges"}.get(first, first.replace("_", "-"))
 
 
-def learn_from(traces: "Sequence[Trace]", column_map: "ColumnMap", *, name: str, seed: int, report: Any) -> "Learned":
+def learn_from(traces: Sequence[Trace], column_map: ColumnMap, *, name: str, seed: int, report: Any) -> Learned:
     """A model of the traces by the map's alphabet and temperature."""
-    from sim.learning.bins.learn import learn_bins
-
     return learn_bins(
         traces,
         column_map.alphabet,
@@ -98,61 +120,23 @@ def learn_from(traces: "Sequence[Trace]", column_map: "ColumnMap", *, name: str,
     )
 
 
-def write(out: Path, learned: "Learned") -> Path:
+def write(out: Path, learned: Learned) -> Path:
     """Write the model directory; returns the path of its model.json."""
-    from sim.artefacts.model_directory import write_model_directory
-
     return write_model_directory(out, learned.model, learned.values)
 
 
-def _lsha(
-    traces: "Sequence[Trace]",
-    column_map: "ColumnMap",
-    name: str,
-    seed: int,
-    settings: Mapping[str, Any],
-    report: Any,
-    out: Path,
-) -> tuple[dict[str, Any], Callable[[], None]]:
-    """(what the command says in JSON, what it shows to people), once the model directory is written."""
-    from sim.artefacts.model_directory import write_model_directory
-    from sim.learning.lsha.learn import learn_lsha
-    from sim.learning.lsha.report import report_document, report_text
-    from sim.learning.lsha.settings import LshaSettings
-
-    learned = learn_lsha(
-        traces,
-        column_map.alphabet,
-        column_map.temperature,
-        name=name,
-        seed=seed,
-        settings=LshaSettings(**settings),
-        progress=report,
-    )
+def _write_lsha(out: Path, learned: LearnedLsha, name: str) -> Path:
+    """Write the model directory with the learning report beside the model; returns the path of its model.json."""
     document = report_document(learned.report)
     more = {
-        f"{REPORT}.json": json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+        f"{REPORT}.json": json_text(document, indent=1) + "\n",
         f"{REPORT}.md": report_text(learned.report, name),
     }
-    table_of = learned.report.table
-    written = write_model_directory(out, learned.model, learned.values, observations=table_of, more=more)
-    shown = lsha_diagnostics(learned)
-    data = {"model": str(out), "file": str(written), **summary(learned.model), "diagnostics": shown}
-
-    def show() -> None:
-        show_model(learned.model)
-        _show_tables(shown, out)
-        checked = learned.report.acceptance
-        click.echo(f"accepted: {checked.accepted} of {checked.traces} training traces, by the observed edges alone")
-        click.echo(f"learning report: {out / (REPORT + '.md')}")
-
-    return data, show
+    return write_model_directory(out, learned.model, learned.values, observations=learned.report.table, more=more)
 
 
-def diagnostics(learned: "Learned") -> dict[str, list[dict[str, Any]]]:
+def diagnostics(learned: Learned) -> dict[str, list[dict[str, Any]]]:
     """How the model came about, as plain values: the candidates' held-out scores, the fits, the bands' coverage."""
-    from dataclasses import asdict
-
     fits = [asdict(one) for one in learned.locations if one.source != "unknown"]
     wanted = ("name", "source", "readings", "stays", "mu", "mu_error", "sigma", "k", "gains")
     return {
@@ -162,10 +146,8 @@ def diagnostics(learned: "Learned") -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def lsha_diagnostics(learned: "LearnedLsha") -> dict[str, list[dict[str, Any]]]:
+def lsha_diagnostics(learned: LearnedLsha) -> dict[str, list[dict[str, Any]]]:
     """How the model came about, in short: the rivals, the locations, the edges and the check, the bands' coverage."""
-    from dataclasses import asdict
-
     report = learned.report
     wanted = ("name", "flow", "entry", "segments", "readings", "seconds", "mu", "mu_error", "scatter", "rate")
     fits = [asdict(one) for one in report.locations]
@@ -178,10 +160,3 @@ def lsha_diagnostics(learned: "LearnedLsha") -> dict[str, list[dict[str, Any]]]:
         "edges and acceptance": [edges | checked],
         "held-out forecasts": [asdict(one) for one in report.coverage],
     }
-
-
-def _show_tables(tables: Mapping[str, list[dict[str, Any]]], out: Path) -> None:
-    for title, rows in tables.items():
-        if rows:
-            table(title, list(rows[0]), [list(row.values()) for row in rows])
-    click.echo(f"model directory: {out}")

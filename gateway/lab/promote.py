@@ -5,8 +5,12 @@ from pathlib import Path
 
 import click
 
+from gateway.console.exits import sentences
 from gateway.console.options import json_option
-from gateway.console.output import emit, sentences
+from gateway.console.output import emit
+from sim.artefacts.find import find_model
+from sim.artefacts.store import Force, forced, save
+from sim.artefacts.store import promote as promote_version
 
 
 @click.command(short_help="Make a version of a store current, if its model verifies.")
@@ -29,16 +33,13 @@ def promote(
         raise click.UsageError("name a VERSION of the store, or --add a model; one of the two")
     if (reason is None) != (by is None) or (reason is not None and not (reason.strip() and str(by).strip())):
         raise click.UsageError("--force REASON and --by NAME belong together, and neither is empty")
-    from sim.artefacts import store as shelf
-    from sim.artefacts.find import find_model
-
     with sentences():
         now = time.time()
         if model is not None:
-            version = shelf.save(store, find_model(model).runnable(), created=now)
+            version = save(store, find_model(model).runnable(), created=now)
         chosen = str(version)
-        shelf.promote(store, chosen, shelf.Force(str(by), reason, now) if reason is not None else None)
-        force = shelf.forced(store)
+        promote_version(store, chosen, Force(str(by), reason, now) if reason is not None else None)
+        force = forced(store)
     data = {"store": str(store), "current": chosen, "forced": force is not None}
-    said = f"{store}: {chosen} is current" + (f", forced by {force.by}: {force.reason}" if force else "")
-    emit(data, lambda: click.echo(said), as_json_line=as_json)
+    sentence = f"{store}: {chosen} is current" + (f", forced by {force.by}: {force.reason}" if force else "")
+    emit(data, lambda: click.echo(sentence), as_json_line=as_json)

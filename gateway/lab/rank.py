@@ -1,20 +1,180 @@
-"""`decanter model rank`: several models on the same traces, and which of them are fit for deployment."""
+"""`decanter model rank`: several models on the same traces; which of them are fit for deployment."""
 
-from collections.abc import Sequence
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from gateway.console.exits import Exit, fail, sentences
 from gateway.console.interrupt import interruptible
 from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import Exit, emit, fail, progress, sentences, table
+from gateway.console.output import emit, progress, table
 from gateway.console.places import shipped
+from sim.checking.proof.verify import verify
+from sim.ranking.fitness import Facts, Seen, limits_of, seen_traces
+from sim.ranking.ranking import Ranking, Weights, entrants
+from sim.ranking.ranking import rank as ranked
+from sim.ranking.report import as_plain, check_picture, draw_ranking, write_page
+from sim.sha.model import Model
+from sim.sha.trace import Trace
+from sim.traces.column_map import load_map
+from sim.traces.traces import load_traces
+from sim.validation.campaign import Progress, outcomes_by_model, run_here, unread
+from sim.validation.output_folder import CAMPAIGN, read_results
+from sim.validation.results import TraceResult
+from sim.validation.stages import Prepared, Wanted, prepare, relabelled
+from sim.validation.trace_run import TraceRunSettings
 
-if TYPE_CHECKING:
-    from gateway.lab.ranking import Compared
-    from sim.ranking.ranking import Ranking
-    from sim.validation.stages import Wanted
+GENERATION = "04_model_generation.json"
+
+
+@dataclass(frozen=True, slots=True)
+class RankingInput:
+    """What is ranked: the results, and what is known of each model beside them, by entrant."""
+
+    results: list[TraceResult]
+    facts: dict[str, Facts]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RankingRequest:
+    """What to compare: `models` along the traces of `paths`, or the results in `folders` (with models at hand)."""
+
+    models: Sequence[str]
+    paths: Sequence[str]
+    folders: Sequence[Path]
+    map_file: Path
+    wanted: Wanted
+    training: Sequence[str]
+    runs: int
+    jobs: int | None
+    seed: int
+
+
+def compared(request: RankingRequest, progress: Progress) -> RankingInput:
+    """Runs every model along every trace, or reads what an earlier campaign found.
+
+    Raises ValueError or OSError for what cannot be read, and for a model at hand that has no results in the folders.
+    """
+    return _earlier(request) if request.folders else _fresh(request, progress)
+
+
+def _fresh(request: RankingRequest, progress: Progress) -> RankingInput:
+    column_map = load_map(request.map_file)
+    traces, report = load_traces(list(request.paths), column_map)
+    training = load_traces(list(request.training), column_map)[0] if request.training else None
+    prepared = _prepared(request, training)
+    run = run_here(request.jobs or len(os.sched_getaffinity(0)))
+    settings = TraceRunSettings(request.runs, seed=request.seed)
+    by_model = outcomes_by_model(
+        prepared, traces, without=unread(report, traces), settings=settings, run=run, progress=progress
+    )
+    results = [outcome.result for _, outcomes in by_model for outcome in outcomes]
+    return RankingInput(results, _by_entrant(results, {one.label: _facts(one, traces) for one in prepared}))
+
+
+def _prepared(request: RankingRequest, training: Sequence[Trace] | None) -> list[Prepared]:
+    column_map = load_map(request.map_file)
+    alphabet, temperature = column_map.alphabet, column_map.temperature
+    return relabelled(
+        [
+            prepare(where, alphabet, temperature, wanted=request.wanted, training=training, seed=request.seed)
+            for where in request.models
+        ]
+    )
+
+
+def _earlier(request: RankingRequest) -> RankingInput:
+    """The results of the folders, with what their records say; a model at hand is that of the results with its name."""
+    results = [result for folder in request.folders for result in read_results(folder)]
+    names, labels = {result.trace for result in results}, sorted({result.model for result in results})
+    facts: dict[str, dict[str, Facts]] = {}
+    for folder in request.folders:
+        facts |= _recorded(folder if folder.is_dir() else folder.parent, names)
+    for one in _prepared(request, None):
+        if one.label not in labels:
+            raise ValueError(
+                f"{one.where}: the results have no model {one.label!r}; they have {', '.join(labels) or 'none'}"
+            )
+        facts[one.label] = _joined(facts.get(one.label, {}), one, names)
+    return RankingInput(results, _by_entrant(results, facts))
+
+
+def _joined(recorded: Mapping[str, Facts], at_hand: Prepared, names: Iterable[str]) -> dict[str, Facts]:
+    """What the records say of each semantics, with the gate's word on the model at hand."""
+    found = {}
+    for semantics, model in at_hand.variants.items():
+        own = _origin(model, {name: "name" for name in names if name in model.provenance.traces})
+        verified, gate = gate_of(model)
+        found[semantics] = replace(own, verified=verified, gate=gate)
+    known = next(iter(found.values()), Facts(verified=False, gate="; ".join(at_hand.refusals.values())))
+    others = {name: replace(each, verified=known.verified, gate=known.gate) for name, each in recorded.items()}
+    return {**others, **found}
+
+
+def gate_of(model: Model) -> tuple[bool, str]:
+    """Whether verification lets the model be deployed, and the sentence that says so."""
+    found = verify(model)
+    if found.deployable:
+        return True, f"verified: {len([check for check in found.checks if check.blocking])} blocking checks are proven"
+    return False, "; ".join(found.reasons)
+
+
+def _by_entrant(results: Sequence[TraceResult], facts: Mapping[str, Mapping[str, Facts]]) -> dict[str, Facts]:
+    """Facts by model and semantics become facts by entrant."""
+    found = {}
+    for name, own in entrants(results).items():
+        result = next(iter(own.values()))
+        known = facts.get(result.model, {})
+        if result.semantics in known:
+            found[name] = known[result.semantics]
+        elif "" in known:
+            found[name] = known[""]
+    return found
+
+
+def _facts(prepared: Prepared, traces: Sequence[Trace]) -> dict[str, Facts]:
+    """What a model at hand says of itself, by semantics; a model that cannot be run fails the gate."""
+    found = {"": Facts(verified=False, gate="; ".join(prepared.refusals.values()))}
+    for semantics, model in prepared.variants.items():
+        verified, gate = gate_of(model)
+        found[semantics] = replace(_origin(model, seen_traces(model, traces)), verified=verified, gate=gate)
+    return found
+
+
+def _origin(model: Model, seen: Mapping[str, Seen]) -> Facts:
+    """Artefacts and models by hand do not say what they were learned from."""
+    known = bool(model.provenance.data_hash or model.provenance.traces)
+    return Facts(synthetic=model.provenance.synthetic if known else None, seen=seen)
+
+
+def _recorded(folder: Path, names: Iterable[str]) -> dict[str, dict[str, Facts]]:
+    """What a campaign's records say of its models, by label and semantics; a missing or odd record says nothing."""
+    found: dict[str, dict[str, Facts]] = {}
+    for label, place in _document(folder / CAMPAIGN).get("folders", {}).items():
+        variants = _document(folder / place / GENERATION).get("variants", {})
+        found[label] = {semantics: _fact(row, names) for semantics, row in variants.items()}
+    return found
+
+
+def _fact(row: Mapping[str, Any], names: Iterable[str]) -> Facts:
+    trained = set(row.get("training_traces", ()))
+    known = bool(row.get("data_hash") or trained)
+    seen: dict[str, Seen] = {name: "name" for name in names if name in trained}
+    return Facts(synthetic=bool(row.get("synthetic")) if known else None, seen=seen)
+
+
+def _document(file: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return document if isinstance(document, dict) else {}
+
 
 LIMITS = """
 \b
@@ -29,9 +189,7 @@ Limits of fitness, judged on traces that were not in training where there are an
 """
 
 
-@click.command(
-    short_help="Compare models on the same traces; say which are fit for deployment and why not.", epilog=LIMITS
-)
+@click.command(epilog=LIMITS, short_help="Compare models on the same traces; say which are fit for deployment.")
 @click.argument("models", nargs=-1, metavar="[MODEL...]")
 @click.option("--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
 @click.option(
@@ -85,7 +243,7 @@ def rank(
     paths: Sequence[str],
     folders: Sequence[Path],
     map_name: str,
-    wanted: "Wanted",
+    wanted: Wanted,
     training: Sequence[str],
     weights: tuple[float, float, float],
     limits: Sequence[tuple[str, str]],
@@ -103,12 +261,6 @@ def rank(
     given beside --results are verified. A model that has seen a trace in training is marked in-sample. The limits of
     fitness for deployment are options; `open` means that one of them could not be looked at.
     """
-    from gateway.lab.ranking import Campaign, compared
-    from sim.ranking.fitness import limits_of
-    from sim.ranking.ranking import Weights
-    from sim.ranking.ranking import rank as ranked
-    from sim.ranking.report import check_picture
-
     if bool(paths) == bool(folders) or (paths and not models):
         raise click.UsageError("Give MODEL... with --traces, or --results of an earlier campaign.")
     try:
@@ -116,8 +268,18 @@ def rank(
             if picture is not None:
                 check_picture(picture)
             used, bounds = Weights(*weights), limits_of(limits, synthetic=allow_synthetic)
-            wish = Campaign(models, paths, folders, shipped("traces", map_name), wanted, training, runs, jobs, seed)
-            seen = compared(wish, report)
+            request = RankingRequest(
+                models=models,
+                paths=paths,
+                folders=folders,
+                map_file=shipped("traces", map_name),
+                wanted=wanted,
+                training=training,
+                runs=runs,
+                jobs=jobs,
+                seed=seed,
+            )
+            seen = compared(request, report)
             found = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed)
             data = _written(found, seen, page, picture)
     except KeyboardInterrupt:
@@ -125,10 +287,8 @@ def rank(
     emit(data, lambda: _show(found, page, picture), as_json_line=as_json)
 
 
-def _written(found: "Ranking", seen: "Compared", page: Path | None, picture: Path | None) -> dict[str, Any]:
+def _written(found: Ranking, seen: RankingInput, page: Path | None, picture: Path | None) -> dict[str, Any]:
     """Write what was asked for; the ranking as plain values."""
-    from sim.ranking.report import as_plain, draw_ranking, write_page
-
     if page is not None:
         write_page(found, seen.results, page)
     if picture is not None:
@@ -136,7 +296,7 @@ def _written(found: "Ranking", seen: "Compared", page: Path | None, picture: Pat
     return {**as_plain(found), "page": page and str(page), "picture": picture and str(picture)}
 
 
-def _show(found: "Ranking", page: Path | None, picture: Path | None) -> None:
+def _show(found: Ranking, page: Path | None, picture: Path | None) -> None:
     weights = found.weights
     formula = f"S = {weights.mae:g} MAE + {weights.largest:g} max + {weights.scatter:g} sigma"
     columns = ("rank", "model", "for deployment", "S", "MAE", "max", "sigma", "CRPS", "coverage 90 %", "persistence")

@@ -2,17 +2,19 @@
 
 from collections.abc import Mapping
 from math import nan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from gateway.console.exits import sentences
 from gateway.console.options import json_option
-from gateway.console.output import emit, sentences, table
-
-if TYPE_CHECKING:
-    from sim.artefacts.find import Found
-    from sim.sha.automaton import SHA
-    from sim.sha.model import Model, Stay
+from gateway.console.output import emit, table
+from sim.artefacts.find import Found, find_model
+from sim.artefacts.model_json import model_hash
+from sim.effects.kinds import told
+from sim.sha import distributions
+from sim.sha.automaton import SHA
+from sim.sha.model import Model, Stay
 
 
 @click.command(short_help="Show a model and where it comes from.")
@@ -23,8 +25,6 @@ def show(name: str, as_json: bool) -> None:
 
     Of artefacts that cannot be run the structure is shown, and why they cannot.
     """
-    from sim.artefacts.find import find_model
-
     with sentences():
         found = find_model(name)
         if found.model is None or found.artefacts is not None:
@@ -34,7 +34,7 @@ def show(name: str, as_json: bool) -> None:
         emit(summary(shown), lambda: show_model(shown), as_json_line=as_json)
 
 
-def _artefacts(found: "Found") -> dict[str, Any]:
+def _artefacts(found: Found) -> dict[str, Any]:
     edges = [
         {"source": e.source, "symbol": e.symbol, "target": e.target, "guard": e.guard} for e in found.structure.edges
     ]
@@ -49,7 +49,7 @@ def _artefacts(found: "Found") -> dict[str, Any]:
     }
 
 
-def _show_artefacts(found: "Found") -> None:
+def _show_artefacts(found: Found) -> None:
     sha = found.structure
     if found.model is None:
         table(f"{found.name}: {len(sha.locations)} locations", ["location"], [[each.name] for each in sha.locations])
@@ -63,10 +63,8 @@ def _show_artefacts(found: "Found") -> None:
         click.secho(f"it cannot be run: {found.refusal}", fg="yellow")
 
 
-def summary(shown: "Model") -> dict[str, Any]:
+def summary(shown: Model) -> dict[str, Any]:
     """The model as plain values for JSON."""
-    from sim.artefacts.model_json import model_hash
-
     return {
         "name": shown.sha.name,
         "hash": model_hash(shown),
@@ -96,9 +94,7 @@ def summary(shown: "Model") -> dict[str, Any]:
     }
 
 
-def _location_rows(sha: "SHA", stays: "Mapping[str, Stay]") -> list[dict[str, Any]]:
-    from sim.sha import distributions
-
+def _location_rows(sha: SHA, stays: Mapping[str, Stay]) -> list[dict[str, Any]]:
     rows = []
     for location in sha.locations:
         law: Mapping[str, float] = location.distribution.params if location.distribution else {}
@@ -113,10 +109,8 @@ def _location_rows(sha: "SHA", stays: "Mapping[str, Stay]") -> list[dict[str, An
     return rows
 
 
-def show_model(shown: "Model") -> None:
+def show_model(shown: Model) -> None:
     """Print the model's locations, its effects and where it comes from."""
-    from sim.effects.kinds import told
-
     rows = _location_rows(shown.sha, shown.semi_markov)
     columns = list(rows[0])
     table(

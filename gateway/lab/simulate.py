@@ -1,18 +1,121 @@
 """`decanter model simulate`: a model let run along measured traces, and how far off it comes out; or along a word."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+import numpy as np
 
-from gateway.console.options import json_option, map_option, picture_option, seed_option
-from gateway.console.output import emit, fail, progress, sentences, table
-from gateway.console.traces import load
+from gateway.console.exits import fail, sentences
+from gateway.console.options import json_option, map_option, seed_option
+from gateway.console.output import emit, progress, table
+from gateway.lab.traces.load import load
+from gateway.lab.traces.picture import picture_option
+from gateway.lab.word import replay_word
+from sim.artefacts.find import find_model
+from sim.engine.open_loop import Start, errors, measured, open_loop, open_loop_schedule, start_law
+from sim.engine.schedule import Policy
+from sim.engine.simulate import simulate as sample_runs
+from sim.forecast.review import beyond, standardised
+from sim.sha.model import Model
+from sim.sha.trace import Array, Trace
+from sim.validation.plots import Curve, Picture, draw
 
-if TYPE_CHECKING:
-    from sim.engine.open_loop import Start
-    from sim.engine.schedule import Policy
+BAND = (0.05, 0.95)
+
+
+def simulate_traces(
+    model: Model,
+    traces: Sequence[Trace],
+    *,
+    runs: int,
+    policy: Policy,
+    start: Start,
+    seed: int,
+    picture: Path | None,
+    report: Callable[[str, float], None],
+) -> list[dict[str, Any]]:
+    """One row a trace; a trace that fails has `error` and does not stop the others."""
+    rows = []
+    for index, trace in enumerate(traces):
+        report(trace.name, index / len(traces))
+        wanted = picture if index == 0 else None
+        try:
+            rows.append(
+                _simulate_one(
+                    model,
+                    trace,
+                    runs,
+                    policy=policy,
+                    start=start,
+                    rng=np.random.default_rng([seed, index]),
+                    picture=wanted,
+                )
+            )
+        except ValueError as error:
+            rows.append({"trace": trace.name, "error": str(error)})
+    return rows
+
+
+def _simulate_one(
+    model: Model, trace: Trace, runs: int, policy: Policy, start: Start, rng: np.random.Generator, picture: Path | None
+) -> dict[str, Any]:
+    mean = open_loop(model, trace, policy, start)
+    wrong = errors(mean, trace, model.temperature)
+    steps = open_loop_schedule(model, trace, policy)
+    sampled = sample_runs(steps, start_law(model, trace, start), runs, rng)
+    noisy = sampled.temperatures + model.sensor_sigma * rng.normal(size=sampled.temperatures.shape)
+    low, high = np.quantile(noisy, BAND, axis=0)
+    times, values = measured(trace, model.temperature)
+    place = np.searchsorted(sampled.times, times)
+    inside = (values >= low[place]) & (values <= high[place])
+    outside = beyond(*standardised(mean, trace, model))
+    if picture is not None:
+        _draw(model, trace, (mean.times, mean.mean), (sampled.times, low, high), picture)
+    return {
+        "trace": trace.name,
+        "synthetic": trace.synthetic,
+        "events": len(trace.events),
+        "rmse": wrong.at_samples.rmse,
+        "mae": wrong.at_samples.mae,
+        "rmse at events": wrong.at_events.rmse,
+        "mae at events": wrong.at_events.mae,
+        "final": wrong.final,
+        "final %": wrong.final_percent,
+        "coverage 90 %": float(np.mean(inside)),
+        "clamps": mean.clamps,
+        "limited": mean.limited,
+        "beyond 3 sigma": outside.share,
+        "longest run beyond 3 sigma": outside.run,
+        "review": outside.review,
+        "flags": ", ".join((*mean.flags, *(["review"] if outside.review else []))),
+    }
+
+
+def _draw(
+    model: Model, trace: Trace, mean: tuple[Array, Array], band: tuple[Array, Array, Array], picture: Path
+) -> None:
+    times, values = measured(trace, model.temperature)
+    low, high = (np.interp(mean[0], band[0], edge) for edge in band[1:])
+    driving = [channel.signal for channel in model.alphabet.channels if channel.signal in trace.signals]
+    inputs = [
+        Curve(name, trace.times[present], trace.signals[name][present])
+        for name in driving
+        if (present := np.isfinite(trace.signals[name])).any() and np.nanmax(trace.signals[name]) > 1
+    ]
+    note = "SYNTHETIC: not measured on a plant" if trace.synthetic else trace.origin
+    draw(
+        Picture(
+            f"{model.sha.name} along {trace.name}, open loop",
+            Curve(f"measured {model.temperature}", times, values),
+            open_loop=Curve("simulated, 90 % band", mean[0], mean[1], low, high),
+            inputs=inputs,
+            events=trace.events,
+            note=note,
+        ),
+        picture,
+    )
 
 
 @click.command(short_help="Let a model run along measured traces; say how far off it is.")
@@ -42,8 +145,8 @@ def simulate(
     word: str | None,
     map_name: str,
     runs: int,
-    policy: "Policy",
-    start: "Start",
+    policy: Policy,
+    start: Start,
     seed: int,
     picture: Path | None,
     as_json: bool,
@@ -59,13 +162,8 @@ def simulate(
     if bool(paths) == (word is not None):
         raise click.UsageError("give --trace or --word, one of the two")
     if word is not None:
-        from gateway.lab.word import replay_word
-
         replay_word(directory, word, policy, as_json=as_json)
         return
-    from gateway.lab.simulation import simulate_traces
-    from sim.artefacts.find import find_model
-
     with sentences(), progress("simulating") as report:
         traces, column_map = load(paths, map_name)
         found = find_model(directory, alphabet=column_map.alphabet, temperature=column_map.temperature)

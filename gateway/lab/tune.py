@@ -3,19 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from gateway.console.exits import Exit, sentences
 from gateway.console.interrupt import interruptible
 from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import Exit, emit, progress, sentences, table
-from gateway.console.traces import load
-
-if TYPE_CHECKING:
-    from sim.ranking.tuning import Objective, StudyPlan, Tuning
-    from sim.sha.trace import Trace
-    from sim.traces.column_map import ColumnMap
+from gateway.console.output import emit, progress, table
+from gateway.lab.traces.load import load
+from sim.artefacts.model_directory import write_model_directory
+from sim.ranking.tuning import Objective, StudyPlan, Tuning, final_model
+from sim.ranking.tuning import tune as searched
+from sim.traces.cycles import split_cycles
 
 SHOWN = 10
 
@@ -55,7 +55,7 @@ def tune(
     trials: int,
     folds: int,
     jobs: int,
-    objective: "Objective",
+    objective: Objective,
     prune: bool,
     out: Path | None,
     name: str,
@@ -68,11 +68,10 @@ def tune(
     standard error, paired by trace. A search that was stopped or killed goes on with the same command; a study of
     other traces, another method or other settings is refused.
     """
-    from sim.ranking.tuning import StudyPlan
-    from sim.ranking.tuning import tune as searched
-
     with sentences(), progress(f"tuning ({method})") as bar, interruptible(bar) as report:
-        traces, column_map = _traces(paths, map_name, cycles=cycles)
+        traces, column_map = load(paths, map_name)
+        if cycles:
+            traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
         plan = StudyPlan(method, objective, folds, seed)
         found = searched(
             traces,
@@ -88,36 +87,15 @@ def tune(
         written = None
         if out is not None and not found.stopped:
             report("learning with the best settings", 1.0)
-            written = _write(found, traces, column_map, plan, name, out)
-    _tell(found, plan, study, written, as_json=as_json)
-
-
-def _traces(paths: Sequence[str], map_name: str, *, cycles: bool) -> "tuple[list[Trace], ColumnMap]":
-    from sim.traces.cycles import split_cycles
-
-    traces, column_map = load(paths, map_name)
-    if cycles:
-        traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
-    return traces, column_map
-
-
-def _write(
-    found: "Tuning", traces: "Sequence[Trace]", column_map: "ColumnMap", plan: "StudyPlan", name: str, out: Path
-) -> Path:
-    from sim.artefacts.model_directory import write_model_directory
-    from sim.ranking.tuning import final_model
-
-    if found.best is None:
-        raise ValueError(f"{found.sentence}; nothing is written to {out}")
-    taught = final_model(traces, column_map.alphabet, column_map.temperature, plan, found.best, name)
-    write_model_directory(out, taught.model, taught.values)
-    return out
-
-
-def _tell(found: "Tuning", plan: "StudyPlan", study: Path, written: Path | None, *, as_json: bool) -> None:
+            if found.best is None:
+                raise ValueError(f"{found.sentence}; nothing is written to {out}")
+            alphabet, temperature = column_map.alphabet, column_map.temperature
+            learned = final_model(traces, alphabet, temperature, plan=plan, trial=found.best, name=name)
+            write_model_directory(out, learned.model, learned.values)
+            written = out
     data = {
-        "method": plan.method,
-        "objective": plan.objective,
+        "method": method,
+        "objective": objective,
         "study": str(study),
         **asdict(found),
         "model": written and str(written),
@@ -128,7 +106,7 @@ def _tell(found: "Tuning", plan: "StudyPlan", study: Path, written: Path | None,
         raise SystemExit(Exit.INTERRUPTED)
 
 
-def _show(found: "Tuning", plan: "StudyPlan", study: Path, written: Path | None) -> None:
+def _show(found: Tuning, plan: StudyPlan, study: Path, written: Path | None) -> None:
     unit = "CRPS (°C)" if plan.objective == "crps" else "minus log-likelihood per reading"
     complete = sorted((one for one in found.trials if one.state == "complete"), key=lambda one: one.value)
     rows = [[one.number, one.value, one.error, one.settings or "defaults"] for one in complete[:SHOWN]]

@@ -1,24 +1,170 @@
 """`decanter model validate`: models along measured traces in nine stages, with a report each."""
 
+import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from time import perf_counter
+from typing import Any
 
 import click
 
+from gateway.console.exits import Exit, fail, sentences
 from gateway.console.interrupt import interruptible
 from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import Exit, emit, fail, progress, sentences, table
+from gateway.console.output import emit, progress, table
 from gateway.console.places import shipped
+from sim.artefacts.model_directory import write_model_directory
+from sim.engine.schedule import Policy
+from sim.ranking.tuning_methods import METHODS, Task
+from sim.sha.trace import Trace
+from sim.traces.column_map import ColumnMap, load_map
+from sim.traces.traces import load_traces, units
+from sim.validation.campaign import Progress, cluster, run_here, unread
+from sim.validation.conduct import CampaignPlan, conduct
+from sim.validation.output_folder import LEARNED, check_folder, claim_folder, held
+from sim.validation.report import CampaignSummary, natural
+from sim.validation.results import TraceResult
+from sim.validation.stage_records import load_stage
+from sim.validation.stages import Prepared, Wanted, prepare, relabelled
+from sim.validation.trace_run import TraceRunSettings
+from sim.validation.verdicts import gain, summaries, verdict
 
-if TYPE_CHECKING:
-    from sim.engine.schedule import Policy
-    from sim.validation.results import TraceResult
-    from sim.validation.stages import Wanted
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValidationRequest:
+    """The options of `decanter model validate`. `created` is the time for the report, in seconds UTC."""
+
+    models: Sequence[str]
+    paths: Sequence[str]
+    map_file: Path
+    out: Path
+    overwrite: bool
+    wanted: Wanted
+    training: Sequence[str]
+    settings: TraceRunSettings
+    jobs: int | None
+    address: str | None
+    pictures: bool
+    created: float
 
 
-TOLD = 5
+def campaign(
+    request: ValidationRequest, tell: Callable[[str], None], progress: Progress
+) -> tuple[list[Prepared], list[TraceResult]]:
+    """The models and the results of all of them; the folder is complete then.
+
+    Raises ValueError or OSError, before anything is written, for a folder, a map, a model, a set of traces or a cluster
+    that cannot be used. Models that are to be learned (see `methods_in`) are learned once all that is known to be good.
+    """
+    check_folder(request.out, overwrite=request.overwrite)
+    column_map = load_map(request.map_file)
+    workers = request.jobs or len(os.sched_getaffinity(0))
+    with nullcontext(run_here(workers)) if request.address is None else cluster(request.address) as run:
+        training = _training(request, column_map)
+        ready = _ready(request, column_map, training, progress)
+        progress("reading traces", 0.0)
+        begin = perf_counter()
+        traces, report = load_traces(list(request.paths), column_map)
+        loading = load_stage(report, perf_counter() - begin)
+        facts = _facts(request, traces)
+        created = datetime.fromtimestamp(request.created, UTC).strftime("%Y-%m-%d %H:%M UTC")
+        plan = CampaignPlan(
+            settings=request.settings,
+            run=run,
+            workers=workers,
+            pictures=request.pictures,
+            units=units(column_map),
+            campaign=CampaignSummary(created, facts),
+        )
+        with held(request.out):
+            stale = check_folder(request.out, overwrite=request.overwrite)  # again: nobody else can write there now
+            folder = claim_folder(request.out, stale, (), {"created": created, **facts})
+            known = training or ()
+            made = [one or _learned(where, request, column_map, known, progress) for where, one in ready]
+            prepared = relabelled(made)
+            folder.assign([one.label for one in prepared])
+            return prepared, conduct(
+                prepared,
+                traces,
+                unread(report, traces),
+                loading=loading,
+                plan=plan,
+                folder=folder,
+                tell=tell,
+                progress=progress,
+            )
+
+
+def to_learn(models: Sequence[str]) -> list[str]:
+    """Those of the MODEL arguments that name a method of learning and nothing that is there."""
+    return [name for name in models if name in METHODS and not Path(name).exists()]
+
+
+def _training(request: ValidationRequest, column_map: ColumnMap) -> list[Trace] | None:
+    """Raises ValueError where they cannot be read, or are not given and a model is to be learned from them."""
+    wanted = to_learn(request.models)
+    if wanted and not request.training:
+        raise ValueError(f"{wanted[0]}: there is no such model; to learn one by this method give --training TRACES")
+    return load_traces(list(request.training), column_map)[0] if request.training else None
+
+
+def _ready(
+    request: ValidationRequest, column_map: ColumnMap, training: Sequence[Trace] | None, progress: Progress
+) -> list[tuple[str, Prepared | None]]:
+    """Each model argument with its model after stages 1 to 4, None where it is to be learned. Raises ValueError."""
+    unlearned = to_learn(request.models)
+    ready: list[tuple[str, Prepared | None]] = []
+    for number, where in enumerate(request.models):
+        progress(where, number / len(request.models))
+        ready.append((where, None if where in unlearned else _prepared(where, request, column_map, training)))
+    return ready
+
+
+def _prepared(
+    where: str, request: ValidationRequest, column_map: ColumnMap, training: Sequence[Trace] | None
+) -> Prepared:
+    return prepare(
+        where,
+        column_map.alphabet,
+        column_map.temperature,
+        wanted=request.wanted,
+        training=training,
+        seed=request.settings.seed,
+    )
+
+
+def _learned(
+    name: str, request: ValidationRequest, column_map: ColumnMap, training: Sequence[Trace], progress: Progress
+) -> Prepared:
+    """A model learned by the method `name` with its defaults, written to the campaign's folder, and then prepared."""
+    progress(f"learning by {name}", 0.0)
+    silent = [replace(trace, events=()) for trace in training]
+    task = Task(silent, column_map.alphabet, column_map.temperature, request.settings.seed, name)
+    learned = METHODS[name].learn(task, {})
+    place = request.out / LEARNED / name
+    write_model_directory(place, learned.model, learned.values)
+    return _prepared(str(place), request, column_map, training)
+
+
+def _facts(request: ValidationRequest, traces: Sequence[Trace]) -> dict[str, str]:
+    settings = request.settings
+    return {
+        "traces": f"{len(traces)} from {', '.join(request.paths)}",
+        "map": request.map_file.stem,
+        "runs": str(settings.runs),
+        "policy": settings.policy,
+        "semantics": request.wanted,
+        "seed": str(settings.seed),
+        "decanter": version("decanter-gateway"),
+    }
+
+
+MOST_REASONS = 5
 """Reasons that are printed for each model."""
 
 
@@ -60,9 +206,9 @@ def validate(
     map_name: str,
     out: Path,
     overwrite: bool,
-    wanted: "Wanted",
+    wanted: Wanted,
     training: Sequence[str],
-    policy: "Policy",
+    policy: Policy,
     runs: int,
     jobs: int | None,
     address: str | None,
@@ -79,12 +225,20 @@ def validate(
     """
     try:
         with sentences(), progress("validating") as bar, interruptible(bar) as report:
-            from gateway.lab.validation import Request, campaign
-            from sim.validation.trace_run import TraceRunSettings
-
             place, settings = shipped("traces", map_name), TraceRunSettings(runs, policy, seed)
-            request = Request(
-                models, paths, place, out, overwrite, wanted, training, settings, jobs, address, pictures, time.time()
+            request = ValidationRequest(
+                models=models,
+                paths=paths,
+                map_file=place,
+                out=out,
+                overwrite=overwrite,
+                wanted=wanted,
+                training=training,
+                settings=settings,
+                jobs=jobs,
+                address=address,
+                pictures=pictures,
+                created=time.time(),
             )
             _, results = campaign(request, _quiet if as_json else click.echo, report)
     except KeyboardInterrupt:
@@ -100,12 +254,8 @@ def _quiet(_: str) -> None:
     """With --json the stages are in the folder alone."""
 
 
-def _data(out: Path, results: "Sequence[TraceResult]") -> dict[str, Any]:
+def _data(out: Path, results: Sequence[TraceResult]) -> dict[str, Any]:
     """What --json gives: summaries, gains, verdicts and results."""
-    from dataclasses import asdict
-
-    from sim.validation.verdicts import gain, summaries, verdict
-
     models = list(dict.fromkeys(one.model for one in results))
     gains = {name: gain([one for one in results if one.model == name]) for name in models}
     return {
@@ -117,9 +267,7 @@ def _data(out: Path, results: "Sequence[TraceResult]") -> dict[str, Any]:
     }
 
 
-def _show(out: Path, results: "Sequence[TraceResult]") -> None:
-    from sim.validation.verdicts import gain, summaries
-
+def _show(out: Path, results: Sequence[TraceResult]) -> None:
     columns = ("model", "semantics", "good", "review", "failed", "MAE", "RMSE", "at events", "dense", "final %")
     more = ("coverage", "CRPS", "persistence")
     names = ("mae", "rmse", "at_events", "dense", "final_percent", "coverage", "crps", "persistence")
@@ -137,16 +285,14 @@ def _show(out: Path, results: "Sequence[TraceResult]") -> None:
     click.echo(f"report: {out / 'index.html'}")
 
 
-def _reasons(results: "Sequence[TraceResult]") -> list[str]:
-    """Why traces failed or are to be looked at, the first TOLD of them; the report has all."""
-    from sim.validation.report import natural
-    from sim.validation.verdicts import verdict
-
+def _reasons(results: Sequence[TraceResult]) -> list[str]:
+    """Why traces failed or are to be looked at, the first MOST_REASONS of them; the report has all."""
     judged = [(one, verdict(one)) for one in sorted(results, key=lambda one: natural(one.trace))]
-    said = [
+    lines = [
         f"{found.word}: {one.trace} ({one.semantics}): {'; '.join(found.reasons)}"
         for word in ("failed", "review")
         for one, found in judged
         if found.word == word
     ]
-    return said[:TOLD] + ([f"{len(said) - TOLD} more of these are in the report"] if len(said) > TOLD else [])
+    more = len(lines) - MOST_REASONS
+    return [*lines[:MOST_REASONS], *([f"{more} more of these are in the report"] if more > 0 else [])]

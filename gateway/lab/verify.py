@@ -4,23 +4,23 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.core import ParameterSource
 
+from gateway.console.exits import Exit, sentences
 from gateway.console.options import finite, json_option, map_option
-from gateway.console.output import Exit, emit, sentences, table
+from gateway.console.output import emit, table
 from gateway.console.places import shipped
-from gateway.console.traces import load
-
-if TYPE_CHECKING:
-    from sim.artefacts.find import Found
-    from sim.checking.proof.envelope import Assumptions, Sojourn
-    from sim.checking.proof.verify import Check, Verification
-    from sim.checking.proof.word import TimedWord
-    from sim.engine.schedule import Policy
-    from sim.traces.column_map import ColumnMap
+from gateway.lab.traces.load import load
+from sim.artefacts.find import Found, find_model
+from sim.checking.proof.envelope import DAY, Assumptions, Sojourn
+from sim.checking.proof.verify import Check, Verification
+from sim.checking.proof.verify import verify as check
+from sim.checking.proof.word import TimedWord, word_text
+from sim.engine.schedule import Policy
+from sim.traces.column_map import ColumnMap, load_map
 
 GROWS = "A flow that relaxes cannot grow: learn with --method bins, or with --method lsha --default-flow exponential."
 STAYS, CASES, WIDTH = 12, 4, 150
@@ -36,7 +36,7 @@ def pair(text: str) -> tuple[float, float]:
         raise click.BadParameter(f"{text!r} is no range; write LOW..HIGH, as 0..600") from None
 
 
-def _sojourn(_: click.Context, __: click.Parameter, text: str) -> "Sojourn":
+def _sojourn(_: click.Context, __: click.Parameter, text: str) -> Sojourn:
     if text == "any" or text == "law":
         return "any" if text == "any" else "law"
     return pair(text)
@@ -94,11 +94,11 @@ def verify(
     paths: Sequence[str],
     map_name: str,
     bounds: tuple[float, float] | None,
-    sojourn: "Sojourn",
+    sojourn: Sojourn,
     z: float,
     inputs: dict[str, tuple[float, float]],
     start: tuple[float, float] | None,
-    policy: "Policy",
+    policy: Policy,
     known: bool,
     wear: float | None,
     out: Path | None,
@@ -109,40 +109,41 @@ def verify(
     Every check is proven, refuted with its evidence, or not decided. Leaves with 1 when the model is not deployable; a
     range given by --bounds must be proven too. `decanter model simulate MODEL --word ...` replays a counterexample.
     """
-    from sim.artefacts.find import find_model
-    from sim.checking.proof.envelope import DAY, Assumptions
-
     with sentences():
         traces, column_map = load(paths, map_name) if paths else ([], _named_map(map_name))
         if column_map is None:
             found = find_model(model)
         else:
             found = find_model(model, alphabet=column_map.alphabet, temperature=column_map.temperature)
-        assumptions = Assumptions(z, sojourn, inputs, start, policy, not known, None if wear is None else wear * DAY)
+        assumptions = Assumptions(
+            z=z,
+            sojourn=sojourn,
+            inputs=inputs,
+            start=start,
+            policy=policy,
+            unknown=not known,
+            horizon=None if wear is None else wear * DAY,
+        )
         result = _verified(found, traces, bounds, assumptions)
         worst = _counterexample(result)
         if out is not None and worst is not None:
-            _save(out, worst[1])
+            out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
     emit(plain(result, found), lambda: _show(result, found, model, out), as_json_line=as_json)
     if not result.deployable:
         sys.exit(Exit.CHECK_FAILED)
 
 
-def _named_map(map_name: str) -> "ColumnMap | None":
+def _named_map(map_name: str) -> ColumnMap | None:
     """The column map, if it was named: artefacts take their alphabet from it, also without a trace."""
     if click.get_current_context().get_parameter_source("map_name") is not ParameterSource.COMMANDLINE:
         return None
-    from sim.traces.column_map import load_map
-
     return load_map(shipped("traces", map_name))
 
 
 def _verified(
-    found: "Found", traces: Sequence[Any], bounds: tuple[float, float] | None, assumptions: "Assumptions"
-) -> "Verification":
+    found: Found, traces: Sequence[Any], bounds: tuple[float, float] | None, assumptions: Assumptions
+) -> Verification:
     """The verification; the alphabet of artefacts is the one that their report lists, if it lists one."""
-    from sim.checking.proof.verify import verify as check
-
     reported = tuple(name for name, _ in found.artefacts.report.events) if found.artefacts else ()
     return check(
         found.model or found.structure,
@@ -155,16 +156,8 @@ def _verified(
     )
 
 
-def _save(out: Path, word: "TimedWord") -> None:
-    from sim.checking.proof.word import word_text
-
-    out.write_text(word_text(word) + "\n", encoding="utf-8")
-
-
-def plain(result: "Verification", found: "Found") -> dict[str, Any]:
+def plain(result: Verification, found: Found) -> dict[str, Any]:
     """The verification as plain values for JSON."""
-    from sim.checking.proof.word import word_text
-
     rows = [
         {
             "check": one.name,
@@ -188,7 +181,7 @@ def plain(result: "Verification", found: "Found") -> dict[str, Any]:
     }
 
 
-def _show(result: "Verification", found: "Found", model: str, out: Path | None) -> None:
+def _show(result: Verification, found: Found, model: str, out: Path | None) -> None:
     seconds = sum(one.seconds for one in result.checks)
     rows = [[one.name, one.verdict, "" if one.blocking else "no", f"{1e3 * one.seconds:.1f}"] for one in result.checks]
     table(f"{found.name}: verified in {seconds:.2f} s", ("check", "verdict", "decides", "ms"), rows)
@@ -199,24 +192,20 @@ def _show(result: "Verification", found: "Found", model: str, out: Path | None) 
     worst = _counterexample(result)
     if worst is not None:
         _show_word(*worst, model, out)
-    against = [one.name for one in _against(result)]
-    said = f"NOT deployable: {'; '.join(against)}" if against else "deployable"
-    click.secho(said, fg="red" if against else "green", bold=True)
+    against = [one.name for one in result.checks if one.blocking and one.verdict != "proven"]
+    sentence = f"NOT deployable: {'; '.join(against)}" if against else "deployable"
+    click.secho(sentence, fg="red" if against else "green", bold=True)
     if "growth" in against and result.executable:
         click.echo(GROWS)
 
 
-def _counterexample(result: "Verification") -> "tuple[str, TimedWord] | None":
+def _counterexample(result: Verification) -> tuple[str, TimedWord] | None:
     """(check, word) of the first counterexample: one that decides comes before one that only informs."""
     ordered = sorted(result.checks, key=lambda one: not one.blocking)
     return next(((one.name, word) for one in ordered for word in one.words), None)
 
 
-def _against(result: "Verification") -> "list[Check]":
-    return [one for one in result.checks if one.blocking and one.verdict != "proven"]
-
-
-def _show_check(one: "Check") -> None:
+def _show_check(one: Check) -> None:
     click.echo(f"{one.name}: {one.evidence}")
     if one.verdict == "proven" or one.name == "bounds" or len(one.details) < 2:
         return
@@ -226,9 +215,7 @@ def _show_check(one: "Check") -> None:
         click.echo(f"    ... and {len(one.details) - CASES} more (--json has them all)")
 
 
-def _show_word(check: str, word: "TimedWord", model: str, out: Path | None) -> None:
-    from sim.checking.proof.word import word_text
-
+def _show_word(check: str, word: TimedWord, model: str, out: Path | None) -> None:
     text, size = word_text(word), f"{len(word.steps)} stays"
     if out is not None:
         replayed = f"decanter model simulate {model} --word {out}"

@@ -1,25 +1,21 @@
 """`decanter model simulate --word`: a timed word run stay by stay, without noise and without clamps."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from gateway.console.output import emit, sentences, table
-
-if TYPE_CHECKING:
-    from sim.checking.proof.word import Replay
-    from sim.engine.schedule import Policy
+from gateway.console.exits import sentences
+from gateway.console.output import emit, table
+from sim.artefacts.find import find_model
+from sim.checking.proof.word import Replay, parse_word, replay
+from sim.engine.schedule import Policy
+from sim.sha.correction import in_sensor_scale
 
 COLUMNS = ("time", "symbol", "location", "seconds", "m", "offset", "entered", "left", "clamped")
 
 
-def replay_word(directory: str, given: str, policy: "Policy", *, as_json: bool) -> None:
+def replay_word(directory: str, given: str, policy: Policy, *, as_json: bool) -> None:
     """Replay a word, given as text or as a file's name, and say whether the model's own range is left."""
-    from sim.artefacts.find import find_model
-    from sim.checking.proof.word import parse_word, replay
-    from sim.sha.correction import in_sensor_scale
-
     with sentences():
         model = in_sensor_scale(find_model(directory).runnable())
         done = replay(model, parse_word(_text(given)), policy)
@@ -36,9 +32,9 @@ def replay_word(directory: str, given: str, policy: "Policy", *, as_json: bool) 
 
     def show() -> None:
         _show(done)
-        said = f"from {done.lowest:.6g} to {done.highest:.6g} °C; the model's range is {low:g} to {high:g} °C"
+        sentence = f"from {done.lowest:.6g} to {done.highest:.6g} °C; the model's range is {low:g} to {high:g} °C"
         left = f": it is left in {outside.location!r}, in the stay from {outside.time:.6g} s on" if outside else ""
-        click.echo(said + left)
+        click.echo(sentence + left)
 
     emit(data, show, as_json_line=as_json)
 
@@ -53,6 +49,6 @@ def _text(given: str) -> str:
         raise ValueError(f"{given}: byte {error.start} is not UTF-8; give a text file with a timed word") from None
 
 
-def _show(done: "Replay") -> None:
+def _show(done: Replay) -> None:
     rows = [[getattr(visit, name) for name in COLUMNS] for visit in done.visits]
     table("replay without noise and clamps (s, °C)", COLUMNS, rows)

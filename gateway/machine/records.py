@@ -1,20 +1,16 @@
-"""What goes into the historian, as rows of its tables: which samples are worth keeping, how a record is written."""
+"""What was measured and predicted, as rows of the historian: which samples are worth keeping, how a row is written."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import nan
-from struct import pack
 from typing import Any
 
 from drivers.tag import Sample, Tag
-from gateway.machine.alarms import Alarm
-from gateway.machine.predict import Prediction
-from gateway.machine.scan import Scan
-from gateway.machine.writeback import Attempt
-from gateway.plant.status import strict
-from gateway.store.historian import Row
-from sim.forecast.forecast import Forecast
+from gateway.machine.model.outlook import FinishedForecast
+from gateway.machine.model.predict import ScanPrediction
+from gateway.machine.reading.scan import Scan
+from gateway.store.historian import Historian, Row
+from sim.strict_json import json_text
 
 
 @dataclass(slots=True)
@@ -53,19 +49,38 @@ class Keeper:
         return abs(sample.value - before.value) > self.tags[name].deadband
 
 
-def scan_row(scan: Scan) -> Row:
-    """A row of `scans`."""
-    return (scan.time, scan.duration, scan.missed)
+@dataclass(frozen=True, slots=True)
+class Records:
+    """The stage that stores measurements and predictions; alarms and writes are on record where they come about."""
+
+    historian: Historian
+    keeper: Keeper
+
+    def take(
+        self,
+        scan: Scan,
+        prediction: ScanPrediction | None,
+        finished: FinishedForecast | None = None,
+        guards: Mapping[str, Any] | None = None,
+    ) -> None:
+        """The rows of one scan, of what was predicted for it, and of the forecast that was finished before it."""
+        put = self.historian.put
+        put("scans", [(scan.time, scan.duration, scan.missed)])
+        put("samples", self.keeper.rows(scan))
+        if prediction is not None:
+            p = prediction
+            row = (p.time, p.location, int(p.known), p.measured, p.mean, p.low, p.high, p.free_run, p.anomaly, p.zone)
+            put("predictions", [row])
+            # The location is the one after all events of the scan.
+            put("events", [(event.time, event.symbol, p.location) for event in p.events])
+        if finished is not None:
+            put("forecasts", forecast_rows(finished))
+            put("guards", [(scan.time, json_text(guards))])
 
 
-def prediction_row(p: Prediction) -> Row:
-    """A row of `predictions`."""
-    return (p.time, p.location, int(p.known), p.measured, p.mean, p.low, p.high, p.free_run, p.anomaly, p.zone)
-
-
-def forecast_rows(made: Forecast, measured: float | None) -> list[Row]:
-    """The rows of `forecasts`, one a horizon; `measured` is the last reading when the forecast was made."""
-    levels = json.dumps(list(made.levels))
+def forecast_rows(finished: FinishedForecast) -> list[Row]:
+    """The rows of `forecasts`, one a horizon."""
+    made, levels = finished.forecast, json.dumps(list(finished.forecast.levels))
     return [
         (
             made.time,
@@ -74,44 +89,7 @@ def forecast_rows(made: Forecast, measured: float | None) -> list[Row]:
             json.dumps([round(value, 4) for value in made.quantiles[:, column].tolist()]),
             made.exceedance[column].probability,
             made.limit,
-            measured,
+            finished.measured,
         )
         for column, horizon in enumerate(made.horizons.tolist())
     ]
-
-
-def event_rows(prediction: Prediction) -> list[Row]:
-    """The rows of `events`; the location is the one after all events of the scan."""
-    return [(event.time, event.symbol, prediction.location) for event in prediction.events]
-
-
-def guard_row(now: float, report: Mapping[str, Any] | None) -> Row:
-    """A row of `guards`: the report as JSON, numbers that are not finite as null."""
-    return (now, json.dumps(strict(report), ensure_ascii=False))
-
-
-def alarm_row(alarm: Alarm, value: float | None, now: float) -> Row:
-    """A row of `alarms`: the state entered at `now`."""
-    return (now, alarm.condition, alarm.tag, alarm.priority, alarm.state.value, value, alarm.acknowledged_by)
-
-
-def write_row(attempt: Attempt) -> Row:
-    """A row of `writes`; the words are stored high byte first, as they went on the wire."""
-    block = attempt.block
-    words = pack(f">{len(block.words)}H", *block.words)
-    return (
-        attempt.time,
-        block.sequence,
-        attempt.mode,
-        attempt.verdict,
-        int(block.validity),
-        attempt.latency_ms,
-        attempt.reason,
-        words,
-    )
-
-
-def percentile(values: Sequence[float], share: float) -> float:
-    """The value that `share` of the values do not exceed (nearest rank); NaN for none."""
-    ordered = sorted(values)
-    return ordered[min(int(share * len(ordered)), len(ordered) - 1)] if ordered else nan

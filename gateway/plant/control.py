@@ -6,7 +6,6 @@ here writes to the device: `arm` lets the gateway write its block, `disarm` take
 """
 
 import asyncio
-import json
 import os
 import socket
 import struct
@@ -14,15 +13,15 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from drivers import json_lines
+from drivers.json_lines import NoObject
 from drivers.tag import DType, Order, Sample, Tag
-from gateway.machine.arming import ArmingError
-from gateway.machine.redundant import Redundant
-from gateway.plant.status import strict
-
-if TYPE_CHECKING:
-    from gateway.machine.core import Gateway
+from gateway.machine.pipeline import Machine
+from gateway.machine.reading.redundant import Redundant
+from gateway.machine.writing.arming import ArmingError
+from sim.strict_json import strict
 
 MODE = 0o600
 LONGEST = 1 << 20
@@ -34,8 +33,8 @@ class ControlError(ValueError):
     """A request that cannot be carried out; the sentence goes into the reply."""
 
 
-Snapshot = Callable[["Gateway"], dict[str, Any]]
-Command = Callable[["Gateway", Mapping[str, Any], Snapshot], Awaitable[dict[str, Any]]]
+Snapshot = Callable[[Machine], dict[str, Any]]
+Command = Callable[[Machine, Mapping[str, Any], Snapshot], Awaitable[dict[str, Any]]]
 
 
 @contextmanager
@@ -54,19 +53,19 @@ def short(path: Path) -> Iterator[str]:
 def listening_socket(path: Path) -> socket.socket:
     """A socket at `path` that only this user may join. Raises OSError, also where a living gateway has it already."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    found = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         with short(path) as name:
             if path.is_socket() and not _is_alive(name):
                 path.unlink()
-            found.bind(name)
+            listener.bind(name)
         path.chmod(MODE)
-        found.listen(8)
-        found.setblocking(False)
+        listener.listen(8)
+        listener.setblocking(False)
     except OSError as error:
-        found.close()
+        listener.close()
         raise OSError(error.errno, f"no control socket at {path}: {error.strerror or error}") from None
-    return found
+    return listener
 
 
 def _is_alive(name: str) -> bool:
@@ -81,8 +80,8 @@ def _is_alive(name: str) -> bool:
 class Control:
     """The socket of one gateway, from `open` to `close`. `snapshot` gives the status."""
 
-    def __init__(self, gateway: "Gateway", path: Path, snapshot: Snapshot) -> None:
-        self._gateway, self.path, self._snapshot = gateway, path, snapshot
+    def __init__(self, machine: Machine, path: Path, snapshot: Snapshot) -> None:
+        self._machine, self.path, self._snapshot = machine, path, snapshot
         self._server: asyncio.Server | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
 
@@ -107,15 +106,12 @@ class Control:
         if task is not None:
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
-        try:
-            while _is_ours(writer) and (line := await reader.readline()):
-                reply = await answer(self._gateway, line, self._snapshot)
-                writer.write(json.dumps(strict(reply), ensure_ascii=False, allow_nan=False).encode() + b"\n")
-                await writer.drain()
-        except (OSError, ValueError, asyncio.CancelledError):
-            pass  # the client has gone, sends without end, or the gateway stops: nobody waits for an answer
-        finally:
-            writer.close()
+
+        async def reply(line: bytes) -> dict[str, Any]:
+            plain: dict[str, Any] = strict(await answer(self._machine, line, self._snapshot))
+            return plain
+
+        await json_lines.serve(reader, writer, reply, admitted=lambda: _is_ours(writer))
 
 
 def _is_ours(writer: asyncio.StreamWriter) -> bool:
@@ -125,57 +121,55 @@ def _is_ours(writer: asyncio.StreamWriter) -> bool:
     return user in (0, os.geteuid())
 
 
-async def answer(gateway: "Gateway", line: bytes, snapshot: Snapshot) -> dict[str, Any]:
+async def answer(machine: Machine, line: bytes, snapshot: Snapshot) -> dict[str, Any]:
     """The reply to one request."""
     try:
-        request = json.loads(line)
-        if not isinstance(request, dict) or not isinstance(request.get("command"), str):
+        request = json_lines.parsed(line)
+        if not isinstance(request.get("command"), str):
             raise ControlError('a request is a JSON object such as {"command": "status"}')
         act = COMMANDS.get(request["command"])
         if act is None:
             raise ControlError(f"there is no command {request['command']!r}; known are {', '.join(COMMANDS)}")
-        return {"ok": True, **await act(gateway, request, snapshot)}
-    except json.JSONDecodeError as error:
-        return {"ok": False, "reason": f"the request is not JSON: {error}"}
-    except ControlError as error:
+        return {"ok": True, **await act(machine, request, snapshot)}
+    except (NoObject, ControlError) as error:
         return {"ok": False, "reason": str(error)}
 
 
 # ---------------------------------------------------------------- commands
 
 
-async def _status(gateway: "Gateway", _: Mapping[str, Any], snapshot: Snapshot) -> dict[str, Any]:
-    return {"pid": os.getpid(), "config": str(gateway.config.path), "status": snapshot(gateway)}
+async def _status(machine: Machine, _: Mapping[str, Any], snapshot: Snapshot) -> dict[str, Any]:
+    return {"pid": os.getpid(), "config": str(machine.config.path), "status": snapshot(machine)}
 
 
-async def _read(gateway: "Gateway", request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
+async def _read(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
     """The samples of the last scan: of the `tags` named, or of all; or of `addresses`, asked of the device now."""
     if "addresses" in request:
-        return {"pid": os.getpid(), **await _asked(gateway, request["addresses"])}
-    known = gateway.config.map.by_name
+        return {"pid": os.getpid(), **await _asked(machine, request["addresses"])}
+    known = machine.config.map.by_name
     names = request.get("tags", list(known))
     if not isinstance(names, list) or (strange := [name for name in names if name not in known]):
         wrong = strange[0] if isinstance(names, list) else names
-        raise ControlError(f"{wrong!r} is no tag of {gateway.config.map.path}; known are {', '.join(known)}")
-    last = gateway.last
+        raise ControlError(f"{wrong!r} is no tag of {machine.config.map.path}; known are {', '.join(known)}")
+    last = machine.last
     if last is None:
         raise ControlError("the gateway has not read anything yet")
     return {
         "pid": os.getpid(),
-        "time": gateway.clock.now(),
-        "period": gateway.config.scan.period,
+        "time": machine.clock.now(),
+        "period": machine.config.scan.period,
         "samples": [plain(last.samples[name]) for name in names if name in last.samples],
     }
 
 
-async def _asked(gateway: "Gateway", given: Any) -> dict[str, Any]:
+async def _asked(machine: Machine, given: Any) -> dict[str, Any]:
     """Bare addresses by way of the gateway's own connection, so that a device of one client can be asked."""
-    if isinstance(gateway.driver, Redundant):
+    if isinstance(machine.driver, Redundant):
         raise ControlError("bare addresses differ from link to link, and this gateway has several; name tags")
     if not isinstance(given, list) or not all(isinstance(one, dict) for one in given):
         raise ControlError('addresses are a list such as [{"address": "holding:100", "dtype": "uint16"}]')
-    samples = await gateway.driver.read([_tag(one) for one in given])
-    return {"time": gateway.clock.now(), "samples": [plain(sample) for sample in samples]}
+    samples = await machine.driver.read([_tag(one) for one in given])
+    return {"time": machine.clock.now(), "samples": [plain(sample) for sample in samples]}
 
 
 def _tag(given: Mapping[str, Any]) -> Tag:
@@ -201,25 +195,25 @@ def plain(sample: Sample) -> dict[str, Any]:
     }
 
 
-async def _arm(gateway: "Gateway", request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
+async def _arm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
     """Let blocks be written from the next scan on: `by`, `reason`, `minutes`."""
     by, reason, minutes = (request.get(key) for key in ("by", "reason", "minutes"))
     number = isinstance(minutes, int | float) and not isinstance(minutes, bool)
     if not (isinstance(by, str) and isinstance(reason, str) and number):
         raise ControlError("arming needs by and reason as text and minutes as a number")
     try:
-        made = await gateway.arm(by, reason, float(minutes or 0.0))
+        made = await machine.arm(by, reason, float(minutes or 0.0))
     except ArmingError as error:
         raise ControlError(str(error)) from None
     return {"pid": os.getpid(), "by": made.by, "reason": made.reason, "until": made.until}
 
 
-async def _disarm(gateway: "Gateway", request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
+async def _disarm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
     """Take everything back and write no more: `by`, `reason`."""
     by, reason = request.get("by"), request.get("reason")
     if not (isinstance(by, str) and by.strip() and isinstance(reason, str)):
         raise ControlError("disarming needs by and reason as text")
-    return {"pid": os.getpid(), "was_armed": await gateway.disarm(by, reason)}
+    return {"pid": os.getpid(), "was_armed": await machine.disarm(by, reason)}
 
 
 COMMANDS: dict[str, Command] = {"status": _status, "read": _read, "arm": _arm, "disarm": _disarm}
@@ -238,11 +232,11 @@ class GatewayLine:
 
     def ask(self, command: str, **keys: Any) -> dict[str, Any]:
         """One request; gives the reply. Raises ControlError with the gateway's reason, OSError if it is gone."""
-        self._sock.sendall(json.dumps({"command": command, **keys}).encode() + b"\n")
+        self._sock.sendall(json_lines.packed({"command": command, **keys}))
         line = self._file.readline()
         if not line:
             raise ConnectionResetError("the gateway has closed its control socket")
-        reply: dict[str, Any] = json.loads(line)
+        reply = json_lines.parsed(line)
         if not reply.pop("ok", False):
             raise ControlError(str(reply.get("reason", "the gateway refused without a reason")))
         return reply

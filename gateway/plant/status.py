@@ -1,86 +1,117 @@
-"""What the gateway shows of itself: one snapshot, rewritten as one JSON line that a reader never sees half."""
+"""What a running machine shows of itself: one snapshot, rewritten as one JSON line that a reader never sees half."""
 
-import json
 import os
-from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from math import isfinite
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-OUTAGES, EVENTS, LATENCIES = 50, 20, 10_000
-
-
-@dataclass(slots=True)
-class Outage:
-    """No good reading: the `last_good` scan, the scan that noticed, the first good one again (plant s UTC)."""
-
-    last_good: float
-    noticed: float
-    recovered: float | None = None
-
-    def plain(self, speed: float) -> dict[str, float | None]:
-        """From the last good reading to the notice (`detected_s`) and to the first good one again, in real seconds."""
-        back = None if self.recovered is None else (self.recovered - self.last_good) / speed
-        return {
-            "last_good": self.last_good,
-            "detected_s": (self.noticed - self.last_good) / speed,
-            "recovered_s": back,
-        }
-
-
-@dataclass(slots=True)
-class Link:
-    """Whether good readings arrive, since the start and by the outages so far (the newest are kept)."""
-
-    alive: bool = False
-    last_good: float | None = None
-    outages: deque[Outage] = field(default_factory=lambda: deque(maxlen=OUTAGES))
-    count: int = 0
-
-    def heard(self, time: float, *, good: bool) -> str:
-        """Take in whether the scan at `time` had a good reading; "lost" or "back" when that changed, else ""."""
-        change = ""
-        if good and not self.alive:
-            change = "back"
-            if self.outages and self.outages[-1].recovered is None:
-                self.outages[-1].recovered = time
-        elif self.alive and not good and self.last_good is not None:
-            change = "lost"
-            self.outages.append(Outage(self.last_good, time))
-            self.count += 1
-        self.alive, self.last_good = good, time if good else self.last_good
-        return change
-
-
-@dataclass(slots=True)
-class Tally:
-    """Counters since the start, and the newest events and latencies (ms)."""
-
-    scans: int = 0
-    early: int = 0
-    missed: int = 0
-    events: int = 0
-    failures: int = 0
-    last_failure: str = ""
-    recent: deque[tuple[float, str, str]] = field(default_factory=lambda: deque(maxlen=EVENTS))
-    latencies: deque[float] = field(default_factory=lambda: deque(maxlen=LATENCIES))
-
-
-def strict(value: Any) -> Any:
-    """JSON's own types: infinite and undefined numbers become null."""
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {str(key): strict(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple | deque):
-        return [strict(inner) for inner in value]
-    return value
+from gateway.machine.model.outlook import block_values
+from gateway.machine.pipeline import Machine
+from gateway.machine.reading.redundant import Redundant
+from gateway.store.score import percentile
+from sim.strict_json import json_text
 
 
 def write_status(path: Path, status: Mapping[str, Any]) -> None:
     """Replace the file by one JSON line, in one step. Raises OSError."""
     draft = path.with_name(f".{path.name}.{os.getpid()}")
-    draft.write_text(json.dumps(strict(status), ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    draft.write_text(json_text(status) + "\n", encoding="utf-8")
     draft.replace(path)
+
+
+def snapshot(machine: Machine) -> dict[str, Any]:
+    """Everything worth showing, as plain values; times are plant seconds UTC, what ends in _s real seconds."""
+    speed, counters, link = machine.clock.speed, machine.counters, machine.link
+    return {
+        "time": machine.clock.now(),
+        "phase": machine.phase,
+        "link": {
+            "alive": link.alive,
+            "connected": machine.driver.connected,
+            "last_good": link.last_good,
+            "outages": [outage.plain(speed) for outage in link.outages],
+            "outage_count": link.count,
+        },
+        "links": _links(machine),
+        "scan": {
+            "count": counters.scans,
+            "early": counters.early,
+            "missed": counters.missed,
+            "period": machine.config.scan.period,
+        },
+        "values": _values(machine),
+        "prediction": _prediction(machine),
+        "forecast": _forecast(machine),
+        "model": machine.model.report() if machine.model else None,
+        "guards": machine.model.guard_report() if machine.model else None,
+        "events": counters.events,
+        "recent_events": [list(event) for event in counters.recent],
+        "alarms": {name: alarm.state.value for name, alarm in machine.alarms.alarms.items()},
+        "writeback": _writeback(machine),
+        "historian": {"dropped": machine.historian.dropped, "failure": machine.historian.failure},
+        "driver": dict(machine.driver.statistics()),
+        "complaints": list(machine.complaints()),
+        "failures": counters.failures,
+        "last_failure": counters.last_failure,
+    }
+
+
+def _links(machine: Machine) -> list[dict[str, Any]]:
+    """Every link to the device, the primary first."""
+    driver, links = machine.driver, machine.config.links
+    places = {link.name: {"driver": link.map.driver, "place": link.place} for link in links}
+    if isinstance(driver, Redundant):
+        return [one | places[one["name"]] for one in driver.report()]
+    alone = {"active": True, "connected": driver.connected, "well": machine.link.alive, "reason": ""}
+    return [{"name": link.name, **alone, **places[link.name]} for link in links[:1]]
+
+
+def _values(machine: Machine) -> dict[str, Any]:
+    samples = machine.last.samples if machine.last else {}
+    return {
+        name: {"value": s.value, "quality": s.quality.name, "time": s.time, "reason": s.reason}
+        for name, s in samples.items()
+    }
+
+
+def _prediction(machine: Machine) -> Mapping[str, Any] | None:
+    p = machine.model.prediction if machine.model else None
+    if p is None:
+        return None
+    return {key: value for key, value in asdict(p).items() if key != "events"}
+
+
+def _forecast(machine: Machine) -> dict[str, Any] | None:
+    made = machine.model.outlook.latest if machine.model else None
+    if made is None:
+        return None
+    now = machine.last.time if machine.last else made.time
+    return {
+        "time": made.time,
+        "levels": list(made.levels),
+        "horizons": made.horizons.tolist(),
+        "quantiles": made.quantiles.T.tolist(),
+        "p_limit": [estimate.probability for estimate in made.exceedance],
+        "factors": made.factors.tolist(),
+        "block": block_values(made, machine.config.block_horizon, now),
+    }
+
+
+def _writeback(machine: Machine) -> dict[str, Any]:
+    block = machine.block
+    if block is None:
+        return {"mode": "off"}
+    writer, last, latencies = block.writer, block.attempt, list(block.latencies)
+    return {
+        "mode": writer.mode,
+        "armed_until": writer.arming.until if writer.arming else None,
+        "armed_by": writer.arming.by if writer.arming else None,
+        **asdict(writer.counters),
+        "audit": {"path": str(machine.config.audit), "complaint": block.audit.complaint},
+        "last_verdict": last.verdict if last else None,
+        "last_reason": last.reason if last else "",
+        "last_validity": int(last.block.validity) if last else None,
+        "sequence": writer.sequence,
+        "latency_ms": {"p50": percentile(latencies, 0.5), "p99": percentile(latencies, 0.99)},
+    }

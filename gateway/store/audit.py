@@ -1,13 +1,12 @@
 """The audit log: every write, every refusal, every arming; only ever appended, each row bound to the one before.
 
-A row's hash is the SHA-256 of the hash before it and of the row itself, so that a row that was changed, put in or taken
-out shows (`verify`); triggers of the database refuse to change or to delete one. What is bound by nothing is the end:
-keep the newest hash (`head`) apart from the file, as the acceptance report does, and give it to `verify`.
+Its rows are a chain (`gateway.store.chain`), so that one that was changed, put in or taken out shows (`verify`);
+triggers of the database refuse to change or to delete one. What is bound by nothing is the end: keep the newest hash
+(`head`) apart from the file, as the acceptance report does, and give it to `verify`.
 
 Every row is on the disk (synchronous FULL) before it counts as stored. Several processes may append; they take turns.
 """
 
-import hashlib
 import json
 import sqlite3
 import threading
@@ -18,7 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gateway.plant.status import strict
+from gateway.store.chain import BEGIN, digest
+from sim.strict_json import json_text
 
 APPLICATION_ID = 0x6465_6175
 """Marks the file as a decanter audit log (SQLite's application_id)."""
@@ -29,7 +29,6 @@ BACKLOG = 1_000
 ARMED, DISARMED, EXPIRED = "armed", "disarmed", "arming over"
 _ARMINGS = (ARMED, DISARMED, EXPIRED)
 _RETRY_SECONDS = 1.0
-_FIRST = bytes(32)
 _COLUMNS = "id, time, kind, who, reason, detail, hash"
 
 _TABLES = """
@@ -50,7 +49,7 @@ class AuditError(OSError):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class AuditEntry:
     """One thing that happened: `time` (s UTC, the plant's clock), what kind, who, why, and the rest as plain values."""
 
     time: float
@@ -61,16 +60,16 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class AuditRow:
     """One stored entry: its number from 1 and the chain's hash at it (hexadecimal)."""
 
     id: int
-    entry: Entry
+    entry: AuditEntry
     hash: str
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class ChainVerdict:
     """What `verify` found: the number of rows, the newest hash, and what is wrong ("" if nothing)."""
 
     rows: int
@@ -88,19 +87,19 @@ class Audit:
         self.path = path
         self.failure = ""
         self._connection = connection
-        self._waiting: deque[Entry] = deque()
+        self._waiting: deque[AuditEntry] = deque()
         self._wake = threading.Condition()
         self._stopping = False
         self._thread = threading.Thread(target=self._work, name="audit", daemon=True)
         self._thread.start()
 
-    def put(self, entry: Entry) -> None:
+    def put(self, entry: AuditEntry) -> None:
         """Have the entry stored, within milliseconds while the disk takes it."""
         with self._wake:
             self._waiting.append(entry)
             self._wake.notify_all()
 
-    def record(self, entry: Entry, timeout: float = 5.0) -> bool:
+    def record(self, entry: AuditEntry, timeout: float = 5.0) -> bool:
         """Store the entry and wait until it is on the disk; False if that did not come about in time."""
         with self._wake:
             self._waiting.append(entry)
@@ -140,7 +139,7 @@ class Audit:
                 if not stored:
                     self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS)
 
-    def _stored(self, batch: Sequence[Entry]) -> bool:
+    def _stored(self, batch: Sequence[AuditEntry]) -> bool:
         try:
             append(self._connection, batch)
         except sqlite3.Error as error:
@@ -155,12 +154,12 @@ def open_audit(path: Path) -> Audit:
     return Audit(path, _connected(path))
 
 
-def append(connection: sqlite3.Connection, entries: Sequence[Entry]) -> str:
+def append(connection: sqlite3.Connection, entries: Sequence[AuditEntry]) -> str:
     """Append the entries in one transaction; gives the newest hash. Raises sqlite3.Error, and then none is stored."""
     with connection:
         connection.execute("BEGIN IMMEDIATE")
         last = connection.execute("SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
-        number, before = (int(last[0]), bytes(last[1])) if last else (0, _FIRST)
+        number, before = (int(last[0]), bytes(last[1])) if last else (0, BEGIN)
         for entry in entries:
             number += 1
             plain = (float(entry.time), entry.kind, entry.who, entry.reason, _detail(entry))
@@ -169,13 +168,13 @@ def append(connection: sqlite3.Connection, entries: Sequence[Entry]) -> str:
     return before.hex()
 
 
-def read(path: Path, kinds: Sequence[str] = ()) -> list[Row]:
+def read(path: Path, kinds: Sequence[str] = ()) -> list[AuditRow]:
     """The rows in their order, all or those of some kinds. Raises AuditError."""
     with closing(_reader(path)) as connection:
         return [row for row, _ in _rows(connection, path) if not kinds or row.entry.kind in kinds]
 
 
-def last_arming(path: Path) -> Row | None:
+def last_arming(path: Path) -> AuditRow | None:
     """The newest row of the kinds ARMED, DISARMED and EXPIRED; None without one. Raises AuditError."""
     if not path.exists():
         return None
@@ -186,7 +185,7 @@ def last_arming(path: Path) -> Row | None:
     return _row(found) if found else None
 
 
-def standing(path: Path, now: float) -> Row | None:
+def standing(path: Path, now: float) -> AuditRow | None:
     """The arming in force at `now`; None if there is none, it was taken back, or it is over. Raises AuditError."""
     row = last_arming(path)
     if row is None or row.entry.kind != ARMED or not row.entry.time <= now < float(row.entry.detail["until"]):
@@ -194,45 +193,46 @@ def standing(path: Path, now: float) -> Row | None:
     return row
 
 
-def verify(path: Path, head: str = "") -> Verdict:
+def verify(path: Path, head: str = "") -> ChainVerdict:
     """Recompute the chain; with `head`, a hash kept from before must be in it. Raises AuditError for no audit log."""
-    count, before, seen = 0, _FIRST, not head
+    count, before, seen = 0, BEGIN, not head
     with closing(_reader(path)) as connection:
         for row, stored in _rows(connection, path):
             if row.id != count + 1:
-                return Verdict(count, before.hex(), f"row {count + 1} is missing")
+                return ChainVerdict(count, before.hex(), f"row {count + 1} is missing")
             count, before = row.id, _hash(before, row.id, *stored)
             if before.hex() != row.hash:
-                return Verdict(count, row.hash, f"row {count} was changed, or one before it was put in or taken out")
+                return ChainVerdict(
+                    count, row.hash, f"row {count} was changed, or one before it was put in or taken out"
+                )
             seen = seen or row.hash == head
-    return Verdict(count, before.hex(), "" if seen else f"no row has the hash {head[:16]}...: the end is missing")
+    return ChainVerdict(count, before.hex(), "" if seen else f"no row has the hash {head[:16]}...: the end is missing")
 
 
 def head(path: Path) -> str:
     """The newest hash; that of an empty log is zeros. Raises AuditError."""
     with closing(_reader(path)) as connection:
         found = connection.execute("SELECT hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
-    return bytes(found[0]).hex() if found else _FIRST.hex()
+    return bytes(found[0]).hex() if found else BEGIN.hex()
 
 
 # ---------------------------------------------------------------- the file
 
 
-def _detail(entry: Entry) -> str:
-    return json.dumps(strict(entry.detail), ensure_ascii=False, sort_keys=True, allow_nan=False, default=str)
+def _detail(entry: AuditEntry) -> str:
+    return json_text(entry.detail, sort_keys=True)
 
 
 def _hash(before: bytes, *plain: object) -> bytes:
-    text = json.dumps(plain, ensure_ascii=False, allow_nan=False)
-    return hashlib.sha256(before + text.encode()).digest()
+    return digest(before, json.dumps(plain, ensure_ascii=False, allow_nan=False).encode())
 
 
-def _row(found: Sequence[Any]) -> Row:
+def _row(found: Sequence[Any]) -> AuditRow:
     number, time, kind, who, reason, detail, digest = found
-    return Row(int(number), Entry(float(time), kind, who, reason, json.loads(detail)), bytes(digest).hex())
+    return AuditRow(int(number), AuditEntry(float(time), kind, who, reason, json.loads(detail)), bytes(digest).hex())
 
 
-def _rows(connection: sqlite3.Connection, path: Path) -> Iterator[tuple[Row, tuple[Any, ...]]]:
+def _rows(connection: sqlite3.Connection, path: Path) -> Iterator[tuple[AuditRow, tuple[Any, ...]]]:
     try:
         for found in connection.execute(f"SELECT {_COLUMNS} FROM audit ORDER BY id"):  # noqa: S608
             yield _row(found), tuple(found[1:6])

@@ -20,6 +20,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from structlog.typing import FilteringBoundLogger
+
 from drivers.tag import Tag
 from gateway.store.schema import ADDED, APPLICATION_ID, DELETES, DURABLE, INSERTS, TABLES, VERSION
 
@@ -130,17 +132,15 @@ class Historian:
         if not self._commit(batch, durable=durable > 0):
             return False
         with self._wake:
-            self._done(bulk, durable)
+            for _ in range(bulk):
+                self._rows.popleft()
+            # Of a full queue the oldest have gone by themselves while the batch was under way.
+            for _ in range(min(durable, len(self._urgent))):
+                self._urgent.popleft()
+            self._flush = False
+            self.failure = ""
             self._wake.notify_all()
         return True
-
-    def _done(self, bulk: int, durable: int) -> None:
-        for _ in range(bulk):
-            self._rows.popleft()
-        for _ in range(min(durable, len(self._urgent))):
-            self._urgent.popleft()
-        self._flush = False
-        self.failure = ""
 
     def _commit(self, batch: list[tuple[str, Row]], *, durable: bool) -> bool:
         if not batch:
@@ -262,3 +262,13 @@ def _remedy(error: sqlite3.Error) -> str:
     if "readonly" in str(error) or "unable to open" in str(error):
         return "give a path that this user may write"
     return "make room or give another path"
+
+
+def saved_state(historian: Historian, key: str, log: FilteringBoundLogger) -> tuple[float, dict[str, Any]] | None:
+    """When a state was saved and its content; None where there is none, or, logged, where it cannot be read."""
+    try:
+        state = historian.load(key)
+    except ValueError as error:
+        log.warning("a saved state cannot be read and is not used", state=key, reason=str(error))
+        return None
+    return state if state is not None and isinstance(state[1], dict) else None

@@ -21,7 +21,7 @@ SPANS = {"d": 86_400.0, "h": 3600.0, "m": 60.0, "s": 1.0}
 """Seconds of a span's unit."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Aligned:
     """Measured and predicted at the same n scans; arrays are (n,), NaN where there is none (degC, times in s UTC)."""
 
@@ -35,7 +35,7 @@ class Aligned:
     locations: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Matured:
     """The n forecasts for one `horizon` (s) and what was measured then; arrays are (n,), NaN where nothing was.
 
@@ -78,7 +78,16 @@ def history(path: Path, start: float = -1e18, end: float = 1e18) -> Aligned:
         ).fetchall()
     numbers = np.array([row[:7] for row in rows], dtype=float).reshape(len(rows), 7).T
     times, measured, mean, low, high, free_run, anomaly = numbers
-    return Aligned(times, measured, mean, low, high, free_run, anomaly, tuple(str(row[7]) for row in rows))
+    return Aligned(
+        times=times,
+        measured=measured,
+        mean=mean,
+        low=low,
+        high=high,
+        free_run=free_run,
+        anomaly=anomaly,
+        locations=tuple(str(row[7]) for row in rows),
+    )
 
 
 def matured(path: Path, tolerance: float = 5.0) -> dict[float, Matured]:
@@ -104,17 +113,18 @@ def _matured(
     tolerance: float,
 ) -> Matured:
     made = np.array([row[0] for row in rows], dtype=float)
+    # The first reading at or after what the forecast spoke of; times are sums of floats, so a microsecond counts as at.
     place = np.searchsorted(times, made + horizon - 1e-6)
     later = np.append(times, np.inf)[place]
     outcome = np.where(later <= made + horizon + tolerance, np.append(values, nan)[place], nan)
     return Matured(
-        horizon,
-        made,
-        tuple(json.loads(rows[0][1])),
-        np.array([json.loads(row[2]) for row in rows], dtype=float),
-        np.array([row[3] for row in rows], dtype=float),
-        np.array([nan if row[4] is None else row[4] for row in rows], dtype=float),
-        outcome,
+        horizon=horizon,
+        times=made,
+        levels=tuple(json.loads(rows[0][1])),
+        quantiles=np.array([json.loads(row[2]) for row in rows], dtype=float),
+        p_limit=np.array([row[3] for row in rows], dtype=float),
+        persistence=np.array([nan if row[4] is None else row[4] for row in rows], dtype=float),
+        outcome=outcome,
     )
 
 

@@ -1,7 +1,7 @@
 """How right the predictions were, from the historian alone: errors, forecasts against persistence, what was written."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
 from pathlib import Path
@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from gateway.machine.records import percentile
 from gateway.store.history import Aligned, Matured, history, matured, reading
 from sim.scores import coverage, crps_quantiles
 from sim.sha.trace import Array
@@ -25,7 +24,7 @@ class Error:
     count: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HorizonScore:
     """The forecasts for one `horizon` (s) that have matured: mean absolute error of the median and of persistence
     (the reading when it was made), mean CRPS (degC), share of readings inside the 90 % band, their `count`."""
@@ -89,6 +88,12 @@ def scorecard(path: Path) -> Scorecard:
     )
 
 
+def percentile(values: Sequence[float], share: float) -> float:
+    """The value that `share` of the values do not exceed (nearest rank); NaN for none."""
+    ordered = sorted(values)
+    return ordered[min(int(share * len(ordered)), len(ordered) - 1)] if ordered else nan
+
+
 def _guards(connection: Connection) -> dict[str, Any]:
     """The newest report of the guards; nothing in a file of an earlier gateway or without a model."""
     if not connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'guards'").fetchone()[0]:
@@ -110,17 +115,18 @@ def _covered(seen: Aligned) -> float:
     return coverage(seen.low[known], seen.high[known], seen.measured[known]) if known.any() else nan
 
 
-def _horizon(one: Matured) -> HorizonScore:
-    came = np.isfinite(one.outcome) & np.isfinite(one.persistence)
+def _horizon(forecasts: Matured) -> HorizonScore:
+    f = forecasts
+    came = np.isfinite(f.outcome) & np.isfinite(f.persistence)
     if not came.any():
-        return HorizonScore(one.horizon, nan, nan, nan, nan, 0)
-    outcome, quantiles = one.outcome[came], one.quantiles[came]
-    low, median, high = (quantiles[:, one.levels.index(level)] for level in (0.05, 0.5, 0.95))
+        return HorizonScore(horizon=f.horizon, mae=nan, persistence_mae=nan, crps=nan, coverage90=nan, count=0)
+    outcome, quantiles = f.outcome[came], f.quantiles[came]
+    low, median, high = (quantiles[:, f.levels.index(level)] for level in (0.05, 0.5, 0.95))
     return HorizonScore(
-        one.horizon,
-        float(np.mean(np.abs(median - outcome))),
-        float(np.mean(np.abs(one.persistence[came] - outcome))),
-        float(np.mean(crps_quantiles(one.levels, quantiles, outcome))),
-        coverage(low, high, outcome),
-        int(came.sum()),
+        horizon=f.horizon,
+        mae=float(np.mean(np.abs(median - outcome))),
+        persistence_mae=float(np.mean(np.abs(f.persistence[came] - outcome))),
+        crps=float(np.mean(crps_quantiles(f.levels, quantiles, outcome))),
+        coverage90=coverage(low, high, outcome),
+        count=int(came.sum()),
     )

@@ -6,32 +6,32 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
-from sim.plc.checks import InputError, read_text, read_toml
-from sim.plc.clock import PlantClock
 from sim.plc.control import describe as commands_table
 from sim.plc.control import listen_on_loopback, listen_to_stdin, say
 from sim.plc.faces import Face, face_options, make_faces, with_faces
-from sim.plc.faults import Fault, parse_fault
-from sim.plc.faults import describe as faults_table
 from sim.plc.modbus.server import ModbusServer
-from sim.plc.program import Plc, Settings
-from sim.plc.record.recorder import Recorder, record_nothing
-from sim.plc.registers import Place, parse_address, read_map
-from sim.plc.replay import Replay, read_trace
+from sim.plc.program.checks import InputError, read_text, read_toml
+from sim.plc.program.clock import EmulatorClock
+from sim.plc.program.faults import OrderedFault, parse_fault
+from sim.plc.program.faults import describe as faults_table
+from sim.plc.program.plc import Plc, PlcSettings, record_nothing
+from sim.plc.program.registers import Place, parse_address, read_map
+from sim.plc.program.replay import TraceReplay, read_trace
+from sim.plc.record.recorder import PlcRecorder
 
 UNUSABLE_INPUT = 2
 CANNOT_LISTEN = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class EmulatorOptions:
     """The command line."""
 
     map_path: Path
@@ -102,31 +102,31 @@ def main(**options: Any) -> None:
     """Run a software PLC that replays a trace and serves it over Modbus TCP, and whatever other face is asked for."""
     faces = face_options(options)
     try:
-        sys.exit(run(Options(**{name: options[name] for name in options if name not in faces}, faces=faces)))
+        sys.exit(run(EmulatorOptions(**{name: options[name] for name in options if name not in faces}, faces=faces)))
     except InputError as error:
         complain(str(error))
         sys.exit(UNUSABLE_INPUT)
 
 
-def run(options: Options) -> int:
+def run(options: EmulatorOptions) -> int:
     """Build the PLC and run it to its end; gives the exit code. Raises InputError for input that cannot be used."""
     if not 0 < options.speed < float("inf"):
         raise InputError(f"--speed: {options.speed} is not positive; give plant seconds per second, such as 1 or 60")
     start = time.monotonic()
     origin = start if options.monotonic is None else options.monotonic
     epoch = time.time() if options.epoch is None else options.epoch
-    clock = PlantClock(epoch, origin, options.speed)
+    clock = EmulatorClock(epoch, origin, options.speed)
     registers = read_map(options.map_path)
     replay = _replay(options, clock.monotonic())
     faults = read_faults(options.faults) if options.faults else ()
-    settings = Settings(
+    settings = PlcSettings(
         permit=options.permit,
         answer_unknown_unit=options.unknown_unit == "exception",
         max_registers=options.max_registers,
         writable=[parse_stretch(text) for text in options.writable],
         seed=options.seed,
     )
-    recorder = Recorder(options.record, complain) if options.record else None
+    recorder = PlcRecorder(options.record, complain) if options.record else None
     plc = Plc(registers, clock, replay, settings, faults=faults, record=recorder or record_nothing, complain=complain)
     try:
         return asyncio.run(_live(plc, options, recorder))
@@ -135,7 +135,7 @@ def run(options: Options) -> int:
             recorder.close()
 
 
-def read_faults(path: Path) -> list[Fault]:
+def read_faults(path: Path) -> list[OrderedFault]:
     """The faults in a TOML file ([[fault]] tables) or a JSON file (a list of objects). Raises InputError."""
     if path.suffix == ".json":
         try:
@@ -162,18 +162,19 @@ def parse_stretch(text: str) -> Place:
     return Place(table, address, end - address + 1)
 
 
-def _replay(options: Options, now: float) -> Replay | None:
+def _replay(options: EmulatorOptions, now: float) -> TraceReplay | None:
     if options.trace is None:
         return None
     table = read_trace(options.trace)
-    replay = Replay(table, now, rate=options.speed, held=True, loop=options.loop)
+    replay = TraceReplay(table, now, rate=options.speed, held=True, loop=options.loop)
     return replay.sought(now, options.offset)
 
 
-async def _live(plc: Plc, options: Options, recorder: Recorder | None) -> int:
+async def _live(plc: Plc, options: EmulatorOptions, recorder: PlcRecorder | None) -> int:
     loop = asyncio.get_running_loop()
     server = ModbusServer(plc, options.host, options.port, options.max_clients, complain)
-    faces: list[Face] = [server, *make_faces(plc, _for_faces(options), complain)]
+    face_settings = {**options.faces, "host": options.host, "max_clients": options.max_clients}
+    faces: list[Face] = [server, *make_faces(plc, face_settings, complain)]
     line = plc.begin(plc.clock.monotonic(), hold=options.hold)
     try:
         for face in faces:
@@ -201,11 +202,6 @@ async def _live(plc: Plc, options: Options, recorder: Recorder | None) -> int:
     return 0
 
 
-def _for_faces(options: Options) -> dict[str, Any]:
-    """What every face may need of the command line: its own options, and those that all servers share."""
-    return {**options.faces, "host": options.host, "max_clients": options.max_clients}
-
-
 async def _run_cycles(plc: Plc, faces: Sequence[Face], cycle_s: float) -> None:
     """Cycles on absolute deadlines until the PLC is to stop; a missed cycle is skipped, never made up for."""
     due = plc.clock.monotonic()
@@ -214,20 +210,17 @@ async def _run_cycles(plc: Plc, faces: Sequence[Face], cycle_s: float) -> None:
         line = plc.cycle(now)
         for face in faces:
             await face.apply(line.at(face.name))
-        _report_end(plc, now, say)
+        if plc.replay is not None and not plc.ended and not plc.replay.held and plc.replay.ended(now):
+            plc.ended = True
+            plc.event("end of trace", now)
+            say({"event": "end_of_trace", "position": plc.replay.at(now), "plant_time": plc.clock.at(now)})
         due = max(due + cycle_s, plc.clock.monotonic())
         await asyncio.sleep(due - plc.clock.monotonic())
 
 
-def _report_end(plc: Plc, now: float, tell: Callable[[dict[str, object]], None]) -> None:
-    if plc.replay is None or plc.ended or plc.replay.held or not plc.replay.ended(now):
-        return
-    plc.ended = True
-    plc.event("end of trace", now)
-    tell({"event": "end_of_trace", "position": plc.replay.at(now), "plant_time": plc.clock.at(now)})
-
-
-def _ready(plc: Plc, faces: Sequence[Face], options: Options, control: asyncio.Server | None) -> dict[str, object]:
+def _ready(
+    plc: Plc, faces: Sequence[Face], options: EmulatorOptions, control: asyncio.Server | None
+) -> dict[str, object]:
     clock = {"epoch": plc.clock.epoch, "monotonic": plc.clock.start, "speed": plc.clock.speed}
     where = {**faces[0].ready(), "unit": plc.registers.unit, "pid": os.getpid()}
     ports: Sequence[Any] = () if control is None else control.sockets

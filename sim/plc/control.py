@@ -9,21 +9,22 @@ keys of COMMANDS; `describe` lists them with their keys.
 """
 
 import asyncio
-import json
 import os
 import threading
 from collections.abc import Callable, Mapping
 
-from sim.plc.checks import InputError, checked_arguments, listed, signature_of
-from sim.plc.faults import parse_fault
-from sim.plc.program import Plc
-from sim.plc.replay import Replay
+from drivers import json_lines
+from drivers.json_lines import NoObject
+from sim.plc.program.checks import InputError, checked_arguments, listed, signature_of
+from sim.plc.program.faults import parse_fault
+from sim.plc.program.plc import Plc
+from sim.plc.program.replay import TraceReplay
 
 Outcome = dict[str, object]
 _LONGEST = 65536
 
 
-def _replay(plc: Plc) -> Replay:
+def _replay(plc: Plc) -> TraceReplay:
     if plc.replay is None:
         raise InputError("there is no trace to replay; start with --trace FILE")
     return plc.replay
@@ -171,37 +172,27 @@ def describe() -> str:
     return "\n".join(("| command | keys | what the PLC does |", "|---|---|---|", *rows))
 
 
-def obey(plc: Plc, line: str, now: float) -> Outcome:
+def obey(plc: Plc, line: str | bytes, now: float) -> Outcome:
     """Do what a line says and give the reply; a line that makes no sense is answered, never raised."""
     number, name = None, None
     try:
-        order = _parsed(line)
+        order = json_lines.parsed(line)
         number, name = order.pop("id", None), order.pop("command", None)
         function = COMMANDS.get(name) if isinstance(name, str) else None
         if function is None:
             raise InputError(f"key 'command': there is no {name!r}; known are {listed(tuple(COMMANDS))}")
         outcome = function(plc, now, **checked_arguments(function, order, f"command {name!r}"))
-    except InputError as error:
+    except (NoObject, InputError) as error:
         return {"event": "reply", "id": number, "command": name, "ok": False, "error": str(error)}
     if function not in (_status, _values):
         plc.event("command", now, {"command": name, **order})
     return {"event": "reply", "id": number, "command": name, "ok": True, **outcome}
 
 
-def _parsed(line: str) -> dict[str, object]:
-    try:
-        order = json.loads(line)
-    except (json.JSONDecodeError, RecursionError):
-        order = None
-    if not isinstance(order, dict):
-        raise InputError(f'{line[:60]!r} is no JSON object; give one a line, such as {{"command": "status"}}')
-    return order
-
-
 def say(message: Mapping[str, object]) -> None:
     """One line on stdout, unbuffered; silently nowhere when nobody reads it any more."""
     try:
-        os.write(1, json.dumps(message).encode() + b"\n")
+        os.write(1, json_lines.packed(message))
     except OSError:
         return
 
@@ -209,7 +200,7 @@ def say(message: Mapping[str, object]) -> None:
 def listen_to_stdin(plc: Plc, loop: asyncio.AbstractEventLoop) -> None:
     """Obey the lines of stdin from a thread of its own; the end of stdin stops the PLC."""
 
-    def obey_line(line: str) -> None:
+    def obey_line(line: bytes) -> None:
         say(obey(plc, line, plc.clock.monotonic()))
 
     def stop() -> None:
@@ -221,7 +212,7 @@ def listen_to_stdin(plc: Plc, loop: asyncio.AbstractEventLoop) -> None:
             *lines, rest = (rest + data).split(b"\n")
             for line in lines:
                 if line.strip() and not loop.is_closed():
-                    loop.call_soon_threadsafe(obey_line, line.decode(errors="replace"))
+                    loop.call_soon_threadsafe(obey_line, line)
             if len(rest) > _LONGEST:
                 break
         if not loop.is_closed():
@@ -233,16 +224,10 @@ def listen_to_stdin(plc: Plc, loop: asyncio.AbstractEventLoop) -> None:
 async def listen_on_loopback(plc: Plc, port: int) -> asyncio.Server:
     """Obey the lines of every connection to 127.0.0.1:port. Raises OSError."""
 
+    async def answer(line: bytes) -> Outcome:
+        return obey(plc, line, plc.clock.monotonic())
+
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        try:
-            while line := await reader.readline():
-                if line.strip():
-                    reply = obey(plc, line.decode(errors="replace"), plc.clock.monotonic())
-                    writer.write(json.dumps(reply).encode() + b"\n")
-                    await writer.drain()
-        except (OSError, ValueError, asyncio.CancelledError):
-            pass  # gone, a line beyond the limit, or the end of the process: this connection is over
-        finally:
-            writer.close()
+        await json_lines.serve(reader, writer, answer)
 
     return await asyncio.start_server(serve, "127.0.0.1", port, limit=_LONGEST)

@@ -13,8 +13,8 @@ from typing import Any, Protocol
 
 import click
 
-from sim.plc.program import Plc
-from sim.plc.schedule import Line
+from sim.plc.program.plc import Plc
+from sim.plc.program.schedule import CycleFaults
 
 Complain = Callable[[str], None]
 _FILE = click.Path(path_type=Path)
@@ -29,7 +29,7 @@ class Face(Protocol):
         """Begin to serve. Raises OSError with a reason."""
         ...
 
-    async def apply(self, line: Line) -> None:
+    async def apply(self, line: CycleFaults) -> None:
         """Once a cycle: bring the face to what `line` asks for (already narrowed to this face)."""
         ...
 
@@ -44,13 +44,13 @@ class Face(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FaceKind:
-    """A kind of face: `make` is "module:function", called (plc, options, complain) when option `asked` is given.
+    """A kind of face: `make` is "module:function", called (plc, options, complain) when option `option` is given.
 
     `make` gets the options of all faces by their parameters' names, with `host` and `max_clients`. It raises
     InputError.
     """
 
-    asked: str
+    option: str
     make: str
     options: tuple[click.Option, ...]
 
@@ -116,10 +116,9 @@ def face_options(given: Mapping[str, Any]) -> dict[str, Any]:
 
 def make_faces(plc: Plc, options: Mapping[str, Any], complain: Complain) -> list[Face]:
     """The faces that the options ask for. Raises InputError."""
-    return [_made(kind, plc, options, complain) for kind in FACES.values() if options.get(kind.asked) is not None]
-
-
-def _made(kind: FaceKind, plc: Plc, options: Mapping[str, Any], complain: Complain) -> Face:
-    module, _, function = kind.make.partition(":")
-    face: Face = getattr(import_module(module), function)(plc, options, complain)
-    return face
+    faces: list[Face] = []
+    for kind in FACES.values():
+        if options.get(kind.option) is not None:
+            module, _, function = kind.make.partition(":")
+            faces.append(getattr(import_module(module), function)(plc, options, complain))
+    return faces

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from drivers.settings import sentences
 from sim.sha.events import DECANTER, Alphabet, Bins, Switch, check_alphabet
 
 
@@ -51,20 +52,6 @@ class _AlphabetTable(_AlphabetPart):
     uppaal: dict[str, str] = {}
 
 
-def sentence(error: ValidationError, where: str) -> str:
-    """The first fault of a table as one sentence: where, key, what is wrong there and what would be right."""
-    first = error.errors(include_url=False, include_context=False)[0]
-    key = ".".join(str(part) for part in first["loc"]) or "the table"
-    if first["type"] == "extra_forbidden":
-        return f"{where}: {key}: there is no such key; take it out or correct its name"
-    if first["type"] == "missing":
-        return f"{where}: {key}: this key is needed and missing; add it"
-    if first["type"] == "value_error":
-        return f"{where}: {key}: {first['msg'].removeprefix('Value error, ')}"
-    message = first["msg"]
-    return f"{where}: {key}: {message[0].lower()}{message[1:]}; it is {str(first['input'])[:60]!r}"
-
-
 def _thresholds(given: tuple[float, ...] | _Steps) -> tuple[float, ...]:
     if not isinstance(given, _Steps):
         return given
@@ -101,7 +88,7 @@ def alphabet_from_table(table: Mapping[str, object], where: str) -> Alphabet:
         )
         check_alphabet(alphabet)
     except ValidationError as error:
-        raise ValueError(sentence(error, where)) from None
+        raise ValueError(sentences(_AlphabetTable, error, where)[0]) from None
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
     return alphabet

@@ -7,8 +7,9 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from drivers.settings import sentences
 from sim.sha.events import DECANTER, Alphabet
-from sim.traces.alphabet_table import alphabet_from_table, sentence
+from sim.traces.alphabet_table import alphabet_from_table
 
 
 def _listed(value: object) -> object:
@@ -239,4 +240,4 @@ def load_map(path: str | Path) -> ColumnMap:
     try:
         return ColumnMap.model_validate(table)
     except ValidationError as error:
-        raise ValueError(sentence(error, str(path))) from None
+        raise ValueError(sentences(ColumnMap, error, str(path))[0]) from None

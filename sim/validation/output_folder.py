@@ -8,13 +8,14 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
 from sim.artefacts.files import replace_durably
 from sim.engine.open_loop import Score
+from sim.strict_json import json_text
 from sim.validation.results import Interval, TraceResult
 from sim.validation.stages import Stage
 
@@ -58,13 +59,13 @@ class Folder:
         title = stage.name.replace(" ", "_")
         record = {"stage": stage.number, "name": stage.name, "found": stage.found, "seconds": stage.seconds}
         name = f"{self.places[stage.model]}/{stage.number:02d}_{title}.json"
-        self.write(name, json_text(record | dict(stage.details)))
+        self.write(name, json_text(record | dict(stage.details), indent=2) + "\n")
 
     def state(self, state: str, **facts: Any) -> None:
         """Say in campaign.json how far the campaign is; the last thing that it does."""
         self.facts |= facts
         document = {"format": FORMAT, "version": VERSION, "state": state, "folders": dict(self.places), **self.facts}
-        self.write(CAMPAIGN, json_text(document))
+        self.write(CAMPAIGN, json_text(document, indent=2) + "\n")
 
 
 def check_folder(path: Path, *, overwrite: bool) -> list[Path]:
@@ -176,27 +177,10 @@ def slug(name: str) -> str:
     return re.sub(r"[^\w.-]+", "_", name).strip("._-")[:80] or "unnamed"
 
 
-def plain(value: object) -> Any:
-    """A value as strict JSON has it: dataclasses and mappings as objects, numbers that are none as null."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
-    if isinstance(value, float):
-        return value if isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(inner) for inner in value]
-    return value if value is None or isinstance(value, str | int) else str(value)
-
-
-def json_text(value: object) -> str:
-    """Strict JSON, indented."""
-    return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
 def results_json(results: Iterable[TraceResult]) -> str:
     """All results, field by field as in `TraceResult`; undefined numbers are null."""
-    return json_text({"format": FORMAT, "version": VERSION, "results": [asdict(one) for one in results]})
+    content = {"format": FORMAT, "version": VERSION, "results": [asdict(one) for one in results]}
+    return json_text(content, indent=2) + "\n"
 
 
 def results_csv(results: Iterable[TraceResult]) -> str:

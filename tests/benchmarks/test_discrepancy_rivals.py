@@ -20,7 +20,7 @@ from benchmarks.discrepancy.runner import Case, case
 from benchmarks.discrepancy.seal import committed, index, opened
 from benchmarks.discrepancy.strata import Spec
 from benchmarks.discrepancy.visible import Family
-from gateway.console.traces import load
+from gateway.lab.traces.load import load
 from sim.artefacts.model_directory import write_model_directory
 from sim.learning.bins.candidates import BinsCandidate
 from sim.learning.bins.learn import learn_bins

@@ -9,8 +9,8 @@ import pytest
 from click.testing import Result
 
 from drivers.tag import Quality, Sample, Tag
+from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
-from gateway.machine.scan import Scan
 from gateway.store.historian import open_historian
 from sim.traces.column_map import load_map
 from sim.traces.traces import load_traces

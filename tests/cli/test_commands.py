@@ -21,14 +21,15 @@ from drivers.errors import (
     WriteForbidden,
     WriteUnverified,
 )
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.cli.main import COMMANDS, main
 from gateway.cli.model import COMMANDS as MODEL_COMMANDS
 from gateway.cli.trace import trace
+from gateway.console.exits import Exit, exit_code, sentence, sentences
 from gateway.console.lazy import LazyGroup
-from gateway.console.output import Exit, as_json, exit_code, sentence, sentences
 from gateway.store.historian import HistorianError
 from sim.artefacts.files import ArtefactError
+from sim.strict_json import json_text
 from sim.traces.load_report import TraceError
 from tests.cli.artefact_set import files, written
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
@@ -275,7 +276,7 @@ def test_traceback_shows_where_an_error_arose(wrong: Path) -> None:
 def test_json_is_strict_whatever_the_numbers_are() -> None:
     np = pytest.importorskip("numpy")
     data = {"a": float("nan"), "b": [float("inf"), np.float64("nan"), np.int64(3)], 60.0: {"p": Path("x")}, "è": True}
-    assert json.loads(as_json(data)) == {"a": None, "b": [None, None, 3], "60.0": {"p": "x"}, "è": True}
+    assert json.loads(json_text(data)) == {"a": None, "b": [None, None, 3], "60.0": {"p": "x"}, "è": True}
 
 
 def test_exit_codes_are_stable() -> None:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from drivers.tag import Quality, Sample, Tag
-from gateway.lab.diagnosing import roles_of
+from gateway.lab.diagnose import roles_of
+from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
-from gateway.machine.scan import Scan
 from gateway.store.historian import open_historian
 from gateway.store.history import recent
 from sim.artefacts.find import find_model

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.checked import ConfigError
-from gateway.plant.startup import load_model
+from drivers.settings import ConfigError
+from gateway.machine.model.loading import load_model
 from sim.artefacts.files import ArtefactError
 from sim.artefacts.model_directory import write_model_directory
 from sim.artefacts.store import Force, current, forced, load, promote, save

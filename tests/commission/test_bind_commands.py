@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from gateway.commission.records import broken_at, read_records
-from gateway.plant.config import load_config
-from gateway.plant.devices import load_device
+from gateway.commission.session.records import broken_at, read_records
+from gateway.settings.config import load_config
+from gateway.settings.devices import load_device
 from tests.commission.bench import answer, plc
 from tests.plc.bench import DECANTER
 

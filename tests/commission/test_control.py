@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from gateway.commission.target import make_target
-from gateway.commission.through import running_gateway
+from gateway.commission.session.gateway_line import running_gateway
+from gateway.commission.session.target import make_target
 from gateway.plant.app import run
-from gateway.plant.config import load_config
 from gateway.plant.control import ControlError, connect, listening_socket
+from gateway.settings.config import load_config
 from tests.commission.bench import force, plc
 from tests.gateway.support import MAP
 from tests.plc.bench import running

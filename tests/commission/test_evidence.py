@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from drivers.can.hub import Hub
-from drivers.tap import Frame
-from gateway.commission.evidence import Evidence, Exchanges
-from gateway.commission.pcap import checksum
-from gateway.commission.records import RecordsError, broken_at, hash_of, read_records
+from drivers.tap import TapFrame
+from gateway.commission.session.evidence import Exchanges, FrameEvidence
+from gateway.commission.session.pcap import checksum
+from gateway.commission.session.records import RecordsError, broken_at, hash_of, read_records
 from tests.commission.bench import answer, at
 from tests.plc.bench import ROOT, Process, running
 
@@ -96,8 +96,8 @@ def test_frames_of_a_bus_stand_in_the_pcap_as_socketcan(tmp_path: Path) -> None:
 
 
 def test_ipv6_packets_have_a_sum_that_a_receiver_accepts(tmp_path: Path) -> None:
-    evidence = Evidence(tmp_path / "v6.pcap")
-    evidence.take(Frame(1.5, True, "tcp", "::1:502", b"abc", "::1:40000"))
+    evidence = FrameEvidence(tmp_path / "v6.pcap")
+    evidence.take(TapFrame(time=1.5, sent=True, medium="tcp", place="::1:502", data=b"abc", local="::1:40000"))
     evidence.close()
     (packet,) = read_pcap(tmp_path / "v6.pcap")[1]
     assert packet.data[0] >> 4 == 6 and packet.time == 1.5
@@ -108,9 +108,9 @@ def test_ipv6_packets_have_a_sum_that_a_receiver_accepts(tmp_path: Path) -> None
 
 def test_the_hash_tells_direction_bytes_and_order(tmp_path: Path) -> None:
     def digest(*frames: tuple[bool, bytes]) -> str:
-        evidence = Evidence()
+        evidence = FrameEvidence()
         for sent, data in frames:
-            evidence.take(Frame(0.0, sent, "serial", "/dev/x", data))
+            evidence.take(TapFrame(time=0.0, sent=sent, medium="serial", place="/dev/x", data=data))
         return str(evidence.plain()["sha256"])
 
     seen = [((True, b"ab"),), ((False, b"ab"),), ((True, b"a"), (True, b"b")), ((True, b"b"), (True, b"a"))]

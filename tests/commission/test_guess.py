@@ -9,9 +9,9 @@ import pytest
 from benchmarks.guess import verdict
 from drivers.codec import encode
 from drivers.tag import DType, Order, Tag
-from gateway.commission.guess.advice import advise
-from gateway.commission.guess.reading import ReadingError, Shown, parse_shown
-from gateway.commission.guess.scoring import Candidate, Observation, rank
+from gateway.commission.encodings.advice import advise
+from gateway.commission.encodings.reading import ReadingError, ShownNumber, parse_shown
+from gateway.commission.encodings.scoring import EncodingCandidate, Observation, rank
 from tests.commission.bench import answer, at, force, plc
 from tests.plc.bench import Process, running
 
@@ -35,7 +35,7 @@ def shown(words: dict[int, int], text: str) -> Observation:
     """The strangers with these registers among them, and what the HMI showed."""
     memory = STRANGERS | words
     reading = parse_shown(text)
-    assert isinstance(reading, Shown)
+    assert isinstance(reading, ShownNumber)
     return Observation(96, tuple(memory[number] for number in sorted(memory)), reading)
 
 
@@ -43,7 +43,7 @@ def stored(tag: Tag, value: float) -> dict[int, int]:
     return {int(tag.address.partition(":")[2]) + place: word for place, word in enumerate(encode(tag, value))}
 
 
-def first(found: list[Candidate]) -> tuple[int, DType, Order, float, float]:
+def first(found: list[EncodingCandidate]) -> tuple[int, DType, Order, float, float]:
     best = found[0]
     return best.address, best.dtype, best.order, best.scale, best.offset
 
@@ -129,7 +129,7 @@ def test_without_a_reading_there_is_no_guess() -> None:
 )
 def test_a_reading_is_understood_as_hmis_write_it(text: str, value: float, step: float) -> None:
     found = parse_shown(text)
-    assert isinstance(found, Shown)
+    assert isinstance(found, ShownNumber)
     assert (found.value, found.step) == (pytest.approx(value), pytest.approx(step))
 
 

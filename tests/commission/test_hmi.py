@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.tag import DType, Order, Tag, Value
 from gateway.commission.files.cells import ListError
-from gateway.commission.hmi import Point, Shown, compare, left_to_do, points_of, read_hmi_list
+from gateway.commission.hmi import HmiReading, Point, compare, left_to_do, points_of, read_hmi_list
 
 NOW = 1_700_000_000.0
 CURRENT = Tag("Assorbimento", "holding:101", DType.UINT16, scale=0.1, unit="A")
@@ -19,7 +19,7 @@ STATE = Tag("Stato", "holding:110", labels={0: "fermo", 1: "in marcia", 2: "lava
 
 
 def point(tag: Tag, text: str, *values: Value, slack: float = 0.0) -> Point:
-    return compare(tag, Shown(tag.name, text), values, NOW, slack)
+    return compare(tag, HmiReading(tag.name, text), values, NOW, slack)
 
 
 @pytest.mark.parametrize(

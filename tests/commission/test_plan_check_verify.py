@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.rig import known_model, restless_trace
 from drivers.can.hub import Hub
-from gateway.commission.recording import read_recording
-from gateway.commission.soaking import recommended
+from gateway.commission.files.recording import read_recording
+from gateway.commission.soak import recommended
 from sim.artefacts.model_json import model_text
 from sim.traces.trace_file import write_trace
 from tests.commission.bench import answer, at, free_port, plc
@@ -179,7 +179,7 @@ def test_readings_with_times_are_compared_with_what_was_recorded(tmp_path: Path)
 def test_questions_are_asked_until_everything_is_proved(
     device: tuple[Process, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from gateway.commission import plc_verify
+    from gateway.commission import verify as module
 
     process = device[0]
     process.order("force", tag="TCuscinettiRiduttore", value=40.0)
@@ -193,7 +193,7 @@ def test_questions_are_asked_until_everything_is_proved(
             return ""
         return "40,0" if len(asked) == 1 else "55,5"
 
-    monkeypatch.setattr(plc_verify, "_ask", person)
+    monkeypatch.setattr(module, "_ask", person)
     data = answer(tmp_path, "verify", "--only", "TCuscinettiRiduttore", *links(device)["modbus"])
     assert data["ok"] and data["proved"] == 1 and len(asked) == 3, asked
     assert "40" not in asked[0]

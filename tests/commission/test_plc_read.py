@@ -14,7 +14,7 @@ from drivers.can.hub import Hub
 from drivers.survey import Raw
 from drivers.tag import Quality, Sample, Tag
 from gateway.commission.survey.addresses import AddressTextError, parse_register, parse_stretch
-from gateway.commission.watching import Seen, sparkline
+from gateway.commission.watch import WatchedTag, sparkline
 from tests.commission.bench import answer, at, force, plc
 from tests.plc.bench import DECANTER, ROOT, Process, running
 
@@ -167,7 +167,7 @@ def test_a_sparkline_has_a_cross_for_a_bad_reading_and_the_ends_of_the_range() -
 
 def test_what_a_tag_has_done_is_counted_without_its_bad_readings() -> None:
     tag = Tag("t", "holding:1")
-    seen = Seen(tag)
+    seen = WatchedTag(tag)
     for value, quality in ((5, Quality.GOOD), (None, Quality.TIMEOUT), (2, Quality.GOOD), (2, Quality.GOOD)):
         seen.take(Raw(tag, Sample("t", value, quality, 0.0), "holding:1", 1))
     assert (seen.low, seen.high, seen.good, seen.bad, seen.changes) == (2.0, 5.0, 3, 1, 2)

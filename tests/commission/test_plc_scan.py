@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from drivers.can.hub import Hub
 from drivers.errors import ReplyTimeout
+from drivers.modbus.settings import read_settings
 from drivers.modbus.survey import ModbusSurvey
-from drivers.modbus.transport import checked
-from drivers.survey import Words
-from gateway.commission.survey.register_map import RegisterMap, search
+from drivers.survey import ReadWords
+from gateway.commission.survey.register_map import ReadableMap, search
 from gateway.commission.survey.registers import _Asking
 from tests.commission.bench import answer, at, plc
 from tests.plc.bench import DECANTER, ROOT, Process, running
@@ -24,7 +24,7 @@ stretches = st.lists(st.tuples(st.integers(0, 299), st.integers(1, 90)), max_siz
 
 def explored(
     readable: set[int], limit: int, seams: set[int], first: int, count: int, budget: int = 100_000
-) -> RegisterMap:
+) -> ReadableMap:
     """The search on a device that reads these addresses, blocks up to `limit`, and not across seams."""
     steps = search(first, count, most=125, budget=budget)
     try:
@@ -34,7 +34,7 @@ def explored(
             answered = length <= limit and readable.issuperset(block) and not seams & set(block[1:])
             start, length = steps.send(answered)
     except StopIteration as stop:
-        found: RegisterMap = stop.value
+        found: ReadableMap = stop.value
         return found
 
 
@@ -110,12 +110,12 @@ def test_a_table_that_the_device_does_not_offer_is_its_exception(tmp_path: Path)
 
 async def test_silence_at_one_address_is_a_refusal_while_the_device_still_answers_elsewhere() -> None:
     class Mute(ModbusSurvey):
-        async def read(self, area: str, start: int, count: int, unit: int | None = None) -> Words:
+        async def read(self, area: str, start: int, count: int, unit: int | None = None) -> ReadWords:
             if start <= 5 < start + count:
                 raise ReplyTimeout("no reply")
-            return Words((0,) * count, 0.001)
+            return ReadWords((0,) * count, 0.001)
 
-    asking = _Asking(Mute(checked({"host": "127.0.0.1"}), time.time), "holding")
+    asking = _Asking(Mute(read_settings({"host": "127.0.0.1"}), time.time), "holding")
     assert await asking.answers(0, 5)
     assert not await asking.answers(4, 3)
     assert asking.reasons == {"no reply": 1}

@@ -11,7 +11,7 @@ from drivers.modbus import rtu
 from drivers.modbus.verify import IDENTIFY, Asked, check_reply
 from drivers.survey import AsksRegisters, open_registers
 from drivers.tag import DType, Order, Quality, Tag
-from drivers.tap import Frame, listening
+from drivers.tap import TapFrame, listening
 from tests.drivers.scripted import ScriptedPlc, mbap, transaction_of
 
 HEAD = bytes((1, IDENTIFY, 14, 1, 1))
@@ -27,7 +27,7 @@ async def surveyed(plc: ScriptedPlc, act: Callable[[AsksRegisters], Awaitable[No
     await plc.start()
     try:
         where = {"host": "127.0.0.1", "port": plc.port, "timeout": 0.3, **settings}
-        async with open_registers(where, clock=time.time) as survey:
+        async with open_registers("modbus", where, clock=time.time) as survey:
             await act(survey)
     finally:
         await plc.stop()
@@ -90,7 +90,7 @@ async def test_tags_come_with_their_words_and_a_refused_neighbour_costs_only_its
 
 
 async def test_a_tap_hears_what_is_sent_and_received_and_nothing_outside_its_context() -> None:
-    plc, heard = ScriptedPlc(), list[Frame]()
+    plc, heard = ScriptedPlc(), list[TapFrame]()
 
     async def act(survey: AsksRegisters) -> None:
         await survey.read("holding", 1, 1)
@@ -107,7 +107,7 @@ async def test_a_tap_hears_what_is_sent_and_received_and_nothing_outside_its_con
 
 async def test_a_host_without_a_server_is_no_connection() -> None:
     with pytest.raises(LinkDown, match="does not connect"):
-        async with open_registers({"host": "127.0.0.1", "port": 1}, clock=time.time):
+        async with open_registers("modbus", {"host": "127.0.0.1", "port": 1}, clock=time.time):
             pass
 
 

@@ -8,10 +8,10 @@ import tomlkit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.commission.files.device_file import fields_that_fit, set_block, set_device, set_tag, starter
 from gateway.commission.files.toml_edit import commit, edited
-from gateway.plant.devices import BLOCK_FIELDS, load_device
+from gateway.settings.devices import BLOCK_FIELDS, load_device
 from tests.plc.bench import DECANTER
 
 

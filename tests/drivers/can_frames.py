@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 
 from drivers.can.fields import Field
-from drivers.can.frame import Frame
+from drivers.can.frame import CanFrame
 
 
 def isotp(payload: bytes) -> list[bytes]:
@@ -33,13 +33,13 @@ def bam(payload: bytes, pgn: int) -> list[tuple[int, bytes]]:
     return [(0x1CECFF00, control(32, payload, pgn)), *((0x1CEBFF00, data) for data in packets(payload))]
 
 
-def timed(frames: Iterable[tuple[int, bytes]], *, start: float = 0.0, step: float = 0.01) -> Iterator[Frame]:
+def timed(frames: Iterable[tuple[int, bytes]], *, start: float = 0.0, step: float = 0.01) -> Iterator[CanFrame]:
     """Frames at equal distances; an identifier above 0x7FF is a 29-bit one."""
     for number, (identifier, data) in enumerate(frames):
-        yield Frame(start + number * step, identifier, identifier > 0x7FF, data)
+        yield CanFrame(start + number * step, identifier, identifier > 0x7FF, data)
 
 
-def candump(frames: Iterable[Frame], channel: str = "can0") -> str:
+def candump(frames: Iterable[CanFrame], channel: str = "can0") -> str:
     """The frames as `candump -L` writes them."""
     lines = []
     for frame in frames:

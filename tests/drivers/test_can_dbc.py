@@ -11,7 +11,7 @@ from drivers.can.fields import value_of
 from drivers.driver import open_driver
 from drivers.errors import AddressError, DriverError
 from drivers.tag import DType, Quality, Tag
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from tests.drivers.can_frames import lies_in
 
 CONFIG = Path(__file__).parents[2] / "config"

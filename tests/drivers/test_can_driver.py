@@ -322,7 +322,7 @@ def test_a_write_map_that_cannot_be_written_or_verified_is_refused_at_the_start(
         ({"timeouts": {"Motor": 1.0}}, "'Motor' is no message"),
         ({"timeouts": {"0x181": "soon"}}, "must be seconds"),
         ({"bitrate": 5}, "at least 10000"),
-        ({"port": 502}, "unknown setting 'port'"),
+        ({"port": 502}, "port: there is no such key; known are .*channel"),
     ],
 )
 def test_a_setting_that_cannot_be_used_is_one_sentence(settings: dict[str, Any], words: str) -> None:

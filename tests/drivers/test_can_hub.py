@@ -2,6 +2,7 @@
 
 import json
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -143,8 +144,6 @@ def test_a_path_left_behind_is_taken_over_and_a_living_hubs_is_not(path: Path) -
 
 
 def test_packets_that_are_no_frames_are_counted_and_forwarded_to_nobody(hub: Hub, path: Path) -> None:
-    import socket
-
     (bus,) = joined(hub, path, 1)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as strange:
         strange.connect(str(path))

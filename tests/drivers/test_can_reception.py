@@ -5,26 +5,26 @@ import random
 import pytest
 
 from drivers.can.errors_on_bus import BusErrors, ControllerState
-from drivers.can.fields import Bits, Condition
-from drivers.can.frame import Frame
+from drivers.can.fields import Bits, LayoutCondition
+from drivers.can.frame import CanFrame
 from drivers.can.load import BusLoad, frame_bits
 from drivers.can.protection import Count, Protection, checked, crc, protected
-from drivers.can.reception import Channel, Reception, Rules, Slot
+from drivers.can.reception import Channel, MessageRules, Reception, Slot
 from drivers.tag import Quality
 
 GUARD = Protection(0x1234)
 KEY = 0x181
 
 
-def listening(rules: Rules, timeout: float = 1.0, page: int | None = None) -> tuple[Reception, Channel, Slot]:
+def listening(rules: MessageRules, timeout: float = 1.0, page: int | None = None) -> tuple[Reception, Channel, Slot]:
     reception = Reception()
     reception.restart(0.0)
-    conditions = () if page is None else (Condition(Bits(0, 8), frozenset({page})),)
+    conditions = () if page is None else (LayoutCondition(Bits(0, 8), frozenset({page})),)
     return reception, *reception.listen(rules, conditions, timeout, 0.0)
 
 
-def frame(data: bytes, time: float = 0.0) -> Frame:
-    return Frame(time, KEY, False, data)
+def frame(data: bytes, time: float = 0.0) -> CanFrame:
+    return CanFrame(time, KEY, False, data)
 
 
 def quality(reception: Reception, channel: Channel, slot: Slot, now: float) -> Quality | None:
@@ -33,7 +33,7 @@ def quality(reception: Reception, channel: Channel, slot: Slot, now: float) -> Q
 
 
 def test_a_message_is_awaited_then_missing_then_there_then_too_old() -> None:
-    reception, channel, slot = listening(Rules(KEY, "Speed"))
+    reception, channel, slot = listening(MessageRules(KEY, "Speed"))
     assert quality(reception, channel, slot, 0.5) is Quality.WAITING_FOR_INITIAL_DATA
     assert quality(reception, channel, slot, 1.5) is Quality.TIMEOUT
     reception.take(KEY, frame(b"\1"), 2.0)
@@ -42,8 +42,8 @@ def test_a_message_is_awaited_then_missing_then_there_then_too_old() -> None:
 
 
 def test_each_layout_of_a_multiplexed_message_has_an_age_of_its_own() -> None:
-    reception, channel, first = listening(Rules(KEY, "Pages"), page=0)
-    _, second = reception.listen(Rules(KEY, "Pages"), (Condition(Bits(0, 8), frozenset({1})),), 1.0, 0.0)
+    reception, channel, first = listening(MessageRules(KEY, "Pages"), page=0)
+    _, second = reception.listen(MessageRules(KEY, "Pages"), (LayoutCondition(Bits(0, 8), frozenset({1})),), 1.0, 0.0)
     reception.take(KEY, frame(b"\0\5"), 0.1)
     assert quality(reception, channel, first, 0.2) is None
     assert quality(reception, channel, second, 0.2) is Quality.WAITING_FOR_INITIAL_DATA
@@ -53,7 +53,7 @@ def test_each_layout_of_a_multiplexed_message_has_an_age_of_its_own() -> None:
 
 
 def test_a_frame_of_another_length_is_no_reading_and_is_named_once_the_last_one_is_too_old() -> None:
-    reception, channel, slot = listening(Rules(KEY, "Speed", length=2))
+    reception, channel, slot = listening(MessageRules(KEY, "Speed", length=2))
     reception.take(KEY, frame(b"\1\2"), 0.0)
     for moment in (0.5, 0.9, 1.5):
         assert not reception.take(KEY, frame(b"\1"), moment)
@@ -66,7 +66,7 @@ def test_a_frame_of_another_length_is_no_reading_and_is_named_once_the_last_one_
 
 
 def test_what_was_heard_before_a_new_connection_counts_no_more() -> None:
-    reception, channel, slot = listening(Rules(KEY, "Speed"))
+    reception, channel, slot = listening(MessageRules(KEY, "Speed"))
     reception.take(KEY, frame(b"\1"), 0.0)
     reception.restart(0.1)
     assert quality(reception, channel, slot, 0.2) is Quality.WAITING_FOR_INITIAL_DATA

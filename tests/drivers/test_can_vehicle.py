@@ -223,5 +223,5 @@ async def test_an_address_that_means_nothing_is_said_of_that_tag_alone(car: tupl
 
 
 async def test_a_setting_that_cannot_be_is_refused(car: tuple[Car, Opened]) -> None:
-    with pytest.raises(DriverError, match="poll must be true or false"):
+    with pytest.raises(DriverError, match="poll: must be true or false"):
         open_driver("can", {"interface": "virtual", "channel": "x", "poll": "yes"}, clock=time.time)

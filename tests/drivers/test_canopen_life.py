@@ -4,7 +4,7 @@ import random
 
 from drivers.canopen.emergency import MOST, Emergencies
 from drivers.canopen.life import CONFIRMED, Life
-from drivers.canopen.place import Place
+from drivers.canopen.place import ObjectPlace
 from drivers.tag import Quality
 
 RATE = 60.0
@@ -13,7 +13,7 @@ CYCLE = 0.02
 
 def running(count: int = 100, start: int = 1) -> tuple[Life, int, float]:
     """A life counter that has followed a node for `count` cycles; its value and moment then."""
-    life = Life(Place(0x2002, 1), RATE)
+    life = Life(ObjectPlace(0x2002, 1), RATE)
     life.anchor(start, 0.0)
     value, moment = start, 0.0
     for _ in range(count):

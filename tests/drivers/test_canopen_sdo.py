@@ -13,14 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.canopen.channel import SdoChannel
-from drivers.canopen.place import Place
+from drivers.canopen.place import ObjectPlace
 from drivers.canopen.sdo import SdoAbort, Transfer, block_download, block_upload, download, upload
 from drivers.errors import LinkDown, ReplyMismatch, ReplyTimeout
 from sim.plc.canopen.eds import Address
 from sim.plc.canopen.sdo import NO_OBJECT, READ_ONLY, Abort, SdoServer
 from tests.drivers.scripted_node import NODE, eds
 
-HERE, THERE = Place(0x2102, 0), Place(0x2001, 3)
+HERE, THERE = ObjectPlace(0x2102, 0), ObjectPlace(0x2001, 3)
 Lost = Callable[[int, bytes], bool]
 
 
@@ -90,9 +90,9 @@ def test_an_object_that_is_not_there_is_an_abort_with_its_code() -> None:
             carry(transfer, Device().server)
         assert caught.value.code == NO_OBJECT
     for transfer in (
-        download(Place(0x1000), b"x"),
-        download(Place(0x1000), bytes(9)),
-        block_download(Place(0x1000), b"xy"),
+        download(ObjectPlace(0x1000), b"x"),
+        download(ObjectPlace(0x1000), bytes(9)),
+        block_download(ObjectPlace(0x1000), b"xy"),
     ):
         with pytest.raises(SdoAbort, match="read-only"):
             carry(transfer, Device().server)
@@ -139,7 +139,7 @@ def test_answers_for_another_object_are_passed_over() -> None:
 class Line:
     """A server at the other end of a channel whose answers a test may hold back."""
 
-    def __init__(self, device: Device, timeout: float = 0.05) -> None:
+    def __init__(self, device: Device, timeout: float = 0.3) -> None:
         self.device, self.held, self.sent = device, False, list[bytes]()
         self.waiting: list[bytes] = []
         self.channel = SdoChannel(self.send, timeout)
@@ -241,6 +241,6 @@ def test_the_drivers_client_is_served_by_the_librarys_server(text: str) -> None:
             return [answers.get() for _ in range(answers.qsize())]
 
     served = Served()
-    carry(download(Place(0x2200), text.encode()), served)  # type: ignore[arg-type]
+    carry(download(ObjectPlace(0x2200), text.encode()), served)  # type: ignore[arg-type]
     assert node.sdo[0x2200].raw == text
-    assert carry(upload(Place(0x2200)), served) == text.encode()  # type: ignore[arg-type]
+    assert carry(upload(ObjectPlace(0x2200)), served) == text.encode()  # type: ignore[arg-type]

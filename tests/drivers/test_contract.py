@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.driver import DRIVERS, Driver, Writes
+from drivers.driver import DRIVERS, Driver, Streams, Writes
 from drivers.errors import DriverError, LinkDown, WriteForbidden, WriteUnverified
 from drivers.tag import DType, Quality, Tag
 from tests.drivers.bench_can import can_bench
@@ -38,7 +38,8 @@ async def bench(request: pytest.FixtureRequest) -> AsyncIterator[Bench]:
 
 
 def writing(bench: Bench) -> Writes:
-    assert isinstance(bench.driver, Writes)
+    if not isinstance(bench.driver, Writes):  # that its row says so, too, test_its_row_says_what_it_is holds
+        pytest.skip("this driver does not write")
     return bench.driver
 
 
@@ -48,6 +49,12 @@ def test_every_driver_of_the_table_is_on_a_bench() -> None:
 
 async def test_it_is_a_driver(bench: Bench) -> None:
     assert isinstance(bench.driver, Driver)
+
+
+async def test_its_row_says_what_it_is(bench: Bench, request: pytest.FixtureRequest) -> None:
+    row = DRIVERS[request.node.callspec.params["bench"].partition(" ")[0]]
+    assert row.writes == isinstance(bench.driver, Writes)
+    assert row.speaks == (bench.period is not None) and (isinstance(bench.driver, Streams) or not row.speaks)
 
 
 async def test_a_reading_has_one_sample_a_tag_in_the_order_asked(bench: Bench) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.vehicle.j1939_transport import BROADCAST, T1, T2, Key, Message, Transport
+from drivers.vehicle.j1939_transport import BROADCAST, T1, T2, Key, Message, TransportSessions
 from tests.drivers.can_frames import control, packets
 
 BAM_KEY, PAIR = Key("can0", 0x00, BROADCAST), Key("can0", 0x03, 0x21)
@@ -18,14 +18,14 @@ def filled(size: int, seed: int = 0) -> bytes:
     return bytes((number * 37 + seed) % 251 for number in range(size))
 
 
-def accounted(transport: Transport, taken: int) -> bool:
+def accounted(transport: TransportSessions, taken: int) -> bool:
     return sum(count for name, count in transport.counts().items() if name.startswith("tp_")) == taken
 
 
 @settings(max_examples=60)
 @given(st.integers(9, 1785))
 def test_a_broadcast_of_any_size_comes_back_whole(size: int) -> None:
-    transport, payload = Transport(), filled(size)
+    transport, payload = TransportSessions(), filled(size)
     transport.control(0.0, BAM_KEY, control(32, payload, PGN))
     made = [transport.packet(0.05 * (n + 1), BAM_KEY, data) for n, data in enumerate(packets(payload))]
     assert made[-1] == Message(PGN, 0, BROADCAST, payload)
@@ -36,7 +36,7 @@ def test_a_broadcast_of_any_size_comes_back_whole(size: int) -> None:
 @settings(max_examples=150)
 @given(st.integers(9, 1785), st.data())
 def test_with_any_frames_lost_there_is_no_message_and_no_frame_unaccounted_for(size: int, data: st.DataObject) -> None:
-    transport, payload = Transport(), filled(size)
+    transport, payload = TransportSessions(), filled(size)
     frames = packets(payload)
     lost = data.draw(st.sets(st.integers(-1, len(frames) - 1), min_size=1, max_size=10))
     taken = 0
@@ -56,7 +56,7 @@ def test_with_any_frames_lost_there_is_no_message_and_no_frame_unaccounted_for(s
     st.data(),
 )
 def test_interleaved_sessions_do_not_touch_one_another(sessions: list[tuple[int, int]], data: st.DataObject) -> None:
-    transport = Transport()
+    transport = TransportSessions()
     queues: dict[Key, list[bytes]] = {}
     wanted, got = {}, {}
     for source, size in sessions:
@@ -76,7 +76,7 @@ def test_interleaved_sessions_do_not_touch_one_another(sessions: list[tuple[int,
 
 
 def test_a_session_with_a_receiver_is_given_once_and_its_acknowledgement_counts_to_it() -> None:
-    transport, payload = Transport(), filled(30)
+    transport, payload = TransportSessions(), filled(30)
     frames = packets(payload)
     transport.control(0.0, PAIR, control(16, payload, PGN))
     transport.control(0.1, BACK, control(17, payload, PGN, bytes([2, 1, 0xFF, 0xFF])))
@@ -94,7 +94,7 @@ def test_a_session_with_a_receiver_is_given_once_and_its_acknowledgement_counts_
 
 
 def test_packets_that_the_receiver_asks_for_again_do_not_spoil_the_message() -> None:
-    transport, payload = Transport(), filled(30)
+    transport, payload = TransportSessions(), filled(30)
     frames = packets(payload)
     transport.control(0.0, PAIR, control(16, payload, PGN))
     for frame in frames[:3]:
@@ -105,7 +105,7 @@ def test_packets_that_the_receiver_asks_for_again_do_not_spoil_the_message() -> 
 
 
 def test_packets_that_the_receiver_has_and_we_have_not_end_the_session() -> None:
-    transport, payload = Transport(), filled(30)
+    transport, payload = TransportSessions(), filled(30)
     transport.control(0.0, PAIR, control(16, payload, PGN))
     transport.packet(0.1, PAIR, packets(payload)[0])
     transport.control(0.2, BACK, control(17, payload, PGN, bytes([2, 4, 0xFF, 0xFF])))
@@ -115,7 +115,7 @@ def test_packets_that_the_receiver_has_and_we_have_not_end_the_session() -> None
 
 @pytest.mark.parametrize("side", [PAIR, BACK], ids=["sender", "receiver"])
 def test_either_side_may_abort(side: Key) -> None:
-    transport, payload = Transport(), filled(30)
+    transport, payload = TransportSessions(), filled(30)
     transport.control(0.0, PAIR, control(16, payload, PGN))
     transport.packet(0.1, PAIR, packets(payload)[0])
     transport.control(0.2, side, control(255, payload, PGN, b"\x03\xff\xff\xff"))
@@ -127,7 +127,7 @@ def test_either_side_may_abort(side: Key) -> None:
 
 @pytest.mark.parametrize(("key", "kind", "limit"), [(BAM_KEY, 32, T1), (PAIR, 16, T2)])
 def test_a_session_that_stops_is_late_and_the_rest_of_it_is_of_none(key: Key, kind: int, limit: float) -> None:
-    transport, payload = Transport(), filled(30)
+    transport, payload = TransportSessions(), filled(30)
     transport.control(0.0, key, control(kind, payload, PGN))
     transport.packet(0.1, key, packets(payload)[0])
     assert transport.packet(0.1 + limit + 0.01, key, packets(payload)[1]) is None
@@ -136,7 +136,7 @@ def test_a_session_that_stops_is_late_and_the_rest_of_it_is_of_none(key: Key, ki
 
 
 def test_a_new_announcement_replaces_an_unfinished_session() -> None:
-    transport, payload = Transport(), filled(30)
+    transport, payload = TransportSessions(), filled(30)
     transport.control(0.0, BAM_KEY, control(32, filled(50), PGN))
     transport.packet(0.1, BAM_KEY, packets(filled(50))[0])
     transport.control(0.2, BAM_KEY, control(32, payload, PGN))
@@ -156,7 +156,7 @@ def test_a_new_announcement_replaces_an_unfinished_session() -> None:
     ids=["too short", "packets do not fit the size", "too long", "RTS to everybody"],
 )
 def test_an_announcement_that_cannot_be_begins_no_session(data: bytes) -> None:
-    transport = Transport()
+    transport = TransportSessions()
     transport.control(0.0, BAM_KEY, data)
     assert transport.counts()["sessions_open"] == 0
     assert transport.frames["malformed"] == 1
@@ -169,7 +169,7 @@ def test_an_announcement_that_cannot_be_begins_no_session(data: bytes) -> None:
     )
 )
 def test_of_noise_every_frame_is_accounted_for(noise: Sequence[tuple[bool, int, int, bytes]]) -> None:
-    transport = Transport()
+    transport = TransportSessions()
     for number, (is_control, source, destination, data) in enumerate(noise):
         key = Key("", source, destination)
         if is_control:

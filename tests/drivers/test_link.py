@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import LinkDown
 from drivers.link import Backoff, DeadPeer, Link
-from drivers.modbus.transport import SETTINGS, TRANSPORTS
+from drivers.modbus.settings import ModbusSettings
 
 
 class Wires:
@@ -57,9 +57,10 @@ def test_the_pause_doubles_up_to_the_cap_within_the_jitter(failures: int, seed: 
 
 
 def test_the_default_pause_and_one_connect_deadline_are_together_under_a_second() -> None:
-    backoff = Backoff(SETTINGS["backoff_first"].default, SETTINGS["backoff_cap"].default)
+    given = ModbusSettings(host="plc")
+    backoff = Backoff(given.backoff_first, given.backoff_cap)
     assert backoff == Backoff()
-    assert backoff.longest + TRANSPORTS["tcp"]["connect_timeout"] < 1.0
+    assert backoff.longest + given.connect_timeout < 1.0
 
 
 async def test_the_same_seed_gives_the_same_pauses() -> None:

@@ -1,19 +1,22 @@
 """OBD-II answers to readings of tags: formulas, several frames, refusals, and what cannot be read."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
+import cantools
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.can.frame import Found
+from drivers.can.frame import TagReading
 from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import DType, Quality, Tag
 from drivers.vehicle.obd import ObdListener, trouble_code, wanted
-from drivers.vehicle.obd_pids import PIDS
-from drivers.vehicle.obd_poll import questions
+from drivers.vehicle.obd_pids import FILE, pids
+from drivers.vehicle.obd_poll import requests_for
 from tests.drivers.can_frames import isotp, timed
 
 SPEED = Tag("speed", "obd:0C", unit="rpm")
@@ -27,7 +30,7 @@ def told(tags: Sequence[Tag], payload: bytes, identifier: int = 0x7E8) -> dict[s
 
 
 def last(listener: ObdListener, frames: Sequence[tuple[int, bytes]]) -> dict[str, Reading]:
-    found: list[Found] = []
+    found: list[TagReading] = []
     for frame in timed(frames):
         found += listener.take(frame)
     return {one.tag.name: one.reading for one in found}
@@ -55,12 +58,42 @@ def test_a_parameter_reads_as_the_standard_says(place: str, data: str, value: fl
     assert (number, quality, reason) == (pytest.approx(value, abs=5e-4), Quality.GOOD, "")
 
 
-def test_all_fields_of_the_table_lie_in_their_parameter_and_have_names_of_their_own() -> None:
-    for pid in PIDS.values():
-        assert len({field.name for field in pid.fields}) == len(pid.fields)
-        for field in pid.fields:
-            assert field.bit + field.bits <= 8 * pid.length, (pid.number, field.name)
+def test_all_fields_of_the_table_lie_in_their_parameter_and_scale_upwards() -> None:
+    for pid in pids().values():
+        for field in pid.fields.values():
+            assert 24 < field.bits.end <= 24 + 8 * pid.length, (pid.number, field.name)
             assert field.scale > 0
+
+
+# What the table that stood here before the DBC file made of each parameter: zeros, ones and drawn data.
+VALUES = json.loads(Path(__file__).with_name("obd_values.json").read_text())
+
+
+def test_the_file_has_the_parameters_of_the_former_table() -> None:
+    assert {f"{number:02X}" for number in pids()} == set(VALUES)
+
+
+@pytest.mark.parametrize("number", VALUES)
+def test_every_parameter_reads_as_by_the_former_table(number: str) -> None:
+    pid, former = pids()[int(number, 16)], VALUES[number]
+    assert pid.length == former["length"]
+    assert {name: field.unit for name, field in pid.fields.items()} == former["units"]
+    assert list(pid.fields) == list(former["units"])
+    for dtype in (DType.UINT32, DType.FLOAT64):
+        tags = [Tag(name, f"obd:{number}.{name}", dtype) for name in pid.fields]
+        for data, values in former["values"] if tags else ():
+            readings = told(tags, bytes((0x41, pid.number)) + bytes.fromhex(data))
+            assert {name: reading[0] for name, reading in readings.items()} == values
+            assert all((q is Quality.GOOD) is (v is not None) for v, q, _ in readings.values())
+            assert dtype is DType.FLOAT64 or all(
+                type(reading[0]) is type(values[name]) for name, reading in readings.items()
+            )
+
+
+def test_the_file_can_be_read_by_whoever_reads_dbc_files() -> None:
+    (message,) = cantools.database.load_file(FILE).messages
+    decoded = message.decode(bytes.fromhex("04410C1AF8000000"))
+    assert decoded["S01P0C_engine_speed"] == 1726.0
 
 
 def test_two_byte_parameters_are_whole_numbers_or_floats_as_their_formula_is() -> None:
@@ -184,9 +217,9 @@ def test_noise_on_the_answers_identifiers_never_raises(frames: list[tuple[int, b
 def test_requests_are_made_once_a_parameter_and_go_to_the_unit_that_shall_answer() -> None:
     tags = [SPEED, replace(SPEED, name="running", address="obd:0C>9", dtype=DType.BOOL), VIN, CODES]
     ones = [wanted(tag) for tag in (*tags, replace(COOLANT, address="obd:05@7E9"))]
-    short = questions(ones, extended=False)
-    assert [(one.request, one.data[:3].hex()) for one in short] == [
+    short = requests_for(ones, extended=False)
+    assert [(one.request_id, one.data[:3].hex()) for one in short] == [
         (0x7E0, "02010c"), (0x7E0, "020902"), (0x7E0, "010355"), (0x7E1, "020105"),
     ]  # fmt: skip
     assert all(len(one.data) == 8 for one in short)
-    assert questions(ones, extended=True)[0][:3] == (0x18DAF110, 0x18DA10F1, True)
+    assert requests_for(ones, extended=True)[0][:3] == (0x18DAF110, 0x18DA10F1, True)

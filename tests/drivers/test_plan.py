@@ -5,8 +5,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import AddressError
-from drivers.modbus.address import Area, Span, locate, parse_address
-from drivers.plan import Block, Limits, Refusal, bisect, describe, plan, retry_delay, worst_cycle
+from drivers.modbus.address import Area, TagSpan, locate, parse_address
+from drivers.modbus.plan import (
+    AddressBlock,
+    RefusedRange,
+    RequestLimits,
+    bisect,
+    describe,
+    plan,
+    retry_delay,
+    worst_cycle,
+)
 from drivers.tag import DType, Tag
 
 
@@ -62,11 +71,11 @@ def tags_at(places: list[tuple[int, int]]) -> list[Tag]:
     return [Tag(f"t{i}", f"holding:{start}", WIDTHS[width]) for i, (start, width) in enumerate(places)]
 
 
-def fewest(spans: list[Span], limits: Limits) -> int:
+def fewest(spans: list[TagSpan], limits: RequestLimits) -> int:
     """By brute force: the fewest runs of address-ordered tags that each fit one request."""
     ordered = sorted(spans, key=lambda span: (span.start, span.stop))
 
-    def fits(run: list[Span]) -> bool:
+    def fits(run: list[TagSpan]) -> bool:
         reach = run[0].stop
         for span in run[1:]:
             if span.start - reach > limits.max_gap:
@@ -85,7 +94,7 @@ def fewest(spans: list[Span], limits: Limits) -> int:
 def test_the_plan_reads_every_tag_whole_within_the_limits_with_the_fewest_requests(
     places: list[tuple[int, int]], max_registers: int, max_gap: int
 ) -> None:
-    limits = Limits(max_registers, max_gap=max_gap)
+    limits = RequestLimits(max_registers, max_gap=max_gap)
     tags = tags_at(places)
     blocks = plan(tags, limits)
     assert sorted(span.tag.name for block in blocks for span in block.spans) == sorted(tag.name for tag in tags)
@@ -104,7 +113,7 @@ def test_no_request_contains_a_refused_one_or_crosses_a_seam_and_only_refused_ta
     places: list[tuple[int, int]], start: int, width: int
 ) -> None:
     tags = tags_at(places)
-    blocks = plan(tags, Limits(max_gap=60), (Refusal(Area.HOLDING, start, start + width),))
+    blocks = plan(tags, RequestLimits(max_gap=60), (RefusedRange(Area.HOLDING, start, start + width),))
     for block in blocks:
         assert not (width and block.start <= start and start + width <= block.stop)
         assert width or not block.start < start < block.stop or block.count == max(s.count for s in block.spans)
@@ -115,13 +124,13 @@ def test_no_request_contains_a_refused_one_or_crosses_a_seam_and_only_refused_ta
 
 def test_a_seam_keeps_neighbours_in_requests_of_their_own() -> None:
     tags = [Tag("a", "holding:1"), Tag("b", "holding:2"), Tag("c", "holding:3")]
-    blocks = plan(tags, Limits(), (Refusal(Area.HOLDING, 3, 3),))
+    blocks = plan(tags, RequestLimits(), (RefusedRange(Area.HOLDING, 3, 3),))
     assert [(block.start, block.count) for block in blocks] == [(1, 2), (3, 1)]
 
 
 def test_tables_are_never_mixed_and_bits_have_their_own_limit() -> None:
     tags = [Tag("r", "input:0"), Tag("h", "holding:0"), *(Tag(f"c{n}", f"coil:{n}", DType.BOOL) for n in range(12))]
-    blocks = plan(tags, Limits(max_bits=8))
+    blocks = plan(tags, RequestLimits(max_bits=8))
     assert [(block.area, block.count) for block in blocks] == [
         (Area.COIL, 8),
         (Area.COIL, 4),
@@ -132,12 +141,14 @@ def test_tables_are_never_mixed_and_bits_have_their_own_limit() -> None:
 
 def test_a_tag_wider_than_one_request_is_refused_and_not_torn() -> None:
     with pytest.raises(AddressError, match="never put together from two replies"):
-        plan([Tag("x", "holding:0", DType.FLOAT64)], Limits(max_registers=3))
+        plan([Tag("x", "holding:0", DType.FLOAT64)], RequestLimits(max_registers=3))
 
 
-def search(block: Block, illegal: set[int], longest: int = 125) -> tuple[list[Block], tuple[Refusal, ...]]:
+def search(
+    block: AddressBlock, illegal: set[int], longest: int = 125
+) -> tuple[list[AddressBlock], tuple[RefusedRange, ...]]:
     """Drive a bisection against a device that refuses the illegal addresses and too long requests."""
-    asked: list[Block] = []
+    asked: list[AddressBlock] = []
     steps, refused = bisect(block), None
     while True:
         try:
@@ -153,8 +164,8 @@ def search(block: Block, illegal: set[int], longest: int = 125) -> tuple[list[Bl
 def test_bisections_leave_a_plan_that_is_never_refused_and_reads_every_readable_tag(
     places: list[tuple[int, int]], illegal: set[int]
 ) -> None:
-    limits, tags = Limits(max_gap=64), tags_at(places)
-    quarantine: tuple[Refusal, ...] = ()
+    limits, tags = RequestLimits(max_gap=64), tags_at(places)
+    quarantine: tuple[RefusedRange, ...] = ()
     readable = {tag.name for tag in tags if not illegal & set(range(locate(tag).start, locate(tag).stop))}
     for _ in range(len(tags) + 1):
         blocks = plan(tags, limits, quarantine)
@@ -168,23 +179,23 @@ def test_bisections_leave_a_plan_that_is_never_refused_and_reads_every_readable_
 
 
 def test_one_illegal_register_among_64_is_found_in_few_requests() -> None:
-    (block,) = plan([Tag(f"t{n}", f"holding:{n}") for n in range(64)], Limits())
+    (block,) = plan([Tag(f"t{n}", f"holding:{n}") for n in range(64)], RequestLimits())
     asked, refusals = search(block, {41})
     assert [(refusal.start, refusal.stop) for refusal in refusals] == [(41, 42)]
     assert len(asked) == 12
 
 
 def test_an_unreadable_gap_and_a_shorter_limit_of_the_device_are_seams() -> None:
-    (block,) = plan([Tag("a", "holding:0"), Tag("b", "holding:5")], Limits())
-    assert search(block, {3})[1] == (Refusal(Area.HOLDING, 5, 5),)
-    (long,) = plan([Tag(f"t{n}", f"holding:{n}") for n in range(64)], Limits())
+    (block,) = plan([Tag("a", "holding:0"), Tag("b", "holding:5")], RequestLimits())
+    assert search(block, {3})[1] == (RefusedRange(Area.HOLDING, 5, 5),)
+    (long,) = plan([Tag(f"t{n}", f"holding:{n}") for n in range(64)], RequestLimits())
     seams = search(long, set(), longest=32)[1]
-    assert seams == (Refusal(Area.HOLDING, 32, 32),)
+    assert seams == (RefusedRange(Area.HOLDING, 32, 32),)
 
 
 def test_bits_of_one_register_are_one_place_that_cannot_be_cut() -> None:
-    (block,) = plan([Tag(f"b{n}", "holding:7", DType.BOOL, bit=n) for n in range(6)], Limits())
-    assert search(block, {7}) == ([], (Refusal(Area.HOLDING, 7, 8),))
+    (block,) = plan([Tag(f"b{n}", "holding:7", DType.BOOL, bit=n) for n in range(6)], RequestLimits())
+    assert search(block, {7}) == ([], (RefusedRange(Area.HOLDING, 7, 8),))
 
 
 def test_a_refused_place_waits_twice_as_long_each_time_up_to_the_cap() -> None:
@@ -192,14 +203,14 @@ def test_a_refused_place_waits_twice_as_long_each_time_up_to_the_cap() -> None:
 
 
 def test_the_worst_cycle_counts_every_deadline_and_the_pauses_between() -> None:
-    limits = Limits(max_gap=0, pause=0.05)
+    limits = RequestLimits(max_gap=0, pause=0.05)
     blocks = plan([Tag("a", "holding:0"), Tag("b", "holding:10"), Tag("c", "holding:20")], limits)
     assert worst_cycle(blocks, limits, 0.6) == pytest.approx(3 * 0.6 + 2 * 0.05)
     assert worst_cycle((), limits, 0.6) == 0.0
 
 
 def test_the_plan_is_described_request_by_request() -> None:
-    limits = Limits(max_gap=4)
+    limits = RequestLimits(max_gap=4)
     lines = describe(plan([Tag("a", "holding:0"), Tag("b", "holding:3", DType.FLOAT32)], limits), limits, 0.6)
     assert lines == (
         "holding:0 count 5, 2 of them in vain: a, b",

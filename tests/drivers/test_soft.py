@@ -206,7 +206,7 @@ def test_a_csv_that_cannot_be_used_is_refused_with_file_line_and_reason(
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"cvs": "a"}, "unknown setting 'cvs': known are columns, csv"),
+        ({"cvs": "a"}, "cvs: there is no such key; did you mean 'csv'"),
         ({"csv": "/no/such.csv"}, r"/no/such\.csv: cannot be read: No such file"),
         ({"csv": "a", "times": [1]}, "either csv, or times and columns"),
         ({"times": [1]}, "belong together"),
@@ -214,7 +214,7 @@ def test_a_csv_that_cannot_be_used_is_refused_with_file_line_and_reason(
         ({"times": ["x"], "columns": {}}, "'x' is not a time"),
         ({"outages": [[1, 2, "fire"]]}, "unknown fault 'fire': known are refuse"),
         ({"outages": [[2, 1, "silent"]]}, r"is not \[from, to, fault\]"),
-        ({"values": [1]}, "values must be a table"),
+        ({"values": [1]}, "values: must be a table"),
     ],
 )
 def test_a_setting_that_cannot_be_is_refused_in_one_sentence(settings: dict[str, Any], sentence: str) -> None:

@@ -9,8 +9,8 @@ from typing import Any
 
 from drivers.driver import Driver, open_driver
 from drivers.tag import Quality, Sample, Value
-from gateway.machine.scan import Scan
-from gateway.plant.config import Config, load_config
+from gateway.machine.reading.scan import Scan
+from gateway.settings.config import Config, load_config
 from sim.artefacts.model_json import model_text
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER, Alphabet

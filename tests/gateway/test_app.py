@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from drivers.errors import ReplyTimeout
+from drivers.settings import ConfigError
 from drivers.tag import Value
-from gateway.checked import ConfigError
-from gateway.machine.predict import Predictor
-from gateway.machine.scan import Scan
+from gateway.machine.model.predict import Predictor
+from gateway.machine.reading.scan import Scan
 from gateway.plant.app import run
-from gateway.plant.config import Config
+from gateway.settings.config import Config
 from gateway.store.historian import HistorianError, open_historian
 from gateway.store.history import history, to_trace
 from sim.sha.events import encode

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 from drivers.tag import Value
-from gateway.machine.arming import ArmingError, arm_in_log, disarm_in_log, signed
-from gateway.machine.block import Validity
-from gateway.machine.writeback import Arming, Pace, Writer
+from gateway.machine.writing.arming import ArmingError, arm_in_log, disarm_in_log, signed
+from gateway.machine.writing.block import Validity
+from gateway.machine.writing.writeback import Arming, Pace, Writer
 from gateway.plant.app import run
-from gateway.plant.config import Config, load_config
 from gateway.plant.control import connect
-from gateway.store.audit import ARMED, DISARMED, EXPIRED, Entry, open_audit, read, standing, verify
+from gateway.settings.config import Config, load_config
+from gateway.store.audit import ARMED, DISARMED, EXPIRED, AuditEntry, open_audit, read, standing, verify
 from tests.gateway.support import EPOCH, Bench, JumpClock, config_in, plant_file, two_modes
 from tests.gateway.test_writeback import CLOCK, USABLE, Wire, armed, scan
 
@@ -78,8 +78,8 @@ async def test_every_block_every_failure_and_every_refusal_is_in_the_audit_log(t
     await writer.offer(scan(), {}, USABLE)
     wire.soft.fail(None)
     await writer.offer(scan(permit=False), {}, USABLE)
-    writer.heard(scan(BlocksAccepted=1, BlocksRefused=0, LastRefusal=0), {3: "CRC"})
-    writer.heard(scan(BlocksAccepted=1, BlocksRefused=2, LastRefusal=3), {3: "CRC"})
+    writer.take_counts(scan(BlocksAccepted=1, BlocksRefused=0, LastRefusal=0), {3: "CRC"})
+    writer.take_counts(scan(BlocksAccepted=1, BlocksRefused=2, LastRefusal=3), {3: "CRC"})
     await writer.withdraw(scan())
     writer.disarm(CLOCK.now(), "Bea", "enough")
     await writer.offer(scan(), {}, USABLE)
@@ -235,7 +235,7 @@ async def test_what_was_disarmed_by_hand_stays_so_over_a_restart_until_it_is_sig
     first = bench_of(config)
     assert (await go(config, first, 30))["writeback"]["mode"] == "armed" and first.written
     log = open_audit(config.audit)
-    assert log.record(Entry(first.clock.now(), DISARMED, "Bea", "enough"))
+    assert log.record(AuditEntry(first.clock.now(), DISARMED, "Bea", "enough"))
     log.close()
     second = bench_of(config, first.clock)
     assert (await go(config, second, 30))["writeback"]["mode"] == "shadow" and not second.written

@@ -12,8 +12,8 @@ from gateway.store.audit import (
     DISARMED,
     EXPIRED,
     Audit,
+    AuditEntry,
     AuditError,
-    Entry,
     append,
     head,
     last_arming,
@@ -27,17 +27,17 @@ from gateway.store.audit import (
 def filled(path: Path, count: int = 20) -> Audit:
     audit = open_audit(path)
     for number in range(count):
-        audit.put(Entry(float(number), "write", "Ada", "", {"sequence": number, "words": "ab" * 48}))
+        audit.put(AuditEntry(float(number), "write", "Ada", "", {"sequence": number, "words": "ab" * 48}))
     return audit
 
 
 def test_entries_come_back_as_they_were_and_the_chain_is_whole(tmp_path: Path) -> None:
     audit = filled(tmp_path / "a.sqlite")
-    assert audit.record(Entry(20.5, "write failed", "Ada", "no reply – è", {"latency": float("nan")}))
+    assert audit.record(AuditEntry(20.5, "write failed", "Ada", "no reply – è", {"latency": float("nan")}))
     assert audit.close() and audit.close()
     rows = read(tmp_path / "a.sqlite")
     assert [row.entry.detail.get("sequence") for row in rows[:-1]] == list(range(20))
-    assert rows[-1].entry == Entry(20.5, "write failed", "Ada", "no reply – è", {"latency": None})
+    assert rows[-1].entry == AuditEntry(20.5, "write failed", "Ada", "no reply – è", {"latency": None})
     verdict = verify(tmp_path / "a.sqlite")
     assert (verdict.rows, verdict.problem) == (21, "") and verdict.head == rows[-1].hash == head(tmp_path / "a.sqlite")
     assert [row.id for row in read(tmp_path / "a.sqlite", ["write failed"])] == [21]
@@ -117,17 +117,17 @@ def test_only_the_newest_arming_counts_and_only_for_its_time(tmp_path: Path) -> 
     path = tmp_path / "a.sqlite"
     assert standing(path, 0.0) is None and last_arming(path) is None
     audit = open_audit(path)
-    audit.record(Entry(100.0, ARMED, "Ada", "first", {"until": 200.0}))
+    audit.record(AuditEntry(100.0, ARMED, "Ada", "first", {"until": 200.0}))
     assert standing(path, 150.0) is not None
     assert standing(path, 200.0) is None and standing(path, 99.0) is None
-    audit.record(Entry(160.0, "write refused", "Ada", "the PLC does not permit it"))
+    audit.record(AuditEntry(160.0, "write refused", "Ada", "the PLC does not permit it"))
     assert standing(path, 170.0) is not None
-    audit.record(Entry(175.0, DISARMED, "Bea", "enough"))
+    audit.record(AuditEntry(175.0, DISARMED, "Bea", "enough"))
     assert standing(path, 176.0) is None
-    audit.record(Entry(180.0, ARMED, "Bea", "second", {"until": 300.0}))
+    audit.record(AuditEntry(180.0, ARMED, "Bea", "second", {"until": 300.0}))
     found = standing(path, 181.0)
     assert found is not None and found.entry.who == "Bea"
-    audit.record(Entry(181.0, EXPIRED, "Bea", "over"))
+    audit.record(AuditEntry(181.0, EXPIRED, "Bea", "over"))
     assert standing(path, 182.0) is None
     assert audit.close()
 
@@ -138,11 +138,11 @@ def test_a_disk_that_does_not_take_it_is_complained_of_and_tried_again(tmp_path:
     other = sqlite3.connect(path, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     audit._connection.execute("PRAGMA busy_timeout = 50")
-    assert not audit.record(Entry(1.0, "write"), timeout=0.5)
+    assert not audit.record(AuditEntry(1.0, "write"), timeout=0.5)
     assert "cannot be written" in audit.complaint
     other.execute("ROLLBACK")
     other.close()
-    assert audit.record(Entry(2.0, "write"), timeout=5.0) and audit.complaint == ""
+    assert audit.record(AuditEntry(2.0, "write"), timeout=5.0) and audit.complaint == ""
     assert audit.close()
     assert [row.entry.time for row in read(path)] == [1.0, 2.0]
 
@@ -166,6 +166,6 @@ def test_a_file_that_is_no_audit_log_is_refused_in_a_sentence(tmp_path: Path) ->
 def test_a_batch_is_stored_whole_or_not_at_all(tmp_path: Path) -> None:
     audit = open_audit(tmp_path / "a.sqlite")
     with pytest.raises(sqlite3.Error):
-        append(audit._connection, [Entry(1.0, "write"), Entry(2.0, None)])  # type: ignore[arg-type]
+        append(audit._connection, [AuditEntry(1.0, "write"), AuditEntry(2.0, None)])  # type: ignore[arg-type]
     assert audit.close() and verify(tmp_path / "a.sqlite").rows == 0
     assert json.dumps(head(tmp_path / "a.sqlite")) == f'"{"00" * 32}"'

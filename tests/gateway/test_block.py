@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.machine.block import Validity, build, next_heartbeat, validity
-from gateway.plant.devices import WritebackLayout, load_device
+from gateway.machine.writing.block import Validity, build, next_heartbeat, validity
+from gateway.settings.devices import WritebackLayout, load_device
 from tests.gateway.support import MAP
 
 _DEVICE = load_device(MAP)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway.checked import ConfigError
-from gateway.plant.config import load_config
-from gateway.plant.devices import load_device
+from drivers.settings import ConfigError
+from gateway.settings.config import load_config
+from gateway.settings.devices import load_device
 from tests.gateway.support import MAP, ROOT, TEMPERATURE, config_in, plant_file, two_modes
 
 
@@ -43,7 +43,7 @@ def test_all_that_is_wrong_is_said_at_once_with_file_key_reason_and_remedy(tmp_p
     assert len(found) == 6
     assert all(problem.startswith(f"{path}: ") and "\n" not in problem and ";" in problem for problem in found)
     text = "\n".join(found)
-    assert "device.port: must be a valid integer, got '12'; give a TCP port from 1 to 65535" in text
+    assert "device.port: must be a whole number, got '12'; give a TCP port from 1 to 65535" in text
     assert "device.prt: there is no such key; did you mean 'port'?" in text
     assert "devce: there is no such key; did you mean 'device'?" in text
     assert "scan.period" in text and "got -1" in text
@@ -131,7 +131,7 @@ def test_a_directory_in_place_of_the_file_is_one_sentence(tmp_path: Path) -> Non
 
 def test_the_configuration_does_not_import_plotting_or_tables() -> None:
     heavy = "{'pandas', 'matplotlib', 'numpy', 'pymodbus'}"
-    code = f"import sys, gateway.plant.config; print(sorted({heavy} & set(sys.modules)))"
+    code = f"import sys, gateway.settings.config; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.strip() == "[]"
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.machine.alarms import State, new_alarm, step
-from gateway.machine.core import Gateway
-from gateway.machine.drift import LEAST, Drift, follow_cycle, restored, rule_of
-from gateway.machine.predict import Prediction, Predictor
+from gateway.machine.alarms.conditions import make_conditions
+from gateway.machine.alarms.states import AlarmState, new_alarm, step
+from gateway.machine.model.drift import LEAST, CycleDrift, follow_cycle, restored, rule_of
+from gateway.machine.model.predict import Predictor, ScanPrediction
+from gateway.machine.pipeline import Machine
 from gateway.plant.app import run
-from gateway.plant.config import load_config
 from gateway.plant.log import open_log
-from gateway.plant.startup import make_conditions
+from gateway.settings.config import load_config
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event
 from tests.gateway.support import CURRENT, EPOCH, RUNNING, TEMPERATURE, Bench, config_in, logged, plant_file, two_modes
@@ -25,17 +25,19 @@ from tests.gateway.test_app import Patient
 CYCLE, SCANS = 1000.0, 100
 
 
-def prediction(time: float, error: float, *, events: tuple[str, ...] = (), sigma: float = 1.0) -> Prediction:
+def prediction(time: float, error: float, *, events: tuple[str, ...] = (), sigma: float = 1.0) -> ScanPrediction:
     """A scan whose free run is `error` degC below the reading, in a model that gives it `sigma`."""
-    return Prediction(
+    return ScanPrediction(
         time, "on", 2, True, True, 0, 0.0, 40.0 + error, 40.0, 39.0, 41.0, 40.0, 0.0, "green",
         tuple(Event(time, symbol) for symbol in events), False, sigma,
     )  # fmt: skip
 
 
-def after(errors: list[float], model: Model | None = None, limit: float | None = None, *, scans: int = SCANS) -> Drift:
+def after(
+    errors: list[float], model: Model | None = None, limit: float | None = None, *, scans: int = SCANS
+) -> CycleDrift:
     """What is known after a cycle of each of these errors, and the start of the next one."""
-    rule, drift = rule_of(model or two_modes(), limit), Drift()
+    rule, drift = rule_of(model or two_modes(), limit), CycleDrift()
     assert rule is not None
     for number, error in enumerate([*errors, 0.0]):
         begin = EPOCH + number * CYCLE
@@ -70,7 +72,7 @@ def test_the_calibration_widens_the_band_and_never_narrows_it() -> None:
 def test_the_part_before_the_first_start_and_a_cycle_of_a_few_readings_do_not_count() -> None:
     rule = rule_of(two_modes(), None)
     assert rule is not None
-    drift = Drift()
+    drift = CycleDrift()
     for scan in range(SCANS):
         drift = follow_cycle(rule, drift, prediction(EPOCH + scan, 9.0))
     assert (
@@ -80,7 +82,7 @@ def test_the_part_before_the_first_start_and_a_cycle_of_a_few_readings_do_not_co
 
 
 def test_not_knowing_for_a_while_ends_no_cycle() -> None:
-    rule, drift = rule_of(two_modes(), None), Drift()
+    rule, drift = rule_of(two_modes(), None), CycleDrift()
     assert rule is not None
     drift = follow_cycle(rule, drift, prediction(EPOCH, 0.0, events=("W_ON",)))
     for scan in range(1, 50):
@@ -90,7 +92,7 @@ def test_not_knowing_for_a_while_ends_no_cycle() -> None:
 
 
 def test_a_reading_without_a_free_run_is_left_out() -> None:
-    rule, drift = rule_of(two_modes(), None), replace(Drift(), begun=EPOCH)
+    rule, drift = rule_of(two_modes(), None), replace(CycleDrift(), begun=EPOCH)
     assert rule is not None
     for lacking in (
         replace(prediction(EPOCH + 1, 2.0), free_run=None),
@@ -114,7 +116,7 @@ def test_the_alarm_has_bit_3_stands_from_the_third_cycle_on_and_names_the_comman
     for number, cycles in enumerate((0.0, 1.0, 2.0, 3.0, 4.0, 0.0)):
         alarm = step(condition, alarm, cycles, EPOCH + number)
         states.append(alarm.active)
-    assert states == [False, False, False, True, True, False] and alarm.state is State.RETURNED
+    assert states == [False, False, False, True, True, False] and alarm.state is AlarmState.RETURNED
     words = condition.response
     assert "decanter diagnose --model" in words and f"--historian {config.historian.path}" in words
     assert "--since 14d" in words
@@ -127,7 +129,7 @@ def test_the_number_of_cycles_is_configured(tmp_path: Path) -> None:
 
 def test_the_predictor_says_how_sure_its_free_run_is_and_is_less_so_with_time() -> None:
     from drivers.tag import Quality, Sample
-    from gateway.machine.scan import Scan
+    from gateway.machine.reading.scan import Scan
 
     predictor, sigmas = Predictor(two_modes(), TEMPERATURE), []
     for scan in range(200):
@@ -161,6 +163,6 @@ async def test_a_running_gateway_raises_the_alarm_on_the_third_cycle_and_its_log
     (offer,) = [row for row in logged(tmp_path) if row["event"] == "alarm" and row["condition"] == "drift"]
     assert "decanter diagnose --model" in offer["response"]
     with open_log(None, "error") as log:
-        again = Gateway(config, bench.clock, log, bench)
-        assert again.guards is not None and again.guards.drift.running == 3, "the count outlives a restart"
-        again.historian.close()
+        again = Machine(config, driver=bench, clock=bench.clock, log=log)
+        assert again.model is not None and again.model.guards.drift.running == 3, "the count outlives a restart"
+        again.close()

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from gateway.machine.clock import PlantClock
+from gateway.machine.reading.clock import PlantClock
 from gateway.plant.app import run
-from gateway.plant.config import Config
+from gateway.settings.config import Config
 from gateway.store.history import samples
 from gateway.store.score import scorecard
 from sim.plc.record.judge import wrong_good
@@ -130,8 +130,8 @@ SERVE = """
 import sys
 from pathlib import Path
 from gateway.plant.app import serve
-from gateway.machine.clock import PlantClock
-from gateway.plant.config import load_config
+from gateway.machine.reading.clock import PlantClock
+from gateway.settings.config import load_config
 config = load_config(Path(sys.argv[1]), {"device.port": int(sys.argv[2]), "clock.speed": float(sys.argv[5])})
 clock = PlantClock(float(sys.argv[3]), float(sys.argv[4]), float(sys.argv[5]))
 serve(config, clock=clock, status_path=Path(sys.argv[6]), console=False)
@@ -158,14 +158,16 @@ def test_a_gateway_that_is_killed_starts_again_with_an_intact_historian_and_whol
         stored = 0
         for number in range(3):
             before = plc.order("status")["accepted"]
+            wanted, enough = before + 8 + 7 * number, stored + 5
             with subprocess.Popen(command, cwd=ROOT) as gateway:
-                wanted = before + 8 + 7 * number
-                wait_until(lambda: plc.order("status")["accepted"] > wanted or gateway.poll() is not None)  # noqa: B023
-                enough = stored + 5
-                wait_until(lambda: _stored_blocks(history_path) >= enough or gateway.poll() is not None)  # noqa: B023
-                committed = _stored_blocks(history_path)
-                gateway.kill()
-                gateway.wait(10.0)
+                # Whatever comes of the waiting, the process ends here: `with` alone would wait for it for ever.
+                try:
+                    wait_until(lambda: plc.order("status")["accepted"] > wanted or gateway.poll() is not None)  # noqa: B023
+                    wait_until(lambda: _stored_blocks(history_path) >= enough or gateway.poll() is not None)  # noqa: B023
+                    assert gateway.poll() is None, "it has ended by itself"
+                    committed = _stored_blocks(history_path)
+                finally:
+                    gateway.kill()
             with closing(sqlite3.connect(history_path)) as connection:
                 assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
             stored = _stored_blocks(history_path)

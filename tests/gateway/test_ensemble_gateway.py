@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gateway.checked import ConfigError
-from gateway.machine.core import Gateway
-from gateway.machine.ensemble import Ensemble, Member
-from gateway.machine.predict import Predictor
-from gateway.machine.scan import Scan
+from drivers.settings import ConfigError
+from gateway.machine.model.ensemble import Ensemble, Member
+from gateway.machine.model.loading import load_members, load_model
+from gateway.machine.model.predict import Predictor
+from gateway.machine.pipeline import Machine
+from gateway.machine.reading.scan import Scan
 from gateway.plant.app import run
-from gateway.plant.config import Config, load_config
 from gateway.plant.log import open_log
-from gateway.plant.startup import load_members, load_model
+from gateway.settings.config import Config, load_config
 from gateway.store.historian import open_historian
 from gateway.store.score import scorecard
 from sim.artefacts.model_json import model_text
@@ -124,8 +124,8 @@ async def test_a_member_that_fails_is_left_out_said_so_and_begun_anew(
 ) -> None:
     made = Ensemble.__init__
 
-    def with_a_broken_member(self: Ensemble, *arguments: Any) -> None:
-        made(self, *arguments)
+    def with_a_broken_member(self: Ensemble, *arguments: Any, **keys: Any) -> None:
+        made(self, *arguments, **keys)
         sound: Member = self.members[0]
         self.members[0] = replace(sound, predictor=Broken(sound.predictor.model, TEMPERATURE))
 
@@ -153,12 +153,12 @@ async def test_weights_beliefs_and_reviews_outlive_a_restart(tmp_path: Path) -> 
     heating(bench, 3, 300)
     before = (await go(config, bench, 300))["guards"]
     with open_log(None, "info") as log:
-        gateway = Gateway(config, bench.clock, log, bench)
+        machine = Machine(config, driver=bench, clock=bench.clock, log=log)
         try:
-            after = gateway.guard_report()
+            assert machine.model is not None
+            after = machine.model.guard_report()
         finally:
-            gateway.historian.close()
-    assert after is not None
+            machine.close()
     assert after["ensemble"]["weights"] == before["ensemble"]["weights"]
     assert after["reviews"] == before["reviews"] and before["reviews"]["one step"]["readings"] > 200
 
@@ -168,7 +168,9 @@ def test_a_context_is_what_the_first_models_encoder_told(tmp_path: Path) -> None
     for context in ("none", "running", "symbols"):
         config = together(tmp_path, f'context = "{context}"')
         first = Predictor(two_modes(), TEMPERATURE)
-        ensemble = Ensemble(first, ["a", "b"], [other()], config.ensemble, config.forecast, 1.0)
+        ensemble = Ensemble(
+            first, ["a", "b"], [other()], section=config.ensemble, forecasts=config.forecast, scan_period=1.0
+        )
         first.step(scan_of({RUNNING: True, CURRENT: 150.0, TEMPERATURE: 30.0}, EPOCH))
         seen[context] = ensemble.context
     assert seen == {"none": "", "running": "W_ON", "symbols": "W_ON A_1"}

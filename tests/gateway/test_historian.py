@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.tag import Quality, Sample, Tag
+from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
-from gateway.machine.scan import Scan
 from gateway.store.historian import Historian, HistorianError, open_historian
 from gateway.store.history import history, reading, samples, to_trace
 from tests.gateway.support import EPOCH, ROOT

@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from drivers.modbus.driver import ModbusDriver
-from gateway.checked import ConfigError
-from gateway.machine.clock import plant_clock
-from gateway.machine.redundant import Redundant
-from gateway.plant.config import Config, load_config
-from gateway.plant.devices import load_device
-from gateway.plant.startup import make_driver
+from drivers.settings import ConfigError
+from gateway.machine.reading.clock import plant_clock
+from gateway.machine.reading.redundant import Redundant
+from gateway.plant.device import make_driver
+from gateway.settings.config import Config, load_config
+from gateway.settings.devices import load_device
 from tests.drivers import certified
 from tests.gateway.support import MAP
 
@@ -106,7 +106,7 @@ def test_a_speed_is_refused_if_any_link_leads_to_another_machine(tmp_path: Path)
 
 def test_a_setting_that_the_driver_does_not_know_is_named_with_the_device_file(tmp_path: Path) -> None:
     config = loaded(tmp_path, link("main", host="h", prot="tcp"))
-    with pytest.raises(ConfigError, match="unknown setting 'prot'"):
+    with pytest.raises(ConfigError, match="prot: there is no such key; did you mean 'port'"):
         make_driver(config, plant_clock())
 
 

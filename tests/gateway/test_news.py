@@ -9,10 +9,10 @@ import pytest
 from benchmarks.rig import TEMPERATURE, known_model
 from drivers.soft.driver import SoftDriver, open_soft
 from drivers.tag import Quality, Sample, Tag, Value
-from gateway.machine.clock import plant_clock
-from gateway.machine.predict import Predictor
-from gateway.machine.quality import Rules
-from gateway.machine.scan import Scan, scans
+from gateway.machine.model.predict import Predictor
+from gateway.machine.reading.clock import plant_clock
+from gateway.machine.reading.quality import QualityRules
+from gateway.machine.reading.scan import Scan, scans
 
 LEVEL, COUNT = Tag("level", "x", scale=0.5), Tag("count", "y")
 TAGS = (LEVEL, COUNT)
@@ -33,7 +33,7 @@ class Watch:
         self.slow = 0.0
         self._stop = asyncio.Event()
         names = None if urgent is None else (lambda: frozenset(urgent))
-        self._scans = scans(driver, TAGS, clock, Rules(period), self._stop, names)  # type: ignore[arg-type]
+        self._scans = scans(driver, TAGS, clock, QualityRules(period), stop=self._stop, urgent=names)  # type: ignore[arg-type]
         self._task = asyncio.create_task(self._take())
 
     async def _take(self) -> None:

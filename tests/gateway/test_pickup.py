@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from gateway.machine.pickup import Pickup
+from gateway.machine.model.loading import load_model
+from gateway.machine.model.pickup import Pickup
 from gateway.plant.app import run
-from gateway.plant.config import Config
-from gateway.plant.startup import load_model
+from gateway.settings.config import Config
 from sim.artefacts.model_directory import write_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import CURRENT as CURRENT_FILE
@@ -201,7 +201,7 @@ async def test_a_model_that_fails_on_the_plants_readings_is_refused(
     def broken(predictor: object, scans: object) -> None:
         raise ArithmeticError("not finite")
 
-    monkeypatch.setattr("gateway.machine.pickup._follow", broken)
+    monkeypatch.setattr("gateway.machine.model.pickup._follow", broken)
     plant = running(config, armed=False)
     plant.deeds[DEED] = lambda: promote(tmp_path / "store", second)
     status = await go(config, plant)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.tag import Quality, Value
-from gateway.machine.predict import Prediction, Predictor
+from gateway.machine.model.predict import Predictor, ScanPrediction
 from sim.engine.belief import filter_trace
 from sim.sha.events import encode
 from sim.sha.trace import UNKNOWN, Trace
@@ -17,7 +17,9 @@ from tests.gateway.support import CURRENT, EPOCH, RUNNING, TEMPERATURE, scan_of,
 Reading = tuple[bool | None, float | None, float | None]
 
 
-def run(rows: list[Reading], predictor: Predictor | None = None, start: int = 0) -> tuple[Predictor, list[Prediction]]:
+def run(
+    rows: list[Reading], predictor: Predictor | None = None, start: int = 0
+) -> tuple[Predictor, list[ScanPrediction]]:
     predictor = predictor or Predictor(two_modes(), TEMPERATURE)
     found = []
     for second, (running, current, temperature) in enumerate(rows, start):

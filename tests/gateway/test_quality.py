@@ -5,11 +5,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.tag import Quality, Sample, Tag, Value
-from gateway.machine.quality import DeviceAge, Rules, judge
+from gateway.machine.reading.quality import DeviceAge, QualityRules, judge
 
 T = Tag("T", "holding:1", unit="degC", max_rate=5.0)
 BEAT = Tag("Beat", "holding:2")
-PLAIN, LIVING = Rules(1.0), Rules(1.0, "Beat")
+PLAIN, LIVING = QualityRules(1.0), QualityRules(1.0, "Beat")
 
 
 def good(name: str, value: Value, time: float) -> Sample:
@@ -20,7 +20,7 @@ def lost(name: str, time: float, quality: Quality = Quality.TIMEOUT) -> Sample:
     return Sample(name, None, quality, time, reason="no reply")
 
 
-def walk(readings: list[Sample], tag: Tag = T, rules: Rules = PLAIN) -> list[Sample]:
+def walk(readings: list[Sample], tag: Tag = T, rules: QualityRules = PLAIN) -> list[Sample]:
     """Each reading judged at its own time."""
     age, judged = DeviceAge(), []
     for sample in readings:
@@ -58,7 +58,7 @@ def test_a_good_sample_that_is_old_itself_ages_too() -> None:
     assert all(quality.is_bad for quality in qualities[10:])
 
 
-def beats(values: list[int | None], period: float = 1.0, rules: Rules = LIVING) -> list[Sample]:
+def beats(values: list[int | None], period: float = 1.0, rules: QualityRules = LIVING) -> list[Sample]:
     """A good T beside a heartbeat that reads so (None: its read fails)."""
     age, judged = DeviceAge(), []
     for n, beat in enumerate(values):
@@ -87,7 +87,7 @@ def test_a_heartbeat_that_stands_makes_everything_stale_and_then_bad() -> None:
 
 
 def test_a_slow_heartbeat_is_given_its_own_period() -> None:
-    slow = Rules(1.0, "Beat", beat=4.0)
+    slow = QualityRules(1.0, "Beat", beat=4.0)
     assert all(s.quality.is_good for s in beats([1, 2, 2, 2, 2, 3, 3, 3, 3, 4], rules=slow)[1:])
 
 

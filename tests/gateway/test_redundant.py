@@ -11,8 +11,8 @@ import pytest
 from drivers.driver import Driver, Explains, Writes
 from drivers.errors import DeviceException, LinkDown, ReplyTimeout, WriteForbidden
 from drivers.tag import Quality, Sample, Tag, Value
-from gateway.machine.redundant import Redundant, Rules, Switch, Way
-from gateway.machine.same_plc import RING, Pulse, agree, heard, still
+from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath, SwitchOver
+from gateway.machine.reading.same_plc import RING, Pulse, agree, still, with_beat
 
 BEAT_S = 0.002
 """The device's heartbeat and its one signal count these."""
@@ -93,13 +93,13 @@ def now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def way(path: Path) -> Way:
+def way(path: Path) -> RedundantPath:
     tags = (*TAGS, Tag(WORD, "holding:3", writable=True))
-    return Way(path.name, path, {tag.name: Tag(tag.name, f"{path.name}:{tag.address}") for tag in tags})
+    return RedundantPath(path.name, path, {tag.name: Tag(tag.name, f"{path.name}:{tag.address}") for tag in tags})
 
 
 def redundant(*paths: Path, switch_after: float = 0.05, return_after: float = 0.1, beat: float = 0.05) -> Redundant:
-    return Redundant([way(path) for path in paths], Rules(switch_after, return_after, BEAT, beat), now)
+    return Redundant([way(path) for path in paths], RedundancyRules(switch_after, return_after, BEAT, beat), now)
 
 
 @dataclass
@@ -109,7 +109,7 @@ class Pair:
     first: Path
     second: Path
     both: Redundant
-    switches: list[Switch]
+    switches: list[SwitchOver]
 
 
 async def pair(**rules: Any) -> Pair:
@@ -117,7 +117,7 @@ async def pair(**rules: Any) -> Pair:
     first, second = Path("first", device), Path("second", device)
     both = redundant(first, second, **rules)
     made = Pair(first, second, both, [])
-    both.tell = made.switches.append
+    both.on_switch = made.switches.append
     await both.open()
     for _ in range(4):
         await scan(both)
@@ -322,7 +322,7 @@ async def test_a_standby_that_leads_to_another_plc_is_never_used() -> None:
 def pulse(*beats: tuple[int, float]) -> Pulse:
     made = Pulse()
     for count, time in beats:
-        made = heard(made, Sample(BEAT, count, Quality.GOOD, time, time - 0.001))
+        made = with_beat(made, Sample(BEAT, count, Quality.GOOD, time, time - 0.001))
     return made
 
 
@@ -346,11 +346,11 @@ def test_two_heartbeats_agree_if_time_explains_their_difference(one: Pulse, othe
 def test_a_restart_begins_the_heartbeat_anew_and_zero_is_standing_still() -> None:
     p = pulse((40_000, 1.0), (40_050, 2.0), (0, 3.0))
     assert still(p, 1.0)
-    p = heard(p, Sample(BEAT, 1, Quality.GOOD, 4.0, 3.9))
+    p = with_beat(p, Sample(BEAT, 1, Quality.GOOD, 4.0, 3.9))
     assert not still(p, 1.0) and len(p.beats) == 1
-    p = heard(p, Sample(BEAT, 1, Quality.GOOD, 5.4, 5.3))
+    p = with_beat(p, Sample(BEAT, 1, Quality.GOOD, 5.4, 5.3))
     assert not still(p, 1.0)
-    assert still(heard(p, Sample(BEAT, 1, Quality.GOOD, 5.6, 5.5)), 1.0)
+    assert still(with_beat(p, Sample(BEAT, 1, Quality.GOOD, 5.6, 5.5)), 1.0)
 
 
 def test_a_link_that_was_read_long_ago_is_judged_by_what_was_read_then() -> None:
@@ -369,8 +369,8 @@ async def test_a_late_link_is_left_after_switch_after_even_if_heartbeats_are_fas
 
 def test_a_bad_reading_of_the_heartbeat_says_nothing() -> None:
     p = pulse((1, 1.0), (2, 2.0))
-    assert heard(p, Sample(BEAT, None, Quality.TIMEOUT, 3.0)) == p
-    assert heard(p, None) == p
+    assert with_beat(p, Sample(BEAT, None, Quality.TIMEOUT, 3.0)) == p
+    assert with_beat(p, None) == p
 
 
 # ------------------------------------------------------------------ writes

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import pytest
 
 from drivers.tag import Quality, Sample, Tag
-from gateway.machine.clock import PlantClock, plant_clock
-from gateway.machine.quality import Rules
-from gateway.machine.scan import Scan, scans
+from gateway.machine.reading.clock import PlantClock, plant_clock
+from gateway.machine.reading.quality import QualityRules
+from gateway.machine.reading.scan import Scan, scans
 from tests.gateway.support import EPOCH, JumpClock
 
 TAG = Tag("T", "holding:1")
@@ -47,7 +47,7 @@ class Slow:
 
 async def collect(device: Slow, count: int, consume: Sequence[float] = ()) -> list[Scan]:
     stop, found = asyncio.Event(), []
-    async for scan in scans(device, [TAG], device.clock, Rules(1.0), stop):
+    async for scan in scans(device, [TAG], device.clock, QualityRules(1.0), stop=stop):
         found.append(scan)
         device.clock.time += consume[len(found) - 1] if len(found) <= len(consume) else 0.0
         if len(found) == count:
@@ -81,7 +81,7 @@ async def test_the_stop_ends_a_long_wait_at_once() -> None:
     stop = asyncio.Event()
     clock = plant_clock()
     device = Slow(JumpClock(clock.now()))
-    stream = scans(device, [TAG], clock, Rules(3600.0), stop)
+    stream = scans(device, [TAG], clock, QualityRules(3600.0), stop=stop)
     await anext(stream)
     waiting = asyncio.ensure_future(anext(stream, None))
     await asyncio.sleep(0)
@@ -101,7 +101,7 @@ async def test_a_restart_waits_for_the_heartbeats_proof_and_never_for_ever() -> 
                 now = self.clock.now()
                 return [Sample("T", 1.0, Quality.GOOD, now), Sample("Beat", beat, Quality.GOOD, now)]
 
-        stream = scans(Beating(clock), tags, clock, Rules(1.0, "Beat"))
+        stream = scans(Beating(clock), tags, clock, QualityRules(1.0, "Beat"))
         scan = await anext(stream)
         await stream.aclose()
         return scan

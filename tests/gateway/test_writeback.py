@@ -4,10 +4,10 @@ import pytest
 
 from drivers.driver import open_driver
 from drivers.tag import Quality, Sample
-from gateway.machine.block import Validity
-from gateway.machine.scan import Scan
-from gateway.machine.writeback import Arming, Writer
-from gateway.plant.devices import load_device
+from gateway.machine.reading.scan import Scan
+from gateway.machine.writing.block import Validity
+from gateway.machine.writing.writeback import Arming, Writer
+from gateway.settings.devices import load_device
 from tests.gateway.support import EPOCH, MAP, JumpClock, scan_of
 
 _DEVICE = load_device(MAP)
@@ -108,8 +108,8 @@ def test_the_plcs_counters_are_summed_over_their_wrap_and_its_restart() -> None:
     refusals = {3: "CRC"}
     for accepted, refused, code in [(65530, 0, 0), (4, 1, 3), (10, 1, 3), (0, 0, 0), (2, 0, 0)]:
         said = {"BlocksAccepted": accepted, "BlocksRefused": refused, "LastRefusal": code}
-        writer.heard(scan(**said), refusals)
+        writer.take_counts(scan(**said), refusals)
     assert writer.counters.accepted == 10 + 6 + 2
     assert (writer.counters.refused, writer.counters.last_refusal) == (1, "CRC")
-    writer.heard(scan(BlocksAccepted=None, BlocksRefused=9.0), refusals)
+    writer.take_counts(scan(BlocksAccepted=None, BlocksRefused=9.0), refusals)
     assert writer.counters.refused == 1, "half an answer is none"

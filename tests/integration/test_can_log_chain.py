@@ -13,8 +13,8 @@ import pytest
 from drivers.driver import open_driver, open_recording
 from drivers.tag import Quality, Sample
 from gateway.plant.app import run
-from gateway.plant.config import load_config
-from gateway.plant.devices import load_device
+from gateway.settings.config import load_config
+from gateway.settings.devices import load_device
 from sim.artefacts.model_json import model_text
 from sim.learning.bins.learn import learn_bins
 from sim.sha.events import Alphabet, encode

@@ -9,15 +9,18 @@ from benchmarks.canopen import BenchmarkError, garbage, latency
 from benchmarks.canopen_rig import FAULTS, PERIOD, TOLERATED, canopen_rig, measure, outside, repeated
 from benchmarks.rig import restless_trace
 from drivers.can.hub_bus import HubBus
-from sim.plc.faults import FAULTS as KINDS
-from sim.plc.faults import ONLY_AT
+from sim.plc.program.faults import FAULTS as KINDS
+from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.recording import read_recording
 
-GROUPS = {
+GROUPS: dict[str, tuple[str, ...]] = {
     "node": ("missing heartbeat", "EMCY", "node reset", "restart", "node off the bus", "frozen image"),
     "frames": ("short PDO", "long PDO", "bus-off", "frame loss", "babbling node", "babbling node, our identifiers"),
     "SDO": ("write ignored", "SDO abort", "SDO late", "SDO silent"),
 }
+_GROUPED = {name for names in GROUPS.values() for name in names}
+if others := tuple(name for name in FAULTS if name not in _GROUPED):
+    GROUPS["others"] = others
 SEEN = (*GROUPS["node"], "short PDO", "bus-off")
 BACK_S = 1.5
 """Seconds within which good readings return, with what a busy test machine may add."""

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.commissioning import ANALOGUE, FLAGS, made
-from gateway.commission.records import broken_at, read_records
+from gateway.commission.session.records import broken_at, read_records
 from gateway.store.audit import read, verify
 
 

@@ -7,11 +7,11 @@ import pytest
 
 from benchmarks.fault_matrix import FAULTS, OUTAGES, TOLERATED, Matrix, Row, measure, outside, repeated
 from benchmarks.rig import MAP
-from sim.plc.faults import FAULTS as KINDS
-from sim.plc.faults import ONLY_AT
-from sim.plc.record.recording import Recording, RequestRow
+from sim.plc.program.faults import FAULTS as KINDS
+from sim.plc.program.faults import ONLY_AT
+from sim.plc.record.recording import PlcRecording, RequestRow
 
-GROUPS = {
+GROUPS: dict[str, tuple[str, ...]] = {
     "absence": ("refuse", "silent", "half_open", "restart", "reset in mid-frame", "frozen image", "illegal register"),
     "replies": (
         "late reply",
@@ -32,6 +32,9 @@ GROUPS = {
         "write ignored",
     ),
 }
+_GROUPED = {name for names in GROUPS.values() for name in names}
+if others := tuple(name for name in FAULTS if name not in _GROUPED):
+    GROUPS["others"] = others
 BY_CHANCE = ("late reply, now and then",)
 ONLY_WRITES = ("write ignored",)
 MOMENTS = ("half_open",)
@@ -100,5 +103,5 @@ def written(transaction: int, address: int, sequence: int, function: int = 16) -
 )
 def test_the_check_counts_writes_elsewhere_and_blocks_that_come_twice(row: RequestRow, count: tuple[int, int]) -> None:
     rows = (written(1, 400, 7), row)
-    assert (outside(Recording((), (), rows, (), (), 0, 0)), repeated(rows)) == count
-    assert outside(Recording((), (), (written(3, 400, 9, function=6),), (), (), 0, 0)) == 1
+    assert (outside(PlcRecording((), (), rows, (), (), 0, 0)), repeated(rows)) == count
+    assert outside(PlcRecording((), (), (written(3, 400, 9, function=6),), (), (), 0, 0)) == 1

@@ -14,9 +14,9 @@ import pytest
 from benchmarks.fault_matrix import TOLERANCE_S, outside
 from benchmarks.rig import Gateway, Plc, Rig, end, make_rig, restless_trace
 from gateway.store.history import samples
+from sim.plc.program.writeback import STILL
 from sim.plc.record.judge import wrong_good
-from sim.plc.record.recording import Recording, read_recording
-from sim.plc.writeback import STILL
+from sim.plc.record.recording import PlcRecording, read_recording
 
 KILLS, SEED, PERIOD = 50, 20, 0.1
 VICTIMS = ("plc", "gateway", "both")
@@ -100,7 +100,7 @@ class Aftermath:
     losses: list[dict[str, int]]
     ended_by_itself: list[str]
     exit_code: int
-    recording: Recording
+    recording: PlcRecording
 
 
 def fifty_kills(folder: Path) -> Aftermath:

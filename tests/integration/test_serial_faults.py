@@ -8,7 +8,7 @@ import pytest
 from benchmarks.rig import MAP, Plc, make_rig, restless_trace
 from drivers.driver import open_driver
 from drivers.tag import Quality, Sample
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import read_recording
 

@@ -13,7 +13,7 @@ from drivers.can.hub import Hub
 from drivers.can.hub_bus import HubBus
 from drivers.canopen.driver import CanopenDriver, open_canopen
 from drivers.tag import Quality
-from gateway.plant.devices import load_device
+from gateway.settings.devices import load_device
 from sim.plc.record.recording import read_recording
 from tests.plc.bench import DECANTER, block, ramp, running, wait_until
 
@@ -75,7 +75,7 @@ def test_the_librarys_master_reads_starts_and_is_told_and_its_block_is_taken(tmp
 
 async def test_a_driver_without_an_eds_asks_the_device_for_its_own(path: Path) -> None:
     with running(*face(path)) as plc:
-        driver = driver_on(path, eds=None, tpdo=None)
+        driver = driver_on(path, eds=None, tpdo=None, connect_timeout=20.0)  # its EDS comes in some 500 frames
         await driver.open()
         tags = load_device(MAP).tags
         await asyncio.to_thread(plc.order, "force", tag="TCuscinettiRiduttore", value=42.5)

@@ -6,21 +6,21 @@ from pathlib import Path
 
 import pytest
 
-from sim.plc.canopen.bend import NodeBend
 from sim.plc.canopen.eds import read_eds
 from sim.plc.canopen.node import OPERATIONAL, PRE_OPERATIONAL, STOPPED, CanopenNode, Out
 from sim.plc.canopen.objects import read_layout
 from sim.plc.canopen.sdo import Abort
-from sim.plc.checks import InputError
-from sim.plc.clock import PlantClock
-from sim.plc.program import Plc
-from sim.plc.registers import read_map
+from sim.plc.program.checks import InputError
+from sim.plc.program.clock import EmulatorClock
+from sim.plc.program.disturbance import NodeDisturbance
+from sim.plc.program.plc import Plc
+from sim.plc.program.registers import read_map
 from tests.plc.bench import DECANTER, block
 
 MAP = DECANTER.parent / "decanter_canopen.toml"
 START, STOP, PRE, RESET = b"\1\1", b"\2\1", b"\x80\1", b"\x81\1"
 TPDOS = {0x181: 8, 0x281: 6, 0x381: 6, 0x481: 8, 0x1C1: 6, 0x2C1: 8}
-WELL = NodeBend()
+WELL = NodeDisturbance()
 
 
 class Bench:
@@ -29,13 +29,13 @@ class Bench:
     def __init__(self) -> None:
         self.now = 100.0
         registers = read_map(DECANTER)
-        self.plc = Plc(registers, PlantClock(0.0, 0.0, monotonic=lambda: self.now))
+        self.plc = Plc(registers, EmulatorClock(0.0, 0.0, monotonic=lambda: self.now))
         assert registers.block is not None
         self.node = CanopenNode(read_layout(MAP, registers.tags, registers.block.place.words), self.plc)
         self.plc.begin(self.now)
         assert self.node.boot(self.now) == [(0x701, b"\0")]
 
-    def step(self, seconds: float = 0.02, bend: NodeBend = WELL) -> list[Out]:
+    def step(self, seconds: float = 0.02, bend: NodeDisturbance = WELL) -> list[Out]:
         self.now += seconds
         self.plc.cycle(self.now)
         return self.node.cycle(self.now, bend)
@@ -95,7 +95,7 @@ def test_the_heartbeat_says_the_state_in_its_time(bench: Bench) -> None:
     assert set(beats) == {bytes([PRE_OPERATIONAL])}
     bench.write(0x1017, 0, 100, 2)
     assert 9 <= sum(identifier == 0x701 for _ in range(50) for identifier in identifiers(bench.step())) <= 11
-    assert all(0x701 not in identifiers(bench.step(bend=NodeBend(no_heartbeat=True))) for _ in range(50))
+    assert all(0x701 not in identifiers(bench.step(bend=NodeDisturbance(no_heartbeat=True))) for _ in range(50))
 
 
 def test_a_tpdo_is_sent_on_a_change_and_with_its_event_timer_and_not_for_the_life_counter_alone(bench: Bench) -> None:
@@ -214,13 +214,13 @@ def test_a_reset_gives_back_the_parameters_of_the_eds(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("bend", "length"),
     [
-        (NodeBend(pdo=2, length=-2), 4),
-        (NodeBend(length=-9), 0),
-        (NodeBend(pdo=2, length=1), 7),
-        (NodeBend(length=5), 8),
+        (NodeDisturbance(pdo=2, length=-2), 4),
+        (NodeDisturbance(length=-9), 0),
+        (NodeDisturbance(pdo=2, length=1), 7),
+        (NodeDisturbance(length=5), 8),
     ],
 )
-def test_bent_pdos_are_shorter_or_longer_as_ordered(bench: Bench, bend: NodeBend, length: int) -> None:
+def test_bent_pdos_are_shorter_or_longer_as_ordered(bench: Bench, bend: NodeDisturbance, length: int) -> None:
     bench.take(0x000, START)
     sizes = {identifier: len(data) for identifier, data in bench.step(bend=bend)}
     assert sizes[0x281] == length
@@ -228,7 +228,7 @@ def test_bent_pdos_are_shorter_or_longer_as_ordered(bench: Bench, bend: NodeBend
 
 
 def test_an_emergency_is_announced_once_kept_and_taken_back(bench: Bench) -> None:
-    bend = NodeBend(emergency=(0x5000, 0x81))
+    bend = NodeDisturbance(emergency=(0x5000, 0x81))
     assert (0x081, bytes.fromhex("0050810000000000")) in bench.step(bend=bend)
     assert 0x081 not in identifiers(bench.step(bend=bend))
     assert (bench.read(0x1001, 0), bench.read(0x1003, 0), bench.read(0x1003, 1)) == (0x81, 1, 0x5000)
@@ -263,10 +263,10 @@ def spoiled(tmp_path: Path, change: Callable[[str], str]) -> Path:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ('"0x2001:1"', '"holding:1"', "tag 7: key 'address'"),
+        ('"0x2001:1"', '"holding:1"', "tag 7: address: must match"),
         ('"0x2001:1"', '"0x2009:1"', "0x2009:1 is not in the EDS"),
         ('name = "Assorbimento"', 'name = "Corrente"', "the register map has no 'Corrente'"),
-        ("node = 1", "node = 100", "key 'node'"),
+        ("node = 1", "node = 100", "node: must be at most 63, got 100; give a node id"),
         ("../decanter.eds", "../none.eds", "none.eds: there is no such file"),
         ('    { name = "zone", dtype = "uint16" },', "    #", "23 words, and the register map's has 24"),
     ],

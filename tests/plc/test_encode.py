@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.tag import DType, Order, Tag
-from sim.plc.encode import Unrepresentable, decode, encode, encode_absent, resolution, value_at_rest, words_of_type
+from sim.plc.program.encode import (
+    Unrepresentable,
+    decode,
+    encode,
+    encode_absent,
+    resolution,
+    value_at_rest,
+    words_of_type,
+)
 
 WHOLE = {
     DType.INT16: "h",

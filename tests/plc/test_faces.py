@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from sim.plc.faces import FACES
-from sim.plc.faults import FAULTS, ONLY_AT
+from sim.plc.program.faults import FAULTS, ONLY_AT
 from sim.plc.record.recording import read_recording
 from tests.drivers import certified
 from tests.drivers.scripted_line import rtu
@@ -193,4 +193,4 @@ def test_a_role_that_makes_no_sense_is_one_sentence(tmp_path: Path) -> None:
 
 def test_every_face_is_asked_for_by_an_option_of_its_own() -> None:
     for name, kind in FACES.items():
-        assert kind.asked in {option.name for option in kind.options}, name
+        assert kind.option in {option.name for option in kind.options}, name

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from drivers.tag import Quality, Sample
-from sim.plc.faults import FAULTS, ONLY_AT
+from sim.plc.program.faults import FAULTS, ONLY_AT
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import read_recording
 from tests.plc.bench import (

@@ -6,20 +6,21 @@ from random import Random
 import pytest
 
 from sim.plc.__main__ import parse_stretch, read_faults
-from sim.plc.checks import InputError
-from sim.plc.faults import FAULTS, describe, parse_fault
-from sim.plc.modbus.messages import Reply, Request
-from sim.plc.registers import Place
-from sim.plc.schedule import Schedule
+from sim.plc.program.checks import InputError
+from sim.plc.program.faults import FAULTS, describe, parse_fault
+from sim.plc.program.pdu import ModbusReply, ModbusRequest
+from sim.plc.program.registers import Place
+from sim.plc.program.schedule import FaultSchedule
 
-REQUEST = Request("test", 5, 1, bytes.fromhex("03 0064 0002"))
-REPLY = Reply(5, 1, bytes.fromhex("03 04 0001 0002"))
+REQUEST = ModbusRequest("test", 5, 1, bytes.fromhex("03 0064 0002"))
+REPLY = ModbusReply(5, 1, bytes.fromhex("03 04 0001 0002"))
 
 
-def bent(kind: str, **parameters: object) -> Reply:
+def bent(kind: str, **parameters: object) -> ModbusReply:
     effect = parse_fault({"kind": kind, **parameters}, "test").effect(0.0)
-    assert effect.alter is not None
-    return effect.alter(REQUEST, REPLY, Random(0))
+    alter = effect.alter or effect.answer
+    assert alter is not None
+    return alter(REQUEST, REPLY, Random(0))
 
 
 @pytest.mark.parametrize(
@@ -42,15 +43,15 @@ def test_a_fault_bends_the_reply_as_it_says(kind: str, parameters: dict[str, obj
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"kind": "lte"}, ["'kind'", "'lte'", "late"]),
-        ({}, ["'kind'", "missing"]),
-        ({"kind": "late", "delay": 1}, ["(late)", "'delay'", "delay_s"]),
-        ({"kind": "late", "delay_s": "1"}, ["'delay_s'", "number", "'1'"]),
-        ({"kind": "late", "delay_s": float("inf")}, ["'delay_s'", "finite"]),
-        ({"kind": "late", "duration": -1}, ["'duration'", "more than 0"]),
-        ({"kind": "late", "probability": 2}, ["'probability'", "0..1"]),
-        ({"kind": "illegal_register"}, ["'registers'", "missing"]),
-        ({"kind": "illegal_register", "registers": ["h1"]}, ["'registers'", "'h1'", "holding:N"]),
+        ({"kind": "lte"}, ["kind: ", "'lte'", "late"]),
+        ({}, ["kind: is missing"]),
+        ({"kind": "late", "delay": 1}, ["(late)", "delay: there is no such key", "delay_s"]),
+        ({"kind": "late", "delay_s": "1"}, ["delay_s: must be a number, got '1'"]),
+        ({"kind": "late", "delay_s": float("inf")}, ["delay_s: must be a finite number"]),
+        ({"kind": "late", "duration": -1}, ["duration: must be more than 0, got -1"]),
+        ({"kind": "late", "probability": 2}, ["probability: ", "0..1"]),
+        ({"kind": "illegal_register"}, ["registers: ", "missing"]),
+        ({"kind": "illegal_register", "registers": ["h1"]}, ["registers", "'h1'", "holding:N"]),
         ({"kind": "frozen", "count": 2}, ["(frozen)", "count"]),
         ([], ["test"]),
     ],
@@ -87,7 +88,7 @@ def test_a_bad_file_of_faults_is_refused(tmp_path: Path, name: str, text: str, r
 
 
 def struck(seed: int) -> list[bool]:
-    schedule = Schedule(seed)
+    schedule = FaultSchedule(seed)
     schedule.add(parse_fault({"kind": "silent", "probability": 0.5}, "test"), 0.0)
     return [bool(list(schedule.strike(3, moment / 100))) for moment in range(64)]
 
@@ -98,7 +99,7 @@ def test_the_draws_depend_on_the_seed_alone() -> None:
 
 
 def test_a_fault_ends_after_its_duration_its_count_or_when_it_is_cleared() -> None:
-    schedule = Schedule()
+    schedule = FaultSchedule()
     schedule.add(parse_fault({"kind": "silent", "start": 1.0, "duration": 2.0}, "test"), 10.0)
     schedule.add(parse_fault({"kind": "late", "count": 2, "functions": [16]}, "test"), 10.0)
     number = schedule.add(parse_fault({"kind": "frozen"}, "test"), 10.0)
@@ -115,7 +116,7 @@ def test_a_fault_ends_after_its_duration_its_count_or_when_it_is_cleared() -> No
 
 
 def test_a_fault_that_came_and_went_between_two_cycles_is_reported_all_the_same() -> None:
-    schedule = Schedule()
+    schedule = FaultSchedule()
     schedule.add(parse_fault({"kind": "silent", "count": 1}, "test"), 10.0)
     schedule.add(parse_fault({"kind": "refuse", "duration": 0.001}, "test"), 10.0)
     assert len(list(schedule.strike(3, 10.0))) == 1

@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.tag import Quality, Sample
-from sim.plc.checks import InputError
-from sim.plc.clock import PlantClock
+from sim.plc.program.checks import InputError
+from sim.plc.program.clock import EmulatorClock
 from sim.plc.record.judge import wrong_good
-from sim.plc.record.recorder import Recorder
-from sim.plc.record.recording import Recording, Run, TruthRow, read_recording
+from sim.plc.record.recorder import PlcRecorder
+from sim.plc.record.recording import PlcRecording, Run, TruthRow, read_recording
 
 ROUNDINGS = {"T": (0.05, 1e-12), "On": (0.0, 0.0), "F": (0.0, 2.0**-23)}
-RUN = Run(PlantClock(0.0, 0.0), "decanter", None, 0, ROUNDINGS)
+RUN = Run(EmulatorClock(0.0, 0.0), "decanter", None, 0, ROUNDINGS)
 HISTORY = [
     ("T", 0.0, None),
     ("T", 10.0, 20.0),
@@ -25,7 +25,7 @@ HISTORY = [
     ("F", 0.0, 18.4),
 ]
 TRUTH = tuple(TruthRow(time, time, 1, tag, value) for tag, time, value in HISTORY)
-RECORDING = Recording((RUN,), TRUTH, (), (), (), 0, 0)
+RECORDING = PlcRecording((RUN,), TRUTH, (), (), (), 0, 0)
 
 
 def judged(tag: str, value: object, sent: float, time: float, tolerance_s: float = 0.0) -> bool:
@@ -64,8 +64,8 @@ def test_what_was_not_called_good_is_not_judged(quality: Quality) -> None:
     assert wrong_good(RECORDING, [Sample("T", 99.0, quality, 22.0, 21.0)]) == []
 
 
-def begun(path: Path) -> Recorder:
-    recorder = Recorder(path, pytest.fail)
+def begun(path: Path) -> PlcRecorder:
+    recorder = PlcRecorder(path, pytest.fail)
     about = {"epoch": 1000.0, "monotonic": 50.0, "speed": 10.0, "device": "d", "trace": None, "seed": 0}
     recorder("run", 50.0, {**about, "roundings": {"T": [0.5, 0.0]}})
     return recorder
@@ -98,4 +98,4 @@ def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no row of a recording"):
         read_recording(tmp_path / "x")
     with pytest.raises(InputError, match="cannot be written"):
-        Recorder(tmp_path / "none" / "r.jsonl", pytest.fail)
+        PlcRecorder(tmp_path / "none" / "r.jsonl", pytest.fail)

@@ -8,14 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.plc.clock import PlantClock
-from sim.plc.modbus.messages import Reply, Request
-from sim.plc.program import Plc, Settings
-from sim.plc.registers import Place, read_map
+from sim.plc.program.clock import EmulatorClock
+from sim.plc.program.pdu import ModbusReply, ModbusRequest
+from sim.plc.program.plc import Plc, PlcSettings
+from sim.plc.program.registers import Place, read_map
 from tests.plc.bench import DECANTER
 
 COILS = """
 [device]
+name = "coils"
+driver = "modbus"
 max_gap = 2
 max_registers = 20
 [[tags]]
@@ -49,7 +51,7 @@ address = "holding:8"
 
 
 def plc_of(path: Path, writable: Sequence[Place] = ()) -> Plc:
-    plc = Plc(read_map(path), PlantClock(0.0, 0.0, monotonic=lambda: 0.0), settings=Settings(writable=writable))
+    plc = Plc(read_map(path), EmulatorClock(0.0, 0.0, monotonic=lambda: 0.0), settings=PlcSettings(writable=writable))
     plc.begin(0.0)
     return plc
 
@@ -61,7 +63,7 @@ def plc(tmp_path: Path) -> Plc:
 
 
 def ask(plc: Plc, text: str) -> str:
-    reply = plc.exchange(Request("test", 1, 1, bytes.fromhex(text)), 0.0)
+    reply = plc.exchange(ModbusRequest("test", 1, 1, bytes.fromhex(text)), 0.0)
     assert reply is not None
     return reply.pdu.hex(" ")
 
@@ -138,7 +140,7 @@ def test_the_device_identifies_itself(plc: Plc) -> None:
 @settings(max_examples=300)
 def test_no_bytes_make_it_raise(pdu: bytes) -> None:
     plc = FUZZED
-    reply = plc.exchange(Request("test", 1, 1, pdu), 0.0)
+    reply = plc.exchange(ModbusRequest("test", 1, 1, pdu), 0.0)
     assert reply is not None
     assert reply.pdu[0] in (pdu[0], pdu[0] | 0x80)
     assert len(reply.pdu) <= 253
@@ -148,12 +150,12 @@ FUZZED = plc_of(DECANTER, [Place("holding", 0, 50), Place("coil", 0, 50)])
 
 
 def test_a_frame_has_the_standards_header() -> None:
-    assert Reply(0x0102, 9, b"\x83\x02").frame() == bytes.fromhex("0102 0000 0003 09 8302")
+    assert ModbusReply(0x0102, 9, b"\x83\x02").frame() == bytes.fromhex("0102 0000 0003 09 8302")
 
 
 def test_a_value_that_does_not_fit_is_served_as_not_available_or_as_its_limit_and_named_once() -> None:
     said: list[str] = []
-    plc = Plc(read_map(DECANTER), PlantClock(0.0, 0.0), complain=said.append)
+    plc = Plc(read_map(DECANTER), EmulatorClock(0.0, 0.0), complain=said.append)
     current, heartbeat = plc.registers.tags["Assorbimento"], plc.registers.tags["AcknowledgeBits"]
     assert plc.image.representable(current, -0.3) is None
     assert plc.image.representable(current, -0.4) is None

@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 
 from drivers.tag import Quality, Sample
-from sim.plc.clock import PlantClock
 from sim.plc.control import obey
-from sim.plc.program import Plc
+from sim.plc.program.clock import EmulatorClock
+from sim.plc.program.plc import Plc
+from sim.plc.program.registers import read_map
+from sim.plc.program.replay import TraceReplay, read_trace
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import read_recording
-from sim.plc.registers import read_map
-from sim.plc.replay import Replay, read_trace
 from tests.plc.bench import (
     ACCEPTED,
     ACKNOWLEDGE,
@@ -251,7 +251,7 @@ def test_a_forced_tag_holds_its_value_until_it_is_released(tmp_path: Path) -> No
     ],
 )
 def test_a_command_that_cannot_be_done_is_answered_with_the_reason(tmp_path: Path, line: str, reason: str) -> None:
-    plc = Plc(read_map(DECANTER), PlantClock(0.0, 0.0), Replay(read_trace(ramp(tmp_path)), 0.0))
+    plc = Plc(read_map(DECANTER), EmulatorClock(0.0, 0.0), TraceReplay(read_trace(ramp(tmp_path)), 0.0))
     plc.begin(0.0)
     reply = obey(plc, line, 0.0)
     assert not reply["ok"] and reason in str(reply["error"]), reply

@@ -5,12 +5,14 @@ from pathlib import Path
 import pytest
 
 from drivers.tag import Order
-from sim.plc.checks import InputError
-from sim.plc.registers import Place, read_map
+from sim.plc.program.checks import InputError
+from sim.plc.program.registers import Place, read_map
 from tests.plc.bench import DECANTER
 
 GOOD = """
 [device]
+name = "plc"
+driver = "modbus"
 unit = 7
 max_gap = 2
 [[tags]]
@@ -44,25 +46,29 @@ def test_the_decanters_map_is_read() -> None:
 @pytest.mark.parametrize(
     ("find", "put", "words"),
     [
-        ('address = "holding:10"', 'address = "register:10"', ["tag 1 (A)", "'address'", "holding:N"]),
+        ('address = "holding:10"', 'address = "register:10"', ["tag 'A'", "address", "register:10", "holding:N"]),
         ('address = "holding:10"', 'address = "holding:70000"', ["'A'", "beyond 65535"]),
         ('address = "holding:10"', 'address = "holding:13"', ["'B'", "holding:13", "belongs to 'A'"]),
-        ('name = "B"', 'name = "A"', ["tag 2", "taken already"]),
-        ('dtype = "float32"', 'dtype = "float23"', ["tag 2 (B)", "'dtype'", "float23", "uint16"]),
-        ('dtype = "float32"', 'dtype = "float32"\nscal = 2', ["tag 2 (B)", "'scal'", "not known", "scale"]),
-        ('dtype = "float32"', 'dtype = "float32"\nscale = 0', ["'scale'", "other than 0"]),
-        ('dtype = "float32"', 'dtype = "float32"\nbit = 3', ["'bit'", "bool"]),
-        ('dtype = "float32"', 'dtype = "string"', ["'length'"]),
-        ('dtype = "float32"', 'dtype = "int16"\nsentinel = 70000', ["'sentinel'", "70000"]),
-        ("unit = 7", "unit = 700", ["[device]", "'unit'", "700", "0..255"]),
-        ("unit = 7", 'heartbeat = "C"', ["'heartbeat'", "no tag 'C'"]),
+        ('name = "B"', 'name = "A"', ["tags[1].name: 'A' is already used"]),
+        ('dtype = "float32"', 'dtype = "float23"', ["tags[1].dtype", "float23", "uint16"]),
+        (
+            'dtype = "float32"',
+            'dtype = "float32"\nscal = 2',
+            ["tags[1].scal: there is no such key", "mean 'scale'"],
+        ),
+        ('dtype = "float32"', 'dtype = "float32"\nscale = 0', ["tags[1].scale", "scale 0"]),
+        ('dtype = "float32"', 'dtype = "float32"\nbit = 3', ["tag 2 (B): bit: ", "bool"]),
+        ('dtype = "float32"', 'dtype = "string"', ["tag 2 (B): length: "]),
+        ('dtype = "float32"', 'dtype = "int16"\nsentinel = 70000', ["tag 2 (B): sentinel: ", "70000"]),
+        ("unit = 7", "unit = 700", ["[device]: unit: ", "700", "0..255"]),
+        ("unit = 7", 'heartbeat = "C"', ["device.heartbeat: 'C' is not a tag"]),
         ("unit = 7", 'heartbeat = "B"', ["'B'", "plain uint16"]),
         ("unit = 7", "unit = ", ["is not TOML", "line"]),
-        ('{name="crc"},', "", ["[writeback]", "crc", "missing"]),
+        ('{name="crc"},', "", ["writeback.fields: 'crc' is missing"]),
         ('"holding:40"', '"holding:11"', ["'B'", "'[writeback]'"]),
         ('"holding:40"', '"input:40"', ["[writeback]", "function 16"]),
-        ("timeout_s = 2.0", "timeout_s = 0", ["[writeback]", "'timeout_s'", "more than 0"]),
-        ("layout_version = 1", "", ["[writeback]", "'layout_version'", "missing"]),
+        ("timeout_s = 2.0", "timeout_s = 0", ["writeback.timeout_s: must be more than 0"]),
+        ("layout_version = 1", "", ["writeback.layout_version: is missing"]),
     ],
 )
 def test_a_bad_map_is_refused_in_one_sentence(tmp_path: Path, find: str, put: str, words: list[str]) -> None:
@@ -81,15 +87,19 @@ def test_a_map_that_is_not_there_or_is_empty_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_map(tmp_path / "none.toml")
     (tmp_path / "empty.toml").write_text("")
-    with pytest.raises(InputError, match="at least one"):
+    with pytest.raises(InputError, match="device: is missing"):
+        read_map(tmp_path / "empty.toml")
+    (tmp_path / "empty.toml").write_text('tags = []\n[device]\nname = "plc"\ndriver = "modbus"\n')
+    with pytest.raises(InputError, match=r"tags: must not be empty.*at least one"):
         read_map(tmp_path / "empty.toml")
 
 
 def test_two_bits_may_share_a_register_but_not_a_bit(tmp_path: Path) -> None:
     path = tmp_path / "bits.toml"
+    head = '[device]\nname = "plc"\ndriver = "modbus"\n'
     bit = '[[tags]]\nname = "{}"\naddress = "holding:1"\ndtype = "bool"\nbit = {}\n'
-    path.write_text(bit.format("A", 0) + bit.format("B", 1))
+    path.write_text(head + bit.format("A", 0) + bit.format("B", 1))
     assert len(read_map(path).tags) == 2
-    path.write_text(bit.format("A", 1) + bit.format("B", 1))
+    path.write_text(head + bit.format("A", 1) + bit.format("B", 1))
     with pytest.raises(InputError, match="belongs to 'A'"):
         read_map(path)

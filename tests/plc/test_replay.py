@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.plc.checks import InputError
-from sim.plc.replay import Replay, TraceTable, read_trace
+from sim.plc.program.checks import InputError
+from sim.plc.program.replay import TraceReplay, TraceTable, read_trace
 from tests.plc.bench import trace_file
 
 ROWS = ["10,0,,1.5", "10.5,1,100,", "10.5,1,110,nan", "12,True,,2.5", "13,false,90,2.5"]
@@ -19,14 +19,14 @@ def table(tmp_path: Path) -> TraceTable:
 
 
 def test_an_empty_cell_holds_the_last_reading_and_none_stands_before_the_first(table: TraceTable) -> None:
-    assert Replay(table, since=0.0).values(0.0) == {"MarciaDecanter": 0.0, "Assorbimento": None, "TFango": 1.5}
-    assert Replay(table, since=0.0).values(2.2) == {"MarciaDecanter": 1.0, "Assorbimento": 110.0, "TFango": 2.5}
+    assert TraceReplay(table, since=0.0).values(0.0) == {"MarciaDecanter": 0.0, "Assorbimento": None, "TFango": 1.5}
+    assert TraceReplay(table, since=0.0).values(2.2) == {"MarciaDecanter": 1.0, "Assorbimento": 110.0, "TFango": 2.5}
 
 
 @given(st.floats(0, 3), st.floats(0.01, 100))
 def test_the_row_is_the_last_at_or_before_the_position(moment: float, rate: float) -> None:
     table = TraceTable(Path("t"), [10, 10.5, 10.5, 12, 13], {}, 1.0)
-    replay = Replay(table, since=5.0, rate=rate)
+    replay = TraceReplay(table, since=5.0, rate=rate)
     position = replay.at(5.0 + moment)
     row = replay.row(5.0 + moment)
     assert table.times[row] <= 10 + position
@@ -34,7 +34,7 @@ def test_the_row_is_the_last_at_or_before_the_position(moment: float, rate: floa
 
 
 def test_hold_seek_and_rate_keep_the_position(table: TraceTable) -> None:
-    replay = Replay(table, since=0.0, rate=2.0)
+    replay = TraceReplay(table, since=0.0, rate=2.0)
     held = replay.changed(0.5, held=True)
     assert held.at(0.5) == held.at(99.0) == 1.0
     assert held.changed(99.0, held=False, rate=0.5).at(101.0) == 2.0
@@ -44,7 +44,7 @@ def test_hold_seek_and_rate_keep_the_position(table: TraceTable) -> None:
 
 
 def test_it_stays_at_the_end_or_begins_again_one_period_later(table: TraceTable) -> None:
-    once, looping = Replay(table, since=0.0), Replay(table, since=0.0, loop=True)
+    once, looping = TraceReplay(table, since=0.0), TraceReplay(table, since=0.0, loop=True)
     assert once.ended(3.0) and once.row(1000.0) == 4
     assert not looping.ended(1000.0)
     assert table.period == 1.0  # the median of 0.5, 1.5 and 1

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 
 from drivers import codec
 from drivers.tag import DType, Order, Quality, Tag
-from sim.plc.clock import PlantClock
-from sim.plc.encode import FLOATS, decode, encode, encode_absent, limits, value_at_rest, words_of_type
-from sim.plc.program import Plc
-from sim.plc.registers import Place, RegisterMap
+from sim.plc.program.clock import EmulatorClock
+from sim.plc.program.encode import FLOATS, decode, encode, encode_absent, limits, value_at_rest, words_of_type
+from sim.plc.program.plc import Plc
+from sim.plc.program.registers import Place, RegisterMap
 
 floats = st.floats(width=32, allow_nan=False, allow_infinity=False)
 NUMBERS = [dtype for dtype in DType if dtype not in (DType.BOOL, DType.STRING)]
@@ -36,7 +36,7 @@ def test_a_number_that_the_plc_encodes_is_the_number_that_the_driver_reads(
 def test_a_bit_lies_where_the_driver_looks_for_it(bit: int, order: Order, value: bool) -> None:
     tag = Tag("t", "holding:0", DType.BOOL, order, bit=bit)
     registers = RegisterMap(Path("m"), "d", 1, 125, 0, None, {"t": tag}, {"t": Place("holding", 0)}, None)
-    plc = Plc(registers, PlantClock(0.0, 0.0))
+    plc = Plc(registers, EmulatorClock(0.0, 0.0))
     plc.begin(0.0)
     plc.force("t", value)
     plc.cycle(0.0)

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from drivers.tag import Quality
-from sim.plc.record.recorder import Recorder
+from sim.plc.record.recorder import PlcRecorder
 from sim.plc.record.verdict import main
 
 GOOD, TIMEOUT = int(Quality.GOOD), int(Quality.TIMEOUT)
@@ -28,7 +28,7 @@ RIGHT = [
 def recording(tmp_path: Path) -> Path:
     """Plant time is 1000 s + 10 times the monotonic one; T is 20 from 1010 on and 30 from 1020 on."""
     path = tmp_path / "plc.jsonl"
-    recorder = Recorder(path, pytest.fail)
+    recorder = PlcRecorder(path, pytest.fail)
     about = {"epoch": 1000.0, "monotonic": 50.0, "speed": 10.0, "device": "d", "trace": None, "seed": 0}
     recorder("run", 50.0, {**about, "roundings": {"T": [0.05, 0.0], "On": [0.0, 0.0]}})
     recorder("truth", 51.0, {"version": 1, "values": {"T": 20.0, "On": True, "Recipe": "fango 1"}})

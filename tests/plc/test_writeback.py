@@ -2,11 +2,11 @@
 
 import pytest
 
-from sim.plc import writeback
-from sim.plc.clock import PlantClock
-from sim.plc.modbus.messages import Request
-from sim.plc.program import Plc
-from sim.plc.registers import read_map
+from sim.plc.program import writeback
+from sim.plc.program.clock import EmulatorClock
+from sim.plc.program.pdu import ModbusRequest
+from sim.plc.program.plc import Plc
+from sim.plc.program.registers import read_map
 from tests.plc.bench import BLOCK, DECANTER, block, crc
 
 REGISTERS = read_map(DECANTER)
@@ -14,7 +14,7 @@ REGISTERS = read_map(DECANTER)
 
 @pytest.fixture
 def plc() -> Plc:
-    plc = Plc(REGISTERS, PlantClock(0.0, 0.0, monotonic=lambda: 0.0))
+    plc = Plc(REGISTERS, EmulatorClock(0.0, 0.0, monotonic=lambda: 0.0))
     plc.begin(0.0)
     return plc
 
@@ -22,7 +22,7 @@ def plc() -> Plc:
 def tell(plc: Plc, words: list[int], now: float, address: int = BLOCK) -> dict[str, object]:
     """Write a block and let the program run a cycle; the status tags afterwards."""
     head = bytes((16,)) + address.to_bytes(2, "big") + len(words).to_bytes(2, "big") + bytes((2 * len(words),))
-    reply = plc.exchange(Request("test", 1, 1, head + b"".join(word.to_bytes(2, "big") for word in words)), now)
+    reply = plc.exchange(ModbusRequest("test", 1, 1, head + b"".join(word.to_bytes(2, "big") for word in words)), now)
     assert reply is not None and reply.pdu[0] == 16
     plc.cycle(now)
     return dict(plc.image.truth)

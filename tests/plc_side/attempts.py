@@ -7,7 +7,7 @@ from random import Random
 from typing import Any
 
 from drivers.tag import DType, Order, Tag, Value
-from gateway.plant.devices import DeviceMap
+from gateway.settings.devices import DeviceMap
 
 Attempt = list[tuple[Tag, Value]]
 UNFIT: tuple[Any, ...] = (70_000, -1, math.nan, math.inf, 1e300, "text", 0.5j, None)

@@ -3,12 +3,12 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from gateway.commission.plc_side.conformance import Account
-from gateway.commission.plc_side.structured_text import Program, generate
-from gateway.plant.devices import load_device
-from sim.plc.clock import PlantClock
-from sim.plc.program import Plc
-from sim.plc.registers import read_map
+from gateway.commission.writeback.structured_text import Program, generate
+from gateway.commission.writeback.suite import Account
+from gateway.settings.devices import load_device
+from sim.plc.program.clock import EmulatorClock
+from sim.plc.program.plc import Plc
+from sim.plc.program.registers import read_map
 from tests.plc_side.structured_text import Instance, Text
 
 CYCLE_MS = 20
@@ -18,7 +18,7 @@ class Emulated:
     """The emulator's program, moved on by hand."""
 
     def __init__(self, path: Path) -> None:
-        self.plc = Plc(read_map(path), PlantClock(0.0, 0.0, 1.0))
+        self.plc = Plc(read_map(path), EmulatorClock(0.0, 0.0, 1.0))
         self.now = 0.0
         self.plc.begin(self.now)
 

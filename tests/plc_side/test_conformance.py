@@ -10,21 +10,21 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import WriteForbidden
-from gateway.commission.evidence import Evidence
-from gateway.commission.outcome import Site
-from gateway.commission.plc_codegen import write_suite
-from gateway.commission.plc_side.by_hand import Hand, hand
-from gateway.commission.plc_side.conformance import Result, put_through
-from gateway.commission.plc_side.loop_tests import alarms, heartbeat
-from gateway.commission.plc_side.structured_text import refusal_codes
-from gateway.commission.plc_side.suite import conform
-from gateway.commission.plc_side.vectors import parse, vectors
-from gateway.commission.target import make_target
+from gateway.commission.session.evidence import FrameEvidence
+from gateway.commission.session.site import Site
+from gateway.commission.session.target import make_target
+from gateway.commission.writeback.block_writer import BlockWriter, open_block_writer
+from gateway.commission.writeback.codegen import write_suite
+from gateway.commission.writeback.conformance import conform
+from gateway.commission.writeback.loop import alarm_loop, heartbeat_loop
+from gateway.commission.writeback.structured_text import refusal_codes
+from gateway.commission.writeback.suite import Result, put_through
+from gateway.commission.writeback.vectors import parse, vectors
 from gateway.demo.can_bus import can_hub
 from gateway.demo.links import LINKS
-from gateway.machine.arming import arm_in_log, signed
-from gateway.plant.devices import load_device
-from gateway.store.audit import DISARMED, Entry, open_audit, read
+from gateway.machine.writing.arming import arm_in_log, signed
+from gateway.settings.devices import load_device
+from gateway.store.audit import DISARMED, AuditEntry, open_audit, read
 from sim.plc.record.recording import read_recording
 from tests.plc.bench import Process, running
 from tests.plc_side.sides import Compiled, Emulated
@@ -108,7 +108,9 @@ async def test_a_plc_that_leaves_a_check_out_fails_the_suite(name: str) -> None:
 
 
 @asynccontextmanager
-async def at_the_wire(folder: Path, link: str, plc: Process, path: Path, *, armed: bool = True) -> AsyncIterator[Hand]:
+async def at_the_wire(
+    folder: Path, link: str, plc: Process, path: Path, *, armed: bool = True
+) -> AsyncIterator[BlockWriter]:
     """A hand at the software PLC over a link, armed, with somebody who turns the permit's switch."""
 
     def ask(question: str) -> bool:
@@ -122,7 +124,7 @@ async def at_the_wire(folder: Path, link: str, plc: Process, path: Path, *, arme
         arm_in_log(audit, signed("Ada", "suite", 5, now), now)
     settings = {**LINKS[link].settings(folder, plc.ready)}
     target = make_target(None, path, None if link.startswith("modbus") else link, settings)
-    async with hand(Site(target, Evidence()), audit, ask) as one:
+    async with open_block_writer(Site(target, FrameEvidence()), audit, ask) as one:
         yield one
 
 
@@ -170,11 +172,11 @@ async def test_the_loop_tests_pass_at_the_emulator_and_a_plc_without_a_timer_fai
     path = quick(tmp_path, "decanter_plc.toml")
     with running(map_path=path) as plc:
         async with at_the_wire(tmp_path, "modbus", plc, path) as one:
-            seen = await alarms(one, quiet)
-            beats = await heartbeat(one, quiet, seconds=0.3)
+            seen = await alarm_loop(one, quiet)
+            beats = await heartbeat_loop(one, quiet, seconds=0.3)
             assert plc.order("force", tag="PredictionUsable", value=True)["ok"]
-            await one.looked()
-            stuck = await heartbeat(one, quiet, seconds=0.3)
+            await one.wait_for_scans()
+            stuck = await heartbeat_loop(one, quiet, seconds=0.3)
     assert seen.code == 0 and [row["name"] for row in seen.data["rows"]][-1] == "none"
     assert len(seen.data["rows"]) == 8 and all(row["seen"] for row in seen.data["rows"])
     assert beats.code == 0 and len(beats.data["rows"]) == 4
@@ -191,9 +193,9 @@ async def test_nothing_is_sent_unarmed_unpermitted_or_when_the_arming_was_taken_
             with pytest.raises(WriteForbidden, match="does not permit"):
                 await one.block()
             plc.order("permit", on=True)
-            await one.looked()
+            await one.wait_for_scans()
             log = open_audit(tmp_path / "audit.sqlite")
-            assert log.record(Entry(time.time(), DISARMED, "Bea", "enough"))
+            assert log.record(AuditEntry(time.time(), DISARMED, "Bea", "enough"))
             log.close()
             with pytest.raises(WriteForbidden, match="arming is over"):
                 await one.block()

@@ -12,17 +12,17 @@ import pytest
 from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
-from gateway.commission.records import Record, append, hash_of
-from gateway.commission.report.data import CHECKS, FAILED, INCOMPLETE, OPEN, PASSED, gather
-from gateway.commission.report.files import FILES, LIST, verify, write
-from gateway.machine.arming import arm_in_log, disarm_in_log, signed
+from gateway.commission.acceptance.data import CHECKS, FAILED, INCOMPLETE, OPEN, PASSED, gather
+from gateway.commission.acceptance.files import FILES, LIST, verify, write
+from gateway.commission.session.records import CommandRecord, append, hash_of
+from gateway.machine.writing.arming import arm_in_log, disarm_in_log, signed
 from gateway.store.audit import read
 
 NEEDED = [check.command for check in CHECKS if check.required == "always"]
 WRITING = [check.command for check in CHECKS if check.required == "writing"]
 
 
-def record(command: str, code: int = 0, reason: str = "", **more: Any) -> Record:
+def record(command: str, code: int = 0, reason: str = "", **more: Any) -> CommandRecord:
     given: dict[str, Any] = {
         "time": 1_795_000_000.0,
         "seconds": 1.5,
@@ -38,17 +38,17 @@ def record(command: str, code: int = 0, reason: str = "", **more: Any) -> Record
         "who": "Ada",
         "machine": "laptop",
     }
-    return Record(**{**given, **more})
+    return CommandRecord(**{**given, **more})
 
 
-def filled(folder: Path, *records: Record) -> Path:
+def filled(folder: Path, *records: CommandRecord) -> Path:
     path = folder / "records.jsonl"
     for one in records:
         append(path, one)
     return path
 
 
-def complete(folder: Path, *others: Record) -> Path:
+def complete(folder: Path, *others: CommandRecord) -> Path:
     return filled(folder, *(record(name) for name in NEEDED), *others)
 
 
@@ -165,7 +165,7 @@ class Words(HTMLParser):
             self.loads.append(tag)
 
 
-def made(folder: Path, *others: Record) -> tuple[Path, str]:
+def made(folder: Path, *others: CommandRecord) -> tuple[Path, str]:
     records = complete(folder, *others)
     out = folder / "report"
     return out, write(out, data_of(records, site="Plant <b>&</b> è"), records.read_bytes())

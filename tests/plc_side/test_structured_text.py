@@ -10,11 +10,11 @@ import pytest
 from blark.parse import parse_source_code
 from lark.exceptions import LarkError
 
-from gateway.commission.plc_side.structured_text import Program, generate
-from gateway.commission.plc_side.vectors import vectors
-from gateway.plant.devices import load_device
-from sim.plc.registers import read_map
-from sim.plc.writeback import decoded
+from gateway.commission.writeback.structured_text import Program, generate
+from gateway.commission.writeback.vectors import vectors
+from gateway.settings.devices import load_device
+from sim.plc.program.registers import read_map
+from sim.plc.program.writeback import decoded
 from tests.plc_side.sides import Compiled
 from tests.plc_side.structured_text import Mistake, Text, parser
 

@@ -16,15 +16,15 @@ from click.testing import CliRunner
 from drivers.can.bus import open_bus
 from drivers.driver import Writes, open_driver
 from drivers.errors import DriverError
-from gateway.checked import ConfigError
+from drivers.settings import ConfigError
 from gateway.cli.main import main
-from gateway.commission.plc_side.vectors import vectors
+from gateway.commission.writeback.vectors import vectors
 from gateway.demo.can_bus import can_hub
 from gateway.demo.links import LINKS
 from gateway.plant.app import run
-from gateway.plant.config import load_config
 from gateway.plant.control import connect
-from gateway.plant.devices import load_device
+from gateway.settings.config import load_config
+from gateway.settings.devices import load_device
 from sim.plc.record.recording import read_recording
 from tests.drivers.conftest import read_until_good
 from tests.plc.bench import Process, running

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
-from gateway.machine.predict import Predictor
+from gateway.machine.model.predict import Predictor
 from sim.engine.belief import (
     Belief,
     advance,

@@ -9,6 +9,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from openpyxl import load_workbook
+from openpyxl.utils.exceptions import InvalidFileException
+
 HEADER_WITHIN = 40
 """So many lines of titles may stand above the header."""
 _DELIMITERS = ";,\t|"
@@ -22,7 +25,7 @@ class ListError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class ListRow:
     """One row: its line in the file (1..) and its cells by the names of the columns that were recognised."""
 
     number: int
@@ -34,16 +37,16 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class ListSheet:
     """A list as it was read: which header each column was recognised by, those that were not, and the rows."""
 
     path: Path
     header_line: int
     columns: Mapping[str, str]
     ignored: tuple[str, ...]
-    lines: tuple[Line, ...]
+    lines: tuple[ListRow, ...]
 
-    def where(self, line: Line, column: str = "") -> str:
+    def where(self, line: ListRow, column: str = "") -> str:
         """File, line and the column's own header, to begin a sentence with."""
         header = self.columns.get(column, "")
         return f"{self.path}: line {line.number}" + (f", {header!r}" if header else "")
@@ -56,7 +59,7 @@ def read_sheet(
     *,
     given: Mapping[str, str] | None = None,
     sheet: str | None = None,
-) -> Sheet:
+) -> ListSheet:
     """The list in `path`. The header is the first line that has every `needed` column.
 
     `synonyms` has the words by which each column is recognised; `given` (column -> header) wins over them. Raises
@@ -70,11 +73,11 @@ def read_sheet(
             used = set(columns.values())
             ignored = tuple(cell.strip() for at, cell in enumerate(cells) if at not in used and cell.strip())
             lines = tuple(
-                Line(line, {name: row[at] for name, at in columns.items() if at < len(row)})
+                ListRow(line, {name: row[at] for name, at in columns.items() if at < len(row)})
                 for line, row in rows[place + 1 :]
                 if any(cell.strip() for cell in row)
             )
-            return Sheet(path, number, {name: cells[at].strip() for name, at in columns.items()}, ignored, lines)
+            return ListSheet(path, number, {name: cells[at].strip() for name, at in columns.items()}, ignored, lines)
     _check_given(path, rows[:HEADER_WITHIN], given)
     raise ListError(_no_header(path, rows, synonyms, needed))
 
@@ -190,9 +193,6 @@ def delimiter_of(text: str) -> str:
 
 
 def _xlsx_rows(path: Path, data: bytes, sheet: str | None) -> Iterator[tuple[int, list[str]]]:
-    from openpyxl import load_workbook
-    from openpyxl.utils.exceptions import InvalidFileException
-
     try:
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
     except (InvalidFileException, zipfile.BadZipFile, KeyError, ValueError) as error:

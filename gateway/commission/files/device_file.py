@@ -7,10 +7,12 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AoT, Comment, Table, Whitespace
 
-from gateway.checked import ConfigError, read_toml
+from drivers.device_file import NEEDED_FIELDS
+from drivers.driver import capabilities
+from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.toml_edit import put
-from gateway.commission.plc_side.fields import described
-from gateway.plant.devices import BLOCK_FIELDS
+from gateway.commission.writeback.fields import described
+from gateway.settings.devices import BLOCK_FIELDS
 
 PLACE_KEYS = (
     *("transport", "host", "port", "timeout", "certificates", "tls_name", "serial", "baud", "parity", "stopbits"),
@@ -21,8 +23,6 @@ ENCODING: Mapping[str, Any] = {
     **{"address": None, "dtype": "uint16", "order": "ABCD", "scale": 1.0, "offset": 0.0, "bit": None, "length": 0},
 }
 """The keys of a tag that say how its value lies in the device, with their defaults."""
-NEEDED = frozenset({"layout_version", "sequence", "heartbeat", "validity", "crc", "sequence_copy"})
-"""Fields that every block has."""
 LEAVE_OUT = (
     *("band_low", "band_high", "minutes_low", "minutes_high", "horizon_low", "model_hash", "anomaly", "location"),
     *("horizon_median", "horizon", "age", "minutes_median", "p_limit", "input_quality", "zone", "temperature_now"),
@@ -35,7 +35,7 @@ def starter(name: str, driver: str) -> str:
     """A device file to begin with, without a tag."""
     document = tomlkit.document()
     document.add(tomlkit.comment(f"The device {name}: where each tag lies. `decanter plc check` says what is wrong."))
-    if driver == "modbus":
+    if capabilities(driver).registers:
         document.add(tomlkit.comment("Addresses are PDU addresses (0-based): holding:100 is 40101 counted from 40001."))
     document.add(tomlkit.nl())
     table = tomlkit.table()
@@ -155,7 +155,7 @@ def _set_fields(table: Any, names: Sequence[str], template: Path) -> None:
         raise ConfigError(
             [f"--fields: {unknown[0]!r} is no field of the block; give some of {', '.join(BLOCK_FIELDS)}"]
         )
-    wanted = [name for name in BLOCK_FIELDS if name in (*names, *NEEDED)]
+    wanted = [name for name in BLOCK_FIELDS if name in (*names, *NEEDED_FIELDS)]
     present = {row["name"]: dict(row) for row in table.get("fields", ())}
     if list(present) == wanted:
         return

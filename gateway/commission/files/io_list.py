@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gateway.commission.files.cells import Line, ListError, Sheet, key_of, number_of, read_sheet
+from gateway.commission.files.cells import ListError, ListRow, ListSheet, key_of, number_of, read_sheet
 from gateway.commission.files.io_words import COLUMNS, FUNCTIONS, KNOWN_TYPES, ORDERS, TABLES, type_of
 from gateway.commission.survey.addresses import AddressTextError, Register, parse_register
 
@@ -35,14 +35,14 @@ class _RowError(ValueError):
 class Reading:
     """How a list is read where it does not say itself.
 
-    `table` of bare numbers, `order` of values wider than a register, `shift` added to every address, `modbus` False
+    `table` of bare numbers, `order` of values wider than a register, `shift` added to every address, `registers` False
     for other drivers' addresses, which are left as they are.
     """
 
     table: str = "holding"
     order: str = "ABCD"
     shift: int = 0
-    modbus: bool = True
+    registers: bool = True
     rename: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -59,7 +59,7 @@ class Listed:
 class IoList:
     """A list as it was understood. `problems` are sentences, one for each row that is no tag."""
 
-    sheet: Sheet
+    sheet: ListSheet
     tags: tuple[Listed, ...]
     problems: tuple[str, ...]
 
@@ -81,7 +81,7 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     return IoList(sheet, tuple(tags), tuple(problems))
 
 
-def _listed(sheet: Sheet, line: Line, how: Reading, before: Sequence[Listed]) -> Listed:
+def _listed(sheet: ListSheet, line: ListRow, how: Reading, before: Sequence[Listed]) -> Listed:
     found = line.get("name")
     if not found:
         raise _RowError("name", "is empty; give the tag's name, or take the row out")
@@ -90,8 +90,10 @@ def _listed(sheet: Sheet, line: Line, how: Reading, before: Sequence[Listed]) ->
         raise _RowError("name", f"{name!r} is in line {twice.line} already; give each tag a name of its own")
     keys = _keys(sheet, line, how)
     if other := next((one for one in before if _collide(keys, one.keys)), None):
-        said = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
-        raise _RowError("address", f"{said}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)")
+        sentence = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
+        raise _RowError(
+            "address", f"{sentence}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)"
+        )
     return Listed(name, keys, line.number)
 
 
@@ -101,7 +103,7 @@ def _collide(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     return bool(one["address"] == other["address"] and (None in bits or bits[0] == bits[1]))
 
 
-def _keys(sheet: Sheet, line: Line, how: Reading) -> dict[str, Any]:
+def _keys(sheet: ListSheet, line: ListRow, how: Reading) -> dict[str, Any]:
     address, bit = _address(sheet, line, how)
     dtype, length = _type(line, address, bit)
     low, high = _number(line, "low"), _number(line, "high")
@@ -124,12 +126,12 @@ def _keys(sheet: Sheet, line: Line, how: Reading) -> dict[str, Any]:
     }
 
 
-def _unit(line: Line) -> str | None:
+def _unit(line: ListRow) -> str | None:
     text = line.get("unit")
     return _UNITS.get(key_of(text), text) if text not in ("", "-") else None
 
 
-def _number(line: Line, column: str) -> float | None:
+def _number(line: ListRow, column: str) -> float | None:
     text = line.get(column)
     if text in ("", "-", "–", "n/a", "n.a."):
         return None
@@ -139,7 +141,7 @@ def _number(line: Line, column: str) -> float | None:
         raise _RowError(column, f"{text!r} is no number; give one such as 0,1 or 0.1, or leave it empty") from None
 
 
-def _whole(line: Line, column: str) -> int | None:
+def _whole(line: ListRow, column: str) -> int | None:
     text = line.get(column).lower()
     if match := _HEX.fullmatch(text):
         return int(match[1] or match[2], 16)
@@ -149,7 +151,7 @@ def _whole(line: Line, column: str) -> int | None:
     return None if number is None else int(number)
 
 
-def _scaling(line: Line, low: float | None, high: float | None) -> tuple[float | None, float | None]:
+def _scaling(line: ListRow, low: float | None, high: float | None) -> tuple[float | None, float | None]:
     """(scale, offset): as they are given, or from a raw range and the range in units."""
     scale, offset = _number(line, "scale"), _number(line, "offset")
     raw_low, raw_high = _number(line, "raw_low"), _number(line, "raw_high")
@@ -164,7 +166,7 @@ def _scaling(line: Line, low: float | None, high: float | None) -> tuple[float |
     return round(found, _DIGITS), round((low or 0.0) - found * (raw_low or 0.0), _DIGITS)
 
 
-def _order(line: Line, how: Reading) -> str:
+def _order(line: ListRow, how: Reading) -> str:
     text = line.get("order")
     if not text or text == "-":
         return how.order
@@ -174,7 +176,7 @@ def _order(line: Line, how: Reading) -> str:
     return found
 
 
-def _type(line: Line, address: str, bit: int | None) -> tuple[str, int]:
+def _type(line: ListRow, address: str, bit: int | None) -> tuple[str, int]:
     text = line.get("dtype")
     if not text:
         return ("bool", 0) if bit is not None or address.partition(":")[0] in ("coil", "discrete") else ("uint16", 0)
@@ -194,12 +196,12 @@ def _type(line: Line, address: str, bit: int | None) -> tuple[str, int]:
 # ---------------------------------------------------------------- addresses
 
 
-def _address(sheet: Sheet, line: Line, how: Reading) -> tuple[str, int | None]:
+def _address(sheet: ListSheet, line: ListRow, how: Reading) -> tuple[str, int | None]:
     """(address in the driver's notation, bit or None)."""
     text = line.get("address")
     if not text:
         raise _RowError("address", "is empty; give the address, or take the row out")
-    if not how.modbus:
+    if not how.registers:
         return text, _bit(line)
     plain, bit = text.lower().replace(" ", ""), _bit(line)
     match = _BIT.fullmatch(plain)
@@ -214,14 +216,14 @@ def _address(sheet: Sheet, line: Line, how: Reading) -> tuple[str, int | None]:
     return str(moved), None if moved.is_bit else bit
 
 
-def _bit(line: Line) -> int | None:
+def _bit(line: ListRow) -> int | None:
     found = _whole(line, "bit")
     if found is not None and not 0 <= found <= 15:
         raise _RowError("bit", f"bit {found} is not in a register, which has bits 0 to 15")
     return found
 
 
-def _register(sheet: Sheet, line: Line, plain: str, text: str, how: Reading) -> Register:
+def _register(sheet: ListSheet, line: ListRow, plain: str, text: str, how: Reading) -> Register:
     """A place by whatever notation: holding:100, 40101, 4x101, %MW100, 0x64, or a bare number in a table."""
     for read in _NOTATIONS:
         if (found := read(plain)) is not None:
@@ -261,7 +263,7 @@ def _iec(plain: str) -> Register | None:
 _NOTATIONS: tuple[Callable[[str], Register | None], ...] = (_usual, _short, _iec)
 
 
-def _table(sheet: Sheet, line: Line) -> str:
+def _table(sheet: ListSheet, line: ListRow) -> str:
     """The row's own table; "" where it names none."""
     text = line.get("table")
     if not text:

@@ -7,10 +7,13 @@ from typing import Any
 
 import tomlkit
 
-from gateway.checked import ConfigError, read_toml
+from drivers.driver import DRIVERS, capabilities
+from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.device_file import PLACE_KEYS, set_device, starter
 from gateway.commission.files.toml_edit import Edit, commit, edited, put
-from gateway.commission.target import CONNECT_S, Target, TargetError, make_target
+from gateway.commission.session.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
+from gateway.settings.config import load_config
+from gateway.settings.devices import load_device
 
 _PLANT = """\
 # The gateway's configuration. Relative paths are relative to this file. `decanter check` says what is wrong with it.
@@ -34,12 +37,12 @@ limit = 80.0                 # degC
 path = "out/historian.sqlite"
 
 [log]
-path = "out/gateway.plant.log.jsonl"
+path = "out/gateway.log.jsonl"
 """
 _SHORT_FORM = frozenset({"host", "port", "timeout"})
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Files:
     """What is to be changed. `plant` is None where only a device file is given; `link` names one of the plant's.
 
@@ -74,7 +77,7 @@ def find_files(plant: Path | None, device: Path | None, link: str | None, given:
     driver, found = _driver_of(path, plant, link, given)
     place = {key: value for key, value in found.items() if key in PLACE_KEYS}
     settings = {key: value for key, value in found.items() if key not in PLACE_KEYS}
-    return Files(plant, path, driver, link, place, settings)
+    return Files(plant=plant, device=path, driver=driver, link=link, place=place, settings=settings)
 
 
 def _driver_of(
@@ -84,10 +87,13 @@ def _driver_of(
     if path.exists():
         driver = read_toml(path).get("device", {}).get("driver")
         if not isinstance(driver, str):
-            raise ConfigError([f"{path}: device.driver: is missing; give the name of a driver such as 'modbus'"])
+            raise ConfigError([f"{path}: device.driver: is missing; give one of {', '.join(sorted(DRIVERS))}"])
+        if driver not in DRIVERS:
+            known = ", ".join(sorted(DRIVERS))
+            raise ConfigError([f"{path}: device.driver: {driver!r} is no driver; give one of {known}"])
         return driver, given
     if plant is None and link is None and not set(given) & {"host", "serial", "channel"}:
-        return "modbus", given
+        return DEFAULT_DRIVER, given
     target: Target = make_target(None, None, link, given)
     ours = {"transport": "tcp", "connect_timeout": CONNECT_S}  # what the commands fill in is no setting of the plant
     plain = {key: value for key, value in target.settings.items() if key in given or ours.get(key) != value}
@@ -154,7 +160,7 @@ def _place(document: tomlkit.TOMLDocument, files: Files, *, new: bool) -> None:
     folder = (files.plant or Path()).parent
     place = {key: _complete(key, value) for key, value in files.place.items()}
     file = _relative(files.device, folder)
-    if files.driver == "modbus" and set(place) <= _SHORT_FORM:
+    if capabilities(files.driver).networked and set(place) <= _SHORT_FORM:
         table.update({"file": file, **place})
         return
     rows = tomlkit.aot()
@@ -181,18 +187,10 @@ def save(device: Edit, plant: Edit | None) -> list[Path]:
 
     Raises ConfigError (for the plant file: the device file stands then) or OSError.
     """
-    from gateway.plant.config import load_config
-    from gateway.plant.devices import load_device
-
     backups = [commit(device, load_device)] if device.changed else []
     if plant is not None and plant.changed:
-        try:
-            backups.append(commit(plant, load_config))
-        except ConfigError as error:
-            if not device.changed:
-                raise
-            said = [problem.replace("nothing was written", f"{device.path} is written") for problem in error.problems]
-            raise ConfigError(said) from None
+        so_far = f"{device.path} is written" if device.changed else "nothing was written"
+        backups.append(commit(plant, load_config, so_far=so_far))
     return [path for path in backups if path is not None]
 
 

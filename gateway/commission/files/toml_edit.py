@@ -14,7 +14,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from gateway.checked import ConfigError, read_toml
+from drivers.settings import ConfigError, read_toml
 
 _CROWDED = re.compile(r"^([^\n#\[ \t][^\n]*|[\])}][^\n]*)\n(?=\[)", re.MULTILINE)
 _WIDE = re.compile(r"\n{3,}(?=\[)")
@@ -65,20 +65,32 @@ def _spaced(text: str, before: str | None) -> str:
     return spaced if tomllib.loads(spaced) == tomllib.loads(text) else text
 
 
-def commit(edit: Edit, check: Callable[[Path], object], now: Callable[[], float] = time.time) -> Path | None:
+def commit(
+    edit: Edit,
+    check: Callable[[Path], object],
+    now: Callable[[], float] = time.time,
+    *,
+    so_far: str = "nothing was written",
+) -> Path | None:
     """Check the new content, keep the old one beside it, and put the new one in its place in one step.
 
     `check` reads the new content under another name in the same folder, and raises ConfigError for what cannot be
-    used; then nothing is changed. Gives the backup's path, None for a new file. Raises ConfigError or OSError.
+    used; then nothing is changed, and the error says with `so_far` what the whole command has written until then. Gives
+    the backup's path, None for a new file. Raises ConfigError or OSError.
     """
     path = edit.path
     path.parent.mkdir(parents=True, exist_ok=True)
     fresh = path.with_name(f".{path.name}.{os.getpid()}.new")
     try:
         _write(fresh, edit.after)
-        _checked(fresh, path, check)
+        try:
+            check(fresh)
+        except ConfigError as error:
+            # The sentences are about the file that the person knows, not about the copy that was checked.
+            problems = [problem.replace(str(fresh), str(path)) for problem in error.problems]
+            raise ConfigError([f"{problem} ({so_far})" for problem in problems]) from None
         if _content(path) != edit.before:
-            raise ConfigError([f"{path}: was changed by somebody else meanwhile; nothing was written, try again"])
+            raise ConfigError([f"{path}: was changed by somebody else meanwhile; {so_far}, try again"])
         backup = _backup(edit, now()) if edit.before is not None else None
         if backup is not None:
             fresh.chmod(path.stat().st_mode & 0o7777)
@@ -88,14 +100,6 @@ def commit(edit: Edit, check: Callable[[Path], object], now: Callable[[], float]
             fresh.unlink()
     _settle(path.parent)
     return backup
-
-
-def _checked(fresh: Path, path: Path, check: Callable[[Path], object]) -> None:
-    try:
-        check(fresh)
-    except ConfigError as error:
-        said = [problem.replace(str(fresh), str(path)) for problem in error.problems]
-        raise ConfigError([f"{problem} (nothing was written)" for problem in said]) from None
 
 
 def _content(path: Path) -> str | None:

@@ -7,12 +7,13 @@ from pathlib import Path
 from statistics import mean, pstdev
 from typing import Any
 
+from drivers.can.dbc import Dbc
 from drivers.can.fields import frame_key, frame_name
 from drivers.can.load import frame_bits
 from drivers.errors import ReplyTimeout
 from drivers.survey import BusFrame, open_bus_survey
-from gateway.commission.outcome import Outcome, Site
-from gateway.console.output import exit_code
+from gateway.commission.session.site import CommandResult, Site
+from gateway.console.exits import exit_code
 
 _CANOPEN: tuple[tuple[int, str], ...] = (
     (0x080, "EMCY of node {node}"),
@@ -31,7 +32,7 @@ _CANOPEN: tuple[tuple[int, str], ...] = (
 _ALONE = {0x000: "NMT", 0x080: "SYNC", 0x100: "TIME"}
 
 
-async def scan_can(site: Site, seconds: float) -> Outcome:
+async def scan_can(site: Site, seconds: float) -> CommandResult:
     """Listen for so long; one row an identifier."""
     settings = site.target.settings
     names = _names(settings)
@@ -47,16 +48,14 @@ async def scan_can(site: Site, seconds: float) -> Outcome:
         data["load_percent"] = 100.0 * bits / (bitrate * seconds)
     if not frames:
         error = ReplyTimeout(f"no frame in {seconds:g} s: another bit rate, nobody on the bus, or a broken wire")
-        return Outcome(data, exit_code(error), str(error))
-    return Outcome(data)
+        return CommandResult(data, exit_code(error), str(error))
+    return CommandResult(data)
 
 
 def _names(settings: Mapping[str, Any]) -> dict[int, str]:
     """The messages of the DBC file, where one is given, by the key of their frames."""
     if not settings.get("dbc"):
         return {}
-    from drivers.can.dbc import Dbc
-
     return {facts.key: name for name, facts in Dbc(Path(settings["dbc"])).messages.items()}
 
 

@@ -5,8 +5,8 @@ from typing import Any
 
 from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.survey import BusFrame, ListensToBus, open_bus_survey
-from gateway.commission.outcome import Site
-from gateway.commission.steps import Step, failed, ok, warning
+from gateway.commission.session.site import Site
+from gateway.commission.session.steps import CheckStep, failed, ok, warning
 
 LISTEN_S = 1.5
 SDO_S = 0.3
@@ -16,7 +16,7 @@ _TEXTS = {"name": (0x1008, 0), "hardware": (0x1009, 0), "software": (0x100A, 0)}
 _NUMBERS = {"device type": (0x1000, 0), "vendor": (0x1018, 1), "product": (0x1018, 2), "revision": (0x1018, 3)}
 
 
-async def probe_bus(site: Site, steps: list[Step], facts: dict[str, Any]) -> None:
+async def probe_bus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -> None:
     """Open, listen, and with CANopen ask the node who it is. Without CANopen nothing is sent."""
     settings = site.target.settings
     try:
@@ -25,7 +25,7 @@ async def probe_bus(site: Site, steps: list[Step], facts: dict[str, Any]) -> Non
             try:
                 frames = await survey.listen(LISTEN_S)
                 steps.append(_traffic(site, frames, facts))
-                if site.target.driver == "canopen":
+                if site.target.capabilities.nodes:
                     await _node(survey, int(settings.get("node", 1)), frames, steps, facts)
             finally:
                 site.count(survey.statistics())
@@ -35,17 +35,21 @@ async def probe_bus(site: Site, steps: list[Step], facts: dict[str, Any]) -> Non
         steps.append(failed("bus", f"{error}: {hint}", error))
 
 
-def _traffic(site: Site, frames: list[BusFrame], facts: dict[str, Any]) -> Step:
+def _traffic(site: Site, frames: list[BusFrame], facts: dict[str, Any]) -> CheckStep:
     ids = {(frame.id, frame.extended) for frame in frames}
     facts["heard"], facts["ids"] = len(frames), len(ids)
     if frames:
         return ok("traffic", f"{len(frames)} frames of {len(ids)} ids in {LISTEN_S:g} s")
-    said = f"no frame in {LISTEN_S:g} s: another bit rate, no device on the bus, or one that speaks only when asked"
-    return warning("traffic", said) if site.target.driver == "canopen" else failed("traffic", said, ReplyTimeout(said))
+    sentence = f"no frame in {LISTEN_S:g} s: another bit rate, no device on the bus, or one that speaks only when asked"
+    return (
+        warning("traffic", sentence)
+        if site.target.capabilities.nodes
+        else failed("traffic", sentence, ReplyTimeout(sentence))
+    )
 
 
 async def _node(
-    survey: ListensToBus, node: int, frames: list[BusFrame], steps: list[Step], facts: dict[str, Any]
+    survey: ListensToBus, node: int, frames: list[BusFrame], steps: list[CheckStep], facts: dict[str, Any]
 ) -> None:
     beats = [frame for frame in frames if not frame.extended and frame.id == HEARTBEAT + node and frame.data]
     if beats:

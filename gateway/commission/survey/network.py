@@ -1,12 +1,11 @@
 """The way to a host before anything is asked of it, and what listens on a port that speaks no Modbus."""
 
 import asyncio
-import errno
-import re
 import socket
 from contextlib import suppress
 
-_ERRNO = re.compile(r"\[Errno (-?\d+)\]")
+from drivers.errors import LinkDown, LinkFault
+
 _PATIENCE_S = 1.0
 _HTTP = b"GET / HTTP/1.0\r\n\r\n"
 _LOOKS_LIKE: tuple[tuple[bytes, str], ...] = (
@@ -42,29 +41,21 @@ def local_end(address: str) -> str:
         return str(probe.getsockname()[0])
 
 
-def connect_sentence(host: str, port: int, error: Exception) -> str:
+def connect_sentence(host: str, port: int, error: LinkDown) -> str:
     """Why a connection was not made, as an engineer can act on it."""
-    numbers = _errnos(error)
-    if errno.ECONNREFUSED in numbers:
+    if error.fault is LinkFault.REFUSED:
         return (
             f"{host} is there and refuses port {port}: nothing listens on it; check the port (Modbus TCP 502, TLS 802) "
             "and that the server is enabled. A device that serves one client may refuse a second one like this"
         )
-    if numbers & {errno.EHOSTUNREACH, errno.ENETUNREACH}:
+    if error.fault is LinkFault.UNREACHABLE:
         return f"there is no way to {host}: check the address, the cable and this machine's network settings"
-    if not numbers and "no connection within" in str(error):
+    if error.fault is LinkFault.SILENT:
         return (
             f"nobody answers at {host} port {port}: wrong address, device off or unplugged, or a firewall that drops "
             "what comes"
         )
     return str(error)
-
-
-def _errnos(error: Exception) -> set[int]:
-    cause = error.__cause__ or error
-    if isinstance(cause, OSError) and cause.errno is not None:
-        return {cause.errno}
-    return {int(number) for number in _ERRNO.findall(str(cause))}
 
 
 def looks_like(received: bytes) -> str:

@@ -18,7 +18,7 @@ SINGLES = 8
 
 
 @dataclass(slots=True)
-class RegisterMap:
+class ReadableMap:
     """What is known of the stretch `first`, `count`: the state of each address, and what blocks were learned from.
 
     `largest` is the longest block that was answered, `too_long` the shortest known to be too long (0: none was found),
@@ -77,22 +77,22 @@ class OutOfRequests(Exception):
     """The bound on requests is reached."""
 
 
-def search(first: int, count: int, *, most: int, budget: int) -> Generator[Stretch, bool, RegisterMap]:
+def search(first: int, count: int, *, most: int, budget: int) -> Generator[Stretch, bool, ReadableMap]:
     """Find out what can be read of `count` addresses from `first` on, with at most `budget` requests.
 
     Yields the next block to ask (at most `most` addresses, the protocol's limit) and must be sent whether it was
     answered. The map is complete if `unknown` is empty.
     """
-    found = RegisterMap(first, count, bytearray(count))
+    found = ReadableMap(first, count, bytearray(count))
     with suppress(OutOfRequests):
-        yield from _Search(found, most, budget).run()
+        yield from _RangeSearch(found, most, budget).run()
     return found
 
 
-class _Search:
+class _RangeSearch:
     """The map as it grows, and how long a block may be as far as is known."""
 
-    def __init__(self, found: RegisterMap, most: int, budget: int) -> None:
+    def __init__(self, found: ReadableMap, most: int, budget: int) -> None:
         self.map, self.limit, self.budget = found, most, budget
 
     def run(self) -> Search:

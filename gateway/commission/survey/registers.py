@@ -9,11 +9,12 @@ from typing import Any
 
 from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, open_registers
-from gateway.commission.outcome import Outcome, Site
-from gateway.commission.survey.addresses import Register
-from gateway.commission.survey.register_map import RegisterMap, Stretch, search
-from gateway.commission.through import mention_gateway
-from gateway.console.output import Exit
+from gateway.commission.session.gateway_line import mention_gateway
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session.target import Target
+from gateway.commission.survey.addresses import Register, parse_register
+from gateway.commission.survey.register_map import ReadableMap, Stretch, search
+from gateway.console.exits import Exit
 
 Progress = Callable[[str, float], None]
 MOST_REGISTERS, MOST_BITS = 125, 2000
@@ -81,17 +82,24 @@ class _Asking:
         self.reasons["no reply" if isinstance(error, ReplyTimeout) else "no valid reply"] += 1
 
 
-async def scan_registers(site: Site, first: Register, count: int, budget: int, progress: Progress) -> Outcome:
+async def scan_registers(site: Site, first: Register, count: int, budget: int, progress: Progress) -> CommandResult:
     """What can be read of `count` addresses from `first` on, and the largest block, in at most `budget` requests.
 
     Blocks asked again after silence, and canaries that tell silence from absence, come on top of the budget.
     """
     mention_gateway(site)
     most = min(MOST_BITS if first.is_bit else MOST_REGISTERS, int(site.target.settings.get("max_registers", 2000)))
-    async with open_registers(site.target.settings, clock=time.time) as survey:
+    async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
         asking = _Asking(survey, first.table)
         try:
-            found = await _searched(asking, first, count, (most, budget), progress)
+            steps = search(first.number, count, most=most, budget=budget)
+            try:
+                block = next(steps)
+                while True:
+                    progress(f"{first.table}:{block[0]} count {block[1]}", (block[0] - first.number) / count)
+                    block = steps.send(await asking.answers(*block))
+            except StopIteration as stop:  # a generator gives its result by this
+                found: ReadableMap = stop.value
         finally:
             site.count(survey.statistics())
     data = _plain(found, first, asking.reasons)
@@ -99,25 +107,11 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
         left = sum(stretch[1] for stretch in found.unknown)
         site.notes.append(f"{left} addresses were not asked: {budget} requests were the bound; give --requests")
     if not found.readable:
-        return Outcome(data, Exit.CHECK_FAILED, f"nothing of {first} count {count} can be read")
-    return Outcome(data)
+        return CommandResult(data, Exit.CHECK_FAILED, f"nothing of {first} count {count} can be read")
+    return CommandResult(data)
 
 
-async def _searched(
-    asking: _Asking, first: Register, count: int, bounds: tuple[int, int], progress: Progress
-) -> RegisterMap:
-    steps = search(first.number, count, most=bounds[0], budget=bounds[1])
-    try:
-        block = next(steps)
-        while True:
-            progress(f"{first.table}:{block[0]} count {block[1]}", (block[0] - first.number) / count)
-            block = steps.send(await asking.answers(*block))
-    except StopIteration as stop:
-        found: RegisterMap = stop.value
-        return found
-
-
-def _plain(found: RegisterMap, first: Register, reasons: Mapping[str, int]) -> dict[str, Any]:
+def _plain(found: ReadableMap, first: Register, reasons: Mapping[str, int]) -> dict[str, Any]:
     def ranges(stretches: list[Stretch]) -> list[dict[str, Any]]:
         return [_range(Register(first.table, start), count) for start, count in stretches]
 
@@ -143,3 +137,8 @@ def _range(start: Register, count: int) -> dict[str, Any]:
         "reference": start.reference if count == 1 else f"{start.reference}-{last.reference}",
         "count": count,
     }
+
+
+def first_register(target: Target) -> Register:
+    """The address of the first tag, or holding:0 without a map."""
+    return parse_register(target.tags[0].address) if target.tags else Register("holding", 0)

@@ -4,13 +4,15 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from drivers.driver import LINKS
 from drivers.errors import DeviceException, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, ListensToBus, open_bus_survey, open_registers
-from gateway.commission.outcome import Outcome, Site
-from gateway.commission.probe import first_register
+from gateway.commission.session.gateway_line import mention_gateway
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.survey.addresses import Register
 from gateway.commission.survey.bus_probe import HEARTBEAT, STATES, identity_of
-from gateway.commission.through import mention_gateway
-from gateway.console.output import Exit
+from gateway.commission.survey.registers import first_register
+from gateway.console.exits import Exit
 
 Progress = Callable[[str, float], None]
 UNIT_S = 0.25
@@ -19,35 +21,38 @@ NODE_S = 0.06
 _BEHIND_GATEWAY = frozenset({10, 11})
 
 
-async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> Outcome:
+async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> CommandResult:
     """Every unit asked once, and once more if silent; a refusal is an answer too, except a gateway's own."""
     mention_gateway(site)
     given = site.target.settings
     hurried = {"timeout": given.get("timeout", UNIT_S)}
-    if site.target.kind.startswith("modbus-rtu"):
+    if site.target.kind in LINKS and LINKS[site.target.kind].line:
         hurried["longest_reply"] = given.get("longest_reply", hurried["timeout"])
     register = first_register(site.target)
     rows: list[dict[str, Any]] = []
-    async with open_registers(site.target.with_settings(**hurried).settings, clock=time.time) as survey:
+    settings = site.target.with_settings(**hurried).settings
+    async with open_registers(site.target.driver, settings, clock=time.time) as survey:
         try:
             for place, unit in enumerate(units):
                 progress(f"unit {unit}", place / len(units))
-                if (row := await _unit(survey, unit, (register.table, register.number))) is not None:
+                if (row := await _unit(survey, unit, register)) is not None:
                     rows.append(row)
         finally:
             site.count(survey.statistics())
     if not rows:
-        said = f"none of {len(units)} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
-        return Outcome({"units": rows, "asked": len(units)}, Exit.TIMEOUT, said)
-    return Outcome({"units": rows, "asked": len(units)})
+        sentence = (
+            f"none of {len(units)} units answers: wrong port, or frames of another kind (see `decanter plc probe`)"
+        )
+        return CommandResult({"units": rows, "asked": len(units)}, Exit.TIMEOUT, sentence)
+    return CommandResult({"units": rows, "asked": len(units)})
 
 
-async def _unit(survey: AsksRegisters, unit: int, place: tuple[str, int]) -> dict[str, Any] | None:
+async def _unit(survey: AsksRegisters, unit: int, register: Register) -> dict[str, Any] | None:
     """What one unit answers; None if nothing. Raises LinkDown when the connection does not come back."""
     begun = time.monotonic()
     for last in (False, True):
         try:
-            words = await survey.read(*place, 1, unit)
+            words = await survey.read(register.table, register.number, 1, unit)
         except DeviceException as error:
             if error.code in _BEHIND_GATEWAY:
                 return None
@@ -58,7 +63,7 @@ async def _unit(survey: AsksRegisters, unit: int, place: tuple[str, int]) -> dic
             begun = time.monotonic()
             continue
         else:
-            answer = f"{place[0]}:{place[1]} is {words.words[0]}"
+            answer = f"{register} is {words.words[0]}"
         return {"unit": unit, "answer": answer, "ms": 1e3 * (time.monotonic() - begun)} | await _identity(survey, unit)
     return None
 
@@ -71,7 +76,7 @@ async def _identity(survey: AsksRegisters, unit: int) -> dict[str, str]:
     return {"identity": " ".join(identity.values())}
 
 
-async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, listen_only: bool) -> Outcome:
+async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, listen_only: bool) -> CommandResult:
     """The CANopen nodes of a bus: by their heartbeats, and unless `listen_only` by their answers to SDO requests."""
     async with open_bus_survey(site.target.driver, site.target.settings, clock=time.time) as survey:
         try:
@@ -89,14 +94,14 @@ async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, li
                 identity = await identity_of(survey, node) if answers else None
                 if identity is not None or node in beats:
                     state = beats.get(node)
-                    said = "no heartbeat" if state is None else STATES.get(state, f"state {state}")
-                    rows.append({"node": node, "heartbeat": said, "sdo": identity is not None, **(identity or {})})
+                    sentence = "no heartbeat" if state is None else STATES.get(state, f"state {state}")
+                    rows.append({"node": node, "heartbeat": sentence, "sdo": identity is not None, **(identity or {})})
         finally:
             site.count(survey.statistics())
     if not rows:
-        said = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
-        return Outcome({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, said)
-    return Outcome({"nodes": rows, "asked": len(nodes)})
+        sentence = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
+        return CommandResult({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, sentence)
+    return CommandResult({"nodes": rows, "asked": len(nodes)})
 
 
 async def _answers(survey: ListensToBus, node: int) -> bool:

@@ -1,8 +1,6 @@
 """`diagnosis.json`: what other programs read of a diagnosis, as strict JSON in which an undefined number is null."""
 
-import json
-from collections.abc import Mapping
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict
 from math import isfinite
 from typing import Any
 
@@ -10,6 +8,7 @@ import numpy as np
 
 from sim.discrepancy.diagnosis import Diagnosis, DiagnosisCourse, EffectCandidate, HeatPlace, HeldOutProof, NamedEffect
 from sim.discrepancy.heat_map import LONGEST
+from sim.strict_json import json_text, strict
 
 FORMAT, VERSION = "decanter-diagnosis", 1
 
@@ -39,12 +38,12 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "ceiling": {"before": one.ceiling_before, "after": one.ceiling_after},
         "settings": one.settings,
     }
-    return {key: plain(value) for key, value in content.items()}
+    return {key: strict(value) for key, value in content.items()}
 
 
 def document_text(diagnosis: Diagnosis) -> str:
     """The document as indented strict JSON."""
-    return json.dumps(document(diagnosis), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json_text(document(diagnosis), indent=2) + "\n"
 
 
 def _effect(one: NamedEffect) -> dict[str, Any]:
@@ -92,18 +91,3 @@ def _candidate(one: EffectCandidate) -> dict[str, Any]:
 def _held_out(one: HeldOutProof) -> dict[str, Any]:
     names = ("before", "after", "noise_floor")
     return asdict(one) | {"per_cycle": [dict(zip(names, row, strict=True)) for row in one.per_cycle]}
-
-
-def plain(value: object) -> object:
-    """A value as strict JSON has it: records as objects, numpy's scalars as Python's, numbers that are none as null."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
-    if hasattr(value, "item"):
-        value = value.item()
-    if isinstance(value, float):
-        return value if isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(inner) for inner in value]
-    return value if value is None or isinstance(value, str | int) else str(value)

@@ -8,6 +8,7 @@ from typing import Any
 from sim.learning.lsha.learn import LshaReport, RowOfWords
 from sim.learning.lsha.merging import Decision
 from sim.learning.lsha.words import Word
+from sim.strict_json import strict
 
 VERDICTS: Mapping[str, str] = {
     "new": "a location of its own",
@@ -51,7 +52,7 @@ def report_document(report: LshaReport) -> dict[str, Any]:
         "acceptance": asdict(report.acceptance),
         "coverage": [asdict(one) for one in report.coverage],
     }
-    return {key: _plain(value) for key, value in document.items()}
+    return {key: strict(value) for key, value in document.items()}
 
 
 def counterexamples(report: LshaReport) -> list[Decision]:
@@ -249,11 +250,3 @@ def _cell(value: object) -> str:
     if value is None or (isinstance(value, float) and not isfinite(value)):
         return "–"
     return f"{value:.4g}" if isinstance(value, float) else str(value).replace("|", "\\|")
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, float):
-        return value if isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value

@@ -8,17 +8,15 @@ from typing import Any
 
 import can
 
-from sim.plc.can.bend import CanBend, bent
 from sim.plc.can.messages import BlockMemory, Messages, Sender, protected, read_messages
 from sim.plc.can.station import Station, record
-from sim.plc.faults import merged
-from sim.plc.image import Undefined
-from sim.plc.modbus.messages import Reply, Request
-from sim.plc.program import Plc
-from sim.plc.schedule import Line
+from sim.plc.program.disturbance import BusDisturbance, disturbed
+from sim.plc.program.faults import merged, shown_at
+from sim.plc.program.image import Undefined
+from sim.plc.program.pdu import ModbusReply, ModbusRequest
+from sim.plc.program.plc import Plc
+from sim.plc.program.schedule import CycleFaults
 
-# Of the faults that strike requests, those that a frame and its echo can show.
-_BENDS = frozenset({"silent", "late", "duplicate", "garbage"})
 _LAST_FIELD = "sequence_copy"
 
 
@@ -33,7 +31,7 @@ class CanFace:
         self._rng = Random(f"{plc.settings.seed}:can")  # noqa: S311
         self._station = Station(where, self._heard, complain, self._rng)
         self._counters = {sender.message.frame_id: 0 for sender in messages.senders}
-        self._bends: Sequence[CanBend] = ()
+        self._disturbances: Sequence[BusDisturbance] = ()
         self._listens = True
 
     # ---------------------------------------------------------------- Face
@@ -42,18 +40,18 @@ class CanFace:
         """Join the bus. Raises OSError with a reason."""
         self._station.open()
 
-    async def apply(self, line: Line) -> None:
-        """Once a cycle: what is due is sent, bent by the faults in force."""
+    async def apply(self, line: CycleFaults) -> None:
+        """Once a cycle: what is due is sent, as the faults in force have it."""
         now = self._plc.clock.monotonic()
         self._listens = line.listen
-        self._bends = [effect.can for _, effect in line.standing if effect.can is not None]
-        if not self._station.there(now):
+        self._disturbances = [effect.can for _, effect in line.standing if effect.can is not None]
+        if not self._station.on_bus(now):
             return
-        self._station.disturb(self._bends, tuple(self._counters), now)
+        self._station.disturb(self._disturbances, tuple(self._counters), now)
         if self._listens and not self._station.off:
             served = self._plc.image.served
             for sender in self._messages.senders:
-                self._tell(sender, sender.payload(served), now)
+                self._send_if_due(sender, sender.payload(served), now)
 
     async def close(self) -> None:
         """Leave the bus."""
@@ -66,8 +64,8 @@ class CanFace:
 
     # ---------------------------------------------------------------- what the PLC says
 
-    def _tell(self, sender: Sender, content: bytes, now: float) -> None:
-        """Send the message if it is due or has changed; a fault may keep it from the bus or bend it."""
+    def _send_if_due(self, sender: Sender, content: bytes, now: float) -> None:
+        """Send the message if it is due or has changed; a fault may keep it from the bus or change it."""
         if content == sender.content and now < sender.due:
             return
         sender.content, sender.due = content, now + sender.cycle
@@ -76,13 +74,13 @@ class CanFace:
         if sender.data_id is not None:
             self._counters[number] = (self._counters[number] + 1) % 256
             data = protected(sender.data_id, self._counters[number], content)
-        bends = [bend for bend in self._bends if bend.strikes(sender.message.name)]
-        bent_data = bent(bends, data, sender.wire, self._rng)
-        if not any(bend.stale for bend in bends):
+        striking = [one for one in self._disturbances if one.strikes(sender.message.name)]
+        wire_data = disturbed(striking, data, sender.wire, self._rng)
+        if not any(one.stale for one in striking):
             sender.wire = data
-        record(self._plc, self.name, number, bent_data, sent=True)
-        if bent_data is not None:
-            self._station.put(_data_frame(number, bent_data, extended=sender.message.is_extended_frame))
+        record(self._plc, self.name, number, wire_data, sent=True)
+        if wire_data is not None:
+            self._station.put(_data_frame(number, wire_data, extended=sender.message.is_extended_frame))
 
     # ---------------------------------------------------------------- what the PLC hears
 
@@ -106,17 +104,17 @@ class CanFace:
         if taken is None:
             return
         words, echo = taken
-        request = Request("can", 0, self._plc.registers.unit, data, self.name)
-        reply = Reply(0, self._plc.registers.unit, echo)
+        request = ModbusRequest("can", 0, self._plc.registers.unit, data, self.name)
+        reply = ModbusReply(0, self._plc.registers.unit, echo)
         for entry, effect in struck:
-            if effect.alter is not None and entry.fault.kind in _BENDS:
-                reply = effect.alter(request, reply, entry.rng)
+            if effect.answer is not None and shown_at(entry.fault.kind, self.name):
+                reply = effect.answer(request, reply, entry.rng)
         if store and _LAST_FIELD in words:
             self._judge(block, now)
         if reply.sent:
             self._answer(block, reply)
 
-    def _answer(self, block: BlockMemory, reply: Reply) -> None:
+    def _answer(self, block: BlockMemory, reply: ModbusReply) -> None:
         data = (reply.pdu if reply.raw is None else reply.raw)[:8]
         number = block.echo.frame_id
         frame = _data_frame(number, data, extended=block.echo.is_extended_frame)

@@ -15,31 +15,31 @@ from cantools.database.can import Database, Message, Signal
 from pydantic import ConfigDict, Field
 
 from drivers.tag import Value
-from sim.plc.checks import Entry, InputError, listed, read_toml, validated
+from sim.plc.program.checks import FileTable, InputError, listed, read_toml, validated
 
 _PREFIX = "dbc:"
 _HEADER = 3  # of E2E profile 5: two bytes of CRC, one of counter
 
 
-class _Device(Entry):
+class _BusDevice(FileTable):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
     dbc: str = Field(min_length=1, description="the path of a DBC file, relative to this one")
     echo: dict[str, str] = Field(default_factory=dict, description="a table of messages and their echoes, by name")
 
 
-class _TagEntry(Entry):
+class _SignalEntry(FileTable):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
     name: str = Field(min_length=1, description="the tag's name")
     address: str = Field(pattern=rf"^{_PREFIX}\w+\.\w+$", description="'dbc:Message.Signal'")
     sentinel: int | None = Field(None, description="a whole number")
 
 
-class _FieldEntry(Entry):
+class _FieldEntry(FileTable):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
     name: str = Field(min_length=1, description="the field's name")
 
 
-class _BlockEntry(Entry):
+class _BlockMessageEntry(FileTable):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
     address: str = Field(pattern=rf"^{_PREFIX}\w+\.\{{field\}}$", description="'dbc:Message.{field}'")
     fields: list[_FieldEntry] = Field(min_length=1, description="the block's fields")
@@ -121,12 +121,12 @@ class Messages:
 def read_messages(path: Path, known: Sequence[str]) -> Messages:
     """The messages of the device file in `path` for the image's tags. Raises InputError."""
     data = read_toml(path, "a device file such as config/devices/decanter_can.toml")
-    device = validated(_Device, data.get("device", {}), f"{path}: [device]")
+    device = validated(_BusDevice, data.get("device", {}), f"{path}: [device]")
     database = _database(path.parent / device.dbc)
-    tags = [validated(_TagEntry, row, f"{path}: tag {number}") for number, row in enumerate(data.get("tags", []), 1)]
+    tags = [validated(_SignalEntry, row, f"{path}: tag {number}") for number, row in enumerate(data.get("tags", []), 1)]
     if strange := [tag.name for tag in tags if tag.name not in known]:
         raise InputError(f"{path}: tag {strange[0]!r}: the register map has no such tag; known are {listed(known)}")
-    by_message: dict[str, dict[str, _TagEntry]] = {}
+    by_message: dict[str, dict[str, _SignalEntry]] = {}
     for tag in tags:
         name, _, signal = tag.address.removeprefix(_PREFIX).partition(".")
         _signal(database, name, signal, f"{path}: tag {tag.name!r}")
@@ -157,9 +157,9 @@ def _signal(database: Database, message: str, name: str, where: str) -> Signal:
         ) from None
 
 
-def _block(data: object, device: _Device, database: Database, path: Path) -> BlockMemory:
+def _block(data: object, device: _BusDevice, database: Database, path: Path) -> BlockMemory:
     where = f"{path}: [writeback]"
-    entry = validated(_BlockEntry, data, where)
+    entry = validated(_BlockMessageEntry, data, where)
     name = entry.address.removeprefix(_PREFIX).partition(".")[0]
     if name not in device.echo:
         raise InputError(f"{where}: [device.echo] names no echo of {name!r}; the PLC answers each frame with one")
@@ -170,7 +170,7 @@ def _block(data: object, device: _Device, database: Database, path: Path) -> Blo
     return BlockMemory(database.get_message_by_name(name), database.get_message_by_name(device.echo[name]), fields)
 
 
-def _senders(message: Message, found: Mapping[str, _TagEntry]) -> list[Sender]:
+def _senders(message: Message, found: Mapping[str, _SignalEntry]) -> list[Sender]:
     """One sender for each layout of the message that shows a tag."""
     layouts: dict[tuple[tuple[str, int], ...], list[_Content]] = {}
     common: list[_Content] = []

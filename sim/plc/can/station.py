@@ -8,8 +8,8 @@ import can
 from drivers.can.bus import open_bus
 from drivers.can.pump import Pump
 from drivers.errors import DriverError
-from sim.plc.can.bend import CanBend
-from sim.plc.program import Plc
+from sim.plc.program.disturbance import BusDisturbance
+from sim.plc.program.plc import Plc
 
 _REOPEN_S = 0.1
 _BUS_OFF_EVERY_S = 0.05
@@ -46,7 +46,7 @@ class Station:
             self._pump.close()
             self._pump = None
 
-    def there(self, now: float) -> bool:
+    def on_bus(self, now: float) -> bool:
         """Whether it is on the bus; a bus that went is tried again from time to time."""
         if self._pump is not None or now < self._next_open:
             return self._pump is not None
@@ -66,10 +66,10 @@ class Station:
         except (can.CanError, OSError) as error:
             self._lost(str(error))
 
-    def disturb(self, bends: Sequence[CanBend], ours: Sequence[int], now: float) -> None:
+    def disturb(self, disturbances: Sequence[BusDisturbance], ours: Sequence[int], now: float) -> None:
         """Once a cycle: the bus taken off, and a strange node's babble, with random ids or with `ours`."""
-        self._take_off(bends, now)
-        self._babble(bends, ours, now)
+        self._take_off(disturbances, now)
+        self._babble(disturbances, ours, now)
 
     def _join(self) -> None:
         self._pump = Pump(open_bus(self.interface, self.channel), self._heard, self._lost)
@@ -79,9 +79,9 @@ class Station:
             self.close()
             self._complain(f"the CAN bus {self.channel} is gone ({reason}); joining again as soon as it is back")
 
-    def _take_off(self, bends: Sequence[CanBend], now: float) -> None:
+    def _take_off(self, disturbances: Sequence[BusDisturbance], now: float) -> None:
         """Bus-off for all: said again and again, as a controller that comes back finds the wire as it was."""
-        off = any(bend.bus_off for bend in bends)
+        off = any(one.bus_off for one in disturbances)
         if off and now >= self._next_off:
             self._next_off = now + _BUS_OFF_EVERY_S
             self._error_frame(_BUS_OFF)
@@ -92,11 +92,11 @@ class Station:
     def _error_frame(self, kind: int) -> None:
         self.put(can.Message(is_error_frame=True, arbitration_id=kind, dlc=8, data=bytes(8)))
 
-    def _babble(self, bends: Sequence[CanBend], ours: Sequence[int], now: float) -> None:
-        rate = sum(bend.babble for bend in bends)
+    def _babble(self, disturbances: Sequence[BusDisturbance], ours: Sequence[int], now: float) -> None:
+        rate = sum(one.babble for one in disturbances)
         begun = self._babbled_to or now
         self._babbled_to = now if rate else 0.0
-        known = ours and any(bend.known for bend in bends)
+        known = ours and any(one.known for one in disturbances)
         for _ in range(min(_BURST, round(rate * (now - begun)))):
             number = self._rng.choice(ours) if known else self._rng.randrange(0x800)
             data = self._rng.randbytes(self._rng.randrange(9))

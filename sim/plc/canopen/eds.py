@@ -8,7 +8,7 @@ from configparser import RawConfigParser
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.plc.checks import InputError, read_text
+from sim.plc.program.checks import InputError, read_text
 
 Address = tuple[int, int]
 _OBJECT = re.compile(r"([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?")
@@ -19,7 +19,7 @@ _LEAF = ("0x7", "0x2", "7", "2")
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class EdsObject:
     """One object: `size` in bytes (None where it varies), and its bytes at power-on."""
 
     name: str
@@ -39,7 +39,7 @@ class Entry:
         return self.access in ("rw", "rww", "rwr", "wo")
 
 
-def read_eds(path: Path, node: int) -> tuple[Mapping[Address, Entry], str]:
+def read_eds(path: Path, node: int) -> tuple[Mapping[Address, EdsObject], str]:
     """The objects of an EDS for this node id, and its text. Raises InputError naming file, object and reason."""
     text = read_text(path, "an electronic data sheet such as config/decanter.eds")
     parser = RawConfigParser(inline_comment_prefixes=(";",))
@@ -48,7 +48,7 @@ def read_eds(path: Path, node: int) -> tuple[Mapping[Address, Entry], str]:
     except IniError as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: is no EDS: {reason}; correct that place") from None
-    objects: dict[Address, Entry] = {}
+    objects: dict[Address, EdsObject] = {}
     for section in parser.sections():
         match = _OBJECT.fullmatch(section)
         if match is None or parser.get(section, "ObjectType", fallback="0x7").lower() not in _LEAF:
@@ -60,7 +60,7 @@ def read_eds(path: Path, node: int) -> tuple[Mapping[Address, Entry], str]:
     return objects, text
 
 
-def _entry(keys: Mapping[str, str], node: int, where: str) -> Entry:
+def _entry(keys: Mapping[str, str], node: int, where: str) -> EdsObject:
     try:
         kind = int(keys["datatype"], 0)
         form = _FORMATS.get(kind)
@@ -70,7 +70,7 @@ def _entry(keys: Mapping[str, str], node: int, where: str) -> Entry:
         raise InputError(f"{where}: cannot be read ({error}); give DataType, and a DefaultValue that fits it") from None
     mappable = keys.get("pdomapping", "0").strip() not in ("0", "0x0")
     access = keys.get("accesstype", "ro").strip().lower()
-    return Entry(keys.get("parametername", ""), access, struct.calcsize(form) if form else None, mappable, default)
+    return EdsObject(keys.get("parametername", ""), access, struct.calcsize(form) if form else None, mappable, default)
 
 
 def _number(text: str, kind: int, node: int) -> float | int:

@@ -8,23 +8,20 @@ from typing import Any
 
 import can
 
-from sim.plc.can.bend import CanBend, bent
 from sim.plc.can.station import Station, record
-from sim.plc.canopen.bend import NodeBend, together
 from sim.plc.canopen.node import SDO_ANSWER, SDO_REQUEST, CanopenNode, Out
-from sim.plc.canopen.objects import Layout, read_layout
+from sim.plc.canopen.objects import NodeLayout, read_layout
 from sim.plc.canopen.pdo import TPDO
 from sim.plc.canopen.sdo import GENERAL, abort_frame
-from sim.plc.faults import Effect, merged
-from sim.plc.modbus.messages import Reply, Request
-from sim.plc.program import Plc
-from sim.plc.schedule import Line, Scheduled
+from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance, disturbed, together
+from sim.plc.program.faults import FaultEffect, merged, shown_at
+from sim.plc.program.pdu import ModbusReply, ModbusRequest
+from sim.plc.program.plc import Plc
+from sim.plc.program.schedule import CycleFaults, Scheduled
 
 FIRST_REQUESTS, WRITES = (1, 2, 5, 6), (1, 6)
 ABORTED = 0x80
 """Command specifiers of a client's first frames, those of them that write, and the first byte of an abort."""
-BENDS = frozenset({"silent", "late", "duplicate", "garbage", "sdo_late"})
-"""Of the faults that strike requests, those that an SDO answer can show."""
 
 
 class CanopenFace:
@@ -32,13 +29,13 @@ class CanopenFace:
 
     name = "canopen"
 
-    def __init__(self, plc: Plc, layout: Layout, where: tuple[str, str], complain: Callable[[str], None]) -> None:
+    def __init__(self, plc: Plc, layout: NodeLayout, where: tuple[str, str], complain: Callable[[str], None]) -> None:
         self._plc = plc
         self.node = CanopenNode(layout, plc)
         self._rng = Random(f"{plc.settings.seed}:canopen")  # noqa: S311 - a repeatable bench, not a secret
         self._station = Station(where, self._heard, complain, self._rng)
-        self._bend = NodeBend()
-        self._bends: Sequence[CanBend] = ()
+        self._own_disturbance = NodeDisturbance()
+        self._disturbances: Sequence[BusDisturbance] = ()
         self._booted, self._down = False, True
         self._answered = 0.0
 
@@ -48,14 +45,14 @@ class CanopenFace:
         """Join the bus and boot. Raises OSError with a reason."""
         self._station.open()
 
-    async def apply(self, line: Line) -> None:
+    async def apply(self, line: CycleFaults) -> None:
         """Once a cycle: the node boots, falls silent or says what is due, as the faults in force have it."""
         now = self._plc.clock.monotonic()
-        self._bends = [effect.can for _, effect in line.standing if effect.can is not None]
-        self._bend = together(effect.node for _, effect in line.standing if effect.node is not None)
-        if not self._station.there(now):
+        self._disturbances = [effect.can for _, effect in line.standing if effect.can is not None]
+        self._own_disturbance = together(effect.node for _, effect in line.standing if effect.node is not None)
+        if not self._station.on_bus(now):
             return
-        self._station.disturb(self._bends, [pdo.cob_id for pdo in self.node.objects.pdos(TPDO)], now)
+        self._station.disturb(self._disturbances, [pdo.cob_id for pdo in self.node.objects.pdos(TPDO)], now)
         self._down = not line.listen or self._station.off
         reset = any(effect.node is not None and effect.node.reset for _, effect in line.begun)
         # A node that is only cut off goes on where it was; one whose program has stopped boots again.
@@ -65,7 +62,7 @@ class CanopenFace:
         if not self._booted:
             self._booted = True
             self._put_all(self.node.boot(now))
-        self._put_all(self.node.cycle(now, self._bend))
+        self._put_all(self.node.cycle(now, self._own_disturbance))
 
     async def close(self) -> None:
         """Leave the bus."""
@@ -83,8 +80,8 @@ class CanopenFace:
 
     def _say(self, identifier: int, data: bytes) -> None:
         """Send one frame of the node, as far as the faults of the bus let it through."""
-        wanted = [bend for bend in self._bends if bend.strikes(f"0x{identifier:X}")]
-        left = bent(wanted, data, None, self._rng)
+        striking = [one for one in self._disturbances if one.strikes(f"0x{identifier:X}")]
+        left = disturbed(striking, data, None, self._rng)
         record(self._plc, self.name, identifier, left, sent=True)
         if left is not None:
             self._station.put(_message(identifier, left))
@@ -104,11 +101,11 @@ class CanopenFace:
             record(self._plc, self.name, identifier, data, sent=False)
             self.node.objects.store = self._struck(0, now)[1].store
             before = self._plc.intake.accepted
-            self._put_all(self.node.take(identifier, data, now, self._bend))
+            self._put_all(self.node.take(identifier, data, now, self._own_disturbance))
             if self._plc.intake.accepted != before:  # the acknowledge does not wait for the program's next cycle
-                self._put_all(self.node.cycle(now, self._bend))
+                self._put_all(self.node.cycle(now, self._own_disturbance))
 
-    def _struck(self, function: int, now: float) -> tuple[list[Scheduled], Effect]:
+    def _struck(self, function: int, now: float) -> tuple[list[Scheduled], FaultEffect]:
         """The faults that strike a request of this command specifier (RPDOs: 0), and what they do together."""
         struck = list(self._plc.schedule.strike(function, now, self.name))
         return [entry for entry, _ in struck], merged(effect for _, effect in struck)
@@ -130,11 +127,14 @@ class CanopenFace:
 
     def _reply(self, answer: bytes, entries: Sequence[Scheduled], now: float) -> None:
         """Send one answer as the faults have it, and none before those that came earlier: a server is one queue."""
-        request, reply = Request("canopen", 0, self.node.id, answer, self.name), Reply(0, self.node.id, answer)
+        request, reply = (
+            ModbusRequest("canopen", 0, self.node.id, answer, self.name),
+            ModbusReply(0, self.node.id, answer),
+        )
         for entry in entries:
-            alter = entry.effect(now).alter
-            if alter is not None and entry.fault.kind in BENDS:
-                reply = alter(request, reply, entry.rng)
+            answer_as = entry.effect(now).answer
+            if answer_as is not None and shown_at(entry.fault.kind, self.name):
+                reply = answer_as(request, reply, entry.rng)
         if not reply.sent:
             return
         data = (reply.pdu if reply.raw is None else reply.raw)[:8]

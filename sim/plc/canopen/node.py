@@ -7,12 +7,12 @@ PDOs by the NMT state, and no SDO block server. Everything gets the moment (s, m
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sim.plc.canopen.bend import NodeBend
 from sim.plc.canopen.eds import Address
-from sim.plc.canopen.objects import Layout, Objects
-from sim.plc.canopen.pdo import RPDO, TPDO, Pdo
+from sim.plc.canopen.objects import NodeLayout, Objects
+from sim.plc.canopen.pdo import RPDO, TPDO, ActivePdo
 from sim.plc.canopen.sdo import Abort, SdoServer
-from sim.plc.program import Plc
+from sim.plc.program.disturbance import NodeDisturbance
+from sim.plc.program.plc import Plc
 
 Out = tuple[int, bytes]
 STOPPED, OPERATIONAL, PRE_OPERATIONAL = 4, 5, 127
@@ -34,7 +34,7 @@ class _Sent:
 class CanopenNode:
     """One node over the PLC's process image. `life` is the object whose change alone sends no TPDO."""
 
-    def __init__(self, layout: Layout, plc: Plc) -> None:
+    def __init__(self, layout: NodeLayout, plc: Plc) -> None:
         self.id = layout.node
         self.objects = Objects(layout, plc, self._new_beat)
         self.sdo = SdoServer(self.objects.read, self.objects.write)
@@ -60,36 +60,36 @@ class CanopenNode:
 
     # ---------------------------------------------------------------- once a cycle
 
-    def cycle(self, now: float, bend: NodeBend) -> list[Out]:
+    def cycle(self, now: float, disturbance: NodeDisturbance) -> list[Out]:
         """What the node says in this cycle: emergencies, its heartbeat, the TPDOs that are due."""
-        out = self._emergencies(bend.emergency)
+        out = self._emergencies(disturbance.emergency)
         if self._beat_time and now >= self._beat_due:
             self._beat_due = max(self._beat_due + self._beat_time, now)
-            if not bend.no_heartbeat:
+            if not disturbance.no_heartbeat:
                 out.append((HEARTBEAT + self.id, bytes([self.state])))
         if self.state == OPERATIONAL:
             for pdo in self.objects.pdos(TPDO):
                 if pdo.on_event and self._due(pdo, now):
-                    out.append(self._frame(pdo, now, bend))
+                    out.append(self._frame(pdo, now, disturbance))
         return out
 
-    def _due(self, pdo: Pdo, now: float) -> bool:
+    def _due(self, pdo: ActivePdo, now: float) -> bool:
         sent = self._sent.setdefault(pdo.number, _Sent())
         if now < sent.free:
             return False
         timed = pdo.event_timer > 0.0 and now >= sent.due
         return timed or sent.content is None or self._content(pdo) != sent.content
 
-    def _content(self, pdo: Pdo) -> bytes:
+    def _content(self, pdo: ActivePdo) -> bytes:
         """What a TPDO says beside the life counter: a change of it is an event."""
         return b"".join(self.objects.read(place) for place, _ in pdo.objects if place != self._life)
 
-    def _frame(self, pdo: Pdo, now: float, bend: NodeBend) -> Out:
+    def _frame(self, pdo: ActivePdo, now: float, disturbance: NodeDisturbance) -> Out:
         sent = self._sent.setdefault(pdo.number, _Sent())
         sent.content, sent.due, sent.free = self._content(pdo), now + pdo.event_timer, now + pdo.inhibit
         self.counts["tpdos"] += 1
         data = b"".join(self.objects.read(place)[:size].ljust(size, b"\0") for place, size in pdo.objects)
-        return pdo.cob_id, bend.bent(pdo.number, data)
+        return pdo.cob_id, disturbance.payload(pdo.number, data)
 
     def _emergencies(self, emergency: tuple[int, int] | None) -> list[Out]:
         if emergency == self._emergency:
@@ -105,12 +105,12 @@ class CanopenNode:
         """True for what `take` makes something of: NMT, SYNC and the RPDOs."""
         return identifier in (NMT, SYNC) or any(pdo.cob_id == identifier for pdo in self.objects.pdos(RPDO))
 
-    def take(self, identifier: int, data: bytes, now: float, bend: NodeBend) -> list[Out]:
+    def take(self, identifier: int, data: bytes, now: float, disturbance: NodeDisturbance) -> list[Out]:
         """What the node answers to a frame that is no SDO request; nonsense has no answer."""
         if identifier == NMT:
             return self._command(data, now)
         if identifier == SYNC and len(data) <= 1:
-            return self._synced(now, bend)
+            return self._synced(now, disturbance)
         if self.state == OPERATIONAL:
             for pdo in self.objects.pdos(RPDO):
                 if pdo.cob_id == identifier:
@@ -132,7 +132,7 @@ class CanopenNode:
             self._sent.clear()
         return []
 
-    def _synced(self, now: float, bend: NodeBend) -> list[Out]:
+    def _synced(self, now: float, disturbance: NodeDisturbance) -> list[Out]:
         self.counts["syncs"] += 1
         out = []
         for pdo in self.objects.pdos(TPDO) if self.state == OPERATIONAL else ():
@@ -144,10 +144,10 @@ class CanopenNode:
                 due = pdo.transmission <= 240 and sent.syncs >= pdo.transmission
             if due:
                 sent.syncs = 0
-                out.append(self._frame(pdo, now, bend))
+                out.append(self._frame(pdo, now, disturbance))
         return out
 
-    def _receive(self, pdo: Pdo, data: bytes) -> None:
+    def _receive(self, pdo: ActivePdo, data: bytes) -> None:
         """An RPDO of the right length writes its objects, the words of the block among them together."""
         if len(data) != sum(size for _, size in pdo.objects):
             return
@@ -178,7 +178,7 @@ class CanopenNode:
         self._beat_due = 0.0
 
 
-def _life_of(layout: Layout, plc: Plc) -> Address | None:
+def _life_of(layout: NodeLayout, plc: Plc) -> Address | None:
     """The object of the PLC's own heartbeat."""
     name = plc.registers.heartbeat
     return next((address for address, tags in layout.tags.items() if any(tag.name == name for tag in tags)), None)

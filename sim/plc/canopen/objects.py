@@ -9,12 +9,11 @@ from pydantic import ConfigDict, Field
 
 from drivers.tag import DType, Tag
 from sim.plc.canopen import pdo, sdo
-from sim.plc.canopen.eds import Address, Entry, read_eds
+from sim.plc.canopen.eds import Address, EdsObject, read_eds
 from sim.plc.canopen.sdo import Abort
-from sim.plc.checks import Entry as Table
-from sim.plc.checks import InputError, read_toml, validated
-from sim.plc.encode import Unrepresentable, encode, encode_absent, is_bool
-from sim.plc.program import Plc
+from sim.plc.program.checks import FileTable, InputError, read_toml, validated
+from sim.plc.program.encode import Unrepresentable, encode, encode_absent, is_bool
+from sim.plc.program.plc import Plc
 
 ERROR_REGISTER, ERRORS, STORE_EDS = (0x1001, 0), 0x1003, (0x1021, 0)
 ACCEPTED_SEQUENCE, WHOLE_BLOCK = (0x2101, 1), (0x2102, 0)
@@ -24,13 +23,13 @@ Text = Annotated[str, Field(strict=True)]
 _OBJECT = r"^0x[0-9A-Fa-f]{1,4}:\d{1,3}$"
 
 
-class _Device(Table):
+class _NodeDevice(FileTable):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
     node: int = Field(1, strict=True, ge=1, le=63, description="a node id in 1..63")
     eds: Text = Field(min_length=1, description="the path of the EDS, relative to this file")
 
 
-class _TagTable(Table):
+class _TagTable(FileTable):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
     name: Text = Field(min_length=1, description="the tag's name in quotes")
     address: Text = Field(pattern=_OBJECT, description="an object such as '0x2001:1'")
@@ -43,37 +42,37 @@ class _TagTable(Table):
     unit: Text = Field("", description="the unit")
 
 
-class _Block(Table):
+class _Block(FileTable):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
     address: Text = Field(pattern=_OBJECT, description="the object of the block's first word, such as '0x2100:1'")
     fields: list[dict[str, Any]] = Field(min_length=1, description="the block's words in order")
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class NodeLayout:
     """What a device file says: node id, the EDS's objects and text, the tags at each object, the block's first word."""
 
     node: int
-    entries: Mapping[Address, Entry]
+    entries: Mapping[Address, EdsObject]
     text: str
     tags: Mapping[Address, Sequence[Tag]]
     block: Address | None
 
 
-def read_layout(path: Path, known: Mapping[str, Tag], words: int) -> Layout:
+def read_layout(path: Path, known: Mapping[str, Tag], words: int) -> NodeLayout:
     """The device file in `path` with its EDS; `known` are the image's tags, `words` the length of its block.
 
     Raises InputError naming file, key, reason and remedy.
     """
     data = read_toml(path, "a CANopen device file such as config/devices/decanter_canopen.toml")
-    device = validated(_Device, data.get("device", {}), f"{path}: [device]")
+    device = validated(_NodeDevice, data.get("device", {}), f"{path}: [device]")
     entries, text = read_eds(path.parent / device.eds, device.node)
     tags: dict[Address, list[Tag]] = {}
     for number, row in enumerate(data.get("tags", []), start=1):
         where = f"{path}: tag {number}"
         tag = Tag(**dict(validated(_TagTable, row, where)))
         if tag.name not in known:
-            raise InputError(f"{where}: key 'name': the register map has no {tag.name!r}; give one of its tags")
+            raise InputError(f"{where}: name: the register map has no {tag.name!r}; give one of its tags")
         tags.setdefault(_address(tag.address, entries, where), []).append(tag)
     block = None
     if "writeback" in data:
@@ -81,28 +80,28 @@ def read_layout(path: Path, known: Mapping[str, Tag], words: int) -> Layout:
         table = validated(_Block, data["writeback"], where)
         block = _address(table.address, entries, where)
         if len(table.fields) != words:
-            raise InputError(f"{where}: key 'fields': {len(table.fields)} words, and the register map's has {words}")
-    return Layout(device.node, entries, text, tags, block)
+            raise InputError(f"{where}: fields: {len(table.fields)} words, and the register map's has {words}")
+    return NodeLayout(device.node, entries, text, tags, block)
 
 
-def _address(text: str, entries: Mapping[Address, Entry], where: str) -> Address:
+def _address(text: str, entries: Mapping[Address, EdsObject], where: str) -> Address:
     index, _, sub = text.partition(":")
     address = int(index, 16), int(sub)
     if address not in entries:
-        raise InputError(f"{where}: key 'address': {text} is not in the EDS; give one of its objects")
+        raise InputError(f"{where}: address: {text} is not in the EDS; give one of its objects")
     return address
 
 
 class Objects:
     """The dictionary of one node. `beat` is told of a new heartbeat time in seconds. Reads and writes raise Abort."""
 
-    def __init__(self, layout: Layout, plc: Plc, beat: Callable[[float], None] = lambda _: None) -> None:
+    def __init__(self, layout: NodeLayout, plc: Plc, beat: Callable[[float], None] = lambda _: None) -> None:
         self._layout, self._plc, self._beat = layout, plc, beat
         self.error_register, self.errors = 0, [0]
         self.store = True
         self._memory: dict[Address, bytes] = {}
         self._written: dict[int, int] = {}
-        self._pdos: dict[int, list[pdo.Pdo]] = {}
+        self._pdos: dict[int, list[pdo.ActivePdo]] = {}
 
     def reset(self) -> None:
         """Back to the values of power-on."""
@@ -116,7 +115,7 @@ class Objects:
         entry = self._layout.entries.get(address)
         return 0 if entry is None else int.from_bytes(self._memory.get(address, entry.default), "little")
 
-    def pdos(self, first: int) -> list[pdo.Pdo]:
+    def pdos(self, first: int) -> list[pdo.ActivePdo]:
         """The PDOs from `first` (RPDO or TPDO) on, as they are mapped now."""
         if first not in self._pdos:
             self._pdos[first] = list(pdo.pdos(self._layout.entries, first, self.number))
@@ -177,14 +176,14 @@ class Objects:
 
     # ---------------------------------------------------------------- inside
 
-    def _entry(self, address: Address) -> Entry:
+    def _entry(self, address: Address) -> EdsObject:
         entry = self._layout.entries.get(address)
         if entry is None:
             there = any(known[0] == address[0] for known in self._layout.entries)
             raise Abort(sdo.NO_SUBINDEX if there else sdo.NO_OBJECT)
         return entry
 
-    def _own(self, address: Address, entry: Entry) -> bytes:
+    def _own(self, address: Address, entry: EdsObject) -> bytes:
         if address == ERROR_REGISTER:
             return bytes([self.error_register])
         if address == STORE_EDS:
@@ -223,7 +222,7 @@ class Objects:
             raise Abort(sdo.LENGTH)
         self.put_words(dict(enumerate(words)))
 
-    def _keep(self, address: Address, entry: Entry, data: bytes) -> None:
+    def _keep(self, address: Address, entry: EdsObject, data: bytes) -> None:
         value = int.from_bytes(data, "little")
         if address == (ERRORS, 0):
             if value:
@@ -237,7 +236,7 @@ class Objects:
         if address == (0x1017, 0):
             self._beat(self.number(address) / 1000.0)
 
-    def _of_tags(self, tags: Sequence[Tag], entry: Entry) -> bytes:
+    def _of_tags(self, tags: Sequence[Tag], entry: EdsObject) -> bytes:
         """The object's bytes from the tags that share it: bits side by side, or one value."""
         served, size = self._plc.image.served, entry.size or 0
         if is_bool(tags[0]):

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from sim.plc.canopen.eds import Address, Entry
+from sim.plc.canopen.eds import Address, EdsObject
 from sim.plc.canopen.sdo import NOT_MAPPABLE, PDO_LENGTH, STATE, VALUE, Abort
 
 RPDO, TPDO = 0x1400, 0x1800
@@ -14,7 +14,7 @@ Number = Callable[[Address], int]
 
 
 @dataclass(frozen=True, slots=True)
-class Pdo:
+class ActivePdo:
     """One PDO that is switched on. Times in seconds; `objects` are places and bytes."""
 
     number: int
@@ -30,7 +30,7 @@ class Pdo:
         return self.transmission >= 254
 
 
-def pdos(entries: Mapping[Address, Entry], first: int, number: Number) -> Iterator[Pdo]:
+def pdos(entries: Mapping[Address, EdsObject], first: int, number: Number) -> Iterator[ActivePdo]:
     """The PDOs from `first` (RPDO or TPDO) on that are switched on, by what the dictionary holds now."""
     for index in sorted({address[0] for address in entries if first <= address[0] < first + 0x200}):
         cob_id = number((index, 1))
@@ -40,10 +40,17 @@ def pdos(entries: Mapping[Address, Entry], first: int, number: Number) -> Iterat
         objects = tuple(((entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8) for entry in mapped)
         inhibit = number((index, 3)) * 1e-4 if (index, 3) in entries else 0.0
         timer = number((index, 5)) * 1e-3 if (index, 5) in entries else 0.0
-        yield Pdo(index - first + 1, cob_id & 0x7FF, number((index, 2)), inhibit, timer, objects)
+        yield ActivePdo(
+            number=index - first + 1,
+            cob_id=cob_id & 0x7FF,
+            transmission=number((index, 2)),
+            inhibit=inhibit,
+            event_timer=timer,
+            objects=objects,
+        )
 
 
-def check_write(entries: Mapping[Address, Entry], number: Number, address: Address, value: int) -> None:
+def check_write(entries: Mapping[Address, EdsObject], number: Number, address: Address, value: int) -> None:
     """Raises Abort for a PDO parameter that may not be written now, or not so."""
     index, sub = address
     if RPDO <= index < RPDO + 0x200 or TPDO <= index < TPDO + 0x200:
@@ -56,7 +63,7 @@ def check_write(entries: Mapping[Address, Entry], number: Number, address: Addre
         _check_mapping(entries, number, address, value)
 
 
-def _check_mapping(entries: Mapping[Address, Entry], number: Number, address: Address, value: int) -> None:
+def _check_mapping(entries: Mapping[Address, EdsObject], number: Number, address: Address, value: int) -> None:
     index, sub = address
     if not number((index - _MAPPING, 1)) & NOT_VALID:
         raise Abort(STATE)
@@ -76,7 +83,7 @@ def _check_mapping(entries: Mapping[Address, Entry], number: Number, address: Ad
         raise Abort(PDO_LENGTH)
 
 
-def _check_mappable(entries: Mapping[Address, Entry], mapped: int) -> None:
+def _check_mappable(entries: Mapping[Address, EdsObject], mapped: int) -> None:
     entry = entries.get((mapped >> 16, mapped >> 8 & 0xFF))
     if entry is None or not entry.mappable or entry.size is None or 8 * entry.size != mapped & 0xFF:
         raise Abort(NOT_MAPPABLE)

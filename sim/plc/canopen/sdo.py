@@ -75,6 +75,8 @@ class SdoServer:
 
     def _begun(self, data: bytes, address: Address) -> list[bytes]:
         """The answer to the first frame of a transfer; empty for any other frame."""
+        # CiA 301, 7.2.4.3: bits 5..7 are the client's command specifier; 5 and 6 share theirs with the frames that
+        # continue a block transfer, which the lowest bits tell apart.
         command = data[0]
         match command >> 5:
             case 1:
@@ -183,6 +185,7 @@ class SdoServer:
                 self._open = None
                 return
             case 2:
+                # ackseq: what the client has not got in sequence goes out again (7.2.4.3.14).
                 transfer.at = min(transfer.at + 7 * data[1], len(transfer.data))
                 transfer.block = data[2] if 1 <= data[2] <= 127 else transfer.block
                 if transfer.at >= len(transfer.data) and transfer.last:
@@ -210,6 +213,7 @@ class SdoServer:
             transfer.received += data[1:8]
             self._announce(len(transfer.received))
             transfer.last = last
+        # After a gap the rest of the block is passed over; ackseq makes the client begin again behind it.
         if number < BLOCK and not last:
             return []
         answer = bytes([0xA2, transfer.sequence, BLOCK]) + bytes(5)

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-from sim.plc.modbus.messages import HEADER, MAX_PDU, crc
+from sim.plc.program.pdu import HEADER, MAX_PDU, crc
 
 GAP_S = 0.05
 """A pause in the middle of an RTU request that ends it. A serial line's own 3.5 characters are far less, but bytes come
@@ -16,7 +16,7 @@ _FIXED = {43: 5}
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class ReceivedRequest:
     """One request, or, with `pdu` None, bytes that are none."""
 
     transaction: int
@@ -29,21 +29,21 @@ class Frame:
 class Framing:
     """How frames are read. `closes`: what is no Modbus ends the connection, instead of being passed over."""
 
-    read: Callable[[asyncio.StreamReader], Awaitable[Frame]]
+    read: Callable[[asyncio.StreamReader], Awaitable[ReceivedRequest]]
     rtu: bool
     closes: bool
 
 
-async def read_headed(reader: asyncio.StreamReader) -> Frame:
+async def read_headed(reader: asyncio.StreamReader) -> ReceivedRequest:
     """The next request behind a header. Raises IncompleteReadError at the end of the stream."""
     head = await reader.readexactly(HEADER.size)
     transaction, protocol, length, unit = HEADER.unpack(head)
     if protocol != 0 or not 2 <= length <= MAX_PDU + 1:
-        return Frame(transaction, unit, None, head)
-    return Frame(transaction, unit, await reader.readexactly(length - 1))
+        return ReceivedRequest(transaction, unit, None, head)
+    return ReceivedRequest(transaction, unit, await reader.readexactly(length - 1))
 
 
-async def read_rtu(reader: asyncio.StreamReader) -> Frame:
+async def read_rtu(reader: asyncio.StreamReader) -> ReceivedRequest:
     """The next RTU request: as many bytes as its function needs, or all up to a pause where that cannot be said."""
     data = await reader.readexactly(1)
     while len(data) < 256 and ((size := _rtu_size(data)) is None or len(data) < size):
@@ -52,8 +52,8 @@ async def read_rtu(reader: asyncio.StreamReader) -> Frame:
         except TimeoutError:
             break
     if len(data) >= 4 and crc(data[:-2]) == data[-2:]:
-        return Frame(0, data[0], data[1:-2])
-    return Frame(0, data[0], None, data)
+        return ReceivedRequest(0, data[0], data[1:-2])
+    return ReceivedRequest(0, data[0], None, data)
 
 
 def _rtu_size(data: bytes) -> int | None:

@@ -14,11 +14,11 @@ from typing import Any
 
 import serial
 
-from sim.plc.checks import InputError
 from sim.plc.modbus.framing import RTU
-from sim.plc.modbus.messages import Reply, Request
-from sim.plc.program import Plc
-from sim.plc.schedule import Line
+from sim.plc.program.checks import InputError
+from sim.plc.program.pdu import ModbusReply, ModbusRequest
+from sim.plc.program.plc import Plc
+from sim.plc.program.schedule import CycleFaults
 
 OWN_PAIR = "pty"
 _LARGEST = 4096
@@ -68,7 +68,7 @@ class SerialFace:
             raise OSError("the serial port is not open")
         return int(self._port.fileno())
 
-    async def apply(self, line: Line) -> None:
+    async def apply(self, line: CycleFaults) -> None:
         """A serial line knows no connections: what refuses them elsewhere is silence here."""
         self._listens = line.listen
 
@@ -109,13 +109,13 @@ class SerialFace:
                 detail = {"peer": self.path, "face": self.name, "bytes": frame.raw.hex()}
                 self._plc.event("not Modbus", self._plc.clock.monotonic(), detail)
             elif self._listens:
-                request = Request(self.path, 0, frame.unit, frame.pdu, face=self.name, rtu=True)
+                request = ModbusRequest(self.path, 0, frame.unit, frame.pdu, face=self.name, rtu=True)
                 reply = self._plc.exchange(request, self._plc.clock.monotonic())
                 await asyncio.sleep(self._silence)
                 if reply is not None:
                     await self._send(reply)
 
-    async def _send(self, reply: Reply) -> None:
+    async def _send(self, reply: ModbusReply) -> None:
         if reply.delay_s > 0:
             await asyncio.sleep(reply.delay_s)
         frame = reply.frame()[: reply.cut]

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from sim.plc.modbus.framing import HEADED, RTU, Framing
-from sim.plc.modbus.messages import Reply, Request
-from sim.plc.program import Plc
-from sim.plc.schedule import Line
+from sim.plc.program.pdu import ModbusReply, ModbusRequest
+from sim.plc.program.plc import Plc
+from sim.plc.program.schedule import CycleFaults
 
 _RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # SO_LINGER on, 0 s: close sends RST
 _PAUSE_S = 0.002  # between the pieces of a split reply, so that each is a segment of its own
@@ -77,7 +77,7 @@ class ModbusServer:
         self._listener = await asyncio.start_server(self._accept, self.host, self.port, ssl=context)
         self.port = self._listener.sockets[0].getsockname()[1]
 
-    async def apply(self, line: Line) -> None:
+    async def apply(self, line: CycleFaults) -> None:
         """Bring the listener and the connections to what the cycle asks for."""
         if not line.listen and self._listener is not None:
             self._listener.close()
@@ -157,12 +157,12 @@ class ModbusServer:
                 continue
             refused = connection.refuses(frame.pdu[0])
             head = (connection.peer, frame.transaction, frame.unit, frame.pdu)
-            request = Request(*head, face=self.name, rtu=self._framing.rtu, refused=refused)
+            request = ModbusRequest(*head, face=self.name, rtu=self._framing.rtu, refused=refused)
             reply = self._plc.exchange(request, self._plc.clock.monotonic())
             if reply is not None and not await self._send(connection, reply):
                 return
 
-    async def _send(self, connection: _Connection, reply: Reply) -> bool:
+    async def _send(self, connection: _Connection, reply: ModbusReply) -> bool:
         """Send the reply as it says; False when that ended the connection."""
         if reply.delay_s > 0:
             await asyncio.sleep(reply.delay_s)

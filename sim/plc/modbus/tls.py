@@ -12,10 +12,10 @@ from typing import Any
 
 from cryptography import x509
 
-from sim.plc.checks import InputError
-from sim.plc.modbus.messages import ILLEGAL_FUNCTION
 from sim.plc.modbus.server import ModbusServer, Security
-from sim.plc.program import Plc
+from sim.plc.program.checks import InputError
+from sim.plc.program.pdu import ILLEGAL_FUNCTION
+from sim.plc.program.plc import Plc
 
 ROLE = x509.ObjectIdentifier("1.3.6.1.4.1.50316.802.1")
 DEFAULT_ROLES = ("Gateway=write", "Viewer=read")

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from drivers.tag import Sample, Value
-from sim.plc.record.recording import Recording, TruthRow
+from sim.plc.record.recording import PlcRecording, TruthRow
 
 _LISTED = 5
 
@@ -30,7 +30,7 @@ class _History:
         return tuple(self.values[first : bisect_right(self.times, end)])
 
 
-def wrong_good(recording: Recording, samples: Iterable[Sample], tolerance_s: float = 0.0) -> list[WrongGood]:
+def wrong_good(recording: PlcRecording, samples: Iterable[Sample], tolerance_s: float = 0.0) -> list[WrongGood]:
     """The samples of good quality whose value the tag did not have at any moment of [sent - tolerance_s, time].
 
     Times are plant seconds. `tolerance_s` is the age that a value may have and still be called good: 0 for a plain

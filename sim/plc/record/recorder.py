@@ -17,25 +17,14 @@ import json
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol
 
-from sim.plc.checks import InputError
+from sim.plc.program.checks import InputError
 
 Row = Mapping[str, object]
 _encode = json.JSONEncoder(separators=(",", ":")).encode
 
 
-class Record(Protocol):
-    """Takes a row of the given kind."""
-
-    def __call__(self, kind: str, moment: float, row: Row) -> None: ...
-
-
-def record_nothing(kind: str, moment: float, row: Row) -> None:
-    """The recorder of a PLC that keeps no record."""
-
-
-class Recorder:
+class PlcRecorder:
     """Appends rows to a JSONL file. A row that cannot be written (disk full) is counted in `lost` and named once."""
 
     def __init__(self, path: Path, complain: Callable[[str], None]) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.tag import Value
-from sim.plc.checks import InputError, read_text
-from sim.plc.clock import PlantClock
+from sim.plc.program.checks import InputError, read_text
+from sim.plc.program.clock import EmulatorClock
 
 _KINDS = ("run", "truth", "request", "block", "frame", "event")
 
@@ -17,7 +17,7 @@ _KINDS = ("run", "truth", "request", "block", "frame", "event")
 class Run:
     """One process: its clock, and for each tag the rounding (absolute, relative) that its registers may add."""
 
-    clock: PlantClock
+    clock: EmulatorClock
     device: str
     trace: str | None
     seed: int
@@ -96,7 +96,7 @@ class EventRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class PlcRecording:
     """What the PLC recorded. `missing` rows were lost before they reached the file, `damaged` lines cannot be read."""
 
     runs: tuple[Run, ...]
@@ -109,7 +109,7 @@ class Recording:
     frames: tuple[FrameRow, ...] = ()
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path) -> PlcRecording:
     """The recording in `path`, also one that is still being written or whose writer was killed. Raises InputError."""
     runs: list[Run] = []
     truth: list[TruthRow] = []
@@ -139,8 +139,16 @@ def read_recording(path: Path) -> Recording:
             frames.append(_frame(row, time))
         elif kind == "event":
             events.append(_event(row, time))
-    rows = (tuple(truth), tuple(requests), tuple(blocks), tuple(events))
-    return Recording(tuple(runs), *rows, counts["missing"], counts["damaged"], tuple(frames))
+    return PlcRecording(
+        runs=tuple(runs),
+        truth=tuple(truth),
+        requests=tuple(requests),
+        blocks=tuple(blocks),
+        events=tuple(events),
+        missing=counts["missing"],
+        damaged=counts["damaged"],
+        frames=tuple(frames),
+    )
 
 
 def _rows(path: Path, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
@@ -160,7 +168,7 @@ def _rows(path: Path, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
 
 
 def _run(row: Mapping[str, Any]) -> Run:
-    clock = PlantClock(row["epoch"], row["monotonic"], row["speed"])
+    clock = EmulatorClock(row["epoch"], row["monotonic"], row["speed"])
     roundings = {name: (absolute, relative) for name, (absolute, relative) in row["roundings"].items()}
     return Run(clock, row["device"], row["trace"], row["seed"], roundings)
 
@@ -170,21 +178,40 @@ def _truth(row: Mapping[str, Any], time: float) -> list[TruthRow]:
 
 
 def _request(row: Mapping[str, Any], time: float) -> RequestRow:
-    reply = None if row["reply"] is None else bytes.fromhex(row["reply"])
-    fields = (row["transaction"], row["unit"], row["function"], row["address"], row["count"], bytes.fromhex(row["pdu"]))
-    faults = tuple(row["faults"])
-    ending = (reply, row["exception"], row["delay_s"], faults, row["version"])
-    return RequestRow(row["t"], time, row["peer"], *fields, *ending)
+    return RequestRow(
+        monotonic=row["t"],
+        time=time,
+        peer=row["peer"],
+        transaction=row["transaction"],
+        unit=row["unit"],
+        function=row["function"],
+        address=row["address"],
+        count=row["count"],
+        pdu=bytes.fromhex(row["pdu"]),
+        reply=None if row["reply"] is None else bytes.fromhex(row["reply"]),
+        exception=row["exception"],
+        delay_s=row["delay_s"],
+        faults=tuple(row["faults"]),
+        version=row["version"],
+    )
 
 
 def _block(row: Mapping[str, Any], time: float) -> BlockRow:
-    words = tuple(row["words"])
-    return BlockRow(row["t"], time, row["peer"], row["address"], words, row["fields"], row["verdict"], row["accepted"])
+    return BlockRow(
+        monotonic=row["t"],
+        time=time,
+        peer=row["peer"],
+        address=row["address"],
+        words=tuple(row["words"]),
+        fields=row["fields"],
+        verdict=row["verdict"],
+        accepted=row["accepted"],
+    )
 
 
 def _frame(row: Mapping[str, Any], time: float) -> FrameRow:
     data = None if row["data"] is None else bytes.fromhex(row["data"])
-    return FrameRow(row["t"], time, row["face"], row["sent"], row["id"], data)
+    return FrameRow(monotonic=row["t"], time=time, face=row["face"], sent=row["sent"], id=row["id"], data=data)
 
 
 def _event(row: Mapping[str, Any], time: float) -> EventRow:

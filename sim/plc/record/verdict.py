@@ -15,9 +15,9 @@ from typing import Any
 import click
 
 from drivers.tag import Quality, Sample
-from sim.plc.checks import InputError, read_text
+from sim.plc.program.checks import InputError, read_text
 from sim.plc.record.judge import wrong_good
-from sim.plc.record.recording import Recording, read_recording
+from sim.plc.record.recording import PlcRecording, read_recording
 
 SHOWN = 5
 
@@ -44,7 +44,7 @@ def _sample(row: Mapping[str, Any]) -> Sample:
     return Sample(row["tag"], value, Quality(row["quality"]), moments[0], None if sent is None else moments[1])
 
 
-def counts(recording: Recording) -> dict[str, int]:
+def counts(recording: PlcRecording) -> dict[str, int]:
     """What the PLC saw of the gateway: requests, blocks accepted and refused, rows that the recording lacks."""
     accepted = sum(block.accepted for block in recording.blocks)
     return {

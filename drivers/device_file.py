@@ -1,0 +1,159 @@
+"""The device file: one device's tags, its driver's settings and the block that is written to it, as a TOML file.
+
+This is the only schema. The gateway makes tags and a write map of what is read here, the software PLC its registers;
+how a value lies in a register is no part of it, so that either keeps a path of its own for that.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from drivers.driver import DRIVERS
+from drivers.settings import ConfigError, Section, checked, read_toml
+from drivers.tag import DType, Order, Tag
+
+NEEDED_FIELDS = ("layout_version", "sequence", "heartbeat", "validity", "crc", "sequence_copy")
+"""Fields that every block has: by them the PLC checks it."""
+_BLOCK_ADDRESS = r":\d+$|\{field\}"
+
+
+class DeviceTable(BaseModel):
+    """`[device]`: what is not listed here is a setting of the driver, which checks it."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+
+    name: str = Field(min_length=1, description="a short name for the device")
+    driver: str = Field(description=f"one of {', '.join(sorted(DRIVERS))}")
+    heartbeat: str | None = Field(None, description="the name of the tag that counts while the program runs")
+
+    @field_validator("driver")
+    @classmethod
+    def _known(cls, driver: str) -> str:
+        if driver not in DRIVERS:
+            raise ValueError(f"{driver!r} is no driver; give one of {', '.join(sorted(DRIVERS))}")
+        return driver
+
+
+class TagTable(Section):
+    """`[[tags]]`: one tag; see `drivers.tag.Tag`."""
+
+    name: str = Field(min_length=1, description="the tag's name")
+    address: str = Field(min_length=1, description="the driver's own notation, such as 'holding:100'")
+    dtype: Annotated[DType, Field(strict=False)] = Field(DType.UINT16, description=f"one of {', '.join(DType)}")
+    order: Annotated[Order, Field(strict=False)] = Field(Order.ABCD, description=f"one of {', '.join(Order)}")
+    scale: float = Field(1.0, description="engineering units per raw count, not 0")
+    offset: float = Field(0.0, description="engineering units at raw 0")
+    unit: str = Field("", description="the unit as text")
+    low: float | None = Field(None, description="the lowest plausible value")
+    high: float | None = Field(None, description="the highest plausible value")
+    bit: int | None = Field(None, ge=0, le=15, description="a bit number from 0 to 15")
+    length: int = Field(0, ge=0, description="a string's length in bytes")
+    sentinel: int | None = Field(None, description="the raw number that means 'not available'")
+    deadband: float = Field(0.0, ge=0, description="the smallest change worth storing")
+    max_rate: float | None = Field(None, gt=0, description="the fastest believable change in units per second")
+    frozen_after: float = Field(
+        0.0, ge=0, description="seconds without any change after which it is suspect, 0 = never"
+    )
+    writable: bool = Field(False, description="true or false")
+    labels: dict[str, str] = Field(default_factory=dict, description='a table such as { 0 = "none", 1 = "busy" }')
+
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, scale: float) -> float:
+        if scale == 0:
+            raise ValueError("scale 0 would make every reading 0; give the engineering units per raw count")
+        return scale
+
+    @field_validator("labels")
+    @classmethod
+    def _numbers(cls, labels: dict[str, str]) -> dict[str, str]:
+        for key in labels:
+            if not key.lstrip("-").isdigit():
+                raise ValueError(f'{key!r} is no raw number; give labels as {{ 0 = "none" }}')
+        return labels
+
+    def tag(self) -> Tag:
+        """The tag that it describes."""
+        return Tag(**{**dict(self), "labels": {int(key): text for key, text in self.labels.items()}})
+
+
+@dataclass(frozen=True, slots=True)
+class BlockField:
+    """One 16-bit word of the block: stored = round(value / scale), int16 or uint16."""
+
+    name: str
+    signed: bool
+    scale: float
+
+
+class BlockFieldTable(Section):
+    """A row of `fields`."""
+
+    name: str = Field(min_length=1, description="the field's name")
+    dtype: Literal["uint16", "int16"] = Field("uint16", description="'uint16' or 'int16'")
+    scale: float = Field(1.0, gt=0, description="engineering units per count, above 0")
+
+    def field(self) -> BlockField:
+        """The word that it describes."""
+        return BlockField(self.name, self.dtype == "int16", self.scale)
+
+
+class BlockTable(Section):
+    """`[writeback]`: the block that the device takes in."""
+
+    address: str = Field(
+        pattern=_BLOCK_ADDRESS,
+        description="the first word in the driver's notation, from which the fields are counted up ('holding:400', "
+        "'0x2100:1'), or a pattern with {field} for the field's name",
+    )
+    layout_version: int = Field(ge=0, le=65535, description="the layout's version, 0 to 65535")
+    timeout_s: float = Field(gt=0, description="the PLC's timer in seconds, above 0")
+    unknown: int = Field(65535, ge=0, le=65535, description="the word for 'not within the forecast'")
+    fields: list[BlockFieldTable] = Field(min_length=1, description="the block's words in order")
+
+
+class DeviceFile(Section):
+    """The whole file."""
+
+    device: DeviceTable = Field(description="a [device] table")
+    tags: list[TagTable] = Field(min_length=1, description="at least one [[tags]] entry")
+    writeback: BlockTable | None = Field(None, description="a [writeback] table")
+
+
+def read_device_file(path: Path) -> DeviceFile:
+    """The device file in `path`. Raises ConfigError with one sentence for each thing that is wrong."""
+    content = checked(DeviceFile, read_toml(path), path)
+    if problems := _inconsistencies(content):
+        raise ConfigError([f"{path}: {problem}" for problem in problems])
+    return content
+
+
+def _inconsistencies(content: DeviceFile) -> list[str]:
+    """What no single key shows: doubled names, ranges upside down, a heartbeat that is no tag, a block without CRC."""
+    names = [row.name for row in content.tags]
+    problems = [
+        f"tags[{index}].name: {name!r} is already used; give each tag a name of its own"
+        for index, name in enumerate(names)
+        if name in names[:index]
+    ]
+    problems += [
+        f"tags[{index}].low: {row.low} is not below high {row.high} of {row.name!r}; swap or correct them"
+        for index, row in enumerate(content.tags)
+        if row.low is not None and row.high is not None and not row.low < row.high
+    ]
+    if content.device.heartbeat is not None and content.device.heartbeat not in names:
+        problems.append(f"device.heartbeat: {content.device.heartbeat!r} is not a tag of this file; give a tag's name")
+    if content.writeback is not None:
+        fields = [row.name for row in content.writeback.fields]
+        problems += [
+            f"writeback.fields: {name!r} is there {fields.count(name)} times; keep one"
+            for name in sorted(set(fields))
+            if fields.count(name) > 1
+        ]
+        problems += [
+            f"writeback.fields: {name!r} is missing; the PLC cannot check the block without it"
+            for name in sorted(set(NEEDED_FIELDS) - set(fields))
+        ]
+    return problems

@@ -1,0 +1,223 @@
+"""The block plan: fewest reads for neighbouring addresses, and what to leave out of them (pure)."""
+
+from collections.abc import Generator, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from drivers.errors import AddressError
+from drivers.modbus.address import Area, TagSpan, locate
+from drivers.tag import Tag
+
+
+@dataclass(frozen=True, slots=True)
+class RequestLimits:
+    """What the device allows: registers and bits a read, addresses read in vain to save a read, pause between (s)."""
+
+    max_registers: int = 125
+    max_bits: int = 2000
+    max_gap: int = 8
+    pause: float = 0.0
+
+    def largest(self, area: Area) -> int:
+        """The most addresses that one read of this table may ask for."""
+        return self.max_bits if area.is_bits else self.max_registers
+
+
+@dataclass(frozen=True, slots=True)
+class AddressBlock:
+    """One read request and the tags that it answers, none of them split."""
+
+    area: Area
+    start: int
+    count: int
+    spans: tuple[TagSpan, ...]
+
+    @property
+    def stop(self) -> int:
+        """The first address after it."""
+        return self.start + self.count
+
+
+@dataclass(frozen=True, slots=True)
+class RefusedRange:
+    """Addresses `start`..`stop - 1` that the device refuses, not to be asked before `retry_at` (s, monotonic).
+
+    An empty range (start == stop) is a seam: the device answers on both sides, but not across it in one request.
+    `strikes` counts the refusals in a row, `reason` is the device's.
+    """
+
+    area: Area
+    start: int
+    stop: int
+    retry_at: float = 0.0
+    strikes: int = 1
+    reason: str = ""
+
+    @property
+    def is_seam(self) -> bool:
+        """True if no address is refused, only a request across it."""
+        return self.start == self.stop
+
+
+Quarantine = tuple[RefusedRange, ...]
+
+
+def plan(tags: Sequence[Tag], limits: RequestLimits, quarantine: Quarantine = ()) -> tuple[AddressBlock, ...]:
+    """Give the fewest read requests that answer every tag outside the quarantine, by table and address.
+
+    A tag is never split over two blocks, so a 32-bit value comes from one reply. Raises AddressError for a tag without
+    a place in a Modbus device, or wider than one request.
+    """
+    return plan_spans([fitting(locate(tag), limits) for tag in tags], limits, quarantine)
+
+
+def plan_spans(
+    spans: Iterable[TagSpan], limits: RequestLimits, quarantine: Quarantine = ()
+) -> tuple[AddressBlock, ...]:
+    """As `plan`, for tags that are already located.
+
+    Taking the lowest address first and every further tag that still fits gives the fewest blocks: the first block must
+    reach down to the lowest address anyway, and reaching further up never costs a request.
+    """
+    free = [span for span in spans if refusal_of(span, quarantine) is None]
+    blocks: list[AddressBlock] = []
+    for span in sorted(free, key=lambda span: (span.area, span.start, span.stop)):
+        merged = _merged(blocks[-1], span, limits, quarantine) if blocks else None
+        if merged is None:
+            blocks.append(AddressBlock(span.area, span.start, span.count, (span,)))
+        else:
+            blocks[-1] = merged
+    return tuple(blocks)
+
+
+def fitting(span: TagSpan, limits: RequestLimits) -> TagSpan:
+    """The span itself, if one request can read it. Raises AddressError if not."""
+    if span.count > limits.largest(span.area):
+        raise AddressError(
+            f"{span.tag.name}: it covers {span.count} registers and one request reads {limits.largest(span.area)}; "
+            "a value is never put together from two replies"
+        )
+    return span
+
+
+def _merged(block: AddressBlock, span: TagSpan, limits: RequestLimits, quarantine: Quarantine) -> AddressBlock | None:
+    """The block grown to answer the tag as well, or None where that cannot be."""
+    stop = max(block.stop, span.stop)
+    if block.area is not span.area or stop - block.start > limits.largest(block.area):
+        return None
+    if span.start - block.stop > limits.max_gap:
+        return None
+    if any(_lies_within(refusal, block.area, block.start, stop) for refusal in quarantine):
+        return None
+    return replace(block, count=stop - block.start, spans=(*block.spans, span))
+
+
+def _lies_within(refusal: RefusedRange, area: Area, start: int, stop: int) -> bool:
+    """True if a request for start..stop - 1 contains all that was refused, or crosses the seam.
+
+    A request that only shares addresses with a refused one may well be answered: it is not known which was to blame.
+    """
+    if refusal.area is not area:
+        return False
+    if refusal.is_seam:
+        return start < refusal.start < stop
+    return start <= refusal.start and refusal.stop <= stop
+
+
+def refusal_of(span: TagSpan, quarantine: Quarantine) -> RefusedRange | None:
+    """The refusal that forbids to ask for the tag, if any."""
+    own = (refusal for refusal in quarantine if not refusal.is_seam)
+    return next((refusal for refusal in own if _lies_within(refusal, span.area, span.start, span.stop)), None)
+
+
+# ---------------------------------------------------------------- bisection of a refused block
+
+
+def halves(block: AddressBlock) -> tuple[AddressBlock, AddressBlock] | None:
+    """Cut a refused block between two tags, in a gap nearest to its middle; None if it is one tag or tags in one place.
+
+    Tags that overlap are cut apart only where nothing else can be cut; both halves then ask for the common addresses.
+    """
+    spans = sorted(block.spans, key=lambda span: (span.start, span.stop))
+    reach = [max(span.stop for span in spans[: index + 1]) for index in range(len(spans))]
+    places = [(span.start, span.stop) for span in spans]
+    cuts = [index for index in range(1, len(spans)) if places[index] != places[index - 1]]
+    if not cuts:
+        return None
+    middle = block.start + block.count / 2
+
+    def badness(index: int) -> tuple[bool, float]:
+        stop, start = reach[index - 1], spans[index].start
+        return stop > start, abs((stop + start) / 2 - middle)
+
+    cut = min(cuts, key=badness)
+    return _block(spans[:cut]), _block(spans[cut:])
+
+
+def bisect(block: AddressBlock) -> Generator[AddressBlock, bool, tuple[RefusedRange, ...]]:
+    """Find what the device refuses in a refused block, without asking anything itself.
+
+    Yields the next block to ask and must be sent whether that one was refused. Returns the refusals, due at once: the
+    place of each tag that is refused alone, or a seam where both sides of a cut answer but not both in one request (an
+    unreadable gap between them, or a request that is too long for the device).
+    """
+    cut = halves(block)
+    if cut is None:
+        return (RefusedRange(block.area, block.start, block.stop),)
+    found: list[RefusedRange] = []
+    refused = False
+    for half in cut:
+        if (yield half):
+            refused = True
+            found += yield from bisect(half)
+    return tuple(found) if refused else (RefusedRange(block.area, cut[1].start, cut[1].start),)
+
+
+def _block(spans: Sequence[TagSpan]) -> AddressBlock:
+    start, stop = min(span.start for span in spans), max(span.stop for span in spans)
+    return AddressBlock(spans[0].area, start, stop - start, tuple(spans))
+
+
+def with_refusal(quarantine: Quarantine, refusal: RefusedRange) -> Quarantine:
+    """Put the refusal in, in the place of an older one of the same addresses."""
+    return (*without(quarantine, refusal), refusal)
+
+
+def without(quarantine: Quarantine, refusal: RefusedRange) -> Quarantine:
+    """Take the refusal of these addresses out: they answer again."""
+    place = (refusal.area, refusal.start, refusal.stop)
+    return tuple(other for other in quarantine if (other.area, other.start, other.stop) != place)
+
+
+def retry_delay(strikes: int, first: float, cap: float) -> float:
+    """Seconds until a refused address is asked again: `first`, doubling with every refusal in a row, up to `cap`."""
+    return float(min(cap, first * 2 ** min(strikes - 1, 30)))
+
+
+# ---------------------------------------------------------------- what it costs
+
+
+def worst_cycle(blocks: Sequence[AddressBlock], limits: RequestLimits, deadline: float) -> float:
+    """Longest time (s) that one cycle over the blocks can take: every request meets its deadline only just."""
+    return len(blocks) * deadline + max(0, len(blocks) - 1) * limits.pause
+
+
+def describe(blocks: Sequence[AddressBlock], limits: RequestLimits, deadline: float) -> tuple[str, ...]:
+    """The plan in sentences: one line a request, then the worst-case cycle time."""
+    lines = [_describe_block(block) for block in blocks]
+    registers = sum(block.count for block in blocks)
+    worst = worst_cycle(blocks, limits, deadline)
+    return (*lines, f"{len(blocks)} requests for {registers} addresses, worst case {worst:.3g} s a cycle")
+
+
+def _describe_block(block: AddressBlock) -> str:
+    gaps = sum(max(0, right.start - reach) for reach, right in _reaches(block))
+    vain = f", {gaps} of them in vain" if gaps else ""
+    return f"{block.area}:{block.start} count {block.count}{vain}: {', '.join(span.tag.name for span in block.spans)}"
+
+
+def _reaches(block: AddressBlock) -> Iterable[tuple[int, TagSpan]]:
+    reach = block.start
+    for left, right in pairwise(block.spans):
+        reach = max(reach, left.stop)
+        yield reach, right

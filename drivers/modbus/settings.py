@@ -1,0 +1,102 @@
+"""The settings of the driver `modbus`: what each key means, and which transport has which."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from drivers.modbus.plan import RequestLimits
+from drivers.settings import Reconnecting, check_settings
+
+_NETWORK: dict[str, Any] = {"host": None, "port": 502, "connect_timeout": 0.3}
+_LINE: dict[str, Any] = {"echo": False, "longest_reply": 2.0}
+TRANSPORTS: dict[str, dict[str, Any]] = {
+    "tcp": _NETWORK,
+    # A TLS handshake is work for a small PLC.
+    "tls": _NETWORK | {"port": 802, "connect_timeout": 3.0, "certificates": None, "tls_name": ""},
+    "rtu": _LINE | {"serial": None, "baud": 19200, "parity": "E", "stopbits": 1, "connect_timeout": 0.3},
+    "rtu-tcp": _NETWORK | _LINE | {"baud": 19200},
+}
+"""Each transport's own settings with their defaults; None: must be given."""
+_LINES = ("rtu", "rtu-tcp")
+_LAST_UNIT = 247
+
+
+class ModbusSettings(Reconnecting):
+    """How a Modbus device is reached and what it takes; seconds unless named otherwise. See `open_modbus`."""
+
+    transport: Literal["tcp", "tls", "rtu", "rtu-tcp"] = Field("tcp", description="the transport's name")
+    host: str = Field("", min_length=1, description="the device's address or name")
+    port: int = Field(502, ge=1, le=65535, description="a TCP port from 1 to 65535")
+    certificates: str = Field("", min_length=1, description="the folder of ca.pem, client.pem and client.key")
+    tls_name: str = Field("", description="the name in the PLC's certificate")
+    serial: str = Field("", min_length=1, description="the path of the serial port")
+    baud: int = Field(19200, ge=300, le=4_000_000, description="bits a second, 300 to 4000000")
+    parity: Literal["N", "E", "O"] = Field("N", description="the parity of the line")
+    stopbits: int = Field(1, ge=1, le=2, description="1 or 2")
+    echo: bool = Field(False, description="true if the adapter gives back what is sent")
+    longest_reply: float = Field(
+        2.0, ge=0.001, le=60.0, description="the seconds after which an answer can no longer come, 0.001 to 60"
+    )
+    unit: int = Field(1, ge=0, le=255, description="a unit id from 0 to 255")
+    timeout: float = Field(
+        0.6, ge=0.001, le=60.0, description="the deadline of one request with all its attempts in seconds, 0.001 to 60"
+    )
+    attempts: int = Field(2, ge=1, le=5, description="how often a read is sent within its deadline, 1 to 5")
+    connect_timeout: float = Field(
+        0.3, ge=0.001, le=60.0, description="the deadline of connecting in seconds, 0.001 to 60"
+    )
+    max_registers: int = Field(125, ge=1, le=125, description="the most registers of one read, 1 to 125")
+    max_bits: int = Field(2000, ge=1, le=2000, description="the most bits of one read, 1 to 2000")
+    max_write_registers: int = Field(123, ge=1, le=123, description="the most registers of one write, 1 to 123")
+    max_gap: int = Field(8, ge=0, le=124, description="the addresses read in vain to save a request, 0 to 124")
+    pause_ms: float = Field(0.0, ge=0.0, le=10_000.0, description="the milliseconds between two requests, 0 to 10000")
+    one_client: bool = Field(False, description="true if the device serves one connection only")
+    max_failures: int = Field(3, ge=1, le=100, description="the failures in a row that end a connection, 1 to 100")
+    max_silence: float = Field(
+        2.0, ge=0.001, le=60.0, description="the seconds without a valid reply that end a connection, 0.001 to 60"
+    )
+    refused_first: float = Field(
+        1.0, ge=0.001, le=3600.0, description="the seconds until a refused address is asked again, 0.001 to 3600"
+    )
+    refused_cap: float = Field(
+        10.0, ge=0.001, le=86_400.0, description="the most seconds until it is asked again, 0.001 to 86400"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_one_transport(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """The transport's own defaults; what only other transports have is refused, not ignored."""
+        kind = given.get("transport", "tcp")
+        own = TRANSPORTS.get(kind) if isinstance(kind, str) else None
+        if own is None:
+            return given
+        for key in sorted(set().union(*TRANSPORTS.values()) - set(own)):
+            if key in given:
+                where = " or ".join(repr(other) for other, keys in TRANSPORTS.items() if key in keys)
+                raise ValueError(f"{key} means nothing with transport {kind!r}: it is for {where}")
+        for key, default in own.items():
+            if default is None and key not in given:
+                raise ValueError(f"{key} must be given; give {cls.model_fields[key].description}")
+        return {**{key: default for key, default in own.items() if default is not None}, **given}
+
+    @model_validator(mode="after")
+    def _unit_of_a_line(self) -> "ModbusSettings":
+        if self.transport in _LINES and not 1 <= self.unit <= _LAST_UNIT:
+            raise ValueError(f"unit is {self.unit}, and on a serial line a device has one of 1 to 247 (0 is for all)")
+        return self
+
+    @property
+    def limits(self) -> RequestLimits:
+        """What the device allows in one request."""
+        return RequestLimits(self.max_registers, self.max_bits, self.max_gap, self.pause_ms / 1000)
+
+    @property
+    def place(self) -> str:
+        """What the far end is called in a sentence."""
+        return self.serial or f"{self.host}:{self.port}"
+
+
+def read_settings(settings: Mapping[str, Any]) -> ModbusSettings:
+    """The settings, checked. Raises DriverError in one sentence."""
+    return check_settings("modbus", ModbusSettings, settings)

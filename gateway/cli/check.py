@@ -1,0 +1,106 @@
+"""`decanter check`: what is wrong with a configuration, and with --connect whether the PLC answers."""
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.driver import Cautions, Explains
+from drivers.errors import DriverError
+from drivers.tag import Sample, Tag
+from gateway.cli.plant_file import config_option, load
+from gateway.console.exits import Exit, exit_code, fail, sentences
+from gateway.console.options import json_option
+from gateway.console.output import emit, table
+from gateway.machine.model.loading import load_model
+from gateway.machine.reading.clock import plant_clock
+from gateway.plant.device import link_driver, make_driver
+from gateway.settings.config import Config
+from gateway.settings.links import DeviceLink
+
+
+@click.command()
+@config_option
+@click.option("--host", help="Instead of device.host.")
+@click.option("--port", type=click.IntRange(1, 65535), help="Instead of device.port.")
+@click.option("--connect", is_flag=True, help="Also read every tag of the PLC once.")
+@json_option
+def check(path: Path, host: str | None, port: int | None, connect: bool, as_json: bool) -> None:
+    """Check a configuration, its register map and its model; with --connect the PLC too."""
+    with sentences():
+        config = load(path, host, port, None)
+        loaded = load_model(config)
+        driver = make_driver(config, plant_clock())
+        plan = driver.explain(config.map.tags) if isinstance(driver, Explains) else ()
+        cautions = driver.cautions() if isinstance(driver, Cautions) else ()
+    facts: dict[str, str | int] = {
+        "configuration": str(path),
+        "register map": str(config.map.path),
+        "tags": len(config.map.tags),
+        "links": "; ".join(f"{link.name} ({link.map.driver}, {link.place})" for link in config.links),
+        "model": f"{loaded.model.sha.name} {loaded.hash[:12]}"
+        if loaded
+        else "none: threshold alarm and historian only",
+        "write-back": config.writeback.mode,
+        "historian": str(config.historian.path),
+        "requests of a scan": "; ".join(plan),
+        "cautions": "; ".join(cautions) or "none",
+    }
+    rows: list[dict[str, Any]] = []
+    if connect:
+        try:
+            rows = _read_once(config)
+        except DriverError as error:
+            emit({"ok": False, **facts, "readings": [], "reason": str(error)}, lambda: None, as_json_line=as_json)
+            fail(f"{error}; is the PLC there? Give --host and --port, or start one: decanter emulate", exit_code(error))
+    bad = [row for row in rows if row["quality"] != "GOOD"]
+    emit({"ok": not bad, **facts, "readings": rows}, lambda: _show_check(facts, rows, len(bad)), as_json_line=as_json)
+    if rows and len(bad) == len(rows):
+        fail(f"no tag could be read: {bad[0]['reason']}", _connection_code(bad))
+    if bad:
+        fail(f"{len(bad)} tags are not good, {bad[0]['tag']} the first: {bad[0]['reason']}", Exit.CHECK_FAILED)
+
+
+def _show_check(facts: dict[str, str | int], rows: list[dict[str, Any]], bad: int) -> None:
+    table("configuration is in order", ("what", "value"), [[name, value] for name, value in facts.items()])
+    if rows:
+        table(f"{len(rows) - bad} of {len(rows)} tags good", list(rows[0]), [list(row.values()) for row in rows])
+
+
+def _read_once(config: Config) -> list[dict[str, Any]]:
+    """One reading of every tag over every link. Raises DriverError when no link has a connection."""
+    with sentences():
+        drivers = [link_driver(config, link, plant_clock()) for link in config.links]
+
+    async def read() -> list[dict[str, Any]]:
+        failures: list[DriverError] = []
+        rows: list[dict[str, Any]] = []
+        for link, driver in zip(config.links, drivers, strict=True):
+            try:
+                try:
+                    await driver.open()
+                except DriverError as error:
+                    failures.append(error)
+                rows += [
+                    _row(link, tag, s) for tag, s in zip(link.map.tags, await driver.read(link.map.tags), strict=True)
+                ]
+            finally:
+                await driver.close()
+        if len(failures) == len(drivers):
+            raise failures[0]
+        return rows
+
+    return asyncio.run(read())
+
+
+def _row(link: DeviceLink, tag: Tag, sample: Sample) -> dict[str, Any]:
+    seen = {"value": sample.value, "unit": tag.unit, "quality": sample.quality.name, "reason": sample.reason}
+    return {"link": link.name, "tag": sample.tag, **seen}
+
+
+def _connection_code(bad: list[dict[str, Any]]) -> Exit:
+    qualities = {row["quality"] for row in bad}
+    if qualities & {"NOT_CONNECTED", "COMMUNICATION_ERROR"}:
+        return Exit.CANNOT_CONNECT
+    return Exit.TIMEOUT if "TIMEOUT" in qualities else Exit.DEVICE_EXCEPTION

@@ -1,0 +1,245 @@
+"""The report's data as blocks of text and tables, from which page and paper are made alike."""
+
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+MOST_ROWS = 400
+_LONGEST = 160
+_STATES = {
+    "passed": "good",
+    "passed with open points": "open",
+    "not complete": "open",
+    "not done": "open",
+    "failed": "bad",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """A heading of level 1 or 2."""
+
+    text: str
+    level: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A paragraph; `state` is "good", "bad", "open" or "" and colours it."""
+
+    text: str
+    state: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportTable:
+    """A table. `states` colours each row as `Text.state` does; `widths` are shares of the paper's width.
+
+    `mono` are the columns of hashes and addresses.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    states: tuple[str, ...] = ()
+    widths: tuple[float, ...] = ()
+    mono: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class Signatures:
+    """Lines to sign on."""
+
+    roles: tuple[str, ...]
+
+
+Block = Heading | Text | ReportTable | Signatures
+
+
+def at(moment: float | None) -> str:
+    """A moment (s UTC) for a person."""
+    return "" if moment is None else time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(moment))
+
+
+def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
+    """The whole report; `digest` is the SHA-256 of its JSON file."""
+    return [*_front(data, digest), *_checks(data), *_audit(data), *_files(data), *_records(data), *_end(digest)]
+
+
+def _front(data: Mapping[str, Any], digest: str) -> Iterator[Block]:
+    made, clock = data["made"], data["clock"]
+    yield Heading(f"Site acceptance report: {data['site']}")
+    yield Text(f"Result: {data['verdict']}", _STATES[data["verdict"]])
+    offset = clock["hmi_offset_s"]
+    hmi = f"{offset:+.3f} s ahead of this machine's" if offset else "not given"
+    facts = [
+        ("made", f"{at(made['time'])} by {made['by']}"),
+        ("device", "; ".join(data["places"]) or "none"),
+        ("machine", ", ".join(data["machines"])),
+        ("names", ", ".join(data["names"])),
+        ("this machine's clock", clock["machine"]),
+        ("the HMI's clock", hmi),
+        ("versions", ", ".join(f"{name} {number}" for name, number in data["versions"].items())),
+        ("data", f"report.json, SHA-256 {digest}"),
+    ]
+    yield ReportTable(("what", "value"), tuple(facts), widths=(0.16, 0.84))
+    yield Heading("Open points", 2)
+    if not data["open_points"]:
+        yield Text("None.")
+    else:
+        rows = tuple((str(number), point) for number, point in enumerate(data["open_points"], start=1))
+        yield ReportTable(("no.", "what is open"), rows, widths=(0.06, 0.94))
+
+
+def _checks(data: Mapping[str, Any]) -> Iterator[Block]:
+    yield Heading("Checks", 2)
+    yield Text("Of a check that was repeated the last one counts. The number is that of its record below.")
+    rows, states = [], []
+    for check in data["checks"]:
+        state = check["state"] if check["required"] or check["tries"] else "not asked for"
+        rows.append(
+            (
+                check["command"],
+                check["shows"],
+                state,
+                "" if check["record"] is None else str(check["record"]),
+                str(check["tries"]),
+                at(check["time"]),
+                check["who"],
+                check["reason"],
+            )
+        )
+        states.append(_STATES.get(state, ""))
+    columns = ("check", "what it shows", "result", "record", "tries", "time", "who", "reason")
+    yield ReportTable(columns, tuple(rows), tuple(states), (0.11, 0.22, 0.09, 0.06, 0.05, 0.14, 0.08, 0.25))
+
+
+def _audit(data: Mapping[str, Any]) -> Iterator[Block]:
+    audit = data["audit"]
+    yield Heading("Writing", 2)
+    if not audit["rows"]:
+        yield Text("Nothing was armed and nothing was written: there is no audit log.")
+        return
+    kinds = ", ".join(f"{count} {kind}" for kind, count in audit["kinds"].items())
+    whole = audit["problem"] or "whole"
+    yield Text(f"Audit log {audit['path']}: {audit['rows']} rows ({kinds}); its chain is {whole}.")
+    yield Text(f"Newest hash: {audit['head']}")
+    rows = tuple(
+        (str(one["row"]), at(one["time"]), one["kind"], one["who"], one["reason"], at(one["detail"].get("until")))
+        for one in audit["armings"]
+    )
+    widths = (0.06, 0.18, 0.12, 0.14, 0.32, 0.18)
+    yield ReportTable(("row", "time", "what", "who", "reason", "until"), rows, widths=widths)
+
+
+def _files(data: Mapping[str, Any]) -> Iterator[Block]:
+    yield Heading("Configuration", 2)
+    rows = [(one["path"], one["sha256"], "yes" if one["changed"] else "no") for one in data["configuration"]]
+    if not rows:
+        yield Text("No file of configuration was used.")
+        return
+    widths, mono = (0.36, 0.54, 0.1), frozenset({1})
+    yield ReportTable(("file", "SHA-256 when last used", "changed since"), tuple(rows), widths=widths, mono=mono)
+
+
+def _records(data: Mapping[str, Any]) -> Iterator[Block]:
+    yield Heading("Records", 2)
+    records = data["records"]
+    chain = "whole" if records["broken_at"] is None else f"broken at line {records['broken_at']}"
+    yield Text(f"{records['path']}: {len(records['rows'])} records, chain {chain}, SHA-256 {records['sha256']}")
+    for record in records["rows"]:
+        yield Heading(f"{record['number']}. {record['command']}", 2)
+        yield from _record(record)
+
+
+def _record(record: Mapping[str, Any]) -> Iterator[Block]:
+    state = "bad" if record["code"] else "good"
+    sentence = record["reason"] or ("in order" if not record["code"] else "")
+    yield Text(f"Exit code {record['code']}: {sentence}" if sentence else f"Exit code {record['code']}", state)
+    frames = record["frames"]
+    facts = [
+        ("when", f"{at(record['time'])}, {record['seconds']:.2f} s, by {record['who']} on {record['machine']}"),
+        ("where", record["place"]),
+        ("arguments", _cell(record["arguments"])),
+        (
+            "frames",
+            f"{frames.get('sent', 0)} sent, {frames.get('received', 0)} received, {frames.get('bytes', 0)} bytes",
+        ),
+        ("raw frames", f"SHA-256 {frames.get('sha256', '')}"),
+        *((f"file {path}", f"SHA-256 {digest}") for path, digest in record["configuration"].items()),
+    ]
+    scalars, tables = _divided(record["result"])
+    facts += [(name, _cell(value)) for name, value in scalars.items()]
+    shown = tuple((name, value) for name, value in facts if value)
+    yield ReportTable(("what", "value"), shown, widths=(0.2, 0.8))
+    for name, rows in tables.items():
+        yield Text(f"{name} ({len(rows)})")
+        yield _grid(rows)
+        if len(rows) > MOST_ROWS:
+            yield Text(f"The first {MOST_ROWS} of {len(rows)} are shown; report.json has them all.")
+
+
+def _divided(result: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, list[Mapping[str, Any]]]]:
+    """What of a result is one value, and what is a table: a list of objects."""
+    scalars: dict[str, Any] = {}
+    tables: dict[str, list[Mapping[str, Any]]] = {}
+    for name, value in result.items():
+        if isinstance(value, list) and value and all(isinstance(one, dict) for one in value):
+            tables[name] = value
+        elif value not in (None, "", [], {}):
+            scalars[name] = value
+    return scalars, tables
+
+
+def _grid(rows: Sequence[Mapping[str, Any]]) -> ReportTable:
+    columns = tuple(dict.fromkeys(key for row in rows for key in row))
+    shown = rows[:MOST_ROWS]
+    cells = tuple(tuple(_cell(row.get(column)) for column in columns) for row in shown)
+    return ReportTable(columns, cells, tuple(map(_state, shown)), _widths(columns, cells))
+
+
+def _widths(columns: Sequence[str], cells: Sequence[Sequence[str]]) -> tuple[float, ...]:
+    """Shares of the width by the length of what is in the columns, so that no word has to be broken without need."""
+    longest = [
+        max(len(column), *(len(row[index]) for row in cells)) if cells else len(column)
+        for index, column in enumerate(columns)
+    ]
+    wanted = [min(max(length, 4), 60) ** 0.75 for length in longest]
+    return tuple(one / sum(wanted) for one in wanted)
+
+
+def _state(row: Mapping[str, Any]) -> str:
+    if row.get("skipped"):
+        return "open"
+    for key in ("ok", "passed"):
+        if isinstance(row.get(key), bool):
+            return "good" if row[key] else "bad"
+    return {"ok": "good", "failed": "bad", "warning": "open"}.get(str(row.get("state")), "")
+
+
+def _cell(value: object) -> str:
+    """A value in a table: short, for a person; the JSON file has it in full."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}" if isfinite(value) else "not known"
+    if isinstance(value, Mapping):
+        text = ", ".join(f"{key} {_cell(inner)}" for key, inner in value.items() if inner not in (None, "", [], {}))
+    elif isinstance(value, list | tuple):
+        text = ", ".join(map(_cell, value))
+    else:
+        text = value if isinstance(value, str) else json.dumps(value, default=str)
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+
+
+def _end(digest: str) -> Iterator[Block]:
+    yield Heading("Signatures", 2)
+    yield Text(
+        f"Those who sign have seen this report. Its data has the SHA-256 {digest}; the seal that `decanter plc report` "
+        "printed covers all files, and `decanter plc report --verify` checks them."
+    )
+    yield Signatures(("commissioning engineer", "plant operator"))

@@ -1,0 +1,208 @@
+"""The site acceptance report as data: every check, its evidence, what is open; from the commands' own records."""
+
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from gateway.commission.session.records import CommandRecord, broken_at, read_records, versions
+from gateway.store.audit import ARMED, DISARMED, EXPIRED, read, standing, verify
+from gateway.store.chain import hash_of
+
+FORMAT = 1
+PASSED, OPEN, INCOMPLETE, FAILED = "passed", "passed with open points", "not complete", "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class ReportCheck:
+    """One row of the acceptance test: the command that does it, what it shows, and when it has to be done."""
+
+    command: str
+    shows: str
+    required: str
+
+
+CHECKS: tuple[ReportCheck, ...] = (
+    ReportCheck("doctor", "this machine is fit: clock, network, files", "always"),
+    ReportCheck("probe", "the device is there, answers, and says who it is", "always"),
+    ReportCheck("scan registers", "what can be read, and how much at once", "never"),
+    ReportCheck("import", "the tags are those of the I/O list", "never"),
+    ReportCheck("check", "the configuration is in order", "always"),
+    ReportCheck("plan", "one scan fits into its period", "always"),
+    ReportCheck("verify", "the values are those of the HMI", "always"),
+    ReportCheck("soak", "reading holds for a longer time", "always"),
+    ReportCheck("write plan", "the write map is closed and complete", "writing"),
+    ReportCheck("loop alarms", "every alarm bit gets through to the HMI", "writing"),
+    ReportCheck("loop heartbeat", "heartbeats and the PLC's timer work", "writing"),
+    ReportCheck("conformance", "the PLC's side keeps the write-back contract", "never"),
+    ReportCheck("replay", "the gateway does with the recording what it did live", "never"),
+)
+"""The acceptance test, in the order of the commissioning hour."""
+
+NOT_CARRIED_OUT = frozenset({2, 6, 130})
+"""Exit codes of commands that came to no result: wrong usage, not armed, interrupted."""
+
+
+def gather(
+    records_path: Path, audit_path: Path, *, site: str, by: str, now: float, remarks: Sequence[str] = ()
+) -> dict[str, Any]:
+    """The report's data. `remarks` are open points that a person adds.
+
+    Raises RecordsError or AuditError for files that are damaged, OSError for records that are not there.
+    """
+    records = read_records(records_path)
+    if not records:
+        raise ValueError(f"{records_path}: holds no record; carry out the checks first, then make the report of them")
+    writing = any(record.command == "arm" and not record.code for record in records)
+    checks = [_checked(check, records, writing=writing) for check in CHECKS]
+    chain = broken_at(records_path)
+    audit = _audit(audit_path, now)
+    configuration = _configuration(records)
+    points = [*_chain_points(records_path, chain, audit), *_points(checks, records, configuration), *remarks]
+    return {
+        "format": FORMAT,
+        "site": site,
+        "made": {"time": now, "by": by, "versions": versions()},
+        "verdict": _verdict(checks, chain, audit, points),
+        "checks": checks,
+        "open_points": points,
+        "clock": _clock(records),
+        "names": sorted({record.who for record in records} | set(audit["names"])),
+        "places": sorted({record.place for record in records if record.place}),
+        "machines": sorted({record.machine for record in records}),
+        "configuration": configuration,
+        "versions": records[-1].versions,
+        "audit": audit,
+        "records": {
+            "path": str(records_path),
+            "sha256": hash_of(records_path.read_bytes()),
+            "broken_at": chain,
+            "rows": [{"number": number, **asdict(record)} for number, record in enumerate(records, start=1)],
+        },
+    }
+
+
+def _checked(check: ReportCheck, records: Sequence[CommandRecord], *, writing: bool) -> dict[str, Any]:
+    """The newest record of a check that came to a result is the one that counts."""
+    own = [
+        (number, record)
+        for number, record in enumerate(records, start=1)
+        if record.command == check.command and record.code not in NOT_CARRIED_OUT
+    ]
+    required = check.required == "always" or (check.required == "writing" and writing)
+    row: dict[str, Any] = {"command": check.command, "shows": check.shows, "required": required, "tries": len(own)}
+    if not own:
+        return {**row, "state": "not done", "record": None, "time": None, "who": "", "reason": ""}
+    number, last = own[-1]
+    state = "failed" if last.code else "passed"
+    return {**row, "state": state, "record": number, "time": last.time, "who": last.who, "reason": last.reason}
+
+
+def _verdict(
+    checks: Sequence[Mapping[str, Any]], chain: int | None, audit: Mapping[str, Any], points: Sequence[str]
+) -> str:
+    failed = any(check["state"] == "failed" for check in checks)
+    if failed or chain is not None or audit["problem"]:
+        return FAILED
+    if any(check["state"] == "not done" and check["required"] for check in checks):
+        return INCOMPLETE
+    return OPEN if points else PASSED
+
+
+def _chain_points(path: Path, chain: int | None, audit: Mapping[str, Any]) -> Iterator[str]:
+    if chain is not None:
+        yield f"line {chain} of {path} does not follow the line before it: the records were changed"
+    if audit["problem"]:
+        yield f"the audit log is not whole: {audit['problem']}"
+    if audit["standing"]:
+        yield f"still armed: {audit['standing']}"
+
+
+def _points(
+    checks: Sequence[Mapping[str, Any]], records: Sequence[CommandRecord], configuration: Sequence[Mapping[str, Any]]
+) -> Iterator[str]:
+    for check in checks:
+        if check["state"] == "failed":
+            yield f"{check['command']} failed: {check['reason'] or 'see its record'}"
+    for check in checks:
+        if check["state"] == "not done" and check["required"]:
+            yield f"{check['command']} was not done: {check['shows']}"
+    for check in checks:
+        if check["record"] is not None and check["state"] == "passed":
+            yield from _left(check["command"], records[check["record"] - 1])
+    for one in configuration:
+        if one["changed"]:
+            yield f"{one['path']} was changed after it was last used ({one['changed']})"
+
+
+def _left(command: str, record: CommandRecord) -> Iterator[str]:
+    """What a check that passed has left open."""
+    skipped = [row for row in _dicts(record.result.get("rows")) if row.get("skipped")]
+    if skipped:
+        yield f"{command}: {len(skipped)} steps could not be put, the first: {skipped[0].get('step', '')}"
+    if command == "loop alarms" and record.result.get("asked") is False:
+        yield "loop alarms: nobody was asked what the HMI shows (--ask)"
+    if command == "loop heartbeat" and record.result.get("watchdog") is False:
+        yield "loop heartbeat: the PLC's timer was left out (--no-watchdog)"
+    points = [str(point) for point in record.result.get("open_points", [])]
+    points += [
+        str(step.get("sentence")) for step in _dicts(record.result.get("steps")) if step.get("state") == "warning"
+    ]
+    for point in dict.fromkeys(points):
+        yield point if point.startswith(f"{command}:") else f"{command}: {point}"
+
+
+def _configuration(records: Sequence[CommandRecord]) -> list[dict[str, Any]]:
+    """Each file that was used, with its newest recorded hash, and whether it has another one now."""
+    newest: dict[str, tuple[str, float]] = {}
+    for record in records:
+        newest |= {path: (digest, record.time) for path, digest in record.configuration.items()}
+    rows = []
+    for path, (digest, moment) in sorted(newest.items()):
+        file = Path(path)
+        now = hash_of(file.read_bytes()) if file.is_file() else "is no longer there"
+        rows.append({"path": path, "sha256": digest, "used": moment, "changed": "" if now == digest else now})
+    return rows
+
+
+def _clock(records: Sequence[CommandRecord]) -> dict[str, Any]:
+    """What doctor says of this machine's clock, and by how much the HMI's was ahead of it by the newest `verify`."""
+    sentence, offset = "not looked at (decanter plc doctor)", None
+    for record in records:
+        for step in _dicts(record.result.get("steps")):
+            if record.command == "doctor" and step.get("step") == "clock":
+                sentence = str(step.get("sentence", ""))
+        if record.command == "verify":
+            given = {**record.arguments, **record.result}.get("clock_offset")
+            offset = float(given) if isinstance(given, int | float) else offset
+    return {"machine": sentence, "hmi_offset_s": offset}
+
+
+def _dicts(value: object) -> list[Mapping[str, Any]]:
+    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []
+
+
+def _audit(path: Path, now: float) -> dict[str, Any]:
+    """What the audit log says, and whether it is whole."""
+    empty: dict[str, Any] = {"path": str(path), "rows": 0, "head": "", "problem": "", "kinds": {}, "armings": []}
+    if not path.exists():
+        return {**empty, "standing": "", "names": []}
+    checked = verify(path)
+    rows = [] if checked.problem else read(path)
+    armings = [{"row": row.id, **asdict(row.entry)} for row in rows if row.entry.kind in (ARMED, DISARMED, EXPIRED)]
+    row = None if checked.problem else standing(path, now)
+    sentence = f"by {row.entry.who} ({row.entry.reason}) until {_at(row.entry.detail['until'])}" if row else ""
+    return {
+        **empty,
+        **asdict(checked),
+        "kinds": dict(Counter(row.entry.kind for row in rows)),
+        "armings": armings,
+        "standing": sentence,
+        "names": sorted({one["who"] for one in armings if one["who"]}),
+    }
+
+
+def _at(moment: float) -> str:
+    return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(moment))

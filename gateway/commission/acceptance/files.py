@@ -1,0 +1,85 @@
+"""The acceptance report's files: JSON, page, paper, the records themselves, and the list of hashes that seals them.
+
+The list has the form of `sha256sum`, and its last line is the SHA-256 of the lines before it: the seal. A changed byte
+in any file, in the list or in the seal shows in `verify`. Someone who makes everything anew gets another seal: the one
+that counts is printed when the report is made, stands in the audit log, and belongs beside the signatures.
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from gateway.commission.acceptance.blocks import blocks
+from gateway.commission.acceptance.page import page
+from gateway.commission.acceptance.paper import paper
+from gateway.store.chain import hash_of
+from sim.strict_json import json_text
+
+JSON, HTML, PDF, RECORDS, LIST = "report.json", "report.html", "report.pdf", "records.jsonl", "report.sha256"
+FILES = (JSON, HTML, PDF, RECORDS)
+_LINE = re.compile(r"([0-9a-f]{64})  ([^/\n]+)")
+_SEAL = re.compile(r"# seal ([0-9a-f]{64})")
+
+
+def write(folder: Path, data: Mapping[str, Any], records: bytes) -> str:
+    """Write all files of the report; gives the seal. Raises OSError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    content = (json_text(data, indent=1) + "\n").encode()
+    digest = hash_of(content)
+    made, title = blocks(json.loads(content), digest), f"Site acceptance report: {data['site']}"
+    footer = f"{title}    data SHA-256 {digest}"
+    files = {
+        JSON: content,
+        HTML: page(made, title).encode(),
+        PDF: paper(made, title, footer, data["made"]["time"]),
+        RECORDS: records,
+    }
+    for name, bytes_ in files.items():
+        (folder / name).write_bytes(bytes_)
+    lines = "".join(f"{hash_of(bytes_)}  {name}\n" for name, bytes_ in files.items())
+    seal = hash_of(lines.encode())
+    (folder / LIST).write_text(f"{lines}# seal {seal}\n", encoding="utf-8")
+    return seal
+
+
+def verify(folder: Path, seal: str = "") -> tuple[str, list[dict[str, Any]]]:
+    """The report's seal, and for each file whether it is as it was made (`ok`, `problem`).
+
+    With `seal`, the one that was signed must be the same. Raises OSError where there is no report, ValueError where the
+    list cannot be read at all.
+    """
+    listed, found = _listed(folder / LIST)
+    rows = [_file(folder, name, listed.get(name)) for name in dict.fromkeys((*FILES, *listed))]
+    lines = "".join(f"{digest}  {name}\n" for name, digest in listed.items())
+    own = hash_of(lines.encode())
+    problem = "" if own == found else "its seal is not that of its lines: the list was changed"
+    if not problem and seal and not own.startswith(seal.lower()):
+        problem = "its seal is another one than was signed: all of it was made anew"
+    return own, [*rows, {"file": LIST, "ok": not problem, "problem": problem}]
+
+
+def _listed(path: Path) -> tuple[dict[str, str], str]:
+    """The hashes by file name, and the seal that the list claims."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: is no list of hashes; it was changed") from None
+    *lines, last, rest = (*text.split("\n"),) if "\n" in text else ("", text, "")
+    seal = _SEAL.fullmatch(last)
+    matches = [_LINE.fullmatch(line) for line in lines]
+    if rest or seal is None or not all(matches):
+        raise ValueError(f"{path}: is not as a report's list of hashes is made; it was changed")
+    return {match[2]: match[1] for match in matches if match}, seal[1]
+
+
+def _file(folder: Path, name: str, listed: str | None) -> dict[str, Any]:
+    file = folder / name
+    if listed is None:
+        problem = "is not in the list of hashes"
+    elif not file.is_file():
+        problem = "is missing"
+    else:
+        problem = "" if hash_of(file.read_bytes()) == listed else "was changed"
+    return {"file": name, "ok": not problem, "problem": problem}

@@ -1,0 +1,56 @@
+"""What the HMI shows, as a number with the resolution that it is shown with, or as a state (pure)."""
+
+import re
+from dataclasses import dataclass
+
+_SPACES = "'’ \u00a0\u202f"
+_NUMBER = re.compile(rf"([+-]?)([.,]?\d[\d.,{_SPACES}]*)")
+_STATES = {"on": True, "true": True, "yes": True, "off": False, "false": False, "no": False}
+
+
+class ReadingError(ValueError):
+    """The text is nothing that an HMI shows; the message says what would be."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShownNumber:
+    """A number as it is shown: its last digit counts `step`."""
+
+    value: float
+    step: float
+
+    def __str__(self) -> str:
+        decimals = max(0, len(f"{self.step:.9f}".rstrip("0").partition(".")[2]))
+        return f"{self.value:.{decimals}f}"
+
+
+def parse_shown(text: str) -> ShownNumber | bool:
+    """`72.4`, `72,4`, `1'250`, `1.250,5`, `-3`, or `on` and `off`. Raises ReadingError.
+
+    One comma or point is a decimal one; several, or one of each, separate thousands but for the last of another kind.
+    """
+    plain = text.strip()
+    if plain.lower() in _STATES:
+        return _STATES[plain.lower()]
+    match = _NUMBER.fullmatch(plain)
+    if match is None:
+        raise ReadingError(f"{text!r} is no reading; give the number as the HMI shows it, such as 72.4, or on or off")
+    sign, digits = match[1], re.sub(f"[{_SPACES}]", "", match[2])
+    whole, decimals = _split(digits)
+    if not (whole + decimals).isdecimal():
+        raise ReadingError(f"{text!r} is no reading; give the number as the HMI shows it, such as 72.4")
+    value = float(f"{whole or '0'}.{decimals or '0'}")
+    return ShownNumber(-value if sign == "-" else value, 10.0 ** -len(decimals))
+
+
+def _split(digits: str) -> tuple[str, str]:
+    """The digits before and after the decimal mark."""
+    marks = [mark for mark in digits if mark in ".,"]
+    if not marks:
+        return digits, ""
+    if len(set(marks)) == 1 and len(marks) > 1:
+        groups = re.split(r"[.,]", digits)
+        thousands = len(groups[0]) in (1, 2, 3) and all(len(group) == 3 for group in groups[1:])
+        return ("".join(groups), "") if thousands else (digits, "")  # what is no number is refused by the caller
+    whole, _, decimals = digits.rpartition(marks[-1])
+    return re.sub(r"[.,]", "", whole), decimals

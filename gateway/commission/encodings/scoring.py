@@ -1,0 +1,248 @@
+"""The ranking: every encoding of `priors` weighed by how well it explains the readings (pure).
+
+For an encoding e, words w and readings r the weight is, in logarithms,
+
+    log P(e) + sum over readings [ log P(r | value of e in w) + log(resolution of e) - sum over e's words log P0(w) ]
+
+P0 is the chance of a register that has nothing to do with the value. The resolution (engineering units between
+neighbouring raw numbers) is the chance of just these words given the value: a coarse encoding that hits is believed
+sooner than one so fine that it hits somewhere anyway. Words that stand still from one reading to the next count once.
+"""
+
+import math
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.codec import decode, registers_needed
+from drivers.tag import DType, Order, Quality, Tag
+from gateway.commission.encodings import priors
+from gateway.commission.encodings.reading import ShownNumber
+
+Vector = NDArray[np.float64]
+
+ROUNDED, CUT, MOVED = 0.9, 0.05, 0.05
+"""The HMI rounds; it cuts digits off; the value has moved between the two looks."""
+DRIFT = 0.003
+"""How far a value moves meanwhile, as a share of itself, beside one step of the display."""
+FARTHEST = 40.0
+"""Widths of that drift (with the tail of a Cauchy law) beyond which it is another value."""
+KEPT, HOPELESS = 60, 25.0
+"""Encodings that are given, and nats behind the best of their layout from which on they are not kept."""
+ELSEWHERE = 0.05
+"""How often a value lies nowhere near the address that was given, so that what fits there fits by chance."""
+_SLACK, _FAR = 1e-9, 1e30
+_LOG_MIX = math.log(65536.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """Registers of one moment, `words` from PDU address `base` on, and what the HMI showed at that moment."""
+
+    base: int
+    words: tuple[int, ...]
+    shown: ShownNumber
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EncodingCandidate:
+    """One encoding, its `weight` (log), its share of belief among all (0..1), and its values at the observations."""
+
+    address: int
+    dtype: DType
+    order: Order
+    scale: float
+    offset: float
+    weight: float
+    share: float
+    values: tuple[float, ...]
+
+    def tag(self, table: str = "holding") -> Tag:
+        """The encoding as a tag."""
+        return Tag(
+            "guess", f"{table}:{self.address}", self.dtype, order=self.order, scale=self.scale, offset=self.offset
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _EncodingLayout:
+    """Where and how the raw number lies: everything but scale and offset."""
+
+    address: int
+    dtype: DType
+    order: Order
+    weight: float
+
+
+def rank(observations: Sequence[Observation], address: int) -> list[EncodingCandidate]:
+    """The encodings that explain all observations, best first, at most KEPT; [] where chance explains them better.
+
+    `address` is where the value was said to lie. Raises ValueError without observations.
+    """
+    if not observations:
+        raise ValueError("a guess needs at least one reading of the HMI")
+    grids = {False: _grid(floats=False), True: _grid(floats=True)}
+    found: list[tuple[float, _EncodingLayout, float, float, tuple[float, ...]]] = []
+    for layout in _layouts(observations, address):
+        scales, offsets, weights = grids[layout.dtype in priors.FLOATS]
+        found += _weighed(layout, observations, scales, offsets, weights)
+    found.sort(key=lambda one: one[0], reverse=True)
+    chance = math.log(ELSEWHERE) + sum(math.log(one.shown.step) for one in observations)
+    return _shared(found, chance)
+
+
+def _shared(
+    found: Sequence[tuple[float, _EncodingLayout, float, float, tuple[float, ...]]], chance: float
+) -> list[EncodingCandidate]:
+    """The candidates with their share of the belief, of which `chance` (that the value lies elsewhere) has one too."""
+    if not found or chance > found[0][0]:
+        return []
+    best = found[0][0]
+    total = sum(math.exp(one[0] - best) for one in found) + math.exp(chance - best)
+    return [
+        EncodingCandidate(
+            address=at.address,
+            dtype=at.dtype,
+            order=at.order,
+            scale=scale,
+            offset=offset,
+            weight=weight,
+            share=math.exp(weight - best) / total,
+            values=values,
+        )
+        for weight, at, scale, offset, values in found[:KEPT]
+    ]
+
+
+def _layouts(observations: Sequence[Observation], address: int) -> Iterator[_EncodingLayout]:
+    """Every type and order at every shift that all observations have the words for."""
+    for shift, near in priors.SHIFTS.items():
+        for dtype, common in priors.TYPES.items():
+            width = registers_needed(Tag("", "", dtype))
+            for order, usual in (priors.ONE_REGISTER if width == 1 else priors.MORE_REGISTERS).items():
+                at = address + shift
+                if all(one.base <= at and at + width <= one.base + len(one.words) for one in observations):
+                    yield _EncodingLayout(at, dtype, order, math.log(near * common * usual))
+
+
+def _grid(*, floats: bool) -> tuple[Vector, Vector, Vector]:
+    """All scales with all offsets, and their log prior."""
+    scales = dict(priors.FLOAT_SCALES if floats else priors.SCALES)
+    if not floats:
+        each = priors.FULL_SCALE_WEIGHT / (len(priors.FULL_SCALE) * len(priors.SPANS))
+        for span in priors.SPANS:
+            for counts in priors.FULL_SCALE:
+                scales.setdefault(span / counts, each)
+    offsets = priors.FLOAT_OFFSETS if floats else priors.OFFSETS
+    pairs = [(s, o, math.log(p * q)) for s, p in scales.items() for o, q in offsets.items()]
+    columns = np.array(pairs, dtype=np.float64).T
+    return columns[0], columns[1], columns[2]
+
+
+def _weighed(
+    layout: _EncodingLayout, observations: Sequence[Observation], scales: Vector, offsets: Vector, weights: Vector
+) -> list[tuple[float, _EncodingLayout, float, float, tuple[float, ...]]]:
+    """The layout with every scale and offset that explains all observations."""
+    raws = [_raw(layout, one) for one in observations]
+    if any(raw is None for raw in raws):
+        return []
+    total = weights + layout.weight + _log_roomy(layout.dtype, [raw[0] for raw in raws if raw is not None])
+    # Bayes' rule for all scales and offsets at once: log prior + the log likelihood ratio of each observation against
+    # registers that have nothing to do with the value. The likelihood of the words is the density of the value over
+    # one raw step; words that were read before are no new evidence.
+    before: list[tuple[int, ...]] = []
+    for raw, one in zip(raws, observations, strict=True):
+        number, resolution = raw or (0.0, 1.0)
+        words = _covered(layout, one)
+        if abs(number) > _FAR:
+            return []
+        total = total + _log_shown(number * scales + offsets, one.shown)
+        if words not in before:
+            former = before[-1] if before else None
+            total = total + np.log(resolution * scales) - _log_background(words, former, layout.dtype)
+        before.append(words)
+    kept = np.flatnonzero(np.isfinite(total) & (total > np.max(total) - HOPELESS))
+    return [
+        (
+            float(total[index]),
+            layout,
+            float(scales[index]),
+            float(offsets[index]),
+            tuple(float(raw[0] * scales[index] + offsets[index]) for raw in raws if raw is not None),
+        )
+        for index in kept
+    ]
+
+
+def _raw(layout: _EncodingLayout, one: Observation) -> tuple[float, float] | None:
+    """The raw number and the step to its neighbour; None where the words are no number of this type."""
+    tag = Tag("", "", layout.dtype, layout.order)
+    value, quality, _ = decode(tag, _covered(layout, one))
+    if quality is not Quality.GOOD or isinstance(value, bool | str) or value is None:
+        return None
+    return float(value), _resolution(layout.dtype, float(value))
+
+
+def _log_roomy(dtype: DType, numbers: Sequence[float]) -> float:
+    """log of how likely a type is that has more room than any of the numbers needs."""
+    chance, enough = priors.ROOMY.get(dtype, (1.0, 0.0))
+    return math.log(chance) if all(abs(number) <= enough for number in numbers) else 0.0
+
+
+def _resolution(dtype: DType, value: float) -> float:
+    if dtype not in priors.FLOATS:
+        return 1.0
+    bits = 23 if dtype is DType.FLOAT32 else 52
+    # One unit in the last place of the mantissa (IEEE 754); of a subnormal float32, that of the least normal one.
+    least = struct.unpack(">f", b"\0\x80\0\0")[0]
+    return float(2.0 ** (math.floor(math.log2(max(abs(value), least))) - bits))
+
+
+def _covered(layout: _EncodingLayout, one: Observation) -> tuple[int, ...]:
+    first = layout.address - one.base
+    return one.words[first : first + registers_needed(Tag("", "", layout.dtype))]
+
+
+def _log_shown(values: Vector, shown: ShownNumber) -> Vector:
+    """log P(the HMI shows this | the value): rounded, cut off, or of a moment earlier; -inf far away."""
+    step, slack = shown.step, _SLACK * max(1.0, abs(shown.value))
+    error = values - shown.value
+    rounded = np.abs(error) <= 0.5 * step + slack
+    towards_zero = error * (1.0 if shown.value >= 0 else -1.0)
+    cut = (towards_zero >= -slack) & (towards_zero < step + slack)
+    # The value moved between the HMI's refresh and the read: a Cauchy density, whose tails forgive a wide move.
+    width = step + DRIFT * abs(shown.value)
+    away = np.maximum(np.abs(error) - 0.5 * step, 0.0) / width
+    moved = np.where(away < FARTHEST, MOVED * step / (math.pi * width * (1.0 + away**2)), 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(ROUNDED * rounded + CUT * cut + moved))
+
+
+def _log_background(words: Sequence[int], former: Sequence[int] | None, dtype: DType) -> float:
+    """log P0: registers that are strangers; many of them stand still from one reading to the next.
+
+    An 8-bit type says nothing about the upper byte, which is then no evidence for it.
+    """
+    if dtype in (DType.INT8, DType.UINT8):
+        return max(-math.log(256.0), math.log(_stranger(words[0])))
+    total = 0.0
+    for place, word in enumerate(words):
+        chance = _stranger(word)
+        if former is not None:
+            still = priors.REMAINS_EMPTY if former[place] in (0, 0xFFFF) else priors.STANDS_STILL
+            chance = still * (word == former[place]) + (1.0 - still) * chance
+        total += math.log(chance)
+    return total
+
+
+def _stranger(word: int) -> float:
+    """Often 0, or 0xFFFF; else as likely any number as any order of magnitude."""
+    if word == 0:
+        return priors.ZERO
+    if word == 0xFFFF:
+        return priors.ALL_ONES
+    size = min(word, 65536 - word)  # a small negative number is as likely as a small positive one
+    return (1.0 - priors.ZERO - priors.ALL_ONES) * (0.5 / 65536 + 0.25 / (size * (_LOG_MIX - math.log(2.0))))

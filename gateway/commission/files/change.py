@@ -1,0 +1,98 @@
+"""What `bind` and `import` change in the files, and the change carried out: shown, checked and written in one step."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from drivers.settings import ConfigError
+from gateway.commission.files.device_file import encoding, fields_that_fit, set_block, set_device, set_tag
+from gateway.commission.files.plan_files import Files, device_edit, plant_edit, save
+
+_LAYOUT, _TIMER_S = 1, 5.0
+_MOST_WORDS = 123
+
+
+@dataclass(frozen=True, slots=True)
+class Binding:
+    """One tag and its keys: those that say how it lies (all of them where `place` is true), and the others given."""
+
+    name: str
+    keys: Mapping[str, Any]
+    place: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BlockPlace:
+    """The write-back block: its first address, its fields (None: as many as fit), the layout's version, the timer."""
+
+    address: str
+    fields: Sequence[str] | None = None
+    version: int | None = None
+    timer: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FileChange:
+    """Everything that one `bind` or `import` changes."""
+
+    tags: Sequence[Binding] = ()
+    block: BlockPlace | None = None
+    heartbeat: str | None = None
+    device: Mapping[str, Any] = field(default_factory=dict)
+    plant: Mapping[str, Any] = field(default_factory=dict)
+
+
+def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool) -> dict[str, Any]:
+    """Change the files; gives the diff and the backups. With `dry_run` nothing is written, and nothing is checked.
+
+    `template` is the shipped register map, whose block's fields are the pattern. Raises ConfigError or OSError.
+    """
+
+    def change(document: tomlkit.TOMLDocument) -> None:
+        set_device(document, wanted.device)
+        if wanted.heartbeat is not None:
+            set_device(document, {"heartbeat": wanted.heartbeat or None})
+        for tag in wanted.tags:
+            set_tag(document, tag.name, _keys(tag))
+        if wanted.block is not None:
+            _put_block(document, wanted.block, template)
+
+    device = device_edit(files, change)
+    plant = plant_edit(files, wanted.plant)
+    if wanted.plant and plant is None:
+        raise ConfigError([f"--keep {next(iter(wanted.plant))}: is a key of the plant file; give --config FILE"])
+    edits = [edit for edit in (device, plant) if edit is not None and edit.changed]
+    backups = [] if dry_run else save(device, plant)
+    return {
+        "files": [str(edit.path) for edit in edits],
+        "new": [str(edit.path) for edit in edits if edit.before is None],
+        "diff": "\n".join(edit.diff() for edit in edits),
+        "changes": [{"file": str(edit.path), "new": edit.before is None, "diff": edit.diff()} for edit in edits],
+        "backups": [str(path) for path in backups],
+        "written": bool(edits) and not dry_run,
+    }
+
+
+def _keys(tag: Binding) -> dict[str, Any]:
+    rest = {key: value for key, value in tag.keys.items() if key not in encoding({})}
+    own = encoding(tag.keys)
+    return {**(own if tag.place else {key: own[key] for key in own if key in tag.keys}), **rest}
+
+
+def _put_block(document: tomlkit.TOMLDocument, block: BlockPlace, template: Path) -> None:
+    table: Any = document.get("writeback", {})
+    names = block.fields
+    if names is None and "fields" not in table:
+        names = fields_that_fit(_room(document))
+    version = block.version if block.version is not None else table.get("layout_version", _LAYOUT)
+    timer = block.timer if block.timer is not None else table.get("timeout_s", _TIMER_S)
+    set_block(document, {"address": block.address, "layout_version": version, "timeout_s": timer}, names, template)
+
+
+def _room(document: tomlkit.TOMLDocument) -> int:
+    """How many words the device takes in one write, by its settings."""
+    device: Any = document.get("device", {})
+    return int(device.get("max_write_registers", min(_MOST_WORDS, device.get("max_registers", _MOST_WORDS))))

@@ -1,0 +1,110 @@
+"""What `decanter plc bind` and `import` share: options, the way they are carried out, and what they show."""
+
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.commission.files.plan_files import Files, find_files
+from gateway.commission.session.options import SharedOptions
+from gateway.commission.session.perform import perform
+from gateway.commission.session.records import check_writable
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session.target import Target
+from gateway.console.exits import sentences
+from gateway.console.output import table
+from gateway.console.places import shipped
+
+
+def pairs(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
+    """A callback for LEFT=RIGHT, as often as it is given."""
+    found = {}
+    for text in texts:
+        left, equals, right = text.partition("=")
+        if not (equals and left.strip() and right.strip()):
+            raise click.BadParameter(f"{text!r}: give {option.metavar}")
+        found[left.strip()] = right.strip()
+    return found
+
+
+def _values(context: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any]:
+    """A callback for KEY=VALUE whose values are TOML, or else text."""
+    found: dict[str, Any] = {}
+    for key, text in pairs(context, option, texts).items():
+        try:
+            found[key] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            found[key] = text
+    return found
+
+
+KEEP = click.option(
+    "--keep",
+    multiple=True,
+    metavar="KEY=VALUE",
+    callback=_values,
+    help="Also keep a setting: max_registers=16 in the device file, scan.period=1 in the plant file.",
+)
+HEARTBEAT = click.option("--heartbeat", metavar="TAG", help="The tag that counts while the PLC's program runs.")
+DRY_RUN = click.option("--dry-run", is_flag=True, help="Show what would be changed; write nothing.")
+
+
+def template() -> Path:
+    """The shipped register map, whose write-back block is the pattern for new ones."""
+    return shipped("devices", "decanter_plc")
+
+
+def edit_files(
+    given: SharedOptions, command: str, arguments: Mapping[str, Any], work: Callable[[Files], CommandResult]
+) -> None:
+    """Carry out a change of files as every command is: recorded, shown, with its exit code."""
+    with sentences():
+        files = find_files(given.plant, given.device, given.link, given.settings)
+        check_writable(given.records)
+        paths = tuple(path for path in (files.plant, files.device) if path is not None)
+        target = Target("", files.driver, {}, files=paths)
+
+    async def done(_: Site) -> CommandResult:
+        return work(files)
+
+    perform(given, command, arguments, done, _show, target=target)
+
+
+def _show(data: Mapping[str, Any]) -> None:
+    if "columns" in data:
+        found = ", ".join(f"{name} = {header!r}" for name, header in data["columns"].items())
+        click.echo(f"{data['list']}: header in line {data['header_line']}: {found}")
+        if data["ignored_columns"]:
+            click.echo(f"columns without use: {', '.join(map(repr, data['ignored_columns']))}")
+        keys = [key for key in _COLUMNS if any(tag.get(key) not in (None, "") for tag in data["tags"])]
+        rows = [[_text(tag.get(key, "")) for key in keys] for tag in data["tags"]]
+        table(f"{len(rows)} tags", keys, rows)
+    for problem in data.get("problems", ()):
+        click.secho(problem, fg="red")
+    for change in data.get("changes", ()):
+        _show_change(change["diff"].splitlines(), most=_NEW_LINES if change["new"] else None)
+    if data["written"]:
+        kept = f" (before: {', '.join(data['backups'])})" if data["backups"] else ""
+        click.echo(f"written and in order: {', '.join(data['files'])}{kept}")
+    elif data["files"]:
+        click.echo("dry run: nothing was written")
+    elif not data.get("problems"):
+        click.echo("nothing to change: the files say so already")
+
+
+def _show_change(lines: list[str], most: int | None) -> None:
+    """The diff; of a new file only how it begins."""
+    for line in lines[:most]:
+        click.secho(line, fg={"+": "green", "-": "red", "@": "cyan"}.get(line[:1]))
+    if most is not None and len(lines) > most:
+        click.echo(f"... and {len(lines) - most} lines more, as the table above says")
+
+
+_NEW_LINES = 30
+_COLUMNS = ("line", "name", "address", "dtype", "order", "bit", "scale", "offset", "unit", "low", "high", "sentinel")
+
+
+def _text(value: Any) -> Any:
+    return f"{value:.10g}" if isinstance(value, float) else value

@@ -1,0 +1,140 @@
+"""Recordings of readings: made by `soak`, read by `verify` and `replay`; a gateway's historian is one too."""
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from drivers.tag import Sample, Tag
+from gateway.commission.files.cells import ListError
+from gateway.store.history import to_trace
+
+_SQLITE = b"SQLite format 3\0"
+_WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
+
+
+@dataclass(frozen=True, slots=True)
+class SiteRecording:
+    """n rows: `times` (s, rising) and a column of n numbers a tag, NaN where there was no good reading."""
+
+    path: Path
+    times: Sequence[float]
+    columns: Mapping[str, Sequence[float]]
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first row to the last."""
+        return self.times[-1] - self.times[0]
+
+
+def read_recording(path: Path, start: float = -1e18, end: float = 1e18) -> SiteRecording:
+    """The readings in a CSV (first column `time`) or a gateway's historian, from `start` to `end` (s).
+
+    Raises ListError or HistorianError, in one sentence, for what cannot be used.
+    """
+    try:
+        with path.open("rb") as stream:
+            historian = stream.read(len(_SQLITE)) == _SQLITE
+        found = _from_historian(path, start, end) if historian else _from_csv(path, start, end)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise ListError(f"{path}: cannot be read ({reason}); give a recording (soak --record) or a historian") from None
+    except UnicodeDecodeError as error:
+        raise ListError(f"{path}: is no text (byte {error.start}); give a recording or a historian") from None
+    if not found.times:
+        raise ListError(f"{path}: has no reading in that time; give a longer recording")
+    return found
+
+
+def _from_historian(path: Path, start: float, end: float) -> SiteRecording:
+    trace = to_trace(path, path.stem, start, end)
+    return SiteRecording(path, trace.times.tolist(), {name: column.tolist() for name, column in trace.signals.items()})
+
+
+def _from_csv(path: Path, start: float, end: float) -> SiteRecording:
+    """Lines that begin with # are comments."""
+    names: list[str] = []
+    times: list[float] = []
+    columns: list[list[float]] = []
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        for number, line in enumerate(stream, start=1):
+            if not line.strip() or line.startswith("#"):
+                continue
+            where, cells = f"{path}: line {number}", next(csv.reader([line]))
+            if not names:
+                names = _header(where, cells)
+                columns = [[] for _ in names]
+                continue
+            if len(cells) != len(names) + 1:
+                raise ListError(f"{where}: has {len(cells)} cells for {len(names) + 1} columns; give one a column")
+            moment = _time(where, cells[0])
+            if times and moment < times[-1]:
+                raise ListError(f"{where}: the time goes back from {times[-1]:g} to {moment:g}; sort the rows by time")
+            if start <= moment <= end:
+                times.append(moment)
+                for column, name, cell in zip(columns, names, cells[1:], strict=True):
+                    column.append(_number(where, name, cell))
+    return SiteRecording(path, times, dict(zip(names, columns, strict=True)))
+
+
+def _header(where: str, cells: Sequence[str]) -> list[str]:
+    names = [cell.strip() for cell in cells]
+    if names[0] != "time" or len(names) < 2 or len(set(names)) < len(names) or not all(names):
+        raise ListError(f"{where}: is no header; the first column is 'time', each other one a tag, none twice")
+    return names[1:]
+
+
+def _time(where: str, cell: str) -> float:
+    """Seconds, or ISO 8601 (UTC where it names no zone)."""
+    try:
+        moment = float(cell)
+    except ValueError:
+        try:
+            read = datetime.fromisoformat(cell.strip())
+        except ValueError:
+            raise ListError(f"{where}: {cell!r} is no time; give seconds, or 2026-03-01T14:30:05") from None
+        return (read if read.tzinfo else read.replace(tzinfo=UTC)).timestamp()
+    if not math.isfinite(moment):
+        raise ListError(f"{where}: {cell!r} is no time; give seconds")
+    return moment
+
+
+def _number(where: str, name: str, cell: str) -> float:
+    word = cell.strip().lower()
+    if word in _WORDS:
+        return _WORDS[word]
+    try:
+        return float(word)
+    except ValueError:
+        raise ListError(f"{where}, {name!r}: {cell!r} is no number; give one, or leave it empty") from None
+
+
+class ScanRecorder:
+    """Writes one row a scan: time and the value of every tag, nothing where it was not good. Raises OSError."""
+
+    def __init__(self, path: Path, tags: Sequence[Tag]) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._stream = path.open("w", encoding="utf-8", newline="")
+        self._writer = csv.writer(self._stream, lineterminator="\n")
+        self._names = [tag.name for tag in tags]
+        self._writer.writerow(["time", *self._names])
+
+    def take(self, time: float, samples: Sequence[Sample]) -> None:
+        """One scan."""
+        by_name = {sample.tag: sample for sample in samples}
+        self._writer.writerow([f"{time:.3f}", *(_cell(by_name[name]) for name in self._names)])
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+
+def _cell(sample: Sample) -> str:
+    """The value as a number; text is left out, as a recording holds numbers only."""
+    value = sample.value
+    if not sample.quality.is_good or value is None or isinstance(value, str):
+        return ""
+    return str(int(value)) if isinstance(value, bool) else repr(value)

@@ -1,0 +1,269 @@
+"""`decanter plc guess`: the registers around an address and what the HMI shows, with the readings given before."""
+
+import asyncio
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.errors import DeviceException, LinkDown
+from drivers.survey import AsksRegisters, open_registers
+from drivers.tag import DType, Tag
+from gateway.commission.encodings.advice import advise
+from gateway.commission.encodings.reading import ShownNumber, parse_shown
+from gateway.commission.encodings.scoring import EncodingCandidate, Observation, rank
+from gateway.commission.session.gateway_line import read_through, running_gateway
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.records import check_writable, read_records
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session.target import make_target
+from gateway.commission.survey.addresses import LAST, Register, parse_register
+from gateway.console.exits import Exit, sentences
+from gateway.console.output import table
+
+BEFORE, AFTER = 2, 5
+"""Registers read besides the one that was given: twice off by one, and a value of four registers."""
+FORGOTTEN_S = 4 * 3600.0
+"""Earlier readings of the same address are taken into account for so long."""
+SHOWN_ROWS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """Registers of one moment, and the state that the HMI showed then."""
+
+    base: int
+    words: tuple[int, ...]
+    state: bool
+
+
+async def guess_encoding(site: Site, register: Register, text: str, earlier: Sequence[dict[str, Any]]) -> CommandResult:
+    """Rank the encodings by this reading and the `earlier` ones (as the records have them), and say what is left.
+
+    Raises ReadingError for a text that is no reading; DriverError where the registers cannot be read.
+    """
+    shown = parse_shown(text)
+    base, words = await _registers_around(site, register)
+    now = {"base": base, "words": words, "reading": text}
+    readings = [*earlier, now]
+    if isinstance(shown, bool):
+        return _states(register, readings, now)
+    observations = [
+        Observation(one["base"], tuple(one["words"]), number)
+        for one in readings
+        if isinstance(number := parse_shown(one["reading"]), ShownNumber)
+    ]
+    found = rank(observations, register.number)
+    advice = advise(found, observations)
+    data: dict[str, Any] = {
+        "address": str(register),
+        "reading": text,
+        "observation": now,
+        "readings": len(observations),
+        "candidates": [_plain(one, register) for one in found[:SHOWN_ROWS]],
+        "settled": advice.settled and bool(found),
+        "advice": list(advice.sentences),
+        "second_reading": {"below": advice.below, "above": advice.above},
+    }
+    if not found:
+        sentence = (
+            f"nothing at or beside {register} explains {len(observations)} readings: is it the right register and "
+            "unit, did the value move while it was read? --fresh forgets earlier readings"
+        )
+        return CommandResult(data, Exit.CHECK_FAILED, sentence)
+    return CommandResult(data)
+
+
+async def _registers_around(site: Site, register: Register) -> tuple[int, list[int]]:
+    """The registers around one: by the running gateway's connection where one runs, else by one of our own."""
+    line = running_gateway(site.target)
+    if line is None:
+        async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
+            try:
+                return await around(survey, register)
+            finally:
+                site.count(survey.statistics())
+    places = [Register(register.table, number) for number in range(*_window(register))]
+    tags = [Tag(str(place), str(place), DType.BOOL if register.is_bit else DType.UINT16) for place in places]
+    try:
+        _, samples = await asyncio.to_thread(read_through, line, tags, ())
+    finally:
+        line.close()
+    site.notes.append("read through the running gateway")
+    found = {parse_register(one.tag).number: int(one.value or 0) for one in samples if one.quality.is_good}
+    if not found:
+        raise LinkDown(f"the running gateway cannot read around {register}: {samples[0].reason}")
+    low, high = _stretch(found, register.number)
+    return low, [found[number] for number in range(low, high + 1)]
+
+
+def _window(register: Register) -> tuple[int, int]:
+    """The first register to be read, and the one after the last."""
+    return max(0, register.number - BEFORE), min(LAST, register.number + AFTER) + 1
+
+
+def _stretch(known: Mapping[int, int], number: int) -> tuple[int, int]:
+    """The first and the last of the known addresses that follow one another nearest to the given one."""
+    low = high = min(known, key=lambda other: abs(other - number))
+    while low - 1 in known:
+        low -= 1
+    while high + 1 in known:
+        high += 1
+    return low, high
+
+
+async def around(survey: AsksRegisters, register: Register) -> tuple[int, list[int]]:
+    """The registers around one: the first one's number, and the words, of one moment where the device allows it.
+
+    Where a neighbour is refused they are asked one by one, and those that follow one another nearest to the address are
+    taken. Raises DriverError.
+    """
+    first, end = _window(register)
+    try:
+        return first, list((await survey.read(register.table, first, end - first)).words)
+    except DeviceException as error:
+        refusal = error
+    single: dict[int, int] = {}
+    for number in range(first, end):
+        with suppress(DeviceException):
+            single[number] = (await survey.read(register.table, number, 1)).words[0]
+    if not single:
+        raise refusal
+    low, high = _stretch(single, register.number)
+    with suppress(DeviceException):
+        return low, list((await survey.read(register.table, low, high - low + 1)).words)
+    return low, [single[number] for number in range(low, high + 1)]
+
+
+def earlier_readings(path: Path, place: str, register: Register, now: float) -> list[dict[str, Any]]:
+    """What was read of the same register of the same device before, from the records; [] without any.
+
+    Raises RecordsError.
+    """
+    if not path.is_file():
+        return []
+    return [
+        dict(record.result["observation"])
+        for record in read_records(path)
+        if record.command == "guess"
+        and record.place == place
+        and record.result.get("address") == str(register)
+        and "observation" in record.result
+        and now - record.time <= FORGOTTEN_S
+    ]
+
+
+def _plain(one: EncodingCandidate, register: Register) -> dict[str, Any]:
+    place = Register(register.table, one.address)
+    given = asdict(one) | {"dtype": one.dtype.value, "order": one.order.value, "values": list(one.values)}
+    return given | {"address": str(place), "reference": place.reference, "shift": one.address - register.number}
+
+
+def _states(register: Register, readings: Sequence[dict[str, Any]], now: dict[str, Any]) -> CommandResult:
+    """The bits at and beside the address that were as the HMI showed them every time."""
+    flags = [
+        Flag(one["base"], tuple(one["words"]), state)
+        for one in readings
+        if isinstance(state := parse_shown(one["reading"]), bool)
+    ]
+    bits = [
+        {"address": str(Register(register.table, number)), "bit": bit, "shift": number - register.number}
+        for number in sorted(
+            range(register.number - 1, register.number + 2), key=lambda number: abs(number - register.number)
+        )
+        for bit in ([0] if register.is_bit else range(16))
+        if all(_agrees(flag, number, bit) for flag in flags)
+    ]
+    both = len({flag.state for flag in flags}) == 2
+    here = [one for one in bits if one["shift"] == 0]
+    settled = both and (len(here) == 1 or len(bits) == 1)
+    advice = [] if settled else [f"{len(bits)} bits agree: read again in {'either' if both else 'the other'} state"]
+    data = {
+        "address": str(register),
+        "reading": now["reading"],
+        "observation": now,
+        "readings": len(flags),
+        "bits": bits,
+        "settled": settled,
+        "advice": advice,
+    }
+    return (
+        CommandResult(data)
+        if bits
+        else CommandResult(data, Exit.CHECK_FAILED, f"no bit at or beside {register} agrees")
+    )
+
+
+def _agrees(flag: Flag, number: int, bit: int) -> bool:
+    place = number - flag.base
+    return 0 <= place < len(flag.words) and bool(flag.words[place] >> bit & 1) == flag.state
+
+
+@click.command(short_help="Find type, word order, scale and address from what the HMI shows.")
+@click.argument("address")
+@click.argument("reading", required=False)
+@click.option("--fresh", is_flag=True, help="Forget the earlier readings of this address.")
+@link_options
+def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) -> None:
+    """Find type, word order, scale, offset and the right address from what the HMI shows.
+
+    ADDRESS is where the value is said to be (holding:100 or 40101), READING what the HMI shows at this moment, with all
+    its digits (72.4), or on and off. Neighbouring registers are tried too. A second call adds its reading to the first
+    one's, from the records; on a terminal without READING it is asked for.
+    """
+    with sentences():
+        register = parse_register(address)
+        target = make_target(given.plant, given.device, given.link, given.settings)
+        own = target.capabilities
+        if not own.registers:
+            raise ValueError(
+                f"link {target.kind!r}: types and orders stand in {own.described_in}; guess is for registers"
+            )
+        check_writable(given.records)
+        earlier = [] if fresh else earlier_readings(given.records, target.place, register, time.time())
+        shown = _reading_or_prompt(reading)
+    arguments = {"address": str(register), "reading": shown, "earlier": len(earlier)}
+
+    async def guessed(site: Site) -> CommandResult:
+        return await guess_encoding(site, register, shown, earlier)
+
+    perform(given, "guess", arguments, guessed, _show, target=target)
+
+
+def _reading_or_prompt(reading: str | None) -> str:
+    """The reading as given, or as typed on the terminal. Raises ValueError where there is none."""
+    if reading is not None:
+        return reading
+    if not sys.stdin.isatty():
+        raise ValueError("what does the HMI show? Give it as the second argument, such as: guess holding:100 72.4")
+    return str(click.prompt("The HMI shows"))
+
+
+def _show(data: Mapping[str, Any]) -> None:
+    words = " ".join(f"{word:04X}" for word in data["observation"]["words"])
+    click.echo(f"registers from {data['observation']['base']}: {words}")
+    if "bits" in data:
+        places: dict[str, list[str]] = {}
+        for one in data["bits"]:
+            places.setdefault(one["address"], []).append(str(one["bit"]))
+        rows = [(place, " ".join(bits)) for place, bits in places.items()]
+        table(f"{data['readings']} readings, {len(data['bits'])} bits agree", ("address", "bits"), rows)
+    else:
+        columns = ("belief", "address", "reference", "type", "order", "scale", "offset", "it reads")
+        table(f"{data['readings']} readings", columns, [_row(one) for one in data["candidates"]])
+    for sentence in data["advice"]:
+        click.echo(sentence)
+
+
+def _row(one: Mapping[str, Any]) -> tuple[str, ...]:
+    moved = f" ({one['shift']:+d})" if one["shift"] else ""
+    reads = " ".join(f"{value:.6g}" for value in one["values"])
+    place = f"{one['address']}{moved}"
+    numbers = (f"{one['scale']:.6g}", f"{one['offset']:g}", reads)
+    return (f"{one['share']:.1%}", place, one["reference"], one["dtype"], one["order"], *numbers)

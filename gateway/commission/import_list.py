@@ -1,0 +1,102 @@
+"""`decanter plc import`: the tags of an I/O list into the device file, each bad row with its own sentence."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.driver import capabilities
+from gateway.commission.files.change import Binding, FileChange, carry_out
+from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit_files, pairs, template
+from gateway.commission.files.io_list import IoList, Reading, read_io_list
+from gateway.commission.files.plan_files import Files, settings_of
+from gateway.commission.read import ORDERS
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.site import CommandResult
+
+
+@click.command("import", short_help="Take the tags of an I/O list (CSV, XLSX) into the device file.")
+@click.argument("path", type=click.Path(path_type=Path))
+@click.option("--sheet", help="The sheet of a workbook; the first by default.")
+@click.option("--column", "columns", multiple=True, metavar="WHAT=HEADER", callback=pairs, help="Say what a column is.")
+@click.option(
+    "--table",
+    "registers",
+    type=click.Choice(["holding", "input", "coil", "discrete"]),
+    default="holding",
+    show_default=True,
+    help="The table of bare numbers.",
+)
+@click.option("--order", type=click.Choice(ORDERS), default="ABCD", show_default=True, help="Order of wide values.")
+@click.option("--shift", type=int, default=0, help="Add this to every address, such as -1 or 1.")
+@click.option("--only", multiple=True, metavar="TAG", help="Only this tag; may be given again.")
+@click.option("--without", multiple=True, metavar="TAG", help="Leave this tag out; may be given again.")
+@click.option("--rename", multiple=True, metavar="OLD=NEW", callback=pairs, help="Give a tag of the list another name.")
+@click.option("--skip-bad", is_flag=True, help="Leave out rows that cannot be used.")
+@HEARTBEAT
+@KEEP
+@DRY_RUN
+@link_options
+def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
+    """Take the tags of an I/O list (PATH: CSV or XLSX) into the device file: shown as a diff, checked, a backup kept.
+
+    The columns are found by their headers, Italian or English; numbers may have a decimal comma. Each row that cannot
+    be used is one sentence with its line, and then nothing is written (--skip-bad: nothing of that row). What the list
+    does not say of a tag stays as it is in the file.
+    """
+
+    def work(files: Files) -> CommandResult:
+        device, plant = settings_of(options["keep"])
+        registers = capabilities(files.driver).registers
+        how = Reading(options["registers"], options["order"], options["shift"], registers, options["rename"])
+        found = read_io_list(path, how, options["columns"], options["sheet"])
+        if options["only"] or options["without"]:
+            found = _chosen(found, options["only"], options["without"])
+        wanted = FileChange(bindings(found), None, options["heartbeat"], device, plant)
+        dry_run, skip = options["dry_run"], options["skip_bad"]
+        return import_outcome(found, files, wanted, template(), dry_run=dry_run, skip=skip)
+
+    arguments = {"list": str(path), **{key: value for key, value in options.items() if value not in (None, (), {})}}
+    edit_files(given, "import", arguments, work)
+
+
+def _chosen(found: IoList, only: tuple[str, ...], without: tuple[str, ...]) -> IoList:
+    """The list with some tags alone, or without some. Raises ValueError for one that it does not have."""
+    known = [tag.name for tag in found.tags]
+    if missing := [name for name in (*only, *without) if name not in known]:
+        raise ValueError(f"{missing[0]!r}: the list has no usable row of that name; it has {', '.join(known)}")
+    tags = tuple(tag for tag in found.tags if (not only or tag.name in only) and tag.name not in without)
+    return replace(found, tags=tags, problems=() if only else found.problems)
+
+
+def bindings(found: IoList) -> list[Binding]:
+    """The list's tags; what the list says nothing of stays as it is in the file."""
+    return [
+        Binding(tag.name, {key: value for key, value in tag.keys.items() if value is not None or key == "bit"}, True)
+        for tag in found.tags
+    ]
+
+
+def import_outcome(
+    found: IoList, files: Files, wanted: FileChange, template: Path, *, dry_run: bool, skip: bool
+) -> CommandResult:
+    """Write the list's tags, unless a row of it is wrong and `skip` is false. Raises ConfigError or OSError."""
+    data: dict[str, Any] = {
+        "list": str(found.sheet.path),
+        "header_line": found.sheet.header_line,
+        "columns": dict(found.sheet.columns),
+        "ignored_columns": list(found.sheet.ignored),
+        "tags": [
+            {"name": tag.name, "line": tag.line, **{key: value for key, value in tag.keys.items() if value is not None}}
+            for tag in found.tags
+        ],
+        "problems": list(found.problems),
+    }
+    if found.problems and not skip:
+        count = len(found.problems)
+        sentence = f"{count} rows cannot be used, nothing was written: correct them, or give --skip-bad"
+        return CommandResult({**data, "diff": "", "written": False, "files": [], "backups": []}, 1, sentence)
+    done = carry_out(files, wanted, template, dry_run=dry_run)
+    left = [f"import: a row was left out: {problem}" for problem in found.problems]
+    return CommandResult({**data, **done, "open_points": left})

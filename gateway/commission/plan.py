@@ -1,0 +1,117 @@
+"""`decanter plc plan`: the requests of one scan, and their longest time against the period; nothing is sent."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from math import ceil
+from typing import Any
+
+import click
+
+from drivers.driver import Explains, PlanKind
+from drivers.survey import ReadPlan, read_plan
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
+from gateway.commission.survey.addresses import parse_register, reference_of
+from gateway.console.output import table
+from gateway.settings.devices import DeviceMap
+
+
+async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
+    """The plan of a scan. A failed check where a tag cannot be read or the worst case is longer than the period."""
+    device, period = device_of(site), period_of(site, given_period)
+    found = read_plan(site.target.driver, site.target.settings, device.tags, words_of(site))
+    if found is None:
+        return _by_sentences(site, device, period)
+    total = found.seconds + found.write_seconds
+    data: dict[str, Any] = {
+        "requests": [{**asdict(one), "reference": _reference(one.place, one.count)} for one in found.requests],
+        "writes": [{**asdict(one), "reference": _reference(one.place, one.count)} for one in found.writes],
+        "registers": sum(one.count for one in found.requests),
+        "in_vain": sum(one.vain for one in found.requests),
+        "tags": len(device.tags),
+        "worst_read_s": found.seconds,
+        "worst_write_s": found.write_seconds,
+        "worst_cycle_s": total,
+        "period_s": period,
+        "problems": [*found.problems, *found.overlaps],
+    }
+    complaint = _complaint(site, found, period)
+    return CommandResult(data, int(bool(complaint)), complaint)
+
+
+def _complaint(site: Site, found: ReadPlan, period: float) -> str:
+    problems = [*found.problems, *found.overlaps]
+    if problems:
+        return f"{len(problems)} things stand in the way, the first: {problems[0]}"
+    total = found.seconds + found.write_seconds
+    longer = f"longer than the period of {period:g} s: ticks are missed while replies are late"
+    if total <= period:
+        return ""
+    if found.seconds <= period:
+        site.notes.append(f"with the write-back a cycle can take {total:.3g} s, {longer}")
+        return ""
+    count = len(found.requests)
+    shortest = int(1000 * period / count) // 10 / 100  # rounded down, so that all requests fit
+    shorter = f", or timeout to {shortest:g} s if the device is fast enough (see soak)"
+    return (
+        f"a scan of {count} requests can take {found.seconds:.3g} s, {longer}; set scan.period to "
+        f"{ceil(10 * total) / 10:g} s{shorter if 'timeout' in site.target.settings else ''}"
+    )
+
+
+def _reference(place: str, count: int) -> str:
+    first = reference_of(place)
+    return f"{first}-{parse_register(place).moved(count - 1).reference}" if first and count > 1 else first
+
+
+def _by_sentences(site: Site, device: DeviceMap, period: float) -> CommandResult:
+    """A device that is not read in requests of its own: what its driver says of the plan."""
+    driver = site.target.make_driver()
+    lines = driver.explain(device.tags) if isinstance(driver, Explains) else ()
+    problems = [line for line in lines if line.kind is PlanKind.PROBLEM]
+    sentences: list[str] = [*lines] or [f"the driver {site.target.driver!r} has no plan to show"]
+    if site.target.capabilities.speaks:
+        site.notes.append(
+            "this device speaks by itself: a scan takes what it has said, and asks only for what is listed so"
+        )
+    data = {"sentences": sentences, "tags": len(device.tags), "period_s": period, "problems": problems}
+    complaint = f"{len(problems)} tags cannot be read, the first: {problems[0]}" if problems else ""
+    return CommandResult(data, int(bool(problems)), complaint)
+
+
+@click.command(short_help="The requests of one scan, and their longest time against the period.")
+@click.option("--period", type=click.FloatRange(0.01), help="Seconds between two scans.  [default: the plant file's]")
+@link_options
+def plan(given: SharedOptions, period: float | None) -> None:
+    """The requests of one scan, and the longest time that they can take against the period; nothing is sent.
+
+    The worst case is every request answered only just within its deadline, and the write-back's own requests besides.
+    """
+    perform(given, "plan", {"period": period}, lambda site: plan_scan(site, period), _show)
+
+
+def _names(request: Mapping[str, Any]) -> str:
+    return "the block" if request["kind"] != "read" else ", ".join(request["tags"])
+
+
+def _show(data: Mapping[str, Any]) -> None:
+    if "sentences" in data:
+        for line in data["sentences"]:
+            click.echo(line)
+        click.echo(f"{data['tags']} tags; period {data['period_s']:g} s")
+        return
+    rows = [
+        (one["kind"], one["place"], one["reference"], one["count"], one["vain"] or "", _names(one))
+        for one in (*data["requests"], *data["writes"])
+    ]
+    title = f"{len(data['requests'])} requests for {data['tags']} tags in {data['registers']} addresses"
+    table(title, ("", "from", "reference", "count", "in vain", "tags"), rows)
+    writing = f" + {data['worst_write_s']:.3g} s writing" if data["writes"] else ""
+    used = 100.0 * data["worst_cycle_s"] / data["period_s"]
+    click.echo(
+        f"worst case {data['worst_read_s']:.3g} s reading{writing} = {data['worst_cycle_s']:.3g} s of a period of "
+        f"{data['period_s']:g} s ({used:.0f} %)"
+    )
+    for problem in data["problems"]:
+        click.secho(problem, fg="red")

@@ -1,0 +1,250 @@
+"""`decanter plc read`: tags or bare addresses, raw words and values, over any link or through the gateway."""
+
+import asyncio
+import struct
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import click
+
+from drivers.codec import registers_needed
+from drivers.driver import Explains, PlanKind
+from drivers.survey import Raw, open_bus_survey, open_registers
+from drivers.tag import DType, Order, Quality, Tag
+from gateway.commission.session.gateway_line import read_through, running_gateway
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.survey.addresses import AddressTextError, parse_stretch, reference_of
+from gateway.commission.survey.bus_probe import SDO_S
+from gateway.console.exits import Exit
+from gateway.console.output import table
+
+FIRST_WAIT_S = 3.0
+_LOOK_S = 0.02
+_LONGEST_NUMBER = 8
+_WAITING = Quality.WAITING_FOR_INITIAL_DATA
+
+
+@dataclass(frozen=True, slots=True)
+class How:
+    """How bare addresses are read: as `dtype` (None: as plain registers, shown in every way), and so on."""
+
+    dtype: DType | None = None
+    order: Order = Order.ABCD
+    scale: float = 1.0
+    offset: float = 0.0
+    bit: int | None = None
+    length: int = 0
+    count: int = 1
+
+
+def tags_of(site: Site, wanted: Sequence[str], how: How) -> list[Tag]:
+    """The tags to read: names of the device file, or addresses, which are then their own names; none: all tags.
+
+    Raises ValueError for what is neither.
+    """
+    known = {tag.name: tag for tag in site.target.tags}
+    if not wanted:
+        if not known:
+            raise ValueError("what is to be read? Name addresses such as holding:100 or 40101, or give --device FILE")
+        return list(known.values())
+    found: list[Tag] = []
+    for text in wanted:
+        found += [known[text]] if text in known else _addressed(site, text, how, list(known))
+    return found
+
+
+def _addressed(site: Site, text: str, how: How, known: Sequence[str]) -> list[Tag]:
+    dtype = how.dtype or DType.UINT16
+    plain = Tag("", "", dtype, order=how.order, scale=how.scale, offset=how.offset, bit=how.bit, length=how.length)
+    if not site.target.capabilities.registers:
+        return [replace(plain, name=text, address=text)]
+    try:
+        first, count = parse_stretch(text)
+    except AddressTextError as error:
+        tags = f", and no tag of the device file, which has {', '.join(known)}" if known else ""
+        raise ValueError(f"{error}{tags}") from None
+    places = [first.moved(step * width_of(plain)) for step in range(max(count, how.count))]
+    kind = DType.BOOL if first.is_bit else dtype
+    return [replace(plain, name=str(place), address=str(place), dtype=kind) for place in places]
+
+
+def width_of(tag: Tag) -> int:
+    """How many registers the tag covers (a bit table's entry: 1)."""
+    return registers_needed(tag)
+
+
+async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResult:
+    """Read once. The exit code is that of the worst: nothing good at all by its kind, some bad a failed check."""
+    tags = tags_of(site, wanted, how)
+    raws = await read_raw(site, tags)
+    plainly = how.dtype is None and how.bit is None
+    if plainly and site.target.capabilities.nodes:
+        raws = [raw if raw.tag in site.target.tags else _by_its_length(raw) for raw in raws]
+    rows = [_row(raw, plainly=plainly and raw.tag not in site.target.tags) for raw in raws]
+    bad = [raw.sample for raw in raws if not raw.sample.quality.is_good]
+    if not bad:
+        return CommandResult({"readings": rows})
+    sentence = f"{len(bad)} of {len(raws)} readings are not good, {bad[0].tag} the first: {bad[0].reason}"
+    return CommandResult({"readings": rows}, _code(raws), sentence)
+
+
+async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
+    """The tags with their raw words where the link shows them: through the running gateway, or of the device."""
+    line = running_gateway(site.target)
+    if line is not None:
+        try:
+            reply, samples = await asyncio.to_thread(read_through, line, tags, site.target.tags)
+        finally:
+            line.close()
+        site.notes.append(f"read through the running gateway (pid {reply['pid']}), which shows values and no raw words")
+        by_name = {tag.name: tag for tag in tags}
+        return [Raw(by_name[sample.tag], sample, by_name[sample.tag].address, 1) for sample in samples]
+    if site.target.capabilities.nodes:
+        return await _by_sdo(site, tags)
+    if not site.target.capabilities.registers:
+        return await _driven(site, tags)
+    async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
+        try:
+            return await survey.tags(tags)
+        finally:
+            site.count(survey.statistics())
+
+
+async def _by_sdo(site: Site, tags: Sequence[Tag]) -> list[Raw]:
+    """The node's objects as they stand, whatever its state; the gateway takes them from PDOs where it can."""
+    settings = site.target.settings
+    site.notes.append("asked by SDO; the gateway itself takes what TPDOs carry from those (decanter plc watch)")
+    async with open_bus_survey(site.target.driver, settings, clock=time.time) as survey:
+        try:
+            return await survey.tags(tags, int(settings.get("node", 1)), float(settings.get("timeout", SDO_S)))
+        finally:
+            site.count(survey.statistics())
+
+
+async def _driven(site: Site, tags: Sequence[Tag]) -> list[Raw]:
+    """Read by the driver: what speaks by itself is waited for, at most FIRST_WAIT_S."""
+    async with site.target.opened() as driver:
+        try:
+            samples = await driver.read(tags)
+            until = time.monotonic() + FIRST_WAIT_S
+            while any(sample.quality is _WAITING for sample in samples) and time.monotonic() < until:
+                await asyncio.sleep(_LOOK_S)
+                samples = await driver.read(tags)
+            if isinstance(driver, Explains):
+                site.notes.extend(line for line in driver.explain(tags) if line.kind is PlanKind.HEARD)
+        finally:
+            site.count(driver.statistics())
+    return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
+
+
+def _by_its_length(raw: Raw) -> Raw:
+    """A bare object as the unsigned number that its bytes make, least first; text where they are too many."""
+    if not raw.raw:
+        return raw
+    data = bytes(raw.raw)
+    value = int.from_bytes(data, "little") if len(data) <= _LONGEST_NUMBER else data.decode("latin-1").strip("\0 ")
+    return replace(raw, sample=replace(raw.sample, value=value, quality=Quality.GOOD, reason=""))
+
+
+def _row(raw: Raw, *, plainly: bool) -> dict[str, Any]:
+    sample = raw.sample
+    words = list(raw.raw) if raw.raw is not None else None
+    digits = 4 if reference_of(raw.place) else 2
+    row: dict[str, Any] = {
+        "tag": sample.tag,
+        "address": raw.place,
+        "reference": reference_of(raw.place),
+        "raw": words,
+        "hex": "" if words is None else " ".join(f"{word:0{digits}X}" for word in words),
+        "value": sample.value,
+        "unit": raw.tag.unit,
+        "quality": sample.quality.name,
+        "time": sample.time,
+        "reason": sample.reason,
+    }
+    if plainly and words is not None and len(words) == 1 and raw.tag.dtype is not DType.BOOL:
+        row["int16"] = struct.unpack(">h", struct.pack(">H", words[0]))[0]
+        row["bits"] = f"{words[0]:016b}"
+    return row
+
+
+def _code(raws: Sequence[Raw]) -> Exit:
+    qualities = {raw.sample.quality for raw in raws}
+    if any(quality.is_good for quality in qualities):
+        return Exit.CHECK_FAILED
+    if qualities & {Quality.NOT_CONNECTED, Quality.COMMUNICATION_ERROR, Quality.NO_COMMUNICATION}:
+        return Exit.CANNOT_CONNECT
+    if Quality.TIMEOUT in qualities:
+        return Exit.TIMEOUT
+    refused = {Quality.CONFIGURATION_ERROR, Quality.DEVICE_FAILURE, Quality.NO_DATA}
+    return Exit.DEVICE_EXCEPTION if qualities & refused else Exit.CHECK_FAILED
+
+
+TYPES = (
+    *("bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
+    *("float32", "float64", "bcd16", "bcd32", "string"),
+)
+ORDERS = ("ABCD", "CDAB", "BADC", "DCBA")
+
+
+@click.command(short_help="Read tags or bare addresses: raw words and values side by side.")
+@click.argument("what", nargs=-1)
+@click.option("--type", "dtype", type=click.Choice(TYPES), help="What the addresses hold; plain registers without it.")
+@click.option("--order", type=click.Choice(ORDERS), default="ABCD", show_default=True, help="Byte and word order.")
+@click.option("--scale", type=float, default=1.0, help="Engineering units per count.")
+@click.option("--offset", type=float, default=0.0, help="Engineering units at raw 0.")
+@click.option("--bit", type=click.IntRange(0, 15), help="One bit of the register.")
+@click.option("--length", type=click.IntRange(1), default=2, help="Bytes of a string.")
+@click.option("--count", type=click.IntRange(1, 2000), default=1, help="So many values in a row.")
+@link_options
+def read(
+    given: SharedOptions,
+    what: Sequence[str],
+    dtype: str | None,
+    order: str,
+    scale: float,
+    offset: float,
+    bit: int | None,
+    length: int,
+    count: int,
+) -> None:
+    """Read tags or bare addresses once: raw words and values side by side.
+
+    WHAT are tags of the device file, or addresses: holding:100, 40101, holding:100-119, 0x2001:1, dbc:Message.Signal.
+    Without WHAT all tags are read.
+    """
+    kind = DType(dtype) if dtype else None
+    how = How(
+        dtype=kind,
+        order=Order(order),
+        scale=scale,
+        offset=offset,
+        bit=bit,
+        length=length if kind is DType.STRING else 0,
+        count=count,
+    )
+    arguments = {"what": list(what), "type": dtype, "order": order, "scale": scale, "offset": offset, "count": count}
+    perform(given, "read", arguments, lambda site: read_tags(site, what, how), show_readings)
+
+
+def show_readings(data: Mapping[str, Any]) -> None:
+    """The readings as a table; columns that say nothing are left out."""
+    rows = data["readings"]
+    keys = ["tag", "address", "reference", "hex", "value", "unit", "int16", "bits", "quality", "reason"]
+    if all(row["tag"] == row["address"] for row in rows):
+        keys.remove("tag")
+    keys = [key for key in keys if any(row.get(key) not in (None, "") for row in rows)]
+    cells = [["" if row.get(key) is None else shown_value(row[key]) for key in keys] for row in rows]
+    good = sum(row["quality"] == "GOOD" for row in rows)
+    table(f"{good} of {len(rows)} good", keys, cells)
+
+
+def shown_value(cell: Any) -> Any:
+    """A flag is on or off; a whole number is shown whole."""
+    if isinstance(cell, bool):
+        return "on" if cell else "off"
+    return f"{cell:.7g}" if isinstance(cell, float) else cell

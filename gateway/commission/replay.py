@@ -1,0 +1,247 @@
+"""`decanter plc replay`: a recording through the whole gateway in shadow, on a clock as fast as it can be."""
+
+import asyncio
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Mapping
+from contextlib import aclosing
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.driver import Driver, open_driver
+from gateway.commission.files.recording import SiteRecording, read_recording
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.records import check_writable
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session.target import Target
+from gateway.console.exits import sentences
+from gateway.console.output import progress, table
+from gateway.machine.pipeline import Machine
+from gateway.machine.reading.quality import QualityRules
+from gateway.machine.reading.scan import scans
+from gateway.plant.log import open_log
+from gateway.settings.config import Config, HistorianSection, WritebackSection, load_config
+from gateway.store.score import scorecard
+
+Progress = Callable[[str, float], None]
+GAP_S = 60.0
+"""Of a recording with a longer pause, nothing is known meanwhile."""
+
+
+@dataclass(slots=True)
+class SteppedClock:
+    """A clock that stands still until somebody sleeps, and then is where that one wanted to be."""
+
+    time: float
+    speed: float = 1.0
+
+    def now(self) -> float:
+        """Plant time (s)."""
+        return self.time
+
+    async def sleep_until(self, moment: float) -> None:
+        """Be at that moment, after other tasks had their turn."""
+        await asyncio.sleep(0)
+        self.time = max(self.time, moment)
+
+
+@dataclass(slots=True)
+class ReplayTally:
+    """What the gateway did on the way."""
+
+    scans: int = 0
+    not_good: Counter[str] = field(default_factory=Counter)
+    alarms: list[dict[str, Any]] = field(default_factory=list)
+    locations: Counter[str] = field(default_factory=Counter)
+    zones: Counter[str] = field(default_factory=Counter)
+    valid: int = 0
+    blocks: int = 0
+    states: dict[str, str] = field(default_factory=dict)
+
+    def take(self, machine: Machine, time: float) -> None:
+        """One scan, after the gateway has taken it."""
+        self.scans += 1
+        if machine.last is not None:
+            self.not_good.update(name for name, one in machine.last.samples.items() if not one.quality.is_good)
+        prediction = machine.model.prediction if machine.model else None
+        if prediction is not None:
+            self.locations[prediction.location if prediction.known else "not known"] += 1
+            self.zones[prediction.zone] += 1
+        attempt = machine.block.attempt if machine.block else None
+        if attempt is not None:
+            self.blocks += 1
+            self.valid += bool(int(attempt.block.validity) & 1)
+        for name, alarm in machine.alarms.alarms.items():
+            if self.states.get(name, "normal") != alarm.state.value:
+                self.alarms.append({"time": time, "alarm": name, "state": alarm.state.value})
+            self.states[name] = alarm.state.value
+
+
+async def replay_recording(site: Site, config: Config, recording: SiteRecording, progress: Progress) -> CommandResult:
+    """Let the gateway take the recording as if it came from the PLC; nothing is read, written or kept.
+
+    Raises ConfigError for a model that cannot be used, ValueError for a recording without any tag of the plant.
+    """
+    names = [tag.name for tag in config.map.tags]
+    missing = [name for name in names if name not in recording.columns]
+    if len(missing) == len(names):
+        wanted = ", ".join(names[:5])
+        raise ValueError(f"{recording.path}: has no column of a tag of {config.map.path}; it needs {wanted}, ...")
+    with tempfile.TemporaryDirectory(prefix="decanter-replay-") as folder:
+        kept = Path(folder) / "historian.sqlite"
+        seen = await _through(_shadow(config, kept, missing), recording, progress)
+        data = _data(config, recording, missing, seen, kept)
+    needed = [name for name in missing if name in {*config.watched, config.model.temperature}]
+    if needed:
+        complaint = f"the recording lacks {', '.join(needed)}, which the gateway needs: nothing could be predicted"
+        return CommandResult(data, 1, complaint)
+    return CommandResult(data)
+
+
+def _shadow(config: Config, kept: Path, missing: list[str]) -> Config:
+    """The configuration with its records elsewhere and nothing to write to; no heartbeat where none was recorded."""
+    first = config.links[0]
+    heartbeat = None if first.map.heartbeat in missing else first.map.heartbeat
+    return replace(
+        config,
+        historian=HistorianSection(path=kept, max_mb=config.historian.max_mb),
+        writeback=WritebackSection(
+            mode="off" if config.map.writeback is None else "shadow",
+            horizon=config.writeback.horizon,
+            audit=kept.with_name("audit.sqlite"),
+        ),
+        log=config.log.model_copy(update={"path": kept.with_name("log.jsonl")}),
+        links=(replace(first, map=replace(first.map, heartbeat=heartbeat)),),
+    )
+
+
+def _driver(recording: SiteRecording, clock: SteppedClock) -> Driver:
+    columns = {
+        name: [value if isfinite(value) else None for value in column] for name, column in recording.columns.items()
+    }
+    settings = {"times": list(recording.times), "columns": columns, "max_gap": GAP_S}
+    return open_driver("soft", settings, clock=clock.now)
+
+
+async def _through(config: Config, recording: SiteRecording, progress: Progress) -> ReplayTally:
+    clock = SteppedClock(recording.times[0])
+    seen, stop = ReplayTally(), asyncio.Event()
+    with open_log(config.log.path, config.log.level) as log:
+        machine = Machine(config, driver=_driver(recording, clock), clock=clock, log=log)
+        try:
+            await machine.driver.open()
+            rules = QualityRules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period)
+            async with aclosing(scans(machine.driver, config.map.tags, clock, rules, stop=stop)) as stream:
+                async for scan in stream:
+                    await machine.take(scan)
+                    if machine.model is not None:
+                        await machine.model.outlook.finished()
+                    seen.take(machine, scan.time)
+                    share = (scan.time - recording.times[0]) / max(recording.duration, 1e-9)
+                    progress(f"{seen.scans} scans", min(1.0, share))
+                    if scan.time >= recording.times[-1]:
+                        stop.set()
+        finally:
+            if machine.model is not None:
+                await machine.model.close()
+            await machine.driver.close()
+            await asyncio.to_thread(machine.close)
+    return seen
+
+
+def _data(
+    config: Config, recording: SiteRecording, missing: list[str], seen: ReplayTally, kept: Path
+) -> dict[str, Any]:
+    scores = scorecard(kept)
+    return {
+        "recording": str(recording.path),
+        "rows": len(recording.times),
+        "seconds": recording.duration,
+        "scans": seen.scans,
+        "missing_tags": missing,
+        "not_good": {name: count for name, count in seen.not_good.most_common() if name not in missing},
+        "events": scores.events,
+        "locations": dict(seen.locations.most_common()),
+        "zones": dict(seen.zones.most_common()),
+        "one_step": asdict(scores.one_step),
+        "free_run": asdict(scores.free_run),
+        "band90": scores.band90,
+        "forecasts": [asdict(one) for one in scores.forecasts],
+        "alarms": seen.alarms,
+        "blocks": seen.blocks,
+        "blocks_valid": seen.valid,
+        "model": str(config.model.path) if config.model.path is not None else None,
+    }
+
+
+@click.command(short_help="Send a recording through the gateway, without a PLC.")
+@click.argument("recording", type=click.Path(path_type=Path))
+@link_options
+def replay(given: SharedOptions, recording: Path) -> None:
+    """Send a RECORDING through the gateway as if it came from the PLC: events, predictions, alarms, blocks.
+
+    It is a CSV (soak --record, or a trace) or a gateway's historian. Needs --config; the device is not asked, nothing
+    is written, and the gateway's own records stay as they are.
+    """
+    with sentences():
+        if given.plant is None:
+            raise ValueError("which gateway? Give its plant file (--config FILE)")
+        config = load_config(given.plant)
+        check_writable(given.records)
+        target = Target(
+            kind="",
+            driver="soft",
+            settings={},
+            map=config.map,
+            config=config,
+            files=(given.plant, config.map.path, recording),
+        )
+
+    async def work(site: Site) -> CommandResult:
+        with progress("replay") as report:
+            return await replay_recording(site, config, read_recording(recording), report)
+
+    perform(given, "replay", {"recording": str(recording)}, work, _show, target=target)
+
+
+def _show(data: Mapping[str, Any]) -> None:
+    rows = [
+        ("recording", f"{data['rows']} rows over {data['seconds']:.6g} s, {data['scans']} scans"),
+        ("tags that it lacks", ", ".join(data["missing_tags"]) or "none"),
+        ("tags not good", ", ".join(f"{name} {count} x" for name, count in data["not_good"].items()) or "none"),
+        ("events", str(data["events"])),
+        ("model", data["model"] or "none: nothing is predicted"),
+        ("locations (scans)", _counts(data["locations"])),
+        ("confidence (scans)", _counts(data["zones"])),
+        ("one step ahead", _error(data["one_step"], data["band90"])),
+        ("free run", _error(data["free_run"], None)),
+        ("blocks", f"{data['blocks']} computed, {data['blocks_valid']} of them valid, none written"),
+    ]
+    table("what the gateway made of it", ("what", "found"), rows)
+    ahead = [(one["horizon"], one["mae"], one["persistence_mae"], one["count"]) for one in data["forecasts"]]
+    if ahead:
+        table("forecasts", ("s ahead", "median off (degC)", "persistence off (degC)", "matured"), ahead)
+    alarms = [(_at(one["time"]), one["alarm"], one["state"]) for one in data["alarms"]]
+    if alarms:
+        table(f"{len(alarms)} changes of alarms, the first 20", ("time", "alarm", "state"), alarms[:20])
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in list(counts.items())[:6]) or "none"
+
+
+def _error(error: Mapping[str, Any], band: float | None) -> str:
+    if not error["count"]:
+        return "nothing to compare"
+    covered = f", {band:.0%} within the 90 % band" if band is not None else ""
+    return f"{error['mae']:.3g} degC off on average, root mean square {error['rmse']:.3g} ({error['count']}){covered}"
+
+
+def _at(moment: float) -> str:
+    return datetime.fromtimestamp(moment, UTC).strftime("%Y-%m-%d %H:%M:%S")

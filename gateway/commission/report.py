@@ -1,0 +1,106 @@
+"""`decanter plc report`: the site acceptance report, made from the commands' own records, and its verification."""
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.commission.acceptance.data import gather
+from gateway.commission.acceptance.files import verify, write
+from gateway.commission.session.audit_log import audit_option, audit_path
+from gateway.commission.session.options import SharedOptions, record_options
+from gateway.commission.session.perform import login
+from gateway.console.exits import Exit, fail, sentences
+from gateway.console.output import emit, table
+from gateway.store.audit import AuditEntry, open_audit
+
+
+@click.command(short_help="Make or verify the site acceptance report: page, paper, JSON.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("out/acceptance"),
+    show_default=True,
+    help="Folder of the report.",
+)
+@click.option("--site", default="", help="Name of the plant.  [default: where the device is]")
+@click.option("--remark", "remarks", multiple=True, help="An open point of your own; may be given several times.")
+@click.option("--config", "plant", type=click.Path(path_type=Path), help="The plant file whose audit log it is.")
+@click.option("--verify", "verifies", is_flag=True, help="Check the files of a report instead of making one.")
+@click.option("--seal", default="", metavar="HASH", help="With --verify: the seal that was signed.")
+@audit_option
+@record_options
+def report(
+    given: SharedOptions,
+    out: Path,
+    site: str,
+    remarks: tuple[str, ...],
+    verifies: bool,
+    seal: str,
+    audit: Path | None,
+) -> None:
+    """Make the site acceptance report: page, paper and JSON, hashed and sealed; --verify finds a changed byte.
+
+    It holds every check with the hash of its raw frames, the configuration's hashes, versions, the clock's offset,
+    names and what is open. Exit code 1 if a check failed or something is changed.
+    """
+    if verifies:
+        _verify(out, seal, as_json=given.as_json)
+        return
+    with sentences():
+        made = _make(given, out, site, remarks, audit_path(audit, given))
+    emit({"ok": made["verdict"] != "failed", **made}, lambda: _show(made), as_json_line=given.as_json)
+    if made["verdict"] == "failed":
+        fail(f"the site is not accepted: {made['open_points'][0]}", Exit.CHECK_FAILED)
+
+
+def _make(given: SharedOptions, out: Path, site: str, remarks: tuple[str, ...], audit: Path) -> dict[str, Any]:
+    now, by = time.time(), given.by or login()
+    records = given.records.read_bytes()
+    data = gather(given.records, audit, site=site, by=by, now=now, remarks=remarks)
+    data["site"] = site or "; ".join(data["places"]) or "no device"
+    seal = write(out, data, records)
+    if audit.exists():
+        log = open_audit(audit)
+        stored = log.record(
+            AuditEntry(now, "acceptance report", by, data["verdict"], {"seal": seal, "folder": str(out)})
+        )
+        log.close()
+        if not stored:
+            raise ValueError(f"the report is made, but its seal is not in the audit log: {log.failure}")
+    done = {check["command"]: check["state"] for check in data["checks"]}
+    return {
+        "verdict": data["verdict"],
+        "checks": done,
+        "open_points": data["open_points"],
+        "out": str(out),
+        "seal": seal,
+    }
+
+
+def _show(made: Mapping[str, Any]) -> None:
+    table("site acceptance test", ("check", "result"), [[name, state] for name, state in made["checks"].items()])
+    colour = {"passed": "green", "failed": "red"}.get(made["verdict"], "yellow")
+    click.secho(f"result: {made['verdict']}", fg=colour)
+    for number, point in enumerate(made["open_points"], start=1):
+        click.echo(f"open {number}: {point}")
+    click.echo(f"report: {made['out']}/report.html, report.pdf, report.json")
+    click.echo(f"seal: {made['seal']}")
+
+
+def _verify(folder: Path, seal: str, *, as_json: bool) -> None:
+    with sentences():
+        found, rows = verify(folder, seal)
+    bad = [row for row in rows if not row["ok"]]
+    data = {"ok": not bad, "folder": str(folder), "seal": found, "files": rows}
+    emit(data, lambda: _show_verified(data), as_json_line=as_json)
+    if bad:
+        fail(f"{folder / bad[0]['file']}: {bad[0]['problem']}", Exit.CHECK_FAILED)
+
+
+def _show_verified(data: Mapping[str, Any]) -> None:
+    rows = [[row["file"], "as it was made" if row["ok"] else row["problem"]] for row in data["files"]]
+    table(f"report in {data['folder']}", ("file", ""), rows)
+    click.echo(f"seal: {data['seal']}")

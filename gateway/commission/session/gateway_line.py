@@ -1,0 +1,68 @@
+"""Where a gateway runs for the same plant file: asking it instead of the device, which may serve one client only."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from drivers.tag import Quality, Sample, Tag
+from gateway.commission.session.site import Site
+from gateway.commission.session.target import Target
+from gateway.plant.control import ControlError, GatewayLine, connect
+
+
+def running_gateway(target: Target) -> GatewayLine | None:
+    """The gateway that runs with the target's plant file; None without a plant file, and where none runs."""
+    return None if target.config is None else connect(target.config.control_socket)
+
+
+def running_for(target: Target) -> str:
+    """A sentence if a gateway runs with the same plant file: what this command does, it does beside it; else ""."""
+    line = running_gateway(target)
+    if line is None:
+        return ""
+    try:
+        pid = line.ask("status")["pid"]
+    except (OSError, ControlError):
+        return "a gateway runs with this plant file and does not answer: the device may have two clients"
+    finally:
+        line.close()
+    return f"a gateway runs with this plant file (pid {pid}): the device has two clients meanwhile"
+
+
+def mention_gateway(site: Site) -> None:
+    """Note a gateway that runs with the same plant file, for a command that speaks to the device beside it."""
+    if sentence := running_for(site.target):
+        site.notes.append(sentence)
+
+
+def read_through(line: GatewayLine, tags: Sequence[Tag], known: Sequence[Tag]) -> tuple[dict[str, Any], list[Sample]]:
+    """The samples of the gateway's last scan, or, where not all tags are its own, asked of the device by it.
+
+    Gives the reply without its samples too. Raises ControlError or OSError.
+    """
+    names = [tag.name for tag in tags]
+    if set(names) <= {tag.name for tag in known}:
+        reply = line.ask("read", tags=names)
+    else:
+        reply = line.ask("read", addresses=[as_request(tag) for tag in tags])
+    samples = {one["tag"]: sample_of(one) for one in reply.pop("samples")}
+    return reply, [samples[name] for name in names if name in samples]
+
+
+def as_request(tag: Tag) -> dict[str, Any]:
+    """A tag as the control socket takes bare addresses."""
+    given: dict[str, Any] = {"address": tag.address, "dtype": tag.dtype.value, "order": tag.order.value}
+    given |= {"scale": tag.scale, "offset": tag.offset, "length": tag.length}
+    return given | ({"bit": tag.bit} if tag.bit is not None else {})
+
+
+def sample_of(given: dict[str, Any]) -> Sample:
+    """A sample from its JSON."""
+    quality = Quality[given["quality"]]
+    return Sample(
+        tag=given["tag"],
+        value=given["value"],
+        quality=quality,
+        time=given["time"],
+        sent=given["sent"],
+        reason=given["reason"],
+    )

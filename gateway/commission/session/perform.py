@@ -1,0 +1,114 @@
+"""How every `decanter plc` command is carried out: found, tapped, timed, recorded, shown, and its exit code given."""
+
+import asyncio
+import getpass
+import platform
+import sys
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import closing
+from typing import Any
+
+import click
+
+from drivers.errors import DriverError
+from drivers.tap import listening
+from gateway.commission.session.evidence import FrameEvidence
+from gateway.commission.session.options import SharedOptions
+from gateway.commission.session.records import CommandRecord, append, check_writable, file_hashes, versions
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session.target import Target, make_target
+from gateway.console.exits import Exit, exit_code, fail, sentence, sentences
+from sim.strict_json import json_text
+
+Work = Callable[[Site], Awaitable[CommandResult]]
+Show = Callable[[Mapping[str, Any]], None]
+
+
+def perform(
+    given: SharedOptions,
+    command: str,
+    arguments: Mapping[str, Any],
+    work: Work,
+    show: Show,
+    *,
+    target: Target | None = None,
+) -> None:
+    """Find the device, do the work on it with all frames told to the evidence, record it, show it, leave with its code.
+
+    `show` prints the outcome's data for a person; with --json it is one object with `ok`, `exit`, `frames`, `exchanges`
+    and `notes` besides. What device and link do wrong is a sentence, an exit code and a record, never a traceback.
+    `target` is the device where the command has found it already.
+    """
+    if target is None:
+        with sentences():
+            target = make_target(given.plant, given.device, given.link, given.settings)
+            check_writable(given.records)
+    begun, clock = time.time(), time.monotonic()
+    with sentences(), closing(FrameEvidence(given.pcap, target.medium)) as evidence:
+        site = Site(target, evidence)
+        outcome = _carried_out(site, work)
+    seconds = time.monotonic() - clock
+    record = CommandRecord(
+        time=begun,
+        seconds=seconds,
+        command=command,
+        arguments=arguments,
+        place=target.place,
+        code=outcome.code,
+        reason=outcome.complaint,
+        result={**outcome.data, "exchanges": site.exchanges.plain(), "notes": site.notes},
+        frames=evidence.plain(),
+        configuration=file_hashes(target.files),
+        versions=versions(),
+        who=given.by or login(),
+        machine=platform.node(),
+    )
+    with sentences():
+        append(given.records, record)
+    _show(site, given, outcome, show)
+    if outcome.code:
+        fail(outcome.complaint, outcome.code) if outcome.complaint else sys.exit(outcome.code)
+
+
+def _carried_out(site: Site, work: Work) -> CommandResult:
+    """The work's outcome; what goes wrong on the way is one too."""
+
+    async def awaited() -> CommandResult:  # asyncio.run wants a coroutine, and `work` may give any awaitable
+        return await work(site)
+
+    try:
+        with listening(site.evidence.take):
+            return asyncio.run(awaited())
+    except (DriverError, ValueError, OSError) as error:
+        context = click.get_current_context(silent=True)
+        if context is not None and context.find_root().params.get("traceback"):
+            raise
+        return CommandResult({"reason": sentence(error)}, exit_code(error), sentence(error))
+    except KeyboardInterrupt:
+        return CommandResult({"reason": "interrupted"}, Exit.INTERRUPTED, "interrupted")
+
+
+def login() -> str:
+    """The name under which this user is logged in."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "unknown"
+
+
+def _show(site: Site, given: SharedOptions, outcome: CommandResult, show: Show) -> None:
+    if given.as_json:
+        extra = {"exchanges": site.exchanges.plain(), "frames": site.evidence.plain(), "notes": site.notes}
+        click.echo(json_text({"ok": not outcome.code, "exit": int(outcome.code), **outcome.data, **extra}))
+        return
+    if set(outcome.data) - {"reason"}:
+        if site.target.place:
+            click.echo(site.target.place)
+        show(outcome.data)
+    for note in site.notes:
+        click.echo(f"note: {note}")
+    if site.exchanges.asked or site.exchanges.heard:
+        click.echo(site.exchanges.line())
+    if given.pcap is not None:
+        click.echo(f"evidence: {given.pcap} ({site.evidence.sent} frames sent, {site.evidence.received} received)")

@@ -1,0 +1,127 @@
+"""What every command of the commissioning did: one line of JSON each, only ever appended, each bound to the one before.
+
+A line's `previous` is the SHA-256 of the line before it, so a changed, missing or inserted line shows (`broken_at`).
+"""
+
+import fcntl
+import json
+import os
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from gateway.store.chain import first_break, hash_of
+from sim.strict_json import json_text
+
+LIBRARIES = ("decanter-gateway", "pymodbus", "python-can", "canopen", "cantools", "pyserial")
+
+
+class RecordsError(ValueError):
+    """The file of records cannot be used; the message says which line and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommandRecord:
+    """One command that was carried out, or was tried.
+
+    `time` is its begin and `seconds` how long it took (s UTC, s), `code` its exit code, `result` what it gave as JSON,
+    `frames` what went over the wire (sent, received, bytes, sha256, pcap), `configuration` the SHA-256 of each file
+    that it used, `who` the person, `machine` where.
+    """
+
+    time: float
+    seconds: float
+    command: str
+    arguments: Mapping[str, Any]
+    place: str
+    code: int
+    reason: str
+    result: Mapping[str, Any]
+    frames: Mapping[str, Any]
+    configuration: Mapping[str, str]
+    versions: Mapping[str, str]
+    who: str
+    machine: str
+    previous: str = field(default="")
+
+
+def append(path: Path, record: CommandRecord) -> str:
+    """Append the record durably, bound to the last line; gives the SHA-256 of the new line. Raises OSError.
+
+    Two commands at a time take their turns.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a+b") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        plain = {**asdict(record), "previous": _last_hash(file.fileno())}
+        line = json_text(plain).encode()
+        file.write(line + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+    return hash_of(line)
+
+
+def check_writable(path: Path) -> None:
+    """Raises OSError where no record could be appended: better before the command than after it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab"):
+        pass
+
+
+def read_records(path: Path) -> list[CommandRecord]:
+    """All records in their order. Raises RecordsError for a line that is none, OSError for a file that is not there."""
+    found = []
+    for number, line in enumerate(_lines(path), start=1):
+        try:
+            plain = json.loads(line)
+            found.append(CommandRecord(**{one.name: plain[one.name] for one in fields(CommandRecord)}))
+        except (ValueError, KeyError, TypeError) as error:
+            raise RecordsError(
+                f"{path}: line {number} is no record ({error}); the file was changed by something else"
+            ) from None
+    return found
+
+
+def broken_at(path: Path) -> int | None:
+    """The number of the first line (1..) that does not follow the one before it; None for an unbroken chain.
+
+    The last line is bound by nothing after it: keep the hash that `append` gave, or the report's. Raises RecordsError
+    and OSError as `read_records` does.
+    """
+    before = ("", *(hash_of(line) for line in _lines(path)))
+    return first_break(zip((record.previous for record in read_records(path)), before, strict=False))
+
+
+def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
+    """The SHA-256 of each file that is there."""
+    return {str(path): hash_of(path.read_bytes()) for path in paths if path.is_file()}
+
+
+def versions(libraries: Sequence[str] = LIBRARIES) -> dict[str, str]:
+    """What this machine runs: Python, the system and the libraries that speak to the device."""
+    found = {"python": platform.python_version(), "system": platform.platform()}
+    for name in libraries:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def _lines(path: Path) -> list[bytes]:
+    return path.read_bytes().splitlines()
+
+
+def _last_hash(descriptor: int) -> str:
+    """The hash of the last complete line; "" for an empty file. Raises OSError."""
+    end = os.lseek(descriptor, 0, os.SEEK_END)
+    tail, start = b"", end
+    while start > 0 and tail.count(b"\n", 0, -1) < 1:
+        size = min(65536, start)
+        start -= size
+        tail = os.pread(descriptor, size, start) + tail
+    lines = tail.splitlines()
+    return hash_of(lines[-1]) if lines else ""

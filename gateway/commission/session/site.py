@@ -1,0 +1,61 @@
+"""What a command of the commissioning works with (`Site`), and what it gives (`CommandResult`)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.tag import Tag
+from gateway.commission.session.evidence import Exchanges, FrameEvidence
+from gateway.commission.session.target import Target
+from gateway.settings.devices import DeviceMap
+
+
+@dataclass(slots=True)
+class Site:
+    """One command at work: the device, the evidence of what was moved, and the counts for the line of frame loss.
+
+    `notes` are sentences for the person that belong to no single row.
+    """
+
+    target: Target
+    evidence: FrameEvidence
+    exchanges: Exchanges = field(default_factory=Exchanges)
+    notes: list[str] = field(default_factory=list)
+
+    def count(self, statistics: Mapping[str, float]) -> None:
+        """Take over a driver's counters."""
+        self.exchanges.add(statistics, self.target.driver)
+
+
+@dataclass(frozen=True, slots=True)
+class CommandResult:
+    """A command's result: `data` for JSON and the records, the exit code, and a sentence where it is not 0."""
+
+    data: Mapping[str, Any]
+    code: int = 0
+    complaint: str = ""
+
+
+PERIOD_S = 1.0
+"""Without a plant file."""
+
+
+def period_of(site: Site, given: float | None = None) -> float:
+    """The period (s) that was given, else the plant file's, else a second."""
+    if given is not None:
+        return given
+    return site.target.config.scan.period if site.target.config is not None else PERIOD_S
+
+
+def device_of(site: Site) -> DeviceMap:
+    """The device file. Raises ValueError where there is none."""
+    if site.target.map is None:
+        raise ValueError("which tags? Give the plant file (--config FILE) or the device file (--device FILE)")
+    return site.target.map
+
+
+def words_of(site: Site) -> tuple[Tag, ...]:
+    """The words of the block, where something may be written."""
+    layout = device_of(site).writeback
+    config = site.target.config
+    return () if layout is None or (config is not None and config.writeback.mode == "off") else layout.words

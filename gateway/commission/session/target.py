@@ -1,0 +1,164 @@
+"""Which device a command speaks to, over which link: from a plant file, a device file, or the options alone."""
+
+import time
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from drivers.capabilities import Capabilities
+from drivers.driver import LINKS, Driver, capabilities, link_of, open_driver
+from drivers.tag import Tag
+from drivers.tap import Medium
+from gateway.settings.config import Config, load_config
+from gateway.settings.devices import DeviceMap, load_device
+from gateway.settings.links import DeviceLink
+
+OPTION_OF: dict[str, str] = {"certificates": "--tls"}
+"""Where a setting is given by an option of another name."""
+DEFAULT_DRIVER = "modbus"
+"""Meant where neither a file nor --link says which."""
+CONNECT_S = 3.0
+"""Seconds for a connection where no plant file says otherwise: a laptop may be far away, over a VPN for one."""
+
+
+class TargetError(ValueError):
+    """What was given names no device, or more than one; the message says what would be right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """One device over one link. `settings` are the driver's, `map` its tags and `config` the plant file, where given.
+
+    `files` are those that it was made of.
+    """
+
+    kind: str
+    driver: str
+    settings: Mapping[str, Any]
+    map: DeviceMap | None = None
+    config: Config | None = None
+    files: tuple[Path, ...] = ()
+
+    @property
+    def place(self) -> str:
+        """Where it is, for a person."""
+        keys = ("host", "port", "serial", "interface", "channel", "node", "unit")
+        sentence = " ".join(f"{key} {self.settings[key]}" for key in keys if key in self.settings)
+        return f"{self.kind}, {sentence}" if sentence else self.kind
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What its device is like. Raises DriverError for a driver that is not known."""
+        return capabilities(self.driver)
+
+    @property
+    def medium(self) -> Medium:
+        """What its frames are, for the evidence."""
+        return LINKS[self.kind].medium if self.kind in LINKS else "tcp"
+
+    @property
+    def tags(self) -> tuple[Tag, ...]:
+        """The tags of its device file; none without one."""
+        return self.map.tags if self.map is not None else ()
+
+    def with_settings(self, **settings: Any) -> "Target":
+        """The same with some settings others."""
+        return replace(self, settings={**self.settings, **settings})
+
+    def make_driver(self, write_map: Sequence[Tag] = ()) -> Driver:
+        """The driver, not yet opened. Raises DriverError."""
+        return open_driver(self.driver, self.settings, clock=time.time, write_map=write_map)
+
+    @asynccontextmanager
+    async def opened(self, write_map: Sequence[Tag] = ()) -> AsyncIterator[Driver]:
+        """The driver with a connection, closed at the end. Raises DriverError where there is none."""
+        driver = self.make_driver(write_map)
+        try:
+            await driver.open()
+            yield driver
+        finally:
+            await driver.close()
+
+
+def make_target(
+    plant: Path | None = None,
+    device: Path | None = None,
+    link: str | None = None,
+    given: Mapping[str, Any] | None = None,
+) -> Target:
+    """The device by a plant file (`link` then names one of its links), a device file, or settings alone.
+
+    `given` are settings that win over those of the files. Raises TargetError or ConfigError.
+    """
+    settings = dict(given or {})
+    if plant is not None and device is not None:
+        raise TargetError("--config and --device exclude each other: a plant file names its device files itself")
+    if plant is not None:
+        return _of_plant(plant, link, settings)
+    if device is not None:
+        return _of_device(device, link, settings)
+    if link is None and not {"host", "port", "serial", "channel"} & set(settings):
+        raise TargetError(
+            "which device? Give --host HOST, or --serial PATH, or --link can|canopen --channel CHANNEL, or the plant "
+            "file (--config FILE)"
+        )
+    if link is None and "channel" in settings:
+        raise TargetError("--channel is a CAN bus: say --link canopen or --link can")
+    return _complete(Target(link or link_of(DEFAULT_DRIVER, settings), "", settings))
+
+
+def _of_plant(path: Path, name: str | None, settings: Mapping[str, Any]) -> Target:
+    config = load_config(path)
+    link = _chosen(config.links, name)
+    kind = link_of(link.map.driver, link.settings)
+    files = (path, *(one.map.path for one in config.links))
+    return _complete(
+        Target(
+            kind=kind,
+            driver=link.map.driver,
+            settings={**link.settings, **settings},
+            map=link.map,
+            config=config,
+            files=files,
+        )
+    )
+
+
+def _chosen(links: Sequence[DeviceLink], name: str | None) -> DeviceLink:
+    if name is None:
+        return links[0]
+    known = {link.name: link for link in reversed(links)}
+    kinds = {link_of(link.map.driver, link.settings): link for link in reversed(links)}
+    found = known.get(name) or kinds.get(name)
+    if found is None:
+        raise TargetError(f"--link: the plant file has no link {name!r}; it has {', '.join(dict.fromkeys(known))}")
+    return found
+
+
+def _of_device(path: Path, link: str | None, settings: Mapping[str, Any]) -> Target:
+    device = load_device(path)
+    merged = {**device.settings, **settings}
+    kind = link or link_of(device.driver, merged)
+    if kind in LINKS and LINKS[kind].driver != device.driver:
+        raise TargetError(f"--link: {kind!r} is of driver {LINKS[kind].driver!r}, and {path} of {device.driver!r}")
+    return _complete(Target(kind=kind, driver=device.driver, settings=merged, map=device, config=None, files=(path,)))
+
+
+def _complete(target: Target) -> Target:
+    """With what the link's kind says, and everything that it needs. Raises TargetError."""
+    kind = LINKS.get(target.kind)
+    if kind is None:
+        if target.map is not None:
+            return target
+        raise TargetError(f"--link: {target.kind!r} is no link; give one of {', '.join(LINKS)}")
+    settings = {**kind.settings, **target.settings}
+    if target.config is None and settings.get("host"):
+        settings.setdefault("connect_timeout", CONNECT_S)
+    missing = [OPTION_OF.get(key, f"--{key}") for key in kind.needs if settings.get(key) in (None, "")]
+    if missing:
+        raise TargetError(f"link {target.kind!r} needs {' and '.join(missing)}")
+    if target.map is None:
+        settings = {**kind.defaults, **settings}
+    return replace(target, driver=kind.driver, settings=settings)

@@ -1,0 +1,224 @@
+"""`decanter plc soak`: scans at their period for a longer time; what they take and lose, which period holds."""
+
+import asyncio
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from math import ceil, floor
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.driver import Complains, Driver
+from drivers.errors import DriverError, LinkDown
+from drivers.survey import read_plan
+from drivers.tag import Quality, Sample
+from gateway.commission.files.recording import ScanRecorder
+from gateway.commission.session.gateway_line import running_for
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
+from gateway.console.output import progress, table
+from gateway.store.score import percentile
+
+Progress = Callable[[str, float], None]
+PERIODS_S = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
+"""Periods that are recommended."""
+SPARE = 2.0
+"""A recommended period is so many times what 95 % of the scans take, and longer than every single one."""
+FIRST_S = 3.0
+_WAITING = Quality.WAITING_FOR_INITIAL_DATA
+
+
+@dataclass(slots=True)
+class SoakTally:
+    """What was counted: the seconds of each scan, the ages (s) of readings, scans with a bad tag, missed ticks."""
+
+    seconds: list[float] = field(default_factory=list)
+    ages: list[float] = field(default_factory=list)
+    with_bad: int = 0
+    all_bad: int = 0
+    missed: int = 0
+    bad: Counter[str] = field(default_factory=Counter)
+    reasons: Counter[str] = field(default_factory=Counter)
+
+    def take(self, samples: Sequence[Sample], begun: float, seconds: float) -> None:
+        """One scan, begun at `begun` (s UTC)."""
+        bad = [sample for sample in samples if not sample.quality.is_good]
+        self.seconds.append(seconds)
+        self.with_bad += bool(bad)
+        self.all_bad += len(bad) == len(samples)
+        self.bad.update(sample.tag for sample in bad)
+        self.reasons.update({sample.reason for sample in bad})
+        self.ages += [max(0.0, begun + seconds - sample.time) for sample in samples if sample.quality.is_good]
+
+
+async def soak_device(
+    site: Site, duration: float, given_period: float | None, record: Path | None, progress: Progress
+) -> CommandResult:
+    """Scan for `duration` seconds. A failed check where scans were lost or do not fit. Ctrl-C gives what there is."""
+    device, period = device_of(site), period_of(site, given_period)
+    if sentence := running_for(site.target):
+        site.notes.append(sentence)
+    recorder = ScanRecorder(record, device.tags) if record is not None else None
+    tally, before = SoakTally(), {}
+    try:
+        async with _opened(site) as driver:
+            try:
+                # A device that speaks by itself is heard out once before anything is counted.
+                until = time.monotonic() + FIRST_S
+                while site.target.capabilities.speaks and time.monotonic() < until:
+                    if all(sample.quality is not _WAITING for sample in await driver.read(device.tags)):
+                        break
+                    await asyncio.sleep(0.02)
+                before = dict(driver.statistics())
+                # Scans on absolute deadlines, as the gateway has them: ticks that pass meanwhile are missed, not late.
+                begin, tick = time.monotonic(), 0
+                while (now := time.monotonic()) - begin < duration:
+                    wall = time.time()
+                    samples = await driver.read(device.tags)
+                    took = time.monotonic() - now
+                    tally.take(samples, wall, took)
+                    if recorder is not None:
+                        recorder.take(wall + took, samples)
+                    done = min(1.0, (now - begin) / duration)
+                    progress(f"{len(tally.seconds)} scans, {tally.with_bad} with bad tags", done)
+                    following = max(tick + 1, floor((time.monotonic() - begin) / period) + 1)
+                    tally.missed += following - tick - 1
+                    tick = following
+                    await asyncio.sleep(max(0.0, min(begin + tick * period, begin + duration) - time.monotonic()))
+            except asyncio.CancelledError:  # Ctrl-C: asyncio.run cancels the task, and what was counted is shown
+                site.notes.append("stopped before its time")
+            finally:
+                counted = dict(driver.statistics())
+                site.count(counted)
+    finally:
+        if recorder is not None:
+            recorder.close()
+    since = {name: counted[name] - before.get(name, 0) for name in counted}
+    return _summary(site, tally, period, since, record)
+
+
+@asynccontextmanager
+async def _opened(site: Site) -> AsyncIterator[Driver]:
+    """The driver with a connection; one on a bus has FIRST_S to hear its device. Raises DriverError."""
+    driver = site.target.make_driver()
+    try:
+        try:
+            await driver.open()
+        except DriverError as error:
+            until = time.monotonic() + FIRST_S
+            while site.target.capabilities.speaks and not driver.connected and time.monotonic() < until:
+                await asyncio.sleep(0.02)
+            if not driver.connected:
+                raise _with_complaints(error, driver) from None
+        yield driver
+    finally:
+        await driver.close()
+
+
+def _with_complaints(error: DriverError, driver: Driver) -> DriverError:
+    """What the device says of itself, where it is heard and cannot be used (a node that no master has started)."""
+    complaints = driver.complaints() if isinstance(driver, Complains) else ()
+    if not complaints or str(error) in complaints:
+        return error
+    return LinkDown(f"{complaints[0]}: start it at its master, or let this program do it (--set configure=true)")
+
+
+def _summary(
+    site: Site, tally: SoakTally, period: float, counted: Mapping[str, float], record: Path | None
+) -> CommandResult:
+    seconds, scans = tally.seconds, len(tally.seconds)
+    if not seconds:
+        return CommandResult({"scans": 0}, 1, "no scan was finished; give a longer --seconds")
+    found: dict[str, Any] = {
+        "scans": scans,
+        "period_s": period,
+        "missed": tally.missed,
+        "scan_ms": {name: 1e3 * percentile(seconds, share) for name, share in _SHARES.items()},
+        "scans_with_bad": tally.with_bad,
+        "bad_tags": dict(tally.bad.most_common()),
+        "reasons": dict(tally.reasons.most_common(10)),
+        "timeouts": int(counted.get("timeouts", 0)),
+        "mismatches": int(counted.get("mismatches", 0)),
+        "reconnects": int(counted.get("reconnects", 0)),
+        "recommended_period_s": recommended(seconds, _with_writes(site)),
+        "recording": str(record) if record is not None else None,
+    }
+    if site.target.capabilities.speaks:
+        ages = {name: 1e3 * percentile(tally.ages, share) for name, share in _SHARES.items()} if tally.ages else None
+        found["age_ms"], found["recommended_period_s"] = ages, None
+        site.notes.append("this device speaks by itself: a scan takes what it has said, so that what counts is its age")
+    complaint = _complaint(tally, scans)
+    return CommandResult(found, int(bool(complaint)), complaint)
+
+
+_SHARES = {"p50": 0.5, "p95": 0.95, "max": 1.0}
+
+
+def _with_writes(site: Site) -> float:
+    """By how much a cycle with the write-back is longer than a scan, by the number of its requests."""
+    target = site.target
+    plan = read_plan(target.driver, target.settings, target.tags, words_of(site))
+    return 1.0 if plan is None or not plan.requests else 1.0 + len(plan.writes) / len(plan.requests)
+
+
+def recommended(seconds: Sequence[float], factor: float = 1.0) -> float:
+    """The least usual period that leaves as much time again as 95 % of the scans take, and holds the longest one.
+
+    `factor` is what a cycle takes beside the scan. Beyond the table it is whole minutes.
+    """
+    needed = factor * max(SPARE * percentile(list(seconds), 0.95), max(seconds))
+    return next((period for period in PERIODS_S if period >= needed), 60.0 * ceil(needed / 60.0))
+
+
+def _complaint(tally: SoakTally, scans: int) -> str:
+    if tally.all_bad == scans:
+        return f"no scan had a good reading: {tally.reasons.most_common(1)[0][0]}"
+    if tally.with_bad:
+        tag, times = tally.bad.most_common(1)[0]
+        return f"{tally.with_bad} of {scans} scans had a tag that was not good, mostly {tag} ({times} times)"
+    if tally.missed:
+        return f"{tally.missed} ticks were missed in {scans} scans: the period is too short for this device"
+    return ""
+
+
+@click.command(short_help="Read for a longer time: cycle times, losses, the period to be recommended.")
+@click.option("--seconds", type=click.FloatRange(0.1), default=60.0, show_default=True, help="For how long.")
+@click.option("--period", type=click.FloatRange(0.01), help="Seconds between two scans.  [default: the plant file's]")
+@click.option("--record", type=click.Path(path_type=Path), help="Keep the readings in this CSV, one row a scan.")
+@link_options
+def soak(given: SharedOptions, seconds: float, period: float | None, record: Path | None) -> None:
+    """Scan all tags for a while, as the gateway will: times of a scan, losses, and the period to be recommended.
+
+    Fails if a tag was not good or a tick was missed. Ctrl-C ends it early with what there is.
+    """
+
+    async def work(site: Site) -> CommandResult:
+        with progress("soak") as report:
+            return await soak_device(site, seconds, period, record, report)
+
+    arguments = {"seconds": seconds, "period": period, "record": record and str(record)}
+    perform(given, "soak", arguments, work, _show)
+
+
+def _show(data: Mapping[str, Any]) -> None:
+    if not data["scans"]:
+        return
+    kinds = (("scan", "scan_ms"), ("age of a reading", "age_ms"))
+    rows = [(name, *data[key].values()) for name, key in kinds if data.get(key)]
+    click.echo(f"{data['scans']} scans every {data['period_s']:g} s, {data['missed']} ticks missed")
+    table("", ("ms", "p50", "p95", "max"), rows)
+    counts = f"{data['timeouts']} timeouts, {data['mismatches']} wrong replies, {data['reconnects']} reconnections"
+    click.echo(f"{data['scans_with_bad']} scans had a tag that was not good; {counts}")
+    for tag, times in list(data["bad_tags"].items())[:10]:
+        click.echo(f"  {tag}: {times} times")
+    for reason, times in data["reasons"].items():
+        click.echo(f"  {times} x {reason}")
+    if data["recommended_period_s"]:
+        click.echo(f"recommended period: {data['recommended_period_s']:g} s or longer")
+    if data["recording"]:
+        click.echo(f"recording: {data['recording']}")

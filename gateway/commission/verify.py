@@ -1,0 +1,258 @@
+"""`decanter plc verify`: what the HMI shows against what the PLC says, now or at the time of the reading."""
+
+import asyncio
+import time
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.tag import Tag, Value
+from gateway.commission.files.cells import ListError
+from gateway.commission.files.recording import SiteRecording, read_recording
+from gateway.commission.hmi import HmiReading, Point, compare, left_to_do, points_of, read_hmi_list
+from gateway.commission.read import read_raw
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.records import read_records
+from gateway.commission.session.site import CommandResult, Site, device_of
+from gateway.commission.writeback.block_writer import ACCOUNT_TAGS
+from gateway.console.output import table
+from gateway.machine.pipeline import ORDERS
+
+LOOK_S = 0.3
+_HOUR = 3600.0
+Ask = Callable[[str], str]
+"""Puts a question to the person and gives the answer, "" for none."""
+Tell = Callable[[str], None]
+
+
+def to_prove(site: Site, only: Sequence[str]) -> list[Tag]:
+    """The tags that an HMI shows: all but those of the write-back contract, which the loop tests prove.
+
+    Raises ValueError for a name that is no tag.
+    """
+    device = device_of(site)
+    if unknown := [name for name in only if name not in device.by_name]:
+        raise ValueError(f"--only {unknown[0]}: is no tag of {device.path}; give one of {', '.join(device.by_name)}")
+    contract = {device.heartbeat, *ACCOUNT_TAGS, *ORDERS}
+    return [tag for tag in device.tags if (tag.name in only if only else tag.name not in contract)]
+
+
+def earlier(path: Path) -> list[Point]:
+    """The comparisons of all earlier verifications. Raises RecordsError."""
+    if not path.exists():
+        return []
+    return [point for record in read_records(path) if record.command == "verify" for point in points_of(record.result)]
+
+
+async def against(
+    site: Site,
+    path: Path,
+    tags: Sequence[Tag],
+    before: Sequence[Point],
+    *,
+    readings: Path | None,
+    within: float,
+    clock_offset: float,
+    slack: float,
+    complete: bool,
+) -> CommandResult:
+    """Compare a list of HMI readings: those without a time with the PLC now, those with one with what was recorded.
+
+    `clock_offset` is by how much the HMI's clock is ahead (s). Raises ListError, HistorianError or DriverError.
+    """
+    now = time.time()
+    known = {tag.name: tag for tag in device_of(site).tags}
+    shown = [one for one in read_hmi_list(path, tuple(known.values()), now) if one.tag in {tag.name for tag in tags}]
+    if not shown:
+        raise ListError(f"{path}: has no reading of a tag that is to be verified; give rows of tag and value")
+    present = [one for one in shown if one.time is None]
+    live = await _window(site, [known[name] for name in dict.fromkeys(one.tag for one in present)]) if present else {}
+    past = _recorded(site, readings, shown) if len(present) < len(shown) else None
+    points = []
+    for one in shown:
+        values = live.get(one.tag, []) if one.time is None else _at(past, one, one.time - clock_offset, within)
+        points.append(compare(known[one.tag], one, values, now, slack))
+    return outcome(tags, points, before, complete=complete)
+
+
+async def _window(site: Site, tags: Sequence[Tag]) -> dict[str, list[Value]]:
+    """Two good looks at each tag, a moment apart: a value that moves passes through what the HMI showed."""
+    found: dict[str, list[Value]] = {tag.name: [] for tag in tags}
+    for look in range(2):
+        if look:
+            await asyncio.sleep(LOOK_S)
+        for raw in await read_raw(site, tags):
+            if raw.sample.quality.is_good and raw.sample.value is not None:
+                found[raw.tag.name].append(raw.sample.value)
+    return found
+
+
+def _recorded(site: Site, readings: Path | None, shown: Sequence[HmiReading]) -> SiteRecording:
+    """From the file that is given, else from the gateway's historian. Raises ListError or HistorianError."""
+    config = site.target.config
+    if readings is not None:
+        return read_recording(readings)
+    if config is not None and config.historian.path.is_file():
+        times = [one.time for one in shown if one.time is not None]
+        return read_recording(config.historian.path, min(times) - _HOUR, max(times) + _HOUR)
+    raise ListError(
+        f"{shown[0].where}: the readings have times, and nothing was recorded to compare them with; give --readings "
+        "FILE (see soak --record), or take the times out to compare with the PLC now"
+    )
+
+
+def _at(past: SiteRecording | None, shown: HmiReading, moment: float, within: float) -> list[Value]:
+    """What was recorded within so many seconds of a moment, and what held then."""
+    if past is None or shown.tag not in past.columns:
+        return []
+    first, last = bisect_left(past.times, moment - within), bisect_right(past.times, moment + within)
+    column = past.columns[shown.tag]
+    held = max(0, bisect_right(past.times, moment) - 1)
+    near = range(min(first, held), last) if first < last else range(0)
+    return [column[at] for at in near if column[at] == column[at]]
+
+
+# ---------------------------------------------------------------- by questions
+
+
+async def by_questions(
+    site: Site, tags: Sequence[Tag], before: Sequence[Point], ask: Ask, tell: Tell, *, slack: float, complete: bool
+) -> CommandResult:
+    """Ask for each tag what the HMI shows, round by round, until all are proved or the person ends it (q).
+
+    The PLC's value is not shown before the answer: who knows it, reads it.
+    """
+    points: list[Point] = []
+    while left := [tag for tag in tags if left_to_do(tag, [*before, *points])]:
+        for tag in left:
+            missing = left_to_do(tag, [*before, *points])
+            unit = f" in {tag.unit}" if tag.unit else ""
+            answer = (await asyncio.to_thread(ask, f"{tag.name}{unit} ({missing}): what does the HMI show?")).strip()
+            if answer.lower() == "q":
+                return outcome(tags, points, before, complete=complete)
+            if not answer:
+                continue
+            values = (await _window(site, [tag]))[tag.name]
+            try:
+                point = compare(tag, HmiReading(tag.name, answer), values, time.time(), slack)
+            except ListError as error:
+                tell(f"  {error}")
+                continue
+            points.append(point)
+            tell(f"  agrees with {point.read}" if point.ok else f"  DOES NOT AGREE: {point.reason}")
+        rest = any(left_to_do(tag, [*before, *points]) for tag in left)
+        question = "bring the plant into another state, then press Enter (q ends)"
+        if rest and (await asyncio.to_thread(ask, question)).strip().lower() == "q":
+            break
+    return outcome(tags, points, before, complete=complete)
+
+
+def outcome(tags: Sequence[Tag], points: Sequence[Point], before: Sequence[Point], *, complete: bool) -> CommandResult:
+    """The comparisons, and what is still to be done for each tag; a failed check where one does not agree.
+
+    With `complete` it is one too where something is to be done.
+    """
+    everything = [*before, *points]
+    left = {tag.name: todo for tag in tags if (todo := left_to_do(tag, everything))}
+    wrong = [point for point in points if not point.ok]
+    data: dict[str, Any] = {
+        "points": [asdict(point) for point in points],
+        "tags": len(tags),
+        "proved": len(tags) - len(left),
+        "left": left,
+        "open_points": [f"verify: {name}: {todo}" for name, todo in left.items()],
+    }
+    if wrong:
+        first = wrong[0]
+        sentence = (
+            f"{len(wrong)} of {len(points)} readings do not agree, the first: {first.tag}: the HMI shows {first.shown}"
+        )
+        return CommandResult(data, 1, f"{sentence}, {first.reason}")
+    if complete and left:
+        name, todo = next(iter(left.items()))
+        return CommandResult(data, 1, f"{len(left)} of {len(tags)} tags are not proved, the first: {name}: {todo}")
+    return CommandResult(data)
+
+
+_FILE = click.Path(path_type=Path)
+
+
+@click.command(short_help="Compare with the HMI: two values per analogue, both states per bool.")
+@click.option("--against", "listed", type=_FILE, help="Readings of the HMI (CSV, XLSX): tag, value and, if any, time.")
+@click.option("--only", multiple=True, metavar="TAG", help="Only this tag; may be given again.")
+@click.option("--readings", type=_FILE, help="For readings with times: what was recorded (soak --record, historian).")
+@click.option("--within", type=click.FloatRange(0), default=2.0, show_default=True, help="Seconds around such a time.")
+@click.option("--clock-offset", type=float, default=0.0, help="Seconds by which the HMI's clock is ahead.")
+@click.option("--tolerance", "slack", type=click.FloatRange(0), default=0.0, help="Engineering units beside rounding.")
+@click.option("--complete", is_flag=True, help="Fail as long as a tag is not proved.")
+@click.option("--anew", is_flag=True, help="Do not count what earlier verifications proved.")
+@link_options
+def verify(
+    given: SharedOptions,
+    listed: Path | None,
+    only: tuple[str, ...],
+    readings: Path | None,
+    within: float,
+    clock_offset: float,
+    slack: float,
+    complete: bool,
+    anew: bool,
+) -> None:
+    """Compare with the HMI until each number was right at two distinct values, each flag in both states.
+
+    With --against the readings come from a list: one row a reading, or one column a tag. Without it each tag is asked
+    for, round by round. What was proved before counts as long as the tag lies where it lay (see --anew).
+    """
+
+    async def work(site: Site) -> CommandResult:
+        tags, before = to_prove(site, only), [] if anew else earlier(given.records)
+        if listed is None:
+            return await by_questions(site, tags, before, _ask, _tell, slack=slack, complete=complete)
+        past: dict[str, Any] = {"readings": readings, "within": within, "clock_offset": clock_offset}
+        return await against(site, listed, tags, before, slack=slack, complete=complete, **past)
+
+    arguments = {
+        "against": listed and str(listed),
+        "only": list(only),
+        "tolerance": slack,
+        "clock_offset": clock_offset,
+    }
+    perform(given, "verify", arguments, work, _show)
+
+
+def _ask(question: str) -> str:
+    """One line from the person; the end of the input is `q`."""
+    try:
+        return str(click.prompt(question, default="", show_default=False, err=True))
+    except click.Abort:
+        return "q"
+
+
+def _tell(sentence: str) -> None:
+    click.echo(sentence, err=True)
+
+
+def _show(data: Mapping[str, Any]) -> None:
+    rows = [
+        ("agrees" if one["ok"] else "NOT", one["tag"], one["shown"], _text(one["read"]), one["reason"])
+        for one in data["points"]
+    ]
+    if rows:
+        table(f"{sum(one['ok'] for one in data['points'])} of {len(rows)} agree", _COLUMNS, rows)
+    click.echo(f"{data['proved']} of {data['tags']} tags are proved")
+    for name, todo in data["left"].items():
+        click.echo(f"  {name}: {todo}")
+
+
+_COLUMNS = ("", "tag", "HMI", "PLC", "why")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return f"{value:.7g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,334 @@
+"""`decanter plc watch`: tags read again and again, live on a terminal, as plain lines elsewhere; marks in time."""
+
+import asyncio
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager, contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+import click
+from rich.box import SIMPLE_HEAD
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from drivers.survey import Raw, open_registers
+from drivers.tag import Sample, Tag, Value
+from gateway.commission.read import How, shown_value, tags_of
+from gateway.commission.session.gateway_line import read_through, running_gateway
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.survey.addresses import reference_of
+from gateway.console.exits import Exit
+from gateway.console.output import table
+
+WIDTH = 48
+"""Readings in a sparkline."""
+_BARS = "▁▂▃▄▅▆▇█"
+_BAD, _NOTHING = "×", " "
+
+Look = Callable[[], Awaitable[list[Raw]]]
+
+
+@dataclass(slots=True)
+class WatchedTag:
+    """One tag since the watch began: the last readings as numbers (None: bad), extremes, counts."""
+
+    tag: Tag
+    last: Raw | None = None
+    history: deque[float | None] = field(default_factory=lambda: deque(maxlen=WIDTH))
+    low: float | None = None
+    high: float | None = None
+    good: int = 0
+    bad: int = 0
+    changes: int = 0
+
+    def take(self, raw: Raw) -> bool:
+        """Take in a reading; True if its value or its quality is another one than before."""
+        before, sample = self.last.sample if self.last else None, raw.sample
+        changed = before is None or (before.value, before.quality) != (sample.value, sample.quality)
+        self.changes += before is not None and changed
+        self.last = raw
+        number = number_of(sample)
+        self.history.append(number)
+        if number is None:
+            self.bad += not sample.quality.is_good
+            return changed
+        self.good += 1
+        self.low = number if self.low is None else min(self.low, number)
+        self.high = number if self.high is None else max(self.high, number)
+        return changed
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        sample = self.last.sample if self.last else None
+        return {
+            "tag": self.tag.name,
+            "address": self.tag.address,
+            "unit": self.tag.unit,
+            "value": sample.value if sample else None,
+            "quality": sample.quality.name if sample else None,
+            "reason": sample.reason if sample else "",
+            "min": self.low,
+            "max": self.high,
+            "good": self.good,
+            "bad": self.bad,
+            "changes": self.changes,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A moment that the engineer marked (s UTC), and what the tags read then."""
+
+    number: int
+    time: float
+    values: Mapping[str, Value | None]
+
+
+def number_of(sample: Sample) -> float | None:
+    """A good sample's value as a number (a flag is 0 or 1); None for a bad one, and for text."""
+    if not sample.quality.is_good or sample.value is None or isinstance(sample.value, str):
+        return None
+    return float(sample.value)
+
+
+def sparkline(history: Sequence[float | None], width: int = WIDTH) -> str:
+    """The readings as bars between their least and their greatest, a cross for a bad one; `width` characters."""
+    numbers = [number for number in history if number is not None]
+    low, high = min(numbers, default=0.0), max(numbers, default=0.0)
+    span = high - low
+    bars = [
+        _BAD if number is None else _BARS[0 if span == 0 else round((number - low) / span * (len(_BARS) - 1))]
+        for number in list(history)[-width:]
+    ]
+    return "".join(bars).rjust(width, _NOTHING)
+
+
+@asynccontextmanager
+async def looking(site: Site, tags: Sequence[Tag]) -> AsyncIterator[Look]:
+    """A way to read the tags again and again: through the running gateway, or by one connection. Raises DriverError."""
+    line = running_gateway(site.target)
+    if line is not None:
+        by_name = {tag.name: tag for tag in tags}
+
+        async def through() -> list[Raw]:
+            _, samples = await asyncio.to_thread(read_through, line, tags, site.target.tags)
+            return [Raw(by_name[sample.tag], sample, by_name[sample.tag].address, 1) for sample in samples]
+
+        site.notes.append("read through the running gateway, which shows values and no raw words")
+        try:
+            yield through
+        finally:
+            line.close()
+    elif site.target.capabilities.registers:
+        async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
+            try:
+                yield lambda: survey.tags(tags)
+            finally:
+                site.count(survey.statistics())
+    else:
+        async with site.target.opened() as driver:
+
+            async def driven() -> list[Raw]:
+                samples = await driver.read(tags)
+                return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
+
+            try:
+                yield driven
+            finally:
+                site.count(driver.statistics())
+
+
+async def watch_tags(
+    look: Look,
+    seen: Sequence[WatchedTag],
+    period: float,
+    stop: asyncio.Event,
+    show: Callable[[Sequence[WatchedTag]], None],
+) -> None:
+    """Look once a period, on absolute deadlines, until `stop`; `show` gets the tags whose reading is another one."""
+    due = time.monotonic()
+    while not stop.is_set():
+        raws = await look()
+        by_name = {raw.tag.name: raw for raw in raws}
+        show([one for one in seen if one.tag.name in by_name and one.take(by_name[one.tag.name])])
+        due = max(due + period, time.monotonic())
+        try:
+            async with asyncio.timeout(due - time.monotonic()):
+                await stop.wait()
+        except TimeoutError:
+            continue
+
+
+def marked(seen: Sequence[WatchedTag], number: int, now: float) -> Mark:
+    """A mark of this moment."""
+    return Mark(number, now, {one.tag.name: one.last.sample.value if one.last else None for one in seen})
+
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_COLUMNS = ("tag", "value", "unit", "quality", "min", "max", "good", "bad", "changes")
+_WIDE = 150
+"""Columns of a terminal from which raw words and reference numbers are shown too."""
+
+
+@click.command(short_help="Watch tags as they change.")
+@click.argument("what", nargs=-1)
+@click.option("--period", type=click.FloatRange(0.02, 3600), default=1.0, show_default=True, help="Seconds a reading.")
+@click.option("--seconds", type=click.FloatRange(0.02), help="Stop after so long; else Ctrl-C ends it.")
+@link_options
+def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: float | None) -> None:
+    """Watch tags or addresses as they change: value, raw words, quality, age, least and greatest, a sparkline.
+
+    On a terminal the view is live, and Enter sets a mark: its time and all values are kept in the records. Elsewhere
+    each change is a line.
+    """
+    arguments = {"what": list(what), "period": period, "seconds": seconds}
+
+    async def work(site: Site) -> CommandResult:
+        return await _watched(site, what, period=period, seconds=seconds, quiet=given.as_json)
+
+    perform(given, "watch", arguments, work, _show_end)
+
+
+async def _watched(
+    site: Site, what: Sequence[str], *, period: float, seconds: float | None, quiet: bool
+) -> CommandResult:
+    """Watch until the end; gives what each tag did, and the marks."""
+    seen = [WatchedTag(tag) for tag in tags_of(site, what, How())]
+    marks: list[Mark] = []
+    live = sys.stdout.isatty() and not quiet
+
+    def mark() -> bool:
+        entered = bool(sys.stdin.readline())
+        if entered:
+            marks.append(marked(seen, len(marks) + 1, time.time()))
+        return entered
+
+    with _ending(seconds, mark if live and sys.stdin.isatty() else None) as stop:
+        async with looking(site, [one.tag for one in seen]) as look:
+            if live:
+                await _live(site.target.place, seen, marks, lambda show: watch_tags(look, seen, period, stop, show))
+            else:
+                await watch_tags(look, seen, period, stop, _nothing if quiet else _lines)
+    rows = [one.plain() for one in seen]
+    data = {"tags": rows, "marks": [{"number": m.number, "time": m.time, "values": dict(m.values)} for m in marks]}
+    never = next((row for row in rows if not row["good"] and row["quality"] != "GOOD"), None)
+    if never is None:
+        return CommandResult(data)
+    return CommandResult(data, Exit.CHECK_FAILED, f"{never['tag']} was never good: {never['reason']}")
+
+
+@contextmanager
+def _ending(seconds: float | None, on_enter: Callable[[], bool] | None) -> Iterator[asyncio.Event]:
+    """An event that is set by Ctrl-C, by SIGTERM, and after `seconds`; Enter calls `on_enter` while that says True."""
+    stop, loop = asyncio.Event(), asyncio.get_running_loop()
+
+    def entered() -> None:
+        if on_enter is not None and not on_enter():
+            loop.remove_reader(sys.stdin)
+
+    for number in _SIGNALS:
+        loop.add_signal_handler(number, stop.set)
+    if seconds is not None:
+        loop.call_later(seconds, stop.set)
+    if on_enter is not None:
+        loop.add_reader(sys.stdin, entered)
+    try:
+        yield stop
+    finally:
+        for number in _SIGNALS:
+            loop.remove_signal_handler(number)
+        if on_enter is not None:
+            loop.remove_reader(sys.stdin)
+
+
+def _nothing(_: Sequence[WatchedTag]) -> None:
+    """With --json the end alone is printed."""
+
+
+async def _live(place: str, seen: Sequence[WatchedTag], marks: Sequence[Mark], run: Callable[[Any], Any]) -> None:
+    """The view that is drawn anew with each reading."""
+    with Live(auto_refresh=False) as live:
+
+        def show(_: Sequence[WatchedTag]) -> None:
+            live.update(_view(place, seen, marks, live.console.width), refresh=True)
+
+        await run(show)
+
+
+def _view(place: str, seen: Sequence[WatchedTag], marks: Sequence[Mark], width: int) -> Table:
+    caption = "Enter: mark   Ctrl-C: end"
+    if marks:
+        caption = f"mark {marks[-1].number} at {clock_time(marks[-1].time)}   {caption}"
+    grid = Table(
+        title=Text(place), caption=Text(caption), title_justify="left", caption_justify="left", box=SIMPLE_HEAD
+    )
+    wide = width >= _WIDE
+    for column in ("tag", *(("address", "raw") if wide else ()), "value", "quality", "age", "min", "max"):
+        grid.add_column(column, justify="right" if column in ("value", "age", "min", "max") else "left", no_wrap=True)
+    if marks:
+        grid.add_column("at mark", justify="right", no_wrap=True)
+    grid.add_column("last readings", no_wrap=True)
+    for one in seen:
+        good = one.last is not None and one.last.sample.quality.is_good
+        cells = _cells(one, marks, wide=wide)
+        spark = sparkline_of(one, width)
+        grid.add_row(*(Text(cell, style="" if good else "red") for cell in (*cells, spark)))
+    return grid
+
+
+def sparkline_of(one: WatchedTag, width: int) -> str:
+    """As much of the last readings as a terminal of this width has room for."""
+    return sparkline(one.history, max(8, min(WIDTH, width - (110 if width >= _WIDE else 70))))
+
+
+def _cells(one: WatchedTag, marks: Sequence[Mark], *, wide: bool) -> list[str]:
+    sample = one.last.sample if one.last else None
+    cells = [one.tag.name]
+    if wide:
+        raw = " ".join(f"{word:04X}" for word in one.last.raw) if one.last and one.last.raw else ""
+        cells += [" ".join(filter(None, (one.tag.address, reference_of(one.tag.address)))), raw]
+    cells += [" ".join(filter(None, (_cell(sample.value if sample else None), one.tag.unit)))]
+    cells += ["", ""] if sample is None else [sample.quality.name, _age(sample.time)]
+    cells += [_cell(one.low), _cell(one.high)]
+    return cells + ([_cell(marks[-1].values.get(one.tag.name))] if marks else [])
+
+
+def _cell(value: Any) -> str:
+    return "" if value is None else str(shown_value(value))
+
+
+def _age(moment: float) -> str:
+    return f"{max(0.0, time.time() - moment):.1f} s"
+
+
+def clock_time(moment: float) -> str:
+    """The time of day with tenths, UTC."""
+    return datetime.fromtimestamp(moment, UTC).strftime("%H:%M:%S.%f")[:-5]
+
+
+def _lines(changed: Sequence[WatchedTag]) -> None:
+    """One line for each tag that changed."""
+    for one in changed:
+        if one.last is None:
+            continue
+        sample = one.last.sample
+        raw = " ".join(f"{word:04X}" for word in one.last.raw) if one.last.raw else ""
+        words = (clock_time(sample.time), one.tag.name, _cell(sample.value), one.tag.unit, sample.quality.name)
+        click.echo("  ".join(filter(None, (*words, raw, sample.reason))))
+
+
+def _show_end(data: Mapping[str, Any]) -> None:
+    rows = [
+        [_cell(row[key]) if key in ("value", "min", "max") else row[key] for key in _COLUMNS] for row in data["tags"]
+    ]
+    table("watched", _COLUMNS, rows)
+    for mark in data["marks"]:
+        click.echo(f"mark {mark['number']} at {clock_time(mark['time'])}")

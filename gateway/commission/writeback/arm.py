@@ -1,0 +1,108 @@
+"""`decanter plc arm` and `disarm`: in the gateway that runs, or in the audit log where none does."""
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.errors import DriverError
+from gateway.commission.session.audit_log import at, audit_option, audit_path
+from gateway.commission.session.gateway_line import running_gateway
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import login, perform
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.writeback.block_writer import gateway_runs, layout_of, open_block_writer
+from gateway.machine.writing.arming import ArmingError, arm_in_log, disarm_in_log, signed
+from gateway.store.audit import head
+
+
+async def start_arming(site: Site, audit_path: Path, by: str, reason: str, minutes: float) -> CommandResult:
+    """Arm for some minutes. Raises ArmingError, AuditError, ValueError or OSError."""
+    layout_of(site)
+    now = time.time()
+    arming = signed(by, reason, minutes, now)
+    if (config := site.target.config) is not None and config.writeback.mode == "off":
+        site.notes.append("writeback.mode is 'off': a gateway with this plant file computes and writes nothing")
+    reply = _ask_gateway(site, "arm", by=arming.by, reason=arming.reason, minutes=minutes)
+    if reply is None:
+        arm_in_log(audit_path, arming, now)
+    place = "the audit log" if reply is None else f"the running gateway (pid {reply['pid']})"
+    until = arming.until if reply is None else float(reply["until"])
+    data = {"by": arming.by, "reason": arming.reason, "minutes": minutes, "until": until, "told": place}
+    return CommandResult({**data, "audit": str(audit_path), "head": head(audit_path)})
+
+
+async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> CommandResult:
+    """Take the arming back; what can be written of validity 0 is written first.
+
+    Raises ArmingError, AuditError, ValueError or OSError.
+    """
+    reply = _ask_gateway(site, "disarm", by=by, reason=reason)
+    if reply is not None:
+        was, sentence = bool(reply["was_armed"]), f"the running gateway (pid {reply['pid']}) writes no more"
+    else:
+        try:
+            async with open_block_writer(site, audit_path) as writer:
+                await writer.block()
+                writer.written = 0  # this block takes everything back already
+            sentence = "validity 0 was written"
+        except (DriverError, ValueError) as error:
+            sentence = f"validity 0 was not written ({error}); the PLC's own timer covers it"
+        was = disarm_in_log(audit_path, by, reason, time.time()) is not None
+    data = {"by": by, "reason": reason, "was_armed": was, "said": sentence if was else "nothing was armed"}
+    return CommandResult({**data, "audit": str(audit_path), "head": head(audit_path) if audit_path.exists() else ""})
+
+
+def _ask_gateway(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
+    """The running gateway's answer; None where none runs. Raises ArmingError for one that cannot be asked."""
+    line = running_gateway(site.target)
+    if line is not None:
+        try:
+            return line.ask(command, **keys)
+        finally:
+            line.close()
+    if site.target.config is not None and gateway_runs(site.target.config.historian.path):
+        raise ArmingError("a gateway runs with this plant file, and its control socket does not answer; stop it first")
+    return None
+
+
+@click.command(short_help="Let blocks be written: by whom, why and for how many minutes.")
+@click.option("--reason", required=True, help="Why blocks are to be written, for the audit log.")
+@click.option("--minutes", type=float, required=True, help="For how long, 480 at most; then it ends by itself.")
+@audit_option
+@link_options
+def arm(given: SharedOptions, reason: str, minutes: float, audit: Path | None) -> None:
+    """Let blocks be written for some minutes: by the loop tests, and by a gateway with mode 'shadow'.
+
+    A gateway that runs is told so; one that starts meanwhile finds it in the audit log. Needs a name (--by).
+    """
+
+    async def work(site: Site) -> CommandResult:
+        return await start_arming(site, audit_path(audit, given, site.target), given.by, reason, minutes)
+
+    perform(given, "arm", {"reason": reason, "minutes": minutes}, work, _show_armed)
+
+
+def _show_armed(data: Mapping[str, Any]) -> None:
+    click.secho(f"ARMED until {at(data['until'])} by {data['by']}: {data['reason']}", fg="yellow")
+    click.echo(f"told to {data['told']}; audit log {data['audit']}, head {data['head'][:16]}")
+
+
+@click.command(short_help="Take the arming back.")
+@click.option("--reason", default="by command", show_default=True, help="Why, for the audit log.")
+@audit_option
+@link_options
+def disarm(given: SharedOptions, reason: str, audit: Path | None) -> None:
+    """Take the arming back: at once, with a block of validity 0 if one can be written."""
+
+    async def work(site: Site) -> CommandResult:
+        return await end_arming(site, audit_path(audit, given, site.target), given.by or login(), reason)
+
+    perform(given, "disarm", {"reason": reason}, work, _show_disarmed)
+
+
+def _show_disarmed(data: Mapping[str, Any]) -> None:
+    sentence = f"disarmed; {data['said']}" if data["was_armed"] else "nothing was armed"
+    click.echo(f"{sentence}; audit log {data['audit']}, head {data['head'][:16]}")

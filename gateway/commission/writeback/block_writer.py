@@ -1,0 +1,264 @@
+"""Blocks that a command writes, under the rules of the gateway: armed, permitted, in the write map, accounted for."""
+
+import asyncio
+import fcntl
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from struct import pack
+
+import click
+
+from drivers.driver import Driver, Writes, capabilities
+from drivers.errors import DriverError, WriteForbidden, WriteUnverified
+from drivers.tag import Sample
+from gateway.commission.session.audit_log import audit_path, questions
+from gateway.commission.session.options import SharedOptions
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.writeback.suite import Account, Unable
+from gateway.console.output import progress
+from gateway.machine.writing.arming import arming_of
+from gateway.machine.writing.block import Validity, build, next_heartbeat
+from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
+from gateway.settings.devices import DeviceMap, WritebackLayout
+from gateway.store.audit import Audit, AuditEntry, open_audit, standing
+
+SETTLE_S = 3.0
+"""The longest wait for the PLC's program to have looked at what was written."""
+_BEATS = 3
+_POLL_S = 0.02
+_WITHOUT_HEARTBEAT_S = 0.5
+NOTHING: Mapping[str, float | None] = {"input_quality": 2.0, "zone": 0.0, "alarms": 0.0}
+"""The values of a block that takes everything back."""
+ACCOUNT_TAGS = ("BlocksAccepted", "BlocksRefused", "LastRefusal", "PredictionUsable")
+Ask = Callable[[str], bool]
+Progress = Callable[[str, float], None]
+ASK = click.option("--ask", is_flag=True, help="Put each question to the person at the HMI, here.")
+
+
+def in_force(path: Path, now: float) -> Arming:
+    """The arming in force. Raises WriteForbidden without one, AuditError."""
+    row = standing(path, now)
+    if row is None:
+        raise WriteForbidden(
+            f"not armed: nothing is written; arm first: decanter plc arm --by NAME --reason WHY --minutes N (audit log "
+            f"{path})"
+        )
+    return arming_of(row)
+
+
+def layout_of(site: Site) -> tuple[DeviceMap, WritebackLayout]:
+    """The device file and its block. Raises ValueError where there is none."""
+    device = site.target.map
+    if device is None:
+        raise ValueError("which block? Give the device file (--device FILE) or the plant file (--config FILE)")
+    if device.writeback is None:
+        raise ValueError(f"{device.path}: has no [writeback] table; there is no block to write")
+    return device, device.writeback
+
+
+def gateway_runs(historian: Path) -> bool:
+    """True while a gateway holds the historian's lock."""
+    lock = historian.with_name(historian.name + ".lock")
+    if not lock.exists():
+        return False
+    with lock.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+@dataclass(slots=True)
+class BlockWriter:
+    """One command that writes blocks. `ask` puts a question to the person, None where nobody is to be asked."""
+
+    device: DeviceMap
+    layout: WritebackLayout
+    driver: Driver
+    writes: Writes
+    audit: Audit
+    arming: Arming
+    ask: Ask | None = None
+    sequence: int = 0
+    heartbeat: int = 0
+    written: int = field(default=0, init=False)
+
+    # ---------------------------------------------------------------- writing
+
+    async def send(self, words: Sequence[int], offset: int = 0) -> None:
+        """Write words into the block's area, once. Raises WriteForbidden (nothing was sent) or another DriverError."""
+        try:
+            await self._check()
+        except WriteForbidden as error:
+            self._note(REFUSED, words, str(error))
+            raise
+        self._note(WRITE, words, "", offset)
+        tags = self.layout.words[offset : offset + len(words)]
+        try:
+            await self.writes.write(list(zip(tags, words, strict=True)))
+        except DriverError as error:
+            self._note(FAILED, words, str(error), offset)
+            raise
+        self.written += 1
+
+    async def block(
+        self, values: Mapping[str, float | None] = NOTHING, validity: Validity = Validity.NONE, *, beat: bool = True
+    ) -> tuple[int, ...]:
+        """Write the next whole block; with `beat` False its heartbeat is the last one's. Raises as `send`."""
+        self.sequence = (self.sequence + 1) & 0xFFFF
+        self.heartbeat = next_heartbeat(self.heartbeat) if beat else self.heartbeat
+        words = build(self.layout, values, validity, self.sequence, self.heartbeat).words
+        await self.send(words)
+        return words
+
+    async def _check(self) -> None:
+        if time.time() >= self.arming.until or standing(self.audit.path, time.time()) is None:
+            raise WriteForbidden("the arming is over; nothing was sent")
+        if self.audit.complaint:
+            raise WriteForbidden(f"no audit record could be kept, so nothing was sent: {self.audit.complaint}")
+        if not await self.permitted():
+            raise WriteForbidden("the PLC does not permit writing (WritePermit); nothing was sent")
+
+    async def permitted(self) -> bool:
+        """The PLC's permit, as it reads now; False where it is not known."""
+        sample = (await self.read("WritePermit"))[0]
+        return sample.quality.is_good and bool(sample.value)
+
+    def _note(self, kind: str, words: Sequence[int], reason: str, offset: int = 0) -> None:
+        detail = {"words": pack(f">{len(words)}H", *words).hex(), "offset": offset, "via": "command"}
+        self.audit.put(AuditEntry(time.time(), kind, self.arming.by, reason, detail))
+
+    # ---------------------------------------------------------------- reading
+
+    async def read(self, *names: str) -> list[Sample]:
+        """The tags by their names. Raises ValueError for one that the device file lacks."""
+        known = self.device.by_name
+        missing = [name for name in names if name not in known]
+        if missing:
+            raise ValueError(f"{self.device.path}: has no tag {missing[0]!r}, by which the PLC answers; add it")
+        return await self.driver.read([known[name] for name in names])
+
+    async def numbers(self, *names: str) -> list[int]:
+        """The tags as whole numbers, once they read well. Raises DriverError if they do not within SETTLE_S."""
+        deadline = time.monotonic() + SETTLE_S
+        while True:
+            samples = await self.read(*names)
+            if all(sample.quality.is_good for sample in samples):
+                return [int(sample.value) for sample in samples if not isinstance(sample.value, str | None)]
+            if time.monotonic() > deadline:
+                bad = next(sample for sample in samples if not sample.quality.is_good)
+                raise DriverError(f"{bad.tag} cannot be read: {bad.reason}")
+            await asyncio.sleep(_POLL_S)
+
+    async def wait_for_scans(self) -> None:
+        """Wait until the PLC's program has surely looked at its memory: until its heartbeat has moved some times."""
+        beat = self.device.heartbeat
+        if beat is None:
+            await asyncio.sleep(_WITHOUT_HEARTBEAT_S)
+            return
+        deadline, seen = time.monotonic() + SETTLE_S, set(await self.numbers(beat))
+        while len(seen) <= _BEATS:
+            if time.monotonic() > deadline:
+                raise DriverError(f"the PLC's heartbeat {beat} has not moved for {SETTLE_S:g} s; its program stands")
+            await asyncio.sleep(_POLL_S)
+            seen |= set(await self.numbers(beat))
+
+    # ---------------------------------------------------------------- suite.PlcSide
+
+    async def account(self) -> Account:
+        """What the PLC says of the blocks, once it has looked at them."""
+        await self.wait_for_scans()
+        accepted, refused, code, usable = await self.numbers(*ACCOUNT_TAGS)
+        return Account(accepted, refused, code, bool(usable))
+
+    async def write(self, offset: int, words: Sequence[int]) -> None:
+        """`send`, for the suite: what cannot be sent is a step that cannot be put. Raises Unable.
+
+        A link whose device acknowledges accepted blocks alone (CANopen) cannot confirm one that is to be refused: what
+        became of it is for the PLC's account to say.
+        """
+        if len(words) < len(self.layout.words) and capabilities(self.device.driver).block == "frames":
+            raise Unable("over this link a block is several frames, and a part of it is no write of its own")
+        try:
+            with suppress(WriteUnverified):
+                await self.send(words, offset)
+        except WriteForbidden as error:
+            raise Unable(str(error)) from None
+
+    async def wait(self, seconds: float) -> None:
+        """Let so much time pass."""
+        await asyncio.sleep(seconds)
+
+    async def permit(self, on: bool) -> None:
+        """Have a person give or take the permit, unless it is as it has to be. Raises Unable."""
+        if await self.permitted() == on:
+            return
+        word = "give" if on else "take away"
+        if self.ask is None or not self.ask(f"Please {word} the write permit at the PLC. Done?"):
+            raise Unable(f"nobody was there to {word} the permit (--ask)")
+        await self.wait_for_scans()
+        if await self.permitted() != on:
+            raise Unable("the permit has not changed")
+
+
+@asynccontextmanager
+async def open_block_writer(site: Site, audit_path: Path, ask: Ask | None = None) -> AsyncIterator[BlockWriter]:
+    """The writer of one command, with a connection; at its end a block of validity 0 is written if any was.
+
+    Raises WriteForbidden where it is not armed or a gateway runs, AuditError, DriverError, ValueError.
+    """
+    device, layout = layout_of(site)
+    arming = in_force(audit_path, time.time())
+    if site.target.config is not None and gateway_runs(site.target.config.historian.path):
+        raise ValueError("a gateway runs with this plant file and writes the same block; stop it for this test")
+    audit = open_audit(audit_path)
+    try:
+        async with site.target.opened(layout.words) as driver:
+            if not isinstance(driver, Writes):
+                raise WriteForbidden("this driver cannot write")
+            begun = int(time.time()) & 0xFFFF  # where the last command left off is not known
+            writer = BlockWriter(
+                device=device,
+                layout=layout,
+                driver=driver,
+                writes=driver,
+                audit=audit,
+                arming=arming,
+                ask=ask,
+                sequence=begun,
+                heartbeat=begun or 1,
+            )
+            try:
+                yield writer
+            finally:
+                if writer.written:
+                    # The PLC's own timer covers a last block that cannot be written; the audit log has the reason.
+                    with suppress(DriverError, ValueError):
+                        await writer.block()
+                site.count(driver.statistics())
+    finally:
+        audit.close()
+
+
+def with_block_writer(
+    given: SharedOptions,
+    audit: Path | None,
+    title: str,
+    work: Callable[[BlockWriter, Progress], Awaitable[CommandResult]],
+    *,
+    ask: bool = False,
+) -> Callable[[Site], Awaitable[CommandResult]]:
+    """The work with a writer of blocks, and a bar on a terminal where nobody is asked."""
+
+    async def carried_out(site: Site) -> CommandResult:
+        async with open_block_writer(site, audit_path(audit, given, site.target), questions(ask)) as writer:
+            if ask:
+                return await work(writer, lambda _name, _share: None)
+            with progress(title) as report:
+                return await work(writer, report)
+
+    return carried_out

@@ -1,0 +1,78 @@
+"""`decanter plc codegen`: the PLC's side of the write-back contract as Structured Text."""
+
+import json
+from pathlib import Path
+
+import click
+
+from gateway.commission.writeback.structured_text import Program, generate, refusal_codes
+from gateway.commission.writeback.vectors import plain, vectors
+from gateway.console.exits import sentences
+from gateway.console.output import emit
+from gateway.console.places import config_dir
+from gateway.settings.devices import load_device
+
+
+@click.command(short_help="Generate the PLC's side of the write-back as Structured Text.")
+@click.option(
+    "--device",
+    type=click.Path(path_type=Path),
+    default=lambda: config_dir() / "devices" / "decanter_plc.toml",
+    show_default="config/devices/decanter_plc.toml",
+    help="The device file (register map) with the [writeback] table.",
+)
+@click.option("--out", type=click.Path(path_type=Path), help="File of the Structured Text.  [default: the screen]")
+@click.option("--name", default="", help="Name of the function block.  [default: made from the device's name]")
+@click.option("--program/--no-program", default=True, show_default=True, help="Also an example program that calls it.")
+@click.option("--location", default="%MW", show_default=True, help="Where registers lie in the PLC: %MW, %QW or %IW.")
+@click.option("--permit-at", default="", metavar="LOCATION", help="Where the permit's switch lies, such as %IX0.0.")
+@click.option("--cycle", type=click.IntRange(1, 10_000), default=20, show_default=True, help="The task's cycle in ms.")
+@click.option("--suite", type=click.Path(path_type=Path), help="Also write the conformance suite here (JSON).")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
+def codegen(
+    device: Path,
+    out: Path | None,
+    name: str,
+    program: bool,
+    location: str,
+    permit_at: str,
+    cycle: int,
+    suite: Path | None,
+    as_json: bool,
+) -> None:
+    """Generate the function block that checks the gateway's blocks: plain IEC 61131-3, 2nd edition, from the map.
+
+    It checks layout version, sequence copy, CRC and heartbeat, keeps a timer, and falls back to the PLC's own logic.
+    """
+    with sentences():
+        made = load_device(device)
+        text = generate(made, name, Program(location, permit_at, cycle) if program else None)
+        if out is not None:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            out.write_text(text, encoding="ascii")
+        if suite is not None:
+            write_suite(device, suite)
+    files = {"text": str(out) if out else None, "suite": str(suite) if suite else None}
+    data = {"ok": True, "device": str(device), **files, "lines": text.count("\n"), **({} if out else {"source": text})}
+    emit(data, lambda: _show(text, out, suite), as_json_line=as_json)
+
+
+def write_suite(device: Path, out: Path) -> None:
+    """Write the conformance suite of a device file as JSON. Raises ConfigError, ValueError or OSError."""
+    made = load_device(device)
+    if made.writeback is None:
+        raise ValueError(f"{device}: has no [writeback] table; there is no block to check")
+    content = plain(made.writeback, vectors(made.writeback), refusal_codes(made))
+    steps = ",\n  ".join(json.dumps(step) for step in content.pop("steps"))
+    head = json.dumps(content, indent=1)[:-2]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(f'{head},\n "steps": [\n  {steps}\n ]\n}}\n', encoding="utf-8")
+
+
+def _show(text: str, out: Path | None, suite: Path | None) -> None:
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        click.echo(f"{out}: {text.count(chr(10))} lines of Structured Text")
+    if suite is not None:
+        click.echo(f"{suite}: the conformance suite")

@@ -1,0 +1,59 @@
+"""`decanter plc conformance`: the conformance suite put to a PLC over the wire."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.commission.session.audit_log import audit_option
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.site import CommandResult
+from gateway.commission.writeback.block_writer import ASK, BlockWriter, with_block_writer
+from gateway.commission.writeback.structured_text import refusal_codes
+from gateway.commission.writeback.suite import put_through
+from gateway.commission.writeback.vectors import SuiteStep, vectors
+from gateway.console.output import table
+
+
+async def conform(
+    writer: BlockWriter, progress: Callable[[str, float], None], steps: tuple[SuiteStep, ...] = ()
+) -> CommandResult:
+    """Every step's result; `steps` are those of the device file's layout unless given. Raises DriverError."""
+    results = await put_through(steps or vectors(writer.layout), writer, refusal_codes(writer.device), progress)
+    rows: list[dict[str, Any]] = [{**asdict(one), "ok": not one.wrong} for one in results]
+    failed, skipped = [one for one in results if one.wrong], [one for one in results if one.skipped]
+    counts = {"steps": len(rows), "passed": sum(one.passed for one in results), "skipped": len(skipped)}
+    if failed:
+        first = failed[0]
+        return CommandResult(
+            {**counts, "rows": rows}, 1, f"{len(failed)} steps failed, the first: {first.step}: {first.wrong}"
+        )
+    if not counts["passed"]:
+        return CommandResult({**counts, "rows": rows}, 1, f"no step could be put: {skipped[0].skipped}")
+    return CommandResult({**counts, "rows": rows})
+
+
+@click.command(short_help="Put the PLC's side of the contract through its suite.")
+@ASK
+@audit_option
+@link_options
+def conformance(given: SharedOptions, ask: bool, audit: Path | None) -> None:
+    """Put the PLC's side of the write-back contract through the conformance suite, over the wire.
+
+    It writes whole, torn, wrong and late blocks and asks the PLC what it makes of each; needs an arming. Takes about
+    five times the PLC's timer. With --ask a person gives and takes the permit when the suite wants it.
+    """
+
+    perform(given, "conformance", {"ask": ask}, with_block_writer(given, audit, "conformance", conform, ask=ask), _show)
+
+
+def _show(data: Mapping[str, Any]) -> None:
+    rows = [
+        ["skipped" if row["skipped"] else "ok" if row["ok"] else "FAILED", row["step"], row["wrong"] or row["skipped"]]
+        for row in data["rows"]
+    ]
+    title = f"conformance: {data['passed']} of {data['steps']} steps passed, {data['skipped']} could not be put"
+    table(title, ("", "step", "why"), rows)

@@ -1,0 +1,132 @@
+"""`decanter plc write plan`: what the gateway would write, and whether the contract is complete; nothing is sent."""
+
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.driver import Writes
+from drivers.errors import DriverError
+from gateway.commission.session.audit_log import at, audit_option, audit_path
+from gateway.commission.session.options import SharedOptions, link_options
+from gateway.commission.session.perform import perform
+from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.survey.addresses import reference_of
+from gateway.commission.writeback.block_writer import ACCOUNT_TAGS, layout_of
+from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
+from gateway.console.output import table
+from gateway.settings.config import LEAST_BLOCKS
+from gateway.settings.devices import DeviceMap, WritebackLayout
+from gateway.store.audit import standing
+
+LEAST_BLOCKS_IN_TIMER = 3.0
+"""So many blocks have to fit in the PLC's timer, so that one that is lost does not make it run out."""
+
+
+async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
+    """The closed write map word by word, the rules that writing follows here, and what is missing.
+
+    Raises ValueError for a device file without a block, AuditError.
+    """
+    device, layout = layout_of(site)
+    problems = list(problems_of(site, device, layout))
+    row = standing(audit_path, time.time())
+    config = site.target.config
+    data: dict[str, Any] = {
+        "words": _words(layout),
+        "alarm_bits": [
+            {"bit": bit, "name": name, "meaning": ALARM_MEANINGS[name]} for bit, name in enumerate(ALARM_BITS)
+        ],
+        "mode": config.writeback.mode if config else None,
+        "armed": {"by": row.entry.who, "reason": row.entry.reason, "until": row.entry.detail["until"]} if row else None,
+        "layout_version": layout.version,
+        "plc_timer_s": layout.timeout,
+        "period_s": config.scan.period if config else None,
+        "most_per_second": config.blocks_per_second if config else LEAST_BLOCKS,
+        "audit": str(audit_path),
+        "problems": problems,
+    }
+    complaint = f"{len(problems)} things stand in the way of writing: {problems[0]}" if problems else ""
+    return CommandResult(data, int(bool(problems)), complaint)
+
+
+def _words(layout: WritebackLayout) -> list[dict[str, Any]]:
+    rows = []
+    for field, tag in zip(layout.fields, layout.words, strict=True):
+        unit, meaning = MEANINGS[field.name]
+        unknown = None if field.name in ALWAYS_KNOWN else unknown_word(field, layout)
+        rows.append(
+            {
+                "field": field.name,
+                "address": tag.address,
+                "reference": reference_of(tag.address),
+                "type": "int16" if field.signed else "uint16",
+                "scale": field.scale,
+                "unit": unit,
+                "unknown": "" if unknown is None else f"0x{unknown:04X}",
+                "meaning": meaning,
+            }
+        )
+    return rows
+
+
+def problems_of(site: Site, device: DeviceMap, layout: WritebackLayout) -> Iterator[str]:
+    """What stands in the way of writing, one sentence each."""
+    known, config = device.by_name, site.target.config
+    if "WritePermit" not in known:
+        yield f"{device.path} has no tag WritePermit: without the PLC's permit nothing is ever written"
+    if device.heartbeat is None:
+        yield f"{device.path} names no heartbeat: a PLC that stands still could not be told from one that runs"
+    for name in ACCOUNT_TAGS:
+        if name not in known:
+            yield f"{device.path} has no tag {name}: what the PLC makes of the blocks could not be seen"
+    words = {tag.address for tag in layout.words}
+    for tag in device.tags:
+        if tag.address in words:
+            yield f"{tag.name} lies at {tag.address}, within the block; move one of them"
+        if tag.writable:
+            yield f"{tag.name} is marked writable; the gateway writes the block and nothing else"
+    if config is not None and layout.timeout < LEAST_BLOCKS_IN_TIMER * config.scan.period:
+        yield (
+            f"the PLC's timer of {layout.timeout:g} s is shorter than {LEAST_BLOCKS_IN_TIMER:g} scans of "
+            f"{config.scan.period:g} s: one lost block would make it run out"
+        )
+    try:
+        if not isinstance(site.target.make_driver(layout.words), Writes):
+            yield f"driver {device.driver!r} cannot write"
+    except DriverError as error:
+        yield f"the driver refuses the write map: {error}"
+
+
+@click.command(short_help="What the gateway would write, word by word; nothing is sent.")
+@audit_option
+@link_options
+def plan(given: SharedOptions, audit: Path | None) -> None:
+    """What the gateway would write, word by word, and by which rules; nothing is sent."""
+
+    async def work(site: Site) -> CommandResult:
+        return await plan_writing(site, audit_path(audit, given, site.target))
+
+    perform(given, "write plan", {}, work, _show_plan)
+
+
+def _show_plan(data: Mapping[str, Any]) -> None:
+    columns = ("field", "address", "reference", "type", "scale", "unit", "unknown", "meaning")
+    rows = [
+        [word[column] if column != "scale" else f"{word['scale']:g}" for column in columns] for word in data["words"]
+    ]
+    table(f"the closed write map: {len(rows)} words, layout version {data['layout_version']}", columns, rows)
+    bits = ", ".join(f"{one['bit']} {one['name']}" for one in data["alarm_bits"])
+    click.echo(f"alarm bits: {bits}")
+    period = f"a block a scan ({data['period_s']:g} s)" if data["period_s"] else "a block a scan"
+    click.echo(f"one request a block, sent once; {period}, at most {data['most_per_second']:g} a second")
+    click.echo(f"the PLC's timer: {data['plc_timer_s']:g} s; audit log {data['audit']}")
+    armed = data["armed"]
+    if armed:
+        click.secho(f"ARMED until {at(armed['until'])} by {armed['by']}: {armed['reason']}", fg="yellow")
+    else:
+        click.echo(f"not armed{', mode ' + data['mode'] if data['mode'] else ''}")
+    for problem in data["problems"]:
+        click.secho(f"missing: {problem}", fg="red")

@@ -1,0 +1,222 @@
+"""`decanter demo`: the main job end to end on this machine."""
+
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+
+from gateway.console.exits import Exit, fail, sentences
+from gateway.console.options import finite, map_option, seed_option
+from gateway.console.output import emit, progress, table
+from gateway.console.places import config_dir, shipped
+from gateway.demo.child import DemoError
+from gateway.demo.folder import clear, held
+from gateway.demo.gap import demonstrate
+from gateway.demo.links import DEFAULT_LINK, LINKS
+from gateway.demo.play import play
+from gateway.demo.prepare import DemoRun, limit_for, pace, split, suits, write_device
+from gateway.demo.summary import draw_result, findings, result
+from gateway.lab.learn import learn_from, write
+from gateway.lab.traces.load import load
+from sim.plant.scenarios import history_and_day
+from sim.sha.events import encode
+from sim.sha.trace import Trace
+from sim.traces.column_map import ColumnMap, load_map
+from sim.traces.trace_file import write_trace
+
+
+@click.command(short_help="Run the main job end to end on this machine: PLC, gateway, outage, summary, picture.")
+@click.option(
+    "--trace",
+    "paths",
+    multiple=True,
+    help="A recorded trace instead of the embedded synthetic ones; a file, folder or glob.",
+)
+@map_option
+@click.option(
+    "--limit",
+    type=click.FloatRange(-300, 3000),
+    callback=finite,
+    help="Alarm limit in °C.  [default: 80, or above what was learned from]",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(5, 3600),
+    callback=finite,
+    help="Real time for the replay, at most 100 times faster than it was; a longer trace is cut.  "
+    "[default: the whole trace, in 34 s or as long as it takes]",
+)
+@seed_option
+@click.option(
+    "--link", type=click.Choice(tuple(LINKS)), default=DEFAULT_LINK, show_default=True, help="The way to the PLC."
+)
+@click.option("--discrepancy", is_flag=True, help="The other demonstration: a hidden effect is found, named and added.")
+@click.option("--out", type=click.Path(path_type=Path), help="[default: out/demo, out/demo-discrepancy]")
+@click.option("--json", "as_json", is_flag=True, help="Only one JSON object at the end.")
+def demo(
+    paths: Sequence[str],
+    map_name: str,
+    limit: float | None,
+    seconds: float | None,
+    seed: int,
+    link: str,
+    discrepancy: bool,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Run the main job end to end: PLC over Modbus or another link, events, prediction, registers written back.
+
+    A software PLC replays a trace and the gateway reads it over a real link, as two processes. The model is learned
+    before: from three synthetic days for 56 minutes of another one, or from the first 60 % of a trace of yours for
+    the rest. Half way the PLC refuses its connections for two seconds.
+
+    With --discrepancy: a model is learned, then something in its (simulated) plant changes that it knows nothing of.
+    Where they disagree is found, the missing effect named and added, and the error on new days shown before and after.
+    """
+    if discrepancy:
+        if paths or limit is not None or seconds is not None or link != DEFAULT_LINK:
+            raise click.UsageError(
+                "--discrepancy simulates its own plant; leave --trace, --limit, --seconds, --link out"
+            )
+        demonstrate(seed, out or Path("out/demo-discrepancy"), as_json=as_json)
+        return
+    out = out or Path("out/demo")
+    console = Console(stderr=as_json)
+    if not console.is_terminal:
+        console = Console(stderr=as_json, width=140)
+    try:
+        with interruptible(), sentences(), held(out):
+            setting = prepare(paths, map_name, limit=limit, seconds=seconds, seed=seed, link=link, out=out)
+            data = perform(setting, console, as_json=as_json)
+    except KeyboardInterrupt:
+        fail(
+            f"stopped before the end; PLC and gateway are stopped too, and what there is lies in {out}",
+            Exit.INTERRUPTED,
+        )
+    emit(data, lambda: show(data), as_json_line=as_json)
+    if data["wrong_good"]:
+        fail(f"{data['wrong_good']} wrong values were held for good", Exit.CHECK_FAILED)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the demonstration as Ctrl-C does: with both processes stopped."""
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    ours = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
+    for number in ours:
+        signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def perform(setting: DemoRun, console: Console, *, as_json: bool) -> dict[str, Any]:
+    """Play the demonstration, draw it, and give its figures; leaves with code 1 when a process fails."""
+    for note in setting.notes:
+        console.print(note, style="yellow", markup=False, highlight=False)
+    try:
+        recording, historian = play(setting, console, quiet=as_json)
+        return result(setting, recording, historian, draw_result(setting, historian, setting.folder / "demo.png"))
+    except DemoError as error:
+        fail(str(error), Exit.CHECK_FAILED)
+
+
+def prepare(
+    paths: Sequence[str], map_name: str, *, limit: float | None, seconds: float | None, seed: int, link: str, out: Path
+) -> DemoRun:
+    """Learn the model and write all files of the demonstration into `out`. Raises ValueError or OSError."""
+    template = config_dir() / "devices" / "decanter_plc.toml"
+    with progress("demo") as report:
+        report("traces", 0.0)
+        if paths:
+            given, column_map = load(paths, map_name)
+            training, rest = split(given)
+        else:
+            training, rest, column_map = _embedded(map_name, seed)
+        learned = learn_from(training, column_map, name="demo", seed=seed, report=report)
+    clear(out)
+    write(out / "model", learned)
+    replayed, speed, period = pace(rest, seconds)
+    bound, note = limit_for(training, column_map.temperature, limit)
+    write_trace(replayed, out / "replay.csv")
+    device, addresses = template, config_dir() / "devices" / LINKS[link].device if LINKS[link].device else None
+    if not suits(template, replayed):
+        if addresses is not None:
+            raise ValueError(f"--link {link}: {addresses} has not all signals of this trace; give --link modbus for it")
+        units = {name: signal.unit for name, signal in column_map.signals.items()}
+        device = write_device(replayed, column_map.alphabet, units, template, out / "device.toml")
+    lasts = f"the replay takes {np.ptp(replayed.times) / speed:.0f} s over {link}"
+    notes = tuple(filter(None, (f"{_origin(training, replayed, rest)}; {lasts}", note)))
+    return DemoRun(
+        folder=out,
+        trace=replayed,
+        model=learned.model,
+        device=device,
+        plant=out / "plant.toml",
+        replay=out / "replay.csv",
+        limit=bound,
+        speed=speed,
+        period=period,
+        notes=notes,
+        link=link,
+        addresses=addresses,
+    )
+
+
+def _origin(training: Sequence[Trace], replayed: Trace, rest: Trace) -> str:
+    rows = sum(trace.times.size for trace in training)
+    made = "SYNTHETIC data, not measured on a plant: " if replayed.synthetic else ""
+    cut = f" (of {rest.times.size}: --seconds ends it)" if replayed.times.size < rest.times.size else ""
+    learned = f"learned from {len(training)} traces with {rows} rows"
+    return f"{made}{learned}, replaying {replayed.times.size} rows{cut} of {replayed.name}"
+
+
+def _embedded(map_name: str, seed: int) -> tuple[list[Trace], Trace, ColumnMap]:
+    """The synthetic history and the new day, encoded."""
+    column_map = load_map(shipped("traces", map_name))
+    history, day = history_and_day(seed)
+    encoded = [replace(trace, events=encode(trace, column_map.alphabet)) for trace in (*history, day)]
+    return encoded[:-1], encoded[-1], column_map
+
+
+def show(data: dict[str, Any]) -> None:
+    """Print the summary."""
+    written, outage = data["writeback"], data["outage"]
+    latency = written["latency_ms"]
+    rows = [
+        ["events", data["events"]],
+        ["samples kept", data["samples"]],
+        ["free-run error", _error(data["errors"]["free_run"])],
+        ["one-step error", _error(data["errors"]["one_step"])],
+        ["blocks by the PLC's account", f"{written['accepted']} accepted, {written['refused']} refused"],
+        ["scan to confirmed write", f"p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms"],
+        ["outage noticed", _after(outage["detected_s"], "it began")],
+        ["good readings again", _after(outage["recovered_s"], "it ended")],
+        ["wrong values held for good", f"{data['wrong_good']} of {data['judged']} judged by the PLC"],
+    ]
+    made = "SYNTHETIC data, " if data["synthetic"] else ""
+    title = f"summary: {made}{data['trace']}, {data['rows']} rows, {data['speed']:.0f} times real time"
+    table(title, ("what", "figure"), rows)
+    for sentence in findings(data):
+        click.echo(sentence)
+    click.echo(f"picture: {data['picture']}")
+    click.echo(f"log: {data['log']}")
+
+
+def _error(error: dict[str, float]) -> str:
+    return f"rmse {error['rmse']:.3f} °C, mean absolute {error['mae']:.3f} °C"
+
+
+def _after(value: float | None, what: str) -> str:
+    return "never" if value is None else f"{value:.2f} s after {what}"

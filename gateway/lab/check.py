@@ -1,0 +1,279 @@
+"""`decanter model check`: a query put to a model, answered by runs or decided over its locations."""
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.console.exits import Exit, sentences
+from gateway.console.options import finite, json_option, map_option
+from gateway.console.output import emit, progress, table
+from gateway.lab.answer_picture import draw_answer
+from gateway.lab.traces.load import load
+from gateway.store.history import reading, to_trace
+from sim.artefacts.find import find_model
+from sim.checking.query.parse import parse_query
+from sim.checking.query.tree import Simulation, Symbolic
+from sim.checking.smc.answer import Answer, Rule, Settings, Start, answer, believed, decided, initial
+from sim.sha.events import Alphabet, encode
+from sim.sha.model import Model
+from sim.sha.trace import Trace
+from sim.validation.plots import ENDINGS
+
+HISTORY = 24 * 3600.0
+"""Seconds of a historian that are filtered to know what is believed at its end; a stay is seldom longer."""
+
+
+def _share(_: click.Context, parameter: click.Parameter, number: float) -> float:
+    finite(_, parameter, number)
+    if not 0.0 < number < 0.5:
+        raise click.BadParameter(f"{number} is not between 0 and 0.5")
+    return number
+
+
+def _picture(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    if path is None:
+        return None
+    if path.suffix.lower() not in ENDINGS:
+        raise click.BadParameter(
+            f"{path} is no picture; give a name that ends in {', '.join(ENDINGS)}", param=parameter
+        )
+    return _place(context, parameter, path)
+
+
+def _place(_: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    """A file in a folder that is there: an answer must not be lost because it cannot be written."""
+    if path is not None and not path.absolute().parent.is_dir():
+        raise click.BadParameter(f"{path.parent} is no folder; make it first, or name another one", param=parameter)
+    return path
+
+
+@click.command(short_help="Answer a query: how probable, how hot, whether it can.")
+@click.argument("model_name", metavar="MODEL")
+@click.argument("query_text", metavar="QUERY")
+@click.option("--events", "events", metavar="TRACE", help="A recorded trace whose events and inputs drive the runs.")
+@map_option
+@click.option(
+    "--from",
+    "origin",
+    default="initial",
+    show_default=True,
+    metavar="initial|location:NAME|trace:TIME|historian:FILE",
+    help="Where runs start: as the model does, in a location, or from what is believed then.",
+)
+@click.option(
+    "--future",
+    type=click.Choice(["recorded", "semi-markov"]),
+    help="What drives the runs after trace:TIME: the trace's own events (the default), or the semi-Markov law.",
+)
+@click.option(
+    "--rule",
+    type=click.Choice(["sequential", "fixed", "anytime"]),
+    default="sequential",
+    show_default=True,
+    help="When there are enough runs: see docs/checking.md.",
+)
+@click.option("--runs", type=click.IntRange(1, 100_000_000), help="Exactly so many runs (for a test: at most).")
+@click.option("--alpha", type=float, default=0.05, show_default=True, callback=_share, help="1 - confidence.")
+@click.option("--epsilon", type=float, default=0.05, show_default=True, callback=_share, help="Interval's half-width.")
+@click.option(
+    "--delta", type=float, default=0.01, show_default=True, callback=_share, help="A test's indifference: p ± delta."
+)
+@click.option("--rare", is_flag=True, help="Importance splitting: for probabilities of 1e-4 and less.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Equal seeds, equal answers.")
+@click.option(
+    "--csv",
+    "csv",
+    type=click.Path(path_type=Path, dir_okay=False),
+    callback=_place,
+    help="Write the courses of a simulation there.",
+)
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    callback=_picture,
+    help="Draw the courses of a simulation, or how the probability grows with time.",
+)
+@json_option
+def check(
+    model_name: str,
+    query_text: str,
+    events: str | None,
+    map_name: str,
+    origin: str,
+    future: str | None,
+    rule: Rule,
+    runs: int | None,
+    alpha: float,
+    epsilon: float,
+    delta: float,
+    rare: bool,
+    seed: int,
+    csv: Path | None,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    """Answer QUERY about MODEL: Pr[<=T](...), a test >= p, a comparison, E[<=T; N](max: ...), simulate, E<>, A[] ...
+
+    docs/queries.md is the language, docs/checking.md says how answers come about and how exact they are. Times are
+    seconds from where the runs start.
+
+    Exit codes: 0 answered or it holds, 1 a test, comparison or symbolic query whose answer is no, or stays open within
+    the runs allowed, 2 wrong usage or input.
+    """
+    settings = Settings(alpha, epsilon, rule, runs, delta, seed=seed, rare=rare)
+    with sentences(), progress("checking") as report:
+        found = _answered(model_name, query_text, _Origin(events, map_name, origin, future), settings, report)
+        _written(found, query_text, csv, picture)
+    emit(_plain(found, query_text, csv, picture), lambda: _say(found, query_text, csv, picture), as_json_line=as_json)
+    if found.kind in ("hypothesis", "comparison", "symbolic") and found.verdict is not True:
+        raise SystemExit(int(Exit.CHECK_FAILED))
+
+
+@dataclass(frozen=True, slots=True)
+class _Origin:
+    """Where the runs start and what drives them, as the options say it."""
+
+    events: str | None
+    map_name: str
+    origin: str
+    future: str | None
+
+
+def _answered(
+    name: str, text: str, origin: _Origin, settings: Settings, report: Callable[[str, float], None]
+) -> Answer:
+    """The answer. Raises ValueError, the sentences' way."""
+    report("model and query", 0.0)
+    trace, alphabet, temperature = _trace(origin)
+    found = find_model(name) if trace is None else find_model(name, alphabet=alphabet, temperature=temperature)
+    query = parse_query(text, found.model if found.model is not None else found.structure)
+    if isinstance(query, Symbolic):
+        return decided(query, found.structure)
+    return answer(query, _start(found.runnable(), origin, trace), settings, report)
+
+
+def _trace(origin: _Origin) -> tuple[Trace | None, Alphabet | None, str]:
+    """The one trace that --events names, encoded by its column map, with the map's alphabet and temperature."""
+    if origin.events is None:
+        return None, None, ""
+    traces, column_map = load([origin.events], origin.map_name)
+    if len(traces) != 1:
+        raise ValueError(f"{origin.events} holds {len(traces)} traces; --events takes one, whose events drive the runs")
+    return traces[0], column_map.alphabet, column_map.temperature
+
+
+def _start(model: Model, origin: _Origin, trace: Trace | None) -> Start:
+    """Where the runs start. Raises ValueError for options that do not go together."""
+    kind, _, value = origin.origin.partition(":")
+    if kind == "initial" and not value:
+        if origin.future == "semi-markov" and trace is not None:
+            raise ValueError("--events gives the events to come: leave it or --future semi-markov out")
+        return initial(model, trace)
+    if kind == "location" and value:
+        if trace is not None:
+            raise ValueError("--from location:NAME goes on by the semi-Markov law: leave --events out")
+        return initial(model, location=value)
+    if kind == "trace":
+        if trace is None:
+            raise ValueError("--from trace:TIME needs the trace: name it with --events")
+        seconds = _seconds(value)
+        recorded = origin.future != "semi-markov"
+        return believed(model, trace, float(trace.times[0]) + seconds, recorded=recorded)
+    if kind == "historian" and value:
+        if trace is not None or origin.future == "recorded":
+            raise ValueError("what comes after a historian's end is not recorded: leave --events and --future out")
+        return believed(model, _history(Path(value), model))
+    raise ValueError(f"--from {origin.origin!r}: write initial, location:NAME, trace:SECONDS or historian:FILE")
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = float("nan")
+    if not (isfinite(seconds) and seconds >= 0):
+        raise ValueError(f"--from trace:{text}: give the seconds since the trace's first row, such as trace:600")
+    return seconds
+
+
+def _history(path: Path, model: Model) -> Trace:
+    """The historian's last day, encoded by the model's own alphabet as the gateway does. Raises HistorianError."""
+    with reading(path) as connection:
+        last = connection.execute("SELECT max(time) FROM scans").fetchone()[0]
+    if last is None:
+        raise ValueError(f"{path}: this historian has no scans yet; let the gateway run first")
+    trace = to_trace(path, path.name, start=last - HISTORY)
+    return replace(trace, events=encode(trace, model.alphabet))
+
+
+def _written(found: Answer, text: str, csv: Path | None, picture: Path | None) -> None:
+    """The files that were asked for. Raises ValueError where the query has nothing for them."""
+    if csv is not None:
+        if not found.courses:
+            raise ValueError("--csv writes the courses of a simulate query; this query has none")
+        _write_csv(found, csv)
+    if picture is not None:
+        draw_answer(found, text, picture)
+
+
+def _write_csv(found: Answer, path: Path) -> None:
+    """One row an instant: run, seconds, one column an expression."""
+    labels = found.query.labels if isinstance(found.query, Simulation) else ()
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["run", "time", *labels])
+        for number, course in enumerate(found.courses):
+            for row, time in enumerate(course.times.tolist()):
+                writer.writerow([number, repr(time), *(repr(value) for value in course.values[:, row].tolist())])
+
+
+def _plain(found: Answer, text: str, csv: Path | None, picture: Path | None) -> dict[str, Any]:
+    return {
+        "query": text,
+        "kind": found.kind,
+        "answer": found.sentence,
+        "verdict": found.verdict,
+        "numbers": dict(found.numbers),
+        "rule": found.rule,
+        "runs": found.runs,
+        "seed": found.seed,
+        "start": found.start,
+        "levels": [{"temperature": level, "chance": chance} for level, chance in found.levels],
+        "notes": list(found.notes),
+        "csv": csv and str(csv),
+        "picture": picture and str(picture),
+    }
+
+
+def _say(found: Answer, text: str, csv: Path | None, picture: Path | None) -> None:
+    """The answer on one screen: what was asked, the answer, how it came about, what limits it."""
+    click.echo(text)
+    click.secho(f"  {found.sentence}", bold=True)
+    _say_rows(found)
+    click.echo(f"  method   {found.rule}")
+    if found.runs:
+        click.echo(f"  runs     {found.runs}, seed {found.seed}")
+    if found.start:
+        click.echo(f"  start    {found.start}")
+    for note in found.notes:
+        click.echo(f"  note     {note}")
+    for name, path in (("csv", csv), ("picture", picture)):
+        if path is not None:
+            click.echo(f"{name}: {path}")
+
+
+def _say_rows(found: Answer) -> None:
+    """The figures of a simulation's expressions, or the levels of importance splitting."""
+    if isinstance(found.query, Simulation):
+        kinds = ("least", "greatest", "mean at the end")
+        named = [(label, [found.numbers[f"{label}: {kind}"] for kind in kinds]) for label in found.query.labels]
+        table("courses", ["expression", *kinds], [[label, *(f"{one:.5g}" for one in own)] for label, own in named])
+    if found.levels:
+        chance = found.numbers.get("violation", found.numbers["probability"])
+        rows = [[f"{level:.4g} °C", f"{share:.2e}"] for level, share in found.levels]
+        table("way", ["level", "chance to reach it"], [*rows, ["the event", f"{chance:.2e}"]])

@@ -1,0 +1,121 @@
+"""`decanter trace can`: a recorded CAN log decoded by a device file, as a table and as a CSV trace."""
+
+import csv
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TextIO
+
+import click
+
+from drivers.driver import Recorded, open_recording
+from drivers.tag import Sample, Tag
+from gateway.console.exits import sentences
+from gateway.console.options import json_option
+from gateway.console.output import emit, make_folder, progress, table
+from gateway.console.places import shipped
+from gateway.settings.devices import load_device
+
+COLUMNS = ("time_s", "signal", "value", "quality")
+_MOST_IDENTIFIERS = 60
+
+
+@click.command("can", short_help="Decode a CAN log (candump, ASC, BLF, TRC, CSV, MF4) to a table and a CSV.")
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option(
+    "--device", default="obd2", show_default=True, help="Device file with the tags, or a name in config/devices."
+)
+@click.option("--format", "format_", help="candump, asc, blf, trc, csv or mf4, where the suffix does not say it.")
+@click.option("--bus", help="Only this bus of the log, as the log names it (can0, 1 ...).")
+@click.option("--dbc", type=click.Path(path_type=Path), help="DBC file, instead of the device file's own.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the readings to this CSV.")
+@json_option
+def can_log(
+    log: Path, device: str, format_: str | None, bus: str | None, dbc: Path | None, out: Path | None, as_json: bool
+) -> None:
+    """Decode a CAN log by the tags of a device file, and say what became of every frame.
+
+    The CSV has a row a reading: time_s (as logged), signal, value, quality; a reading that is not good has the value
+    nan. Column maps of the format "long" read it, for OBD-II config/traces/can_obd2.toml.
+    """
+    given = {"format": format_, "bus": bus, "dbc": dbc and str(dbc)}
+    with sentences(), progress(log.name) as report:
+        device_map = load_device(shipped("devices", device))
+        settings = {**device_map.settings, **{key: value for key, value in given.items() if value is not None}}
+        recorded = open_recording(device_map.driver, log, settings, device_map.tags)
+        with _written(out) as rows:
+            spans = _spans(rows(recorded.samples(report)))
+    data = _summary(recorded, device_map.tags, spans) | {
+        "log": str(log),
+        "out": out and str(out),
+        "problem": recorded.problem,
+    }
+    emit(data, lambda: _show(data), as_json_line=as_json)
+
+
+@contextmanager
+def _written(out: Path | None) -> Iterator[Any]:
+    """A filter that writes the samples on their way to `out`; a file is only there once it is whole."""
+    if out is None:
+        yield lambda samples: samples
+        return
+    make_folder(out.parent)
+    unfinished = out.with_name(out.name + ".part")
+    try:
+        with unfinished.open("w", encoding="utf-8", newline="") as stream:
+            yield lambda samples: _rows(stream, samples)
+        unfinished.replace(out)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _rows(stream: TextIO, samples: Iterable[Sample]) -> Iterator[Sample]:
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for sample in samples:
+        value = sample.value if sample.quality.is_good else "nan"
+        cell = int(value) if isinstance(value, bool) else value
+        writer.writerow((f"{sample.time:.6f}", sample.tag, cell, sample.quality.name))
+        yield sample
+
+
+def _spans(samples: Iterable[Sample]) -> dict[str, list[Any]]:
+    """By tag: its least and greatest number, and its last good value."""
+    spans: dict[str, list[Any]] = {}
+    for sample in samples:
+        value = sample.value
+        if value is None or not sample.quality.is_good:
+            continue
+        if isinstance(value, str):
+            spans[sample.tag] = [None, None, value]
+            continue
+        low, high, _ = spans.get(sample.tag, (value, value, value))
+        spans[sample.tag] = [min(low, value), max(high, value), value]
+    return spans
+
+
+def _summary(recorded: Recorded, tags: Iterable[Tag], spans: dict[str, list[Any]]) -> dict[str, Any]:
+    rows = []
+    for tag in tags:
+        found = {quality: count for (name, quality), count in recorded.readings.items() if name == tag.name}
+        low, high, last = spans.get(tag.name, (None, None, None))
+        good = found.pop("GOOD", 0)
+        row = {"tag": tag.name, "address": tag.address, "unit": tag.unit, "good": good, "not_good": found}
+        rows.append(row | {"lowest": low, "highest": high, "last": last})
+    counted = [[bus, name, count] for (bus, name), count in recorded.identifiers.most_common(_MOST_IDENTIFIERS)]
+    return {"tags": rows, "counts": dict(recorded.counts()), "identifiers": counted}
+
+
+def _show(data: dict[str, Any]) -> None:
+    columns = ("tag", "address", "unit", "good", "not_good", "lowest", "highest", "last")
+    table(
+        str(data["log"]),
+        columns,
+        [["" if row[column] is None else row[column] for column in columns] for row in data["tags"]],
+    )
+    table("identifiers", ("bus", "identifier", "frames"), data["identifiers"])
+    table("what became of it", ("count of", "number"), [list(item) for item in data["counts"].items() if item[1]])
+    if data["problem"]:
+        click.echo(f"not decoded: {data['problem']}")
+    if data["out"]:
+        click.echo(f"trace: {data['out']}")

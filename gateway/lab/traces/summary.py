@@ -1,0 +1,38 @@
+"""What `decanter trace synth` and `trace show` say of a trace."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gateway.console.output import table
+from sim.sha.trace import Trace
+
+
+def summary_of(made: Trace, file: Path | None) -> dict[str, Any]:
+    """Name, size and the range of each signal, as JSON."""
+    return {
+        "name": made.name,
+        "file": file and str(file),
+        "synthetic": made.synthetic,
+        "rows": made.times.size,
+        "seconds": float(made.times[-1] - made.times[0]) if made.times.size else 0.0,
+        "events": len(made.events),
+        "signals": {
+            name: [float(np.nanmin(column)), float(np.nanmax(column))]
+            for name, column in made.signals.items()
+            if not np.all(np.isnan(column))
+        },
+    }
+
+
+def show_summaries(title: str, rows: Sequence[dict[str, Any]]) -> None:
+    """One row a trace; of a few also the range of each signal."""
+    columns = ("name", "rows", "seconds", "events", "file")
+    table(
+        title, columns, [[row["name"], row["rows"], row["seconds"], row["events"], row["file"] or ""] for row in rows]
+    )
+    for row in rows if len(rows) <= 3 else ():
+        ranges = [[name, low, high] for name, (low, high) in row["signals"].items()]
+        table(f"{row['name']}: ranges", ("signal", "lowest", "highest"), ranges)

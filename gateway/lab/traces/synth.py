@@ -1,0 +1,58 @@
+"""`decanter trace synth`: synthetic traces as CSV."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from gateway.console.exits import sentences
+from gateway.console.options import json_option, seed_option
+from gateway.console.output import emit, make_folder, progress
+from gateway.lab.traces.summary import show_summaries, summary_of
+from sim.plant.scenarios import SCENARIOS, production, scenario
+from sim.sha.events import DECANTER, encode
+from sim.traces.trace_file import write_trace
+
+
+@click.command(short_help="Write SYNTHETIC traces as CSV.")
+@click.argument("names", nargs=-1)
+@click.option("--all", "everything", is_flag=True, help="All scenarios cd1..cd17.")
+@click.option("--days", type=click.IntRange(1, 400), help="Production over so many days instead of a scenario.")
+@click.option("--cycles", type=click.IntRange(1, 48), default=4, show_default=True, help="Runs a day, with --days.")
+@click.option("--period", type=click.FloatRange(0.1, 3600), default=10.0, show_default=True, help="s, with --days.")
+@seed_option
+@click.option("--out", type=click.Path(path_type=Path), default=Path("out/traces"), show_default=True)
+@json_option
+def synth(
+    names: Sequence[str],
+    everything: bool,
+    days: int | None,
+    cycles: int,
+    period: float,
+    seed: int,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Write SYNTHETIC traces as CSV: scenarios (cd1 cd8 ...), all of them, or production over several days.
+
+    No plant produced them; every file says so in its first line.
+    """
+    wanted = list(SCENARIOS) if everything else list(names)
+    if not wanted and days is None:
+        raise click.UsageError("name scenarios (cd1 ... cd17), or give --all or --days N")
+    with sentences(), progress("synthetic traces") as report:
+        traces = []
+        for index, name in enumerate(wanted):
+            report(name, index / len(wanted))
+            traces.append(scenario(name, seed))
+        if days is not None:
+            report(f"{days} days", 0.5)
+            traces.append(production(days, cycles, seed=seed, period=period, name=f"production_{days}d_seed{seed}"))
+        make_folder(out)
+        files = [out / f"{made.name}.csv" for made in traces]
+        for made, file in zip(traces, files, strict=True):
+            write_trace(made, file)
+    encoded = [replace(made, events=encode(made, DECANTER)) for made in traces]
+    rows = [summary_of(made, file) for made, file in zip(encoded, files, strict=True)]
+    emit({"synthetic": True, "traces": rows}, lambda: show_summaries("SYNTHETIC traces", rows), as_json_line=as_json)

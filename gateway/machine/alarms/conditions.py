@@ -1,0 +1,58 @@
+"""Which alarms a machine has, from its configuration: their limits, delays, bits, and what an operator shall do."""
+
+from shlex import join
+
+from gateway.machine.alarms.states import AlarmCondition
+from gateway.machine.reading.quality import STALE_PERIODS
+from gateway.settings.config import Config
+
+DEVICE = "device"
+"""The alarm for what the device itself says is wrong with it."""
+DRIFT_SINCE = "14d"
+"""The span of the historian that a diagnosis is offered for: ten cycles or more of a plant that runs every day."""
+REVIEW = "the readings lie beyond 3 sigma of the model too often: look at the sensor, then learn or correct the model"
+
+
+def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool = False) -> dict[str, AlarmCondition]:
+    """The alarms by name; their bits are those of the block's alarm word.
+
+    A driver that `complains` has an alarm of its own for what its device says.
+    """
+    a, period = config.alarms, config.scan.period
+    tags = config.map.by_name
+    conditions = [
+        AlarmCondition(
+            f"over limit {name}",
+            name,
+            bit=0,
+            limit=a.limit,
+            deadband=a.deadband,
+            on_delay=a.on_delay,
+            off_delay=a.off_delay,
+            priority=1,
+            response=f"{name} is above {a.limit:g} {tags[name].unit}: reduce the load and check the lubrication",
+        )
+        for name in config.watched
+    ]
+    if config.model.path is not None:
+        tag, off = config.model.temperature, a.off_delay
+        conditions += [
+            AlarmCondition("predicted over limit", tag, bit=1, limit=a.p_limit, deadband=a.p_limit / 2, off_delay=off),
+            AlarmCondition("anomaly", tag, bit=2, limit=a.anomaly, deadband=a.anomaly / 3, off_delay=off, priority=3),
+            AlarmCondition("review", tag, bit=5, limit=0.5, off_delay=off, priority=3, response=REVIEW),
+            AlarmCondition("drift", tag, bit=3, limit=a.drift_cycles - 0.5, priority=3, response=_offer(config)),
+        ]
+    # One reading that came late is no alarm: inputs have to be bad for as long as a value may be held.
+    bad = AlarmCondition("inputs bad", ", ".join(inputs), bit=4, limit=0.5, on_delay=STALE_PERIODS * period)
+    if complains:
+        response = "the device or its bus says that something is wrong: see complaints in the status"
+        conditions.append(AlarmCondition(DEVICE, config.map.name, 6, 0.5, off_delay=a.off_delay, response=response))
+    return {condition.name: condition for condition in (*conditions, bad)}
+
+
+def _offer(config: Config) -> str:
+    """What an operator is told when the model drifts: the command that diagnoses the historian's recent cycles."""
+    command = ["decanter", "diagnose", "--model", str(config.model.path), "--historian", str(config.historian.path)]
+    command += ["--since", DRIFT_SINCE, "--out", str(config.historian.path.parent / "diagnosis")]
+    sentence = f"the model's free run is beyond its limit on {config.alarms.drift_cycles} cycles running"
+    return f"{sentence}; find out what has changed with: {join(command)}"

@@ -1,0 +1,106 @@
+"""Drift: whether the model's free run is too far off on several cycles running, by its own band or by a set limit.
+
+A cycle goes from one start of the machine to the next. Its free run begins with the first reading after the start and
+is never corrected; its error is the root mean square over the cycle's readings. The limit is the configured one, or the
+rms half width of the 90 % band that the model itself gives to that free run, widened by its calibration. A model that
+is right passes that on one cycle in ten at most, and on three running once in a thousand.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from gateway.machine.model.predict import Z90, ScanPrediction
+from sim.sha.events import Switch
+from sim.sha.model import Model
+
+LEAST = 20
+"""Readings below which a cycle says nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriftRule:
+    """What counts as a start and as too far off.
+
+    `starts` and `stops` are the symbols of the machine's switch. `limit` (degC) is None for the model's own band, and
+    `horizons` (s) and `factors` are then what the band is multiplied by.
+    """
+
+    starts: str
+    stops: str
+    limit: float | None
+    horizons: tuple[float, ...]
+    factors: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CycleDrift:
+    """What is known up to now; plain values, so that JSON can carry them.
+
+    `running` counts the cycles at the end that were beyond their limit, `error` and `limit` (degC) are those of the
+    last whole cycle (None before one). Of the present cycle: `begun` (s UTC, None before the first start), the newest
+    symbol of the switch, `readings`, and the sums of squares `missed` and `allowed` (degC^2).
+    """
+
+    running: int = 0
+    error: float | None = None
+    limit: float | None = None
+    begun: float | None = None
+    symbol: str = ""
+    readings: int = 0
+    missed: float = 0.0
+    allowed: float = 0.0
+
+
+def rule_of(model: Model, limit: float | None) -> DriftRule | None:
+    """The rule for a model; None where its alphabet has no switch, so that nothing says when a cycle begins."""
+    switch = next((channel for channel in model.alphabet.channels if isinstance(channel, Switch)), None)
+    if switch is None:
+        return None
+    horizons = tuple(sorted(model.calibration))
+    factors = tuple(max(model.calibration[horizon], 1.0) for horizon in horizons)
+    return DriftRule(switch.rising, switch.falling, limit, horizons, factors)
+
+
+def follow_cycle(rule: DriftRule, drift: CycleDrift, prediction: ScanPrediction) -> CycleDrift:
+    """What is known after a scan: a start closes the cycle before it, a good reading counts to the present one."""
+    for event in prediction.events:
+        if event.symbol == rule.starts and drift.symbol != rule.starts:
+            drift = _closed(drift, event.time)
+        if event.symbol in (rule.starts, rule.stops):
+            drift = replace(drift, symbol=event.symbol)
+    p = prediction
+    if drift.begun is None or p.measured is None or p.free_run is None or p.free_sigma is None or not p.known:
+        return drift
+    return replace(
+        drift,
+        readings=drift.readings + 1,
+        missed=drift.missed + (p.measured - p.free_run) ** 2,
+        allowed=drift.allowed + _allowed(rule, p.time - drift.begun, p.free_sigma) ** 2,
+    )
+
+
+def _allowed(rule: DriftRule, age: float, sigma: float) -> float:
+    """degC that a reading may be off."""
+    if rule.limit is not None:
+        return rule.limit
+    factor = float(np.interp(age, rule.horizons, rule.factors)) if rule.horizons else 1.0
+    return Z90 * factor * sigma
+
+
+def _closed(drift: CycleDrift, now: float) -> CycleDrift:
+    """The end of a cycle and the beginning of the next; one with too few readings neither counts nor breaks a run."""
+    # A cycle that was too short is forgotten and not judged: one that was begun by mistake must not clear the alarm.
+    fresh = replace(drift, begun=now, readings=0, missed=0.0, allowed=0.0)
+    if drift.begun is None or drift.readings < LEAST:
+        return fresh
+    error, limit = sqrt(drift.missed / drift.readings), sqrt(drift.allowed / drift.readings)
+    return replace(fresh, running=drift.running + 1 if error > limit else 0, error=error, limit=limit)
+
+
+def restored(saved: Mapping[str, Any]) -> CycleDrift:
+    """The state that was kept as JSON. Raises TypeError for what was not."""
+    return CycleDrift(**saved)

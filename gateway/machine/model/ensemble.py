@@ -1,0 +1,260 @@
+"""The models that are followed beside the first one, and the forecast that all of them make together.
+
+Every member has an encoder, a belief and bands of its own, so its alphabet need not be the first model's; what they
+share is the temperature. The first model alone gives the one-step prediction, its band, the location and the anomaly
+score; the forecast is the mixture (`sim.forecast.ensemble`). A member that fails is left out, said so, and begun anew.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from gateway.machine.model.predict import Predictor
+from gateway.machine.reading.scan import Scan
+from gateway.settings.config import EnsembleSection, ForecastSection
+from sim.engine.belief import Belief
+from sim.engine.tracker import Tracker
+from sim.forecast.calibration import Calibration, calibrate, factors
+from sim.forecast.calibration import issue as issue_bands
+from sim.forecast.calibration import settle as settle_bands
+from sim.forecast.ensemble import DENSE, Evidence, Pool, issue, mixture, settle, thinned, weights
+from sim.forecast.forecast import LEVELS, Forecast, forecast
+from sim.sha.events import Switch
+from sim.sha.model import Model
+from sim.sha.trace import Array
+
+FAULTS = (ValueError, ArithmeticError, LookupError)
+"""What following a model may raise that concerns this model alone; anything else is a defect of the program."""
+
+RETRY_SECONDS = 60.0
+"""Plant seconds after which a member that failed is begun anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForecastJob:
+    """One member's forecast: all that a thread needs, none of it changing meanwhile."""
+
+    tracker: Tracker
+    belief: Belief
+    factors: Mapping[float, float]
+    seed: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MixedForecast:
+    """The forecasts of all members, the first one's first: a forecast, None where there was no job, or why it failed.
+
+    `mixed` is the mixture of those that there are, `context` the one that its weights were taken for.
+    """
+
+    mixed: Forecast
+    members: tuple[Forecast | str | None, ...]
+    context: str
+
+
+@dataclass(slots=True)
+class Member:
+    """One model beside the first: `failed` is when it last did (plant s) and `failure` the reason; "" while it runs."""
+
+    name: str
+    predictor: Predictor
+    calibration: Calibration
+    known: bool = False
+    failure: str = ""
+    failed: float = 0.0
+
+
+def bands(model: Model, section: ForecastSection, scan_period: float) -> Calibration:
+    """The bands of a model, not yet taught: its own factors at the configured horizons."""
+    own = model.calibration
+    known = sorted(own)
+    given = {h: float(np.interp(h, known, [own[k] for k in known])) if own else 1.0 for h in section.horizons}
+    return calibrate(given, tolerance=max(5.0, 3.0 * scan_period))
+
+
+def run_job(job: ForecastJob, section: ForecastSection, limit: float, levels: tuple[float, ...]) -> Forecast:
+    """The forecast of one member. Raises what the model raises."""
+    return forecast(
+        job.tracker,
+        job.belief,
+        section.horizons,
+        np.random.default_rng(job.seed),
+        limit=limit,
+        runs=section.runs,
+        calibration=job.factors,
+        levels=levels,
+    )
+
+
+def foresee(
+    first: ForecastJob,
+    others: Sequence[ForecastJob | None],
+    *,
+    shares: Array,
+    context: str,
+    section: ForecastSection,
+    limit: float,
+) -> MixedForecast:
+    """All forecasts one after another, and their mixture by `shares` (H, members), renewed where some are missing.
+
+    Raises what the first model raises; what another one raises is its entry in the result.
+    """
+    made: list[Forecast | str | None] = [run_job(first, section, limit, DENSE)]
+    for job in others:
+        try:
+            made.append(None if job is None else run_job(job, section, limit, DENSE))
+        except FAULTS as error:
+            made.append(repr(error))
+    forecasts = [forecast for forecast in made if isinstance(forecast, Forecast)]
+    weight = shares[:, [place for place, forecast in enumerate(made) if isinstance(forecast, Forecast)]]
+    # The weights of the members that have no forecast go to the others; where none of these had any, all count alike.
+    total = weight.sum(axis=1, keepdims=True)
+    weight = np.where(total > 0, weight / np.where(total > 0, total, 1.0), 1.0 / len(forecasts))
+    mixed = mixture(forecasts, weight, LEVELS)
+    return MixedForecast(mixed, tuple(made), context)
+
+
+class Ensemble:
+    """The members beside the first model, and what each of them, the first included, is worth at each horizon.
+
+    `hashes` are those of all models, the first one's first; `models` are the others.
+    """
+
+    def __init__(
+        self,
+        first: Predictor,
+        hashes: Sequence[str],
+        models: Sequence[Model],
+        *,
+        section: EnsembleSection,
+        forecasts: ForecastSection,
+        scan_period: float,
+    ) -> None:
+        self.first, self.section, self.forecasts = first, section, forecasts
+        self.hashes = list(hashes)
+        self.names = [f"{m.sha.name} {key[:8]}" for key, m in zip(hashes, (first.model, *models), strict=True)]
+        self.members = [
+            Member(name, Predictor(model, first.temperature), bands(model, forecasts, scan_period))
+            for name, model in zip(self.names[1:], models, strict=True)
+        ]
+        pool = _pool(section, 1 + len(self.members))
+        self.evidence = {horizon: Evidence(pool) for horizon in forecasts.horizons}
+        self.tolerance = max(5.0, 3.0 * scan_period)
+        self.complaints: list[tuple[str, str]] = []
+
+    @property
+    def context(self) -> str:
+        """What the first model's encoder last told of the plant, as far as the configuration asks for it."""
+        if self.section.context == "none":
+            return ""
+        channels = self.first.model.alphabet.channels
+        symbols = self.first.encoder.state.announced
+        wanted = [
+            symbol
+            for channel, symbol in zip(channels, symbols, strict=False)
+            if self.section.context == "symbols" or isinstance(channel, Switch)
+        ]
+        return " ".join(symbol or "unknown" for symbol in wanted)
+
+    def shares(self, context: str) -> Array:
+        """(H, members) the weights in a context, the first model's first."""
+        return np.array([weights(one.pool, context) for one in self.evidence.values()])
+
+    def follow(self, scan: Scan, measured: float | None) -> None:
+        """Move all members on by a scan, and learn from its reading what the forecasts that were due are worth."""
+        reading = float("nan") if measured is None else measured
+        for member in self.members:
+            self._step(member, scan)
+            member.calibration = settle_bands(member.calibration, scan.time, reading)
+        for horizon, one in self.evidence.items():
+            self.evidence[horizon] = settle(one, horizon, scan.time, reading, self.tolerance)
+
+    def _step(self, member: Member, scan: Scan) -> None:
+        if member.failure:
+            if scan.time - member.failed < RETRY_SECONDS:
+                return
+            member.predictor, member.failure = Predictor(member.predictor.model, self.first.temperature), ""
+        try:
+            prediction = member.predictor.step(scan)
+            member.known = prediction.known and prediction.inputs_good
+        except FAULTS as error:
+            self._fail(member, scan.time, repr(error))
+
+    def _fail(self, member: Member, now: float, reason: str) -> None:
+        member.known, member.failure, member.failed = False, reason, now
+        self.complaints.append((member.name, reason))
+
+    def jobs(self) -> list[ForecastJob | None]:
+        """What each member has to do for a forecast; None where its state is not known."""
+        return [self._job(place, member) for place, member in enumerate(self.members, start=1)]
+
+    def _job(self, place: int, member: Member) -> ForecastJob | None:
+        belief = member.predictor.belief
+        if not member.known or belief is None or not belief.seen:
+            return None
+        seed = (self.forecasts.seed, int(belief.time * 1000.0), place)
+        return ForecastJob(member.predictor.tracker, belief, factors(member.calibration), seed)
+
+    def take(self, made: MixedForecast, now: float) -> None:
+        """Let finished forecasts wait for their readings."""
+        for member, one in zip(self.members, made.members[1:], strict=True):
+            if isinstance(one, str):
+                self._fail(member, now, one)
+            elif one is not None:
+                member.calibration = issue_bands(member.calibration, thinned(one, LEVELS))
+        forecasts = [entry if isinstance(entry, Forecast) else None for entry in made.members]
+        for horizon, state in self.evidence.items():
+            self.evidence[horizon] = issue(state, horizon, made.context, forecasts)
+
+    def plain(self) -> dict[str, Any]:
+        """Members, their weights by horizon in the present context, and who has failed, as plain values."""
+        context = self.context
+        return {
+            "members": self.names,
+            "context": context,
+            "weights": {f"{h:g}": list(weights(one.pool, context)) for h, one in self.evidence.items()},
+            "evidence": {f"{h:g}": sum(one.pool.overall) for h, one in self.evidence.items()},
+            "failures": {member.name: member.failure for member in self.members if member.failure},
+        }
+
+    def snapshot(self) -> dict[str, Any]:
+        """Beliefs, bands and credits as JSON can carry them; forecasts that wait are not kept."""
+        return {
+            "hashes": self.hashes,
+            "members": [member.predictor.snapshot() for member in self.members],
+            "credits": {f"{h:g}": asdict(one.pool) for h, one in self.evidence.items()},
+        }
+
+    def restore(self, saved: Mapping[str, Any], now: float) -> bool:
+        """Go on from a snapshot of the same members under the same settings; says whether it did.
+
+        Raises KeyError, TypeError or ValueError for what `snapshot` did not write.
+        """
+        if saved["hashes"] != self.hashes:
+            return False
+        for member, one in zip(self.members, saved["members"], strict=True):
+            if one is not None:
+                member.predictor.restore(one, now)
+        for horizon, one in self.evidence.items():
+            kept = saved["credits"].get(f"{horizon:g}")
+            if kept is not None and _settings(kept) == _settings(asdict(one.pool)):
+                contexts = {name: tuple(credits) for name, credits in kept["contexts"].items()}
+                pool = Pool(**{**asdict(one.pool), "overall": tuple(kept["overall"]), "contexts": contexts})
+                self.evidence[horizon] = Evidence(pool)
+        return True
+
+
+def _pool(section: EnsembleSection, models: int) -> Pool:
+    if isinstance(section.weights, tuple):
+        return Pool(models, fixed=section.weights)
+    if section.weights == "equal":
+        return Pool(models, fixed=(1.0 / models,) * models)
+    return Pool(models, half_life=section.half_life, floor=section.floor)
+
+
+def _settings(pool: Mapping[str, Any]) -> list[Any]:
+    """What must be equal for credits to mean the same; JSON has turned tuples into lists."""
+    fixed = pool["fixed"]
+    return [pool[key] for key in ("members", "half_life", "floor", "strength")] + [fixed and list(fixed)]

@@ -1,0 +1,94 @@
+"""The guards of the model while it runs: 3-sigma reviews of its predictions, its drift, how often it left its range."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from gateway.machine.model.drift import CycleDrift, follow_cycle, restored, rule_of
+from gateway.machine.model.predict import Z90, Predictor, ScanPrediction
+from sim.forecast.calibration import Calibration
+from sim.forecast.forecast import Forecast
+from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, share
+from sim.sha.model import Model
+
+INNOVATIONS, DRIFT = "one step", "drift"
+
+
+class Guards:
+    """Reviews by what is looked at: the one-step prediction, and the forecasts of each horizon ("60 s").
+
+    `drift` follows the free run from cycle to cycle, against `limit` (degC) or the model's own band (None).
+    """
+
+    def __init__(self, model: Model, horizons: tuple[float, ...], limit: float | None = None) -> None:
+        self.model = model
+        self.drift = CycleDrift()
+        self._rule = rule_of(model, limit)
+        self.reviews = {INNOVATIONS: Review()} | {f"{horizon:g} s": Review() for horizon in horizons}
+        self.forecast_clamps = 0
+        self.forecasts_clamped = 0
+        self._horizons = horizons
+
+    def look(self, prediction: ScanPrediction, calibration: Calibration) -> None:
+        """Take a scan's reading in, before `calibration` settles it. Without a good reading nothing is learned."""
+        p = prediction
+        if self._rule is not None:
+            self.drift = follow_cycle(self._rule, self.drift, p)
+        if p.measured is None:
+            return
+        if p.mean is not None and p.high is not None and p.high > p.mean:
+            # The band is Z90 standard deviations to either side: this is the standardised error.
+            z = Z90 * (p.measured - p.mean) / (p.high - p.mean)
+            self.reviews[INNOVATIONS] = follow(ONE_STEP, self.reviews[INNOVATIONS], p.time, z)
+        for horizon in self._horizons:
+            name = f"{horizon:g} s"
+            self.reviews[name] = follow_forecasts(self.reviews[name], calibration, horizon, p.time, p.measured)
+
+    def made(self, forecast: Forecast) -> None:
+        """Count the clamps of a finished forecast's runs."""
+        self.forecast_clamps += forecast.clamps
+        self.forecasts_clamped += forecast.clamps > 0
+
+    @property
+    def flagged(self) -> bool:
+        """True while any review is."""
+        return any(review.flagged for review in self.reviews.values())
+
+    def plain(self, predictor: Predictor) -> dict[str, Any]:
+        """All guards as plain values, for status and historian."""
+        belief, free_run = predictor.clamps
+        correction = self.model.correction
+        return {
+            "review": self.flagged,
+            "drift": {"cycles": self.drift.running, "error": self.drift.error, "limit": self.drift.limit},
+            "reviews": {name: _plain(name, review) for name, review in self.reviews.items()},
+            "clamps": {
+                "belief": belief,
+                "free_run": free_run,
+                "forecast_runs": self.forecast_clamps,
+                "forecasts": self.forecasts_clamped,
+            },
+            "correction": {"gain": correction.gain, "offset": correction.offset},
+        }
+
+    def snapshot(self) -> dict[str, Any]:
+        """The reviews and the drift as JSON can carry them."""
+        return {name: asdict(review) for name, review in self.reviews.items()} | {DRIFT: asdict(self.drift)}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from a snapshot, for what is still looked at. Raises TypeError for what `snapshot` did not write."""
+        self.reviews |= {name: Review(**one) for name, one in saved.items() if name in self.reviews}
+        self.drift = restored(saved[DRIFT]) if DRIFT in saved else self.drift
+
+
+def _plain(name: str, review: Review) -> dict[str, Any]:
+    rule = ONE_STEP if name == INNOVATIONS else FORECASTS
+    return {
+        "flagged": review.flagged,
+        "since": review.since,
+        "share": share(rule, review),
+        "run": review.run,
+        "longest_run": review.longest,
+        "readings": review.readings,
+        "beyond": review.beyond,
+    }

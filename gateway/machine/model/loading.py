@@ -1,0 +1,95 @@
+"""A model before it runs: read from where the configuration says, verified, held against the plant's tags."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.settings import ConfigError
+from gateway.machine.model.predict import Predictor
+from gateway.settings.config import Config
+from sim.artefacts.model_json import model_hash
+from sim.artefacts.store import current, forced, is_store, load, read_model
+from sim.checking.proof.verify import verify
+from sim.sha.model import Model
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedModel:
+    """A model, the SHA-256 of its content, and a sentence where it runs although it does not verify.
+
+    `version` is the store's that it was, "" for a model that comes from no store.
+    """
+
+    model: Model
+    hash: str
+    warning: str = ""
+    version: str = ""
+
+
+def load_model(config: Config) -> LoadedModel | None:
+    """The configured model; None without one.
+
+    Raises ConfigError when it cannot be read, does not verify, or does not fit the plant.
+    """
+    path = config.model.path
+    return None if path is None else _load(config, path, "model.path")
+
+
+def load_members(config: Config, first: LoadedModel | None) -> tuple[LoadedModel, ...]:
+    """The models that are followed beside the `first` one.
+
+    Raises ConfigError as `load_model` does, and for a model that is given twice.
+    """
+    paths = config.ensemble.members
+    loaded = tuple(_load(config, path, f"ensemble.members[{place}]") for place, path in enumerate(paths))
+    known = {} if first is None else {first.hash: "model.path"}
+    for place, member in enumerate(loaded):
+        key = f"ensemble.members[{place}]"
+        other = known.setdefault(member.hash, key)
+        if other != key:
+            raise ConfigError([f"{config.path}: {key}: is the same model as {other}; give each model once"])
+    return loaded
+
+
+def _load(config: Config, path: Path, key: str) -> LoadedModel:
+    """The model at `path`, which the configuration gives under `key`."""
+    try:
+        version = current(path) if is_store(path) else ""
+        model = load(path, version) if version else read_model(path)
+        predictor = Predictor(model, config.model.temperature)
+        problem, warning = _unverified(config, model, path, key, version)
+    except (OSError, ValueError) as error:
+        raise ConfigError([f"{config.path}: {key}: {error}"]) from None
+    problems = [problem] if problem else []
+    if model.temperature != config.model.temperature:
+        problems.append(
+            f"model.temperature: is {config.model.temperature!r}, and the model at {path} predicts "
+            f"{model.temperature!r}; set it to that, or give a model of {config.model.temperature!r}"
+        )
+    problems += [
+        f"{key}: the model reads {name!r}, no tag of {config.map.path}; add the tag or give another model"
+        for name in predictor.missing(config.map.by_name)
+    ]
+    if problems:
+        raise ConfigError([f"{config.path}: {problem}" for problem in problems])
+    return LoadedModel(model, model_hash(model), warning, version)
+
+
+def _unverified(config: Config, model: Model, path: Path, key: str, version: str) -> tuple[str, str]:
+    """(why the model is not run, what to say when it is run all the same); both empty for a deployable one.
+
+    One that was promoted by force is run, but nothing of it is written to a plant. Raises ArtefactError.
+    """
+    reason = "; ".join(verify(model).reasons)
+    if not reason:
+        return "", ""
+    force = forced(path, version) if version else None
+    if force is None:
+        remedy = f"see `decanter model verify {path}`, give another model, or leave {key} out to run without it"
+        return f"{key}: the model at {path} is not run, as it does not verify: {reason}; {remedy}", ""
+    sentence = f"the model at {path} does not verify ({reason}); {force.by} promoted it by force: {force.reason}"
+    if config.writeback.mode == "armed":
+        return (
+            f"writeback.mode: is 'armed', and {sentence}; set it to 'shadow', or promote a model that verifies",
+            sentence,
+        )
+    return "", sentence

@@ -1,0 +1,166 @@
+"""The forecast beside the scan: made in a thread every period, recalibrated by the readings that came true."""
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from math import inf, isfinite
+from typing import Any
+
+import numpy as np
+
+from gateway.machine.model.ensemble import Ensemble, ForecastJob, MixedForecast, bands, foresee, run_job
+from gateway.machine.model.predict import Predictor
+from gateway.machine.reading.scan import Scan
+from gateway.settings.config import ForecastSection
+from sim.forecast.calibration import Calibration, Horizon, Pending, factors, issue, settle
+from sim.forecast.ensemble import thinned
+from sim.forecast.forecast import LEVELS, Forecast
+
+FRESH_PERIODS = 3.0
+"""A forecast older than three of its periods is not used any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedForecast:
+    """A finished forecast, and the reading when it was begun (degC; None if there was none)."""
+
+    forecast: Forecast
+    measured: float | None
+
+
+class Outlook:
+    """The newest forecast of one predictor; at most one is being made at a time, and scans never wait for it.
+
+    Runs are drawn from the clock and the configured seed, so that a replay of the same beliefs gives the same fans.
+    """
+
+    def __init__(
+        self,
+        predictor: Predictor,
+        section: ForecastSection,
+        limit: float,
+        scan_period: float,
+        ensemble: Ensemble | None = None,
+    ) -> None:
+        self.predictor, self.section, self.limit = predictor, section, limit
+        self.ensemble = ensemble
+        self.latest: Forecast | None = None
+        self.made = 0
+        self.calibration: Calibration = bands(predictor.model, section, scan_period)
+        self._task: asyncio.Task[Forecast | MixedForecast] | None = None
+        self._due = -inf
+        self._void = False
+        self._measured: float | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a forecast is being made, or waits to be collected."""
+        return self._task is not None
+
+    def settle(self, time: float, measured: float | None) -> None:
+        """A reading came (or did not): forecasts that were due are scored, and the bands learn."""
+        self.calibration = settle(self.calibration, time, float("nan") if measured is None else measured)
+
+    def void(self) -> None:
+        """What was believed is no longer known: forget the forecast, and the one being made."""
+        self.latest, self._void, self._due = None, self._task is not None, -inf
+
+    def fresh(self, now: float) -> Forecast | None:
+        """The newest forecast while it may be used."""
+        usable = self.latest is not None and now - self.latest.time <= FRESH_PERIODS * self.section.period
+        return self.latest if usable else None
+
+    def collect(self) -> FinishedForecast | None:
+        """A forecast that has just been finished, once. Raises what the computation raised."""
+        task = self._task
+        if task is None or not task.done():
+            return None
+        self._task = None
+        made, void, self._void = task.result(), self._void, False
+        if void:
+            return None
+        if isinstance(made, MixedForecast):
+            # The first model's bands learn from its own forecast, as those of the others do from theirs: a band that
+            # learned from the mixture would take the others' errors for its own.
+            own = made.members[0]
+            if self.ensemble is not None and isinstance(own, Forecast):
+                self.calibration = issue(self.calibration, thinned(own, LEVELS))
+                self.ensemble.take(made, made.mixed.time)
+            made = made.mixed
+        else:
+            self.calibration = issue(self.calibration, made)
+        self.latest, self.made = made, self.made + 1
+        return FinishedForecast(made, self._measured)
+
+    def follow(self, scan: Scan, measured: float | None) -> None:
+        """Move the other models of an ensemble on; nothing without one."""
+        if self.ensemble is not None:
+            self.ensemble.follow(scan, measured)
+
+    def begin(self, now: float, *, known: bool, measured: float | None) -> None:
+        """Start a forecast in a thread if one is due, none is running and the state of the plant is known."""
+        belief = self.predictor.belief
+        if self._task is not None or now < self._due or not known or belief is None or not belief.seen:
+            return
+        self._due, self._measured = now + self.section.period, measured
+        seed = (self.section.seed, int(belief.time * 1000.0))
+        job = ForecastJob(self.predictor.tracker, belief, factors(self.calibration), seed)
+        # What the thread computes with is bound here, in the loop: beliefs and weights move on with the next scan.
+        work: Callable[[], Forecast | MixedForecast]
+        if (ensemble := self.ensemble) is None:
+            work = partial(run_job, job, self.section, self.limit, LEVELS)
+        else:
+            work = partial(
+                foresee,
+                job,
+                ensemble.jobs(),
+                shares=ensemble.shares(ensemble.context),
+                context=ensemble.context,
+                section=self.section,
+                limit=self.limit,
+            )
+        self._task = asyncio.create_task(asyncio.to_thread(work), name="forecast")
+
+    async def finished(self) -> None:
+        """Wait for the forecast being made, if any; the next `collect` gives it. For a clock that is not the wall's."""
+        if self._task is not None:
+            await asyncio.wait([self._task])
+
+    async def close(self) -> None:
+        """Wait for the forecast being made; its result is dropped."""
+        if self._task is not None:
+            await asyncio.gather(self._task, return_exceptions=True)
+            self._task = None
+
+    def snapshot(self) -> dict[str, Any]:
+        """What the bands have learned, as JSON can carry it."""
+        return {f"{horizon:g}": asdict(one) for horizon, one in self.calibration.horizons.items()}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from a snapshot, for the horizons that are still configured. Raises KeyError or TypeError."""
+        horizons = dict(self.calibration.horizons)
+        for text, one in saved.items():
+            if float(text) in horizons:
+                pending = tuple(Pending(**item) for item in one["pending"])
+                horizons[float(text)] = Horizon(**{**one, "counts": tuple(one["counts"]), "pending": pending})
+        section = self.calibration
+        self.calibration = Calibration(horizons, section.memory, section.weight, section.tolerance)
+
+
+def block_values(made: Forecast, horizon: float, now: float) -> dict[str, float | None]:
+    """The block's fields that a forecast fills, brought to `now`: horizon and minutes have shrunk since it was made."""
+    column = int(np.argmin(np.abs(made.horizons - horizon)))
+    by_level = dict(zip(made.levels, made.quantiles[:, column].tolist(), strict=True))
+    elapsed = now - made.time
+    minutes = [max(left - elapsed / 60.0, 0.0) if isfinite(left) else inf for left in made.minutes_to_limit]
+    return {
+        "horizon": max(float(made.horizons[column]) - elapsed, 0.0),
+        "horizon_low": by_level[0.05],
+        "horizon_median": by_level[0.5],
+        "horizon_high": by_level[0.95],
+        "p_limit": made.exceedance[column].probability,
+        "minutes_low": minutes[0],
+        "minutes_median": minutes[1],
+        "minutes_high": minutes[2],
+    }

@@ -1,0 +1,214 @@
+"""From scans to what the model expects: events, belief, a prediction for every scan, the free run beside it."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from math import sqrt
+from typing import Any, Literal
+
+from drivers.tag import Quality
+from gateway.machine.reading.scan import Scan
+from sim.engine.belief import (
+    Belief,
+    advance,
+    anomaly,
+    belief_of,
+    observe,
+    on_event,
+    restarted,
+    start,
+    with_inputs,
+)
+from sim.engine.tracker import compile_model
+from sim.sha.events import Encoder, EncoderState, Switch
+from sim.sha.model import Model
+from sim.sha.trace import UNKNOWN, Event
+
+Z90 = 1.6448536269514722
+"""Half the width of a 90 % band in standard deviations."""
+
+Zone = Literal["none", "green", "yellow", "red"]
+ZONES: tuple[Zone, ...] = ("none", "green", "yellow", "red")
+"""The words of the block's field `zone` by their numbers."""
+
+YELLOW, RED, FEWEST = 2.0, 4.0, 10
+"""Confidence: the newest standardised errors, squared and summed, are chi-square when the model is right, and the
+anomaly score is -log10 of that test's p-value. Green below 2 (as bad once in 100 windows), yellow from 2, red from 4
+(once in 10,000), none before ten errors or while the inputs or the location are not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPrediction:
+    """What the model says of one scan at `time`.
+
+    `mean` and the 90 % band `low`..`high` (degC) are what a reading at this moment was expected to be by everything
+    before it (events and inputs of the same scan included): the one-step prediction; None until a temperature was
+    read. `measured` is the good reading or None. `free_run` is the same model let run since the cycle's start (or
+    since the end of not knowing) without being corrected by readings. `inputs_good`: everything that the model reads
+    was good in this scan; `worst` is 0 good, 1 uncertain, 2 bad; `age` the seconds since the oldest input was read
+    (inf: never). `known`: no channel of the alphabet is unknown. `reset`: knowledge was lost in this scan.
+    """
+
+    time: float
+    location: str
+    location_index: int
+    known: bool
+    inputs_good: bool
+    worst: int
+    age: float
+    measured: float | None
+    mean: float | None
+    low: float | None
+    high: float | None
+    free_run: float | None
+    anomaly: float
+    zone: Zone
+    events: tuple[Event, ...]
+    reset: bool
+    free_sigma: float | None = None
+
+
+class Predictor:
+    """The encoder and the belief of one model, moved on by each scan. `temperature` is the tag that it predicts."""
+
+    def __init__(self, model: Model, temperature: str) -> None:
+        self.model = model
+        self.temperature = temperature
+        self.tracker = compile_model(model)
+        self.encoder = Encoder(model.alphabet)
+        self.belief: Belief | None = None
+        self.free: Belief | None = None
+        self.events = 0
+        self._restart = True
+        self._read_at: float | None = None
+        self._index = {location.name: index for index, location in enumerate(model.sha.locations)}
+        self._channels = tuple(channel.signal for channel in model.alphabet.channels)
+        self._driving = tuple(sorted(self.tracker.inputs))
+        self._inputs = tuple(dict.fromkeys((*self._channels, *self._driving, temperature)))
+        self._cycle_starts = frozenset(c.rising for c in model.alphabet.channels if isinstance(c, Switch))
+
+    @property
+    def clamps(self) -> tuple[int, int]:
+        """How often belief and free run were put back to the border of the model's range, since each began."""
+        return (self.belief.clamps if self.belief else 0), (self.free.clamps if self.free else 0)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The tags that the model reads."""
+        return self._inputs
+
+    def missing(self, tags: Mapping[str, object]) -> list[str]:
+        """The inputs that a register map lacks."""
+        return [name for name in self._inputs if name not in tags]
+
+    def step(self, scan: Scan) -> ScanPrediction:
+        """Take one scan in. Only good readings count: anything else makes its channel unknown and corrects nothing."""
+        # The order is the model's: events change the location, inputs the flow in it, and only then does the reading
+        # say how right the temperature was that all of them led to.
+        events = self.encoder.feed(scan.time, {name: scan.good(name) for name in self._channels})
+        measured = self._measured(scan)
+        signals = {name: value for name in self._driving if (value := scan.good(name)) is not None}
+        expected = self._expected(scan.time, events, signals)
+        self.belief = expected if measured is None else observe(self.tracker, expected, scan.time, measured)
+        free_run = self._free_run(scan.time, events, signals, expected, measured)
+        self.events += len(events)
+        known = None not in self.encoder.state.announced
+        worst, age = self._worst(scan)
+        usable = known and worst == 0
+        sigma = sqrt(expected.xx + self.tracker.sensor)
+        score = anomaly(self.belief) + 0.0  # -log10 of a p-value of 1 is -0.0, which nobody should read
+        return ScanPrediction(
+            time=scan.time,
+            location=self.belief.location,
+            location_index=self._index[self.belief.location],
+            known=known,
+            inputs_good=worst == 0,
+            worst=worst,
+            age=age,
+            measured=measured,
+            mean=expected.x if expected.seen else None,
+            low=expected.x - Z90 * sigma if expected.seen else None,
+            high=expected.x + Z90 * sigma if expected.seen else None,
+            free_run=free_run,
+            anomaly=score,
+            zone=_zone(score, len(self.belief.recent)) if usable else "none",
+            events=tuple(events),
+            reset=any(event.symbol == UNKNOWN for event in events),
+            free_sigma=None if free_run is None or self.free is None else sqrt(self.free.xx + self.tracker.sensor),
+        )
+
+    def _measured(self, scan: Scan) -> float | None:
+        """The temperature, None where it is not known; in an early scan a reading counts only once."""
+        sample = scan.samples.get(self.temperature)
+        old = scan.early and sample is not None and sample.time == self._read_at
+        self._read_at = None if sample is None else sample.time
+        return None if old else scan.good(self.temperature)
+
+    def _expected(self, time: float, events: list[Event], signals: Mapping[str, float]) -> Belief:
+        """The belief at `time`, after the events and inputs and before the reading."""
+        # Events may lie before the scan that shows them: a belief that begins here begins with the first of them.
+        first = min((time, *(event.time for event in events)))
+        belief = self.belief if self.belief is not None else start(self.tracker, first)
+        for event in events:
+            belief = on_event(self.tracker, belief, event)
+        belief = with_inputs(self.tracker, belief, time, signals)
+        # Inputs have advanced it already where the model reads any; time never goes back.
+        return belief if belief.time >= time else advance(self.tracker, belief, time)
+
+    def _free_run(
+        self, time: float, events: list[Event], signals: Mapping[str, float], expected: Belief, measured: float | None
+    ) -> float | None:
+        """The open loop: begun anew at a cycle's start and after not knowing, never corrected in between."""
+        if any(event.symbol == UNKNOWN or event.symbol in self._cycle_starts for event in events):
+            self._restart = True
+        if self._restart:
+            if measured is None or None in self.encoder.state.announced:
+                self.free = None
+                return None
+            self.free = restarted(self.tracker, expected, measured)
+            self._restart = False
+            return None
+        if self.free is None:
+            return None
+        for event in events:
+            self.free = on_event(self.tracker, self.free, event)
+        self.free = with_inputs(self.tracker, self.free, time, signals)
+        return self.free.x
+
+    def _worst(self, scan: Scan) -> tuple[int, float]:
+        """The worst severity (0 good, 1 uncertain, 2 bad) and the greatest age (s) among the inputs."""
+        worst, age = 0, 0.0
+        for name in self._inputs:
+            sample = scan.samples.get(name)
+            quality = Quality.CONFIGURATION_ERROR if sample is None else sample.quality
+            worst = max(worst, 0 if quality.is_good else 2 if quality.is_bad else 1)
+            readable = sample is not None and sample.value is not None
+            age = max(age, scan.time - sample.time) if sample is not None and readable else float("inf")
+        return worst, age
+
+    def snapshot(self) -> dict[str, Any] | None:
+        """Encoder and belief as JSON can carry them; None before the first scan."""
+        if self.belief is None:
+            return None
+        free = None if self.free is None or self._restart else asdict(self.free)
+        return {"encoder": asdict(self.encoder.state), "belief": asdict(self.belief), "free": free}
+
+    def restore(self, saved: Mapping[str, Any], now: float) -> bool:
+        """Go on from a snapshot, if it is not older than the alphabet's gap and not of the future; says whether it did.
+
+        Raises KeyError, TypeError or ValueError for a snapshot of another alphabet or model.
+        """
+        belief = belief_of(saved["belief"])
+        if not 0.0 <= now - belief.time <= self.model.alphabet.gap or belief.location not in self._index:
+            return False
+        encoder: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in saved["encoder"].items()}
+        self.encoder = Encoder(self.model.alphabet, state=EncoderState(**encoder))
+        self.belief = belief
+        self.free = belief_of(saved["free"]) if saved["free"] else None
+        self._restart = self.free is None
+        return True
+
+
+def _zone(score: float, errors: int) -> Zone:
+    if errors < FEWEST:
+        return "none"
+    return "green" if score < YELLOW else "yellow" if score < RED else "red"

@@ -1,0 +1,217 @@
+"""The model of one machine and all that follows it: prediction, guards, forecast, a newer model that takes over."""
+
+from typing import Any
+
+from structlog.typing import FilteringBoundLogger
+
+from gateway.machine.model.ensemble import Ensemble
+from gateway.machine.model.guards import Guards
+from gateway.machine.model.loading import LoadedModel
+from gateway.machine.model.outlook import FinishedForecast, Outlook, block_values
+from gateway.machine.model.pickup import Pickup, ReadyModel
+from gateway.machine.model.predict import Predictor, ScanPrediction
+from gateway.machine.reading.scan import Scan
+from gateway.settings.config import Config
+from gateway.store.historian import Historian, saved_state
+from sim.forecast.forecast import Forecast
+
+
+class ModelUnit:
+    """What a machine has that has a model: all of it is there, or (`ModelUnit | None`) none of it.
+
+    In a scan its methods are called in their order here: `pick_up` before anything is computed with the model, `follow`
+    for the prediction, `settle` for what its reading teaches, `foresee` once the block is on its way. `loaded` is the
+    model that runs, `members` those of an ensemble beside it, `prediction` what was said of the newest scan.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        loaded: LoadedModel,
+        members: tuple[LoadedModel, ...],
+        *,
+        historian: Historian,
+        log: FilteringBoundLogger,
+    ) -> None:
+        self.config, self.loaded, self.members = config, loaded, members
+        self._historian, self._log = historian, log
+        self.pickup = Pickup(config, loaded)
+        self.begin_anew()
+        for model in (loaded, *members):
+            self._warn(model)
+
+    def begin_anew(self, ready: Predictor | None = None) -> None:
+        """Trust nothing that was believed or learned; `ready` is a predictor of this model that has followed scans."""
+        config, period = self.config, self.config.scan.period
+        self.predictor = ready or Predictor(self.loaded.model, config.model.temperature)
+        models = [member.model for member in self.members]
+        hashes = [model.hash for model in (self.loaded, *self.members)]
+        ensemble = (
+            Ensemble(
+                self.predictor,
+                hashes,
+                models,
+                section=config.ensemble,
+                forecasts=config.forecast,
+                scan_period=period,
+            )
+            if models
+            else None
+        )
+        self.outlook = Outlook(self.predictor, config.forecast, config.alarms.limit, period, ensemble)
+        self.guards = Guards(self.loaded.model, config.forecast.horizons, config.alarms.drift)
+        self.prediction: ScanPrediction | None = None
+        self._clamped = False
+
+    @property
+    def unverified(self) -> str:
+        """Why nothing of these models may be written: one of them runs although it does not verify; "" if none does."""
+        return next((model.warning for model in (self.loaded, *self.members) if model.warning), "")
+
+    # ---------------------------------------------------------------- the stages of a scan
+
+    def pick_up(self, now: float) -> bool:
+        """Let a model that was promoted meanwhile take over; True if one has.
+
+        Between two scans, so that every scan is of one model, and between two forecasts, so that none is of a model
+        that runs no more.
+        """
+        refused = self.pickup.collect()
+        promoted = None if self.outlook.busy else self.pickup.taken()
+        if isinstance(promoted, ReadyModel):
+            self._take_over(promoted, now)
+            return True
+        if reason := promoted or refused:
+            self._log.error("the promoted model is refused and the former one goes on", reason=reason)
+            self._historian.put("audit", [(now, "promoted model refused", self.pickup.running, reason)])
+        return False
+
+    def _take_over(self, promoted: ReadyModel, now: float) -> None:
+        """The other models of an ensemble go on as they are; what their evidence was held against begins anew."""
+        others = self.outlook.ensemble.members if self.outlook.ensemble else []
+        before, self.loaded = self.loaded.version, promoted.loaded
+        self.begin_anew(promoted.predictor)
+        if self.outlook.ensemble is not None:
+            self.outlook.ensemble.members = others
+        version = self.loaded.version
+        self._historian.put("audit", [(now, f"model {version} runs", version, f"promoted; {before} ran before")])
+        self._log.info("a promoted model runs from now on", version=version, before=before, hash=self.loaded.hash)
+        self._warn(self.loaded)
+
+    def follow(self, scan: Scan) -> ScanPrediction:
+        """Move the model on by a scan: its events, and what it expected of its reading."""
+        prediction = self.prediction = self.predictor.step(scan)
+        for event in prediction.events:
+            self._log.debug("event", symbol=event.symbol, time=event.time, location=prediction.location)
+        clamps = self.predictor.clamps[0]
+        if clamps and not self._clamped:
+            message = "the model left its range and was put back to its border"
+            self._log.warning(message, time=scan.time, clamps=clamps)
+        self._clamped = clamps > 0
+        return prediction
+
+    def settle(self, prediction: ScanPrediction) -> FinishedForecast | None:
+        """Let the guards and the forecast's bands learn from the reading; the forecast finished since, once.
+
+        Raises what the computation of that forecast raised.
+        """
+        # The guards look first: they judge by the bands as they were when the forecast was made.
+        self.guards.look(prediction, self.outlook.calibration)
+        self.outlook.settle(prediction.time, prediction.measured)
+        if prediction.reset:
+            self.outlook.void()  # before it is collected: it began from what is no longer known
+        finished = self.outlook.collect()
+        if finished is not None:
+            self.guards.made(finished.forecast)
+        return finished
+
+    def usable(self, prediction: ScanPrediction) -> Forecast | None:
+        """The newest forecast, while it is fresh and the state that it began from is still known."""
+        return self.outlook.fresh(prediction.time) if prediction.known else None
+
+    def findings(self, prediction: ScanPrediction, forecast: Forecast | None) -> dict[str, float | None]:
+        """What the alarms of the model look at, in the order in which they are stepped; None where it is not known."""
+        p, trusted = prediction, prediction.known and prediction.inputs_good
+        limit = None if forecast is None else block_values(forecast, self.config.block_horizon, p.time)["p_limit"]
+        return {
+            "predicted over limit": limit,
+            "anomaly": p.anomaly if trusted else None,
+            "review": float(self.guards.flagged) if trusted else None,
+            "drift": float(self.guards.drift.running),
+            "inputs bad": float(p.worst),
+        }
+
+    def foresee(self, scan: Scan, prediction: ScanPrediction) -> None:
+        """Begin the next forecast if one is due, and look for a newer model now and then.
+
+        After the block is written, since a forecast's thread would delay it. The other models of an ensemble are moved
+        on here for the same reason: only the forecast needs them.
+        """
+        p, outlook = prediction, self.outlook
+        outlook.follow(scan, p.measured)
+        while outlook.ensemble and outlook.ensemble.complaints:
+            name, reason = outlook.ensemble.complaints.pop(0)
+            message = "a model of the ensemble failed and is left out for now"
+            self._log.warning(message, member=name, reason=reason)
+        if self.pickup.ready is None:  # a model that waits takes over between two forecasts
+            outlook.begin(scan.time, known=p.known and p.inputs_good, measured=p.measured)
+        self.pickup.keep(scan)
+        self.pickup.look(scan.time, [member.hash for member in self.members])
+
+    # ---------------------------------------------------------------- what it says of itself, and what outlives it
+
+    def report(self) -> dict[str, Any]:
+        """The model that runs, and why the newest promotion does not, as plain values."""
+        model = self.loaded
+        return {
+            "name": model.model.sha.name,
+            "hash": model.hash,
+            "version": model.version,
+            "refused": self.pickup.refused,
+        }
+
+    def guard_report(self) -> dict[str, Any]:
+        """The model's guards and the ensemble's weights as plain values."""
+        ensemble = self.outlook.ensemble
+        return self.guards.plain(self.predictor) | ({"ensemble": ensemble.plain()} if ensemble else {})
+
+    def save(self, now: float) -> None:
+        """Keep what a restart goes on from; nothing before the first scan."""
+        snapshot = self.predictor.snapshot()
+        if snapshot is None:
+            return
+        self._historian.save("belief", now, {"model": self.loaded.hash, **snapshot})
+        bands = {
+            "model": self.loaded.hash,
+            "horizons": self.outlook.snapshot(),
+            "reviews": self.guards.snapshot(),
+        }
+        self._historian.save("bands", now, bands)
+        if self.outlook.ensemble is not None:
+            self._historian.save("ensemble", now, self.outlook.ensemble.snapshot())
+
+    def restore(self, now: float) -> None:
+        """Go on from what the historian has of this very model; what cannot be used is logged, and begins anew."""
+        belief, bands = (saved_state(self._historian, key, self._log) for key in ("belief", "bands"))
+        try:
+            if belief is not None and belief[1]["model"] == self.loaded.hash and self.predictor.restore(belief[1], now):
+                self._log.info("goes on from the saved belief", age=now - belief[0])
+            if bands is not None and bands[1]["model"] == self.loaded.hash:
+                self.outlook.restore(bands[1]["horizons"])
+                self.guards.restore(bands[1].get("reviews", {}))
+                ensemble = self.outlook.ensemble
+                members = saved_state(self._historian, "ensemble", self._log) if ensemble else None
+                if members is not None and ensemble is not None:
+                    ensemble.restore(members[1], now)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            self._log.warning("the saved state cannot be used; the model begins anew", reason=repr(error))
+            self.begin_anew()
+
+    async def close(self) -> None:
+        """Wait for the forecast and the look at the store that go on; what they give is dropped."""
+        await self.outlook.close()
+        await self.pickup.close()
+
+    def _warn(self, model: LoadedModel) -> None:
+        if model.warning:
+            self._log.warning("a model runs that does not verify", reason=model.warning)

@@ -1,0 +1,210 @@
+"""One machine: its device, its alarms, perhaps a model and a block, and the way of a scan through them.
+
+Several machines may live in one process: everything is an argument or belongs to the object, nothing to the module.
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from structlog.typing import FilteringBoundLogger
+
+from drivers.driver import Complains, Driver
+from gateway.machine.alarms.board import AlarmBoard
+from gateway.machine.alarms.conditions import DEVICE, make_conditions
+from gateway.machine.model.loading import load_members, load_model
+from gateway.machine.model.predict import ScanPrediction
+from gateway.machine.model.unit import ModelUnit
+from gateway.machine.reading.clock import Clock
+from gateway.machine.reading.link_health import LinkHealth
+from gateway.machine.reading.redundant import Redundant, SwitchOver
+from gateway.machine.reading.scan import Scan
+from gateway.machine.records import Keeper, Records
+from gateway.machine.writing.arming import ArmingError
+from gateway.machine.writing.block_stage import BlockStage
+from gateway.machine.writing.writeback import Arming
+from gateway.settings.config import Config
+from gateway.store.historian import open_historian
+
+SAVE_SECONDS = 10.0
+ORDERS = ("WritePermit", "AcknowledgeBits")
+"""The tags by which the PLC gives orders to the gateway."""
+RECENT_EVENTS = 20
+_HOUR = 3600.0
+
+
+@dataclass(slots=True)
+class RunCounters:
+    """Counters since the start, and the newest events."""
+
+    scans: int = 0
+    early: int = 0
+    missed: int = 0
+    events: int = 0
+    failures: int = 0
+    last_failure: str = ""
+    recent: deque[tuple[float, str, str]] = field(default_factory=lambda: deque(maxlen=RECENT_EVENTS))
+
+    def take(self, scan: Scan) -> None:
+        """Count a scan."""
+        self.scans, self.missed, self.early = self.scans + 1, self.missed + scan.missed, self.early + scan.early
+
+    def take_events(self, prediction: ScanPrediction) -> None:
+        """Count the events of a scan."""
+        self.recent.extend((event.time, event.symbol, prediction.location) for event in prediction.events)
+        self.events += len(prediction.events)
+
+
+class Machine:
+    """All parts of one machine, opened (the driver not yet): one scan after another goes through `take`.
+
+    `model` is None for one that is only monitored, `block` for one to which nothing is computed for writing. Raises
+    ConfigError, HistorianError or AuditError when something cannot be opened; nothing is left open then.
+    """
+
+    def __init__(self, config: Config, *, driver: Driver, clock: Clock, log: FilteringBoundLogger) -> None:
+        self.config, self.driver, self.clock, self.log = config, driver, clock, log
+        # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
+        loaded = load_model(config)
+        members = load_members(config, loaded)
+        self.historian, numbers = open_historian(config.historian.path, config.map.tags, max_mb=config.historian.max_mb)
+        self.block: BlockStage | None = None
+        opened = False
+        try:
+            now, store = clock.now(), self.historian
+            self.model = None if loaded is None else ModelUnit(config, loaded, members, historian=store, log=log)
+            self.link, self.counters = LinkHealth(log), RunCounters()
+            inputs = self.model.predictor.inputs if self.model else config.watched
+            conditions = make_conditions(config, inputs, complains=isinstance(driver, Complains))
+            self.alarms = AlarmBoard(conditions, watched=config.watched, historian=store, log=log, now=now)
+            layout = config.map.writeback
+            if layout is not None and config.writeback.mode != "off":
+                self.block = BlockStage(config, layout, clock=clock, driver=driver, historian=store, log=log)
+            left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
+            self.records = Records(store, Keeper(config.map.by_name, numbers, config.historian.max_interval, left_out))
+            if isinstance(driver, Redundant):
+                driver.on_switch = self._note_switch_over
+            self.last: Scan | None = None
+            self.phase = "starting"
+            self._saved = self._cleaned = now
+            if self.model is not None:
+                self.model.restore(now)
+            self._note_run(now)
+            opened = True
+        finally:
+            if not opened:
+                self.close()
+
+    # ---------------------------------------------------------------- the way of a scan
+
+    async def take(self, scan: Scan) -> None:
+        """The way of one scan, from top to bottom; each stage takes it once."""
+        self.last = scan
+        self.counters.take(scan)
+        self.link.take(scan)
+
+        # The threshold stands before the model: nothing that the model does or fails to do delays this alarm.
+        self.alarms.on_measured(scan)
+
+        prediction = forecast = finished = guards = None
+        try:
+            if self.model is not None:
+                if self.model.pick_up(scan.time):
+                    self._begin_with_promoted(self.model, scan.time)
+                prediction = self.model.follow(scan)
+                self.counters.take_events(prediction)
+                if (finished := self.model.settle(prediction)) is not None:
+                    guards = self.model.guard_report()
+                forecast = self.model.usable(prediction)
+
+            findings = self.model.findings(prediction, forecast) if self.model and prediction else {}
+            if DEVICE in self.alarms.conditions:
+                findings[DEVICE] = float(bool(self.complaints()))
+            self.alarms.on_predictions(scan, findings)
+
+            # The block carries the alarm word, so that it comes after all alarms of its scan.
+            if self.block is not None:
+                await self.block.take(
+                    scan,
+                    prediction,
+                    forecast,
+                    alarms=self.alarms.word,
+                    model_hash=self.model.loaded.hash if self.model else "",
+                    unverified=self.model.unverified if self.model else "",
+                )
+        finally:
+            # After the block, which they would delay; and also of a scan in which a stage failed.
+            self.records.take(scan, prediction, finished, guards)
+
+        if self.model is not None and prediction is not None:
+            self.model.foresee(scan, prediction)
+        if scan.time - self._saved >= SAVE_SECONDS:
+            self.save(scan.time)
+
+    def _begin_with_promoted(self, model: ModelUnit, now: float) -> None:
+        """Another model runs from this scan on: its inputs are watched, and the historian knows whose rows follow."""
+        inputs = model.predictor.inputs
+        self.alarms.conditions = make_conditions(self.config, inputs, complains=isinstance(self.driver, Complains))
+        self._note_run(now)
+
+    def _note_run(self, now: float) -> None:
+        config, model = self.config, self.model.loaded.hash if self.model else ""
+        run = (now, config.model.temperature, model, config.scan.period, config.historian.max_interval)
+        self.historian.put("runs", [run])
+
+    def _note_switch_over(self, switch: SwitchOver) -> None:
+        """Another link is used from now on."""
+        change = {"before": switch.before, "after": switch.after, "reason": switch.reason}
+        self.log.warning("another link is used", time=switch.time, waited=round(switch.waited, 4), **change)
+        self.historian.put("audit", [(switch.time, f"link {switch.after}", switch.before, switch.reason)])
+
+    # ---------------------------------------------------------------- what is asked of it between scans
+
+    def urgent(self) -> frozenset[str]:
+        """The tags whose change is worth a scan of its own: those of the model, of the alarms, the PLC's orders."""
+        inputs = self.model.predictor.inputs if self.model else ()
+        return frozenset((*inputs, *self.config.watched, *ORDERS))
+
+    def complaints(self) -> tuple[str, ...]:
+        """What the device itself says is wrong with it, now."""
+        return self.driver.complaints() if isinstance(self.driver, Complains) else ()
+
+    async def arm(self, by: str, reason: str, minutes: float) -> Arming:
+        """Let blocks be written from the next scan on. Raises ArmingError."""
+        unverified = self.model.unverified if self.model else ""
+        if self.block is None:
+            raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
+        return await self.block.arm(by, reason, minutes, unverified=unverified)
+
+    async def disarm(self, by: str, reason: str) -> bool:
+        """Take everything back at the PLC, if it can be reached, and write no more; False if it was not armed."""
+        if self.block is None or not self.block.writer.armed:
+            return False
+        await self.withdraw(f"disarmed by {by}: {reason}")
+        self.block.disarm(by, reason)
+        return True
+
+    async def withdraw(self, why: str) -> None:
+        """Tell the PLC once, if armed and permitted, that nothing of ours is to be used any more."""
+        if self.block is not None and self.last is not None:
+            await self.block.withdraw(why, self.last, self.alarms.word)
+
+    # ---------------------------------------------------------------- state
+
+    def begin_anew(self) -> None:
+        """After a failure: nothing of the model's state is trusted."""
+        if self.model is not None:
+            self.model.begin_anew()
+
+    def save(self, now: float) -> None:
+        """Keep what a restart goes on from, and have old measurements deleted once an hour."""
+        self._saved = now
+        if self.model is not None:
+            self.model.save(now)
+        if now - self._cleaned >= _HOUR:
+            self._cleaned = now
+            self.historian.forget_before(now - self.config.historian.retention_days * 86_400.0)
+
+    def close(self) -> bool:
+        """Store what waits and close historian and audit log; False if records had to be given up."""
+        accounted = self.block is None or self.block.audit.close()
+        return self.historian.close() and accounted

@@ -1,0 +1,53 @@
+"""Whether good readings arrive at all, and the outages so far."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from structlog.typing import FilteringBoundLogger
+
+from gateway.machine.reading.scan import Scan
+
+OUTAGES = 50
+
+
+@dataclass(slots=True)
+class Outage:
+    """No good reading: the `last_good` scan, the scan that noticed, the first good one again (plant s UTC)."""
+
+    last_good: float
+    noticed: float
+    recovered: float | None = None
+
+    def plain(self, speed: float) -> dict[str, float | None]:
+        """From the last good reading to the notice (`detected_s`) and to the first good one again, in real seconds."""
+        back = None if self.recovered is None else (self.recovered - self.last_good) / speed
+        return {
+            "last_good": self.last_good,
+            "detected_s": (self.noticed - self.last_good) / speed,
+            "recovered_s": back,
+        }
+
+
+@dataclass(slots=True)
+class LinkHealth:
+    """Whether good readings arrive, since the start and by the outages so far (the newest are kept)."""
+
+    log: FilteringBoundLogger
+    alive: bool = False
+    last_good: float | None = None
+    outages: deque[Outage] = field(default_factory=lambda: deque(maxlen=OUTAGES))
+    count: int = 0
+
+    def take(self, scan: Scan) -> None:
+        """Take in whether the scan had a good reading; a change of that is logged."""
+        good = any(sample.quality.is_good for sample in scan.samples.values())
+        if good and not self.alive:
+            if self.outages and self.outages[-1].recovered is None:
+                self.outages[-1].recovered = scan.time
+            self.log.info("good readings arrive", time=scan.time, outages=self.count)
+        elif self.alive and not good and self.last_good is not None:
+            self.outages.append(Outage(self.last_good, scan.time))
+            self.count += 1
+            reason = next((sample.reason for sample in scan.samples.values() if sample.reason), "")
+            self.log.warning("no good reading any more", time=scan.time, reason=reason)
+        self.alive, self.last_good = good, scan.time if good else self.last_good

@@ -1,0 +1,155 @@
+"""What a reading is worth by the time it is used: staleness, the device's heartbeat, believable rates, frozen signals.
+
+The promise of GOOD: the tag had this value at some moment within the last STALE_PERIODS scan periods; of a device that
+speaks by itself: it was the last that the device has said, and its driver has not found the device late. It is kept
+thus:
+
+- A read that fails in the link is never held as good: the last good value goes on as LAST_USABLE, and after
+  DEAD_PERIODS without a new one as bad, without a value. What the device itself says to be bad is bad at once.
+- A device with a heartbeat must prove that its memory lives. Heartbeat 0: its program does not run, and nothing is
+  good. Otherwise a scan's readings are good while the last seen change of the heartbeat is less than STALE_PERIODS
+  old, LAST_USABLE after that, and bad after DEAD_PERIODS. Until a change from one living count to another is seen
+  they are UNCERTAIN: the first cycle after a restart may still show what the memory was cleared to.
+  The age counts from scan to scan: of an image that froze right after one, the last good reading is older by as much
+  as the scans between come late.
+  The limits are drawn half a period early, so that the jitter of a scan cannot add a scan to them.
+- A change faster than the tag's `max_rate` since its last good reading (over one period at least) is
+  SENSOR_NOT_ACCURATE; a lasting step is believed once the time that passed makes its rate believable.
+- A value that has not moved a bit for longer than the tag's `frozen_after` is SENSOR_NOT_ACCURATE.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from drivers.tag import Quality, Sample, Tag
+
+STALE_PERIODS = 3.0
+DEAD_PERIODS = 10.0
+_TOLERANCE = 0.5
+
+LINK_FAULTS = frozenset(
+    {
+        Quality.BAD,
+        Quality.COMMUNICATION_ERROR,
+        Quality.TIMEOUT,
+        Quality.NO_COMMUNICATION,
+        Quality.NOT_CONNECTED,
+        Quality.NO_DATA,
+        Quality.WAITING_FOR_INITIAL_DATA,
+    }
+)
+"""Qualities that tell of the way to the device and not of its value: the last good value may still be used a while."""
+
+
+@dataclass(frozen=True, slots=True)
+class QualityRules:
+    """`period` of the scan (s); `heartbeat` is the tag that proves the device's life, at least every `beat` seconds."""
+
+    period: float
+    heartbeat: str | None = None
+    beat: float = 0.0
+
+    @property
+    def beat_period(self) -> float:
+        """The heartbeat cannot be expected more often than it changes, nor seen more often than it is read."""
+        return max(self.period, self.beat)
+
+
+@dataclass(frozen=True, slots=True)
+class TagHistory:
+    """What is remembered of one tag: its last good reading, and when its value last changed."""
+
+    good: Sample
+    changed: float
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceAge:
+    """What is remembered of a device: each tag's history, the heartbeat's last value and when it was seen to change."""
+
+    tags: Mapping[str, TagHistory] = field(default_factory=dict)
+    beat: int | None = None
+    beat_changed: float | None = None
+
+
+def judge(
+    age: DeviceAge, tags: Sequence[Tag], read: Sequence[Sample], now: float, rules: QualityRules
+) -> tuple[DeviceAge, dict[str, Sample]]:
+    """What a scan's readings `read` (in the order of `tags`) are worth at `now`, and what to remember for the next."""
+    by_name = {sample.tag: sample for sample in read}
+    age = _with_heartbeat(age, by_name.get(rules.heartbeat or ""), now)
+    image = _image(age, now, rules) if rules.heartbeat else None
+    histories = dict(age.tags)
+    judged: dict[str, Sample] = {}
+    for tag in tags:
+        sample = _own(tag, by_name[tag.name], histories, now, rules.period)
+        judged[tag.name] = sample if image is None or sample.quality.is_bad else _demoted(sample, *image, now)
+    return replace(age, tags=histories), judged
+
+
+def _with_heartbeat(age: DeviceAge, sample: Sample | None, now: float) -> DeviceAge:
+    if sample is None or not sample.quality.is_good or not isinstance(sample.value, int):
+        return age
+    beat = int(sample.value)
+    moved = bool(age.beat) and beat != age.beat and beat != 0
+    return replace(age, beat=beat, beat_changed=now if moved else None if beat == 0 else age.beat_changed)
+
+
+def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, str] | None:
+    """What the heartbeat says of everything else that was read; None: the device's memory lives."""
+    if age.beat == 0:
+        return Quality.OUT_OF_SERVICE, "the device's program is not running (heartbeat 0)"
+    if age.beat_changed is None:
+        return Quality.UNCERTAIN, "the device's heartbeat has not been seen to change yet"
+    still = (now - age.beat_changed) / rules.beat_period + _TOLERANCE
+    reason = f"the device's heartbeat has not changed for {now - age.beat_changed:.1f} s"
+    if still > DEAD_PERIODS:
+        return Quality.DEVICE_FAILURE, reason
+    return (Quality.LAST_USABLE, reason) if still > STALE_PERIODS else None
+
+
+def _demoted(sample: Sample, quality: Quality, reason: str, now: float) -> Sample:
+    if quality.is_bad:
+        return Sample(sample.tag, None, quality, now, sent=sample.sent, reason=reason)
+    return replace(sample, quality=quality, reason=reason) if sample.quality.is_good else sample
+
+
+def _own(tag: Tag, sample: Sample, histories: dict[str, TagHistory], now: float, period: float) -> Sample:
+    """The reading by its own merits; a good one is remembered."""
+    known = histories.get(tag.name)
+    if not sample.quality.is_good:
+        return _held(sample, known, now, period) if sample.quality in LINK_FAULTS else sample
+    if known and (reason := _too_fast(tag, sample, known.good, period)):
+        return replace(sample, quality=Quality.SENSOR_NOT_ACCURATE, reason=reason)
+    changed = known.changed if known and known.good.value == sample.value else sample.time
+    histories[tag.name] = TagHistory(sample, changed)
+    if tag.frozen_after and sample.time - changed > tag.frozen_after:
+        reason = f"has not moved for {sample.time - changed:.0f} s (limit {tag.frozen_after:g} s)"
+        return replace(sample, quality=Quality.SENSOR_NOT_ACCURATE, reason=reason)
+    # What was not asked for (`sent` is None) has a deadline of its own, which the driver keeps.
+    stale = sample.sent is not None and _periods(sample, now, period) > STALE_PERIODS
+    return _held(sample, histories[tag.name], now, period) if stale else sample
+
+
+def _periods(sample: Sample, now: float, period: float) -> float:
+    return (now - sample.time) / period + _TOLERANCE
+
+
+def _held(sample: Sample, known: TagHistory | None, now: float, period: float) -> Sample:
+    """The last good value instead of no value, as long as it is usable."""
+    if known is None or _periods(known.good, now, period) > DEAD_PERIODS:
+        quality = Quality.NO_DATA if sample.quality.is_good else sample.quality
+        return Sample(sample.tag, None, quality, now, sent=sample.sent, reason=sample.reason or "too old")
+    reason = f"last reading {now - known.good.time:.1f} s old" + (f": {sample.reason}" if sample.reason else "")
+    return replace(known.good, quality=Quality.LAST_USABLE, reason=reason)
+
+
+def _too_fast(tag: Tag, sample: Sample, before: Sample, period: float) -> str:
+    if tag.max_rate is None or isinstance(sample.value, str) or isinstance(before.value, str):
+        return ""
+    if sample.value is None or before.value is None:
+        return ""
+    step, passed = abs(sample.value - before.value), max(sample.time - before.time, period)
+    if step <= tag.max_rate * passed:
+        return ""
+    return f"moved by {step:g} {tag.unit} in {passed:.2f} s (limit {tag.max_rate:g} {tag.unit}/s)"

@@ -1,0 +1,1 @@
+"""What is written back to the PLC: the block, who may write it and when."""

@@ -1,0 +1,102 @@
+"""The write-back block as words: pure building from the layout, saturating and never wrapping."""
+
+from binascii import crc_hqx
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntFlag
+from math import isfinite
+from struct import pack
+
+from drivers.device_file import BlockField
+from gateway.settings.devices import WritebackLayout
+
+NO_TEMPERATURE = 0x8000
+"""The int16 word of a number that is not known (-32768): no real number saturates to it."""
+
+NO_NUMBER = 0xFFFF
+"""The uint16 word of a number or location that is not known (65535): no real number saturates to it."""
+
+_VERBATIM = frozenset({"layout_version", "sequence", "heartbeat", "validity", "alarms", "model_hash", "sequence_copy"})
+_MINUTES = frozenset({"minutes_low", "minutes_median", "minutes_high"})
+
+
+class Validity(IntFlag):
+    """The validity word. USABLE stands only where all the others but SHADOW do, and the model fits what it reads."""
+
+    NONE = 0
+    USABLE = 1
+    INPUTS = 2
+    LOCATION = 4
+    FORECAST = 8
+    MODEL = 16
+    SHADOW = 32
+
+
+def validity(
+    *, inputs: bool, location: bool, forecast: bool, model: bool, familiar: bool = True, shadow: bool = False
+) -> Validity:
+    """The word from its parts.
+
+    `familiar` False: the newest readings are out of the model's own distribution. That takes USABLE away and has no bit
+    of its own: the field `zone` says red then.
+    """
+    parts = ((inputs, Validity.INPUTS), (location, Validity.LOCATION), (forecast, Validity.FORECAST))
+    word = Validity.MODEL if model else Validity.NONE
+    for true, bit in parts:
+        word |= bit if true else Validity.NONE
+    if inputs and location and forecast and model and familiar:
+        word |= Validity.USABLE
+    return word | Validity.SHADOW if shadow else word
+
+
+@dataclass(frozen=True, slots=True)
+class WritebackBlock:
+    """One block as it goes on the wire: 16-bit words in the layout's order."""
+
+    sequence: int
+    validity: Validity
+    words: tuple[int, ...]
+
+
+def build(
+    layout: WritebackLayout, values: Mapping[str, float | None], validity: Validity, sequence: int, heartbeat: int
+) -> WritebackBlock:
+    """The block that says `values` (field name -> engineering units; absent, None or not finite: not known).
+
+    A number beyond its word saturates at the word's ends, short of the word that means "not known". Minutes that are
+    infinite, and those not known, are the layout's `unknown`. `sequence` counts 0..65535, `heartbeat` 1..65535.
+    """
+    given: dict[str, float | None] = {
+        **values,
+        "layout_version": layout.version,
+        "sequence": sequence,
+        "sequence_copy": sequence,
+        "heartbeat": heartbeat,
+        "validity": int(validity),
+    }
+    words: list[int] = []
+    for field in layout.fields:
+        words.append(crc(words) if field.name == "crc" else _word(field, given.get(field.name), layout.unknown))
+    return WritebackBlock(sequence, validity, tuple(words))
+
+
+def crc(words: list[int]) -> int:
+    """CRC-16/IBM-3740 (polynomial 0x1021, start 0xFFFF, not reflected) of the words, high byte first."""
+    return crc_hqx(pack(f">{len(words)}H", *words), 0xFFFF)
+
+
+def _word(field: BlockField, value: float | None, unknown: int) -> int:
+    if field.name in _VERBATIM:
+        return int(value or 0) & 0xFFFF
+    if field.name in _MINUTES and (value is None or not isfinite(value)):
+        return unknown
+    if value is None or not isfinite(value):
+        return NO_TEMPERATURE if field.signed else NO_NUMBER
+    low, high = (-0x7FFF, 0x7FFF) if field.signed else (0, 0xFFFE)
+    limited = min(max(value / field.scale, low), high)
+    return round(limited) & 0xFFFF
+
+
+def next_heartbeat(heartbeat: int) -> int:
+    """1..65535 and round to 1: 0 means that nothing has ever been written."""
+    return heartbeat % 0xFFFF + 1

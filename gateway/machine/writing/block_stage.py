@@ -1,0 +1,163 @@
+"""The block of a scan: what goes into its fields, whether the PLC may use them, and what became of it."""
+
+from collections import deque
+from collections.abc import Mapping
+from struct import pack
+
+from structlog.typing import FilteringBoundLogger
+
+from drivers.driver import Driver
+from gateway.machine.model.outlook import block_values
+from gateway.machine.model.predict import ZONES, ScanPrediction
+from gateway.machine.reading.clock import Clock
+from gateway.machine.reading.scan import Scan
+from gateway.machine.writing.arming import ArmingError, arm, open_writer
+from gateway.machine.writing.block import Validity, validity
+from gateway.machine.writing.writeback import Arming, Attempt
+from gateway.settings.config import Config
+from gateway.settings.devices import WritebackLayout
+from gateway.store.audit import open_audit
+from gateway.store.historian import Historian
+from sim.forecast.forecast import Forecast
+
+LATENCIES = 10_000
+
+
+class BlockStage:
+    """The stage that writes, in shadow or armed; a machine that computes nothing for writing has none.
+
+    What was tried is on record and in the log at once. `attempt` is the newest one, `latencies` (ms) are those of the
+    newest blocks that were written. Opening it raises ConfigError or AuditError.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        layout: WritebackLayout,
+        *,
+        clock: Clock,
+        driver: Driver,
+        historian: Historian,
+        log: FilteringBoundLogger,
+    ) -> None:
+        self.config = config
+        self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
+        tag = config.map.by_name.get("LastRefusal")
+        self._refusals: Mapping[int, str] = tag.labels if tag else {}
+        self.attempt: Attempt | None = None
+        self.latencies: deque[float] = deque(maxlen=LATENCIES)
+        self.audit = open_audit(config.audit)
+        opened = False
+        try:
+            self.writer = open_writer(
+                config, layout, clock=clock, driver=driver, historian=historian, audit=self.audit, log=log
+            )
+            opened = True
+        finally:
+            if not opened:
+                self.audit.close()
+
+    def take_counts(self, scan: Scan) -> None:
+        """Take over what the PLC says of the blocks before this one."""
+        self.writer.take_counts(scan, self._refusals)
+
+    async def take(
+        self,
+        scan: Scan,
+        prediction: ScanPrediction | None,
+        forecast: Forecast | None,
+        *,
+        alarms: int,
+        model_hash: str = "",
+        unverified: str = "",
+    ) -> None:
+        """Offer the block of this scan: `alarms` is its alarm word, `model_hash` the model's, where one predicts.
+
+        `unverified` says why the model must not write ("" if it may): one that does not verify is never armed.
+        """
+        self.take_counts(scan)
+        # Taking back comes first: no block of an arming that is over may follow it.
+        if over := self._disarming(scan.time, unverified):
+            await self.withdraw(over, scan, alarms)
+            self.writer.disarm(scan.time, reason=over)
+        state = Validity.NONE
+        if prediction is not None:
+            state = validity(
+                inputs=prediction.inputs_good,
+                location=prediction.known,
+                forecast=forecast is not None,
+                model=True,
+                familiar=prediction.zone != "red",
+            )
+        values = self._values(scan, prediction, forecast, model_hash) | {"alarms": float(alarms)}
+        attempt = await self.writer.offer(scan, values, state)
+        if attempt is not None:
+            self._record(attempt)
+
+    def _disarming(self, now: float, unverified: str) -> str:
+        """Why the gateway has to disarm itself at this scan; "" if it has not."""
+        if not self.writer.armed:
+            return ""
+        if self.writer.expired(now):
+            return "the arming is over"
+        return f"the model that runs does not verify: {unverified}" if unverified else ""
+
+    def _values(
+        self, scan: Scan, p: ScanPrediction | None, forecast: Forecast | None, model_hash: str
+    ) -> dict[str, float | None]:
+        """The block's fields; a number that is not known is left out, and the block says so."""
+        if p is None:
+            bad = any(scan.good(name) is None for name in self.config.watched)
+            return {"zone": 0.0, "input_quality": 2.0 if bad else 0.0}
+        values = {
+            "zone": float(ZONES.index(p.zone)),
+            "input_quality": float(p.worst),
+            "age": p.age,
+            "location": float(p.location_index) if p.known else None,
+            "temperature_now": p.mean,
+            "band_low": p.low,
+            "band_high": p.high,
+            "anomaly": p.anomaly,
+            "model_hash": float(int(model_hash[-4:], 16)),
+        }
+        return values | (block_values(forecast, self.config.block_horizon, scan.time) if forecast else {})
+
+    async def withdraw(self, why: str, scan: Scan, alarms: int) -> None:
+        """Tell the PLC once, if armed and permitted, that nothing of ours is to be used any more."""
+        if not self.writer.armed:
+            return
+        attempt = await self.writer.withdraw(scan, alarms)
+        if attempt is not None:
+            self._record(attempt)
+        verdict = attempt.verdict if attempt else "off"
+        by = self.writer.arming.by if self.writer.arming else ""
+        self._historian.put("audit", [(self._clock.now(), f"validity 0: {verdict}", by, why)])
+
+    async def arm(self, by: str, reason: str, minutes: float, *, unverified: str = "") -> Arming:
+        """Let blocks be written from the next scan on. Raises ArmingError."""
+        if unverified:
+            raise ArmingError(f"the model that runs does not verify: {unverified}")
+        arming = await arm(self.writer, self._driver, by=by, reason=reason, minutes=minutes)
+        self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
+        self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
+        return arming
+
+    def disarm(self, by: str, reason: str) -> None:
+        """Write no more; what stands in the PLC has been taken back before (`withdraw`)."""
+        now = self._clock.now()
+        self.writer.disarm(now, by, reason)
+        self._historian.put("audit", [(now, "disarmed", by, reason)])
+        self._log.warning("disarmed", by=by, reason=reason)
+
+    def _record(self, attempt: Attempt) -> None:
+        before, self.attempt = self.attempt, attempt
+        block = attempt.block
+        # The words are stored high byte first, as they went on the wire.
+        words = pack(f">{len(block.words)}H", *block.words)
+        row = (attempt.time, block.sequence, attempt.mode, attempt.verdict, int(block.validity))
+        self._historian.put("writes", [(*row, attempt.latency_ms, attempt.reason, words)])
+        if attempt.latency_ms is not None:
+            self.latencies.append(attempt.latency_ms)
+        if before is None or (before.verdict, before.reason) != (attempt.verdict, attempt.reason):
+            write_line = self._log.info if attempt.verdict in ("written", "shadow") else self._log.warning
+            write_line("write-back", verdict=attempt.verdict, reason=attempt.reason, sequence=block.sequence)

@@ -1,0 +1,53 @@
+"""Opening the device: one driver, or one for all links together; fails loudly and precisely."""
+
+from drivers.driver import Driver, capabilities, open_driver
+from drivers.errors import AddressError, DriverError
+from drivers.settings import ConfigError
+from drivers.tag import Tag
+from gateway.machine.reading.clock import Clock
+from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath
+from gateway.settings.config import Config
+from gateway.settings.links import DeviceLink
+
+
+def make_driver(config: Config, clock: Clock) -> Driver:
+    """The device's driver, not yet opened, able to write the block and nothing else; one for all links together.
+
+    Raises ConfigError.
+    """
+    if len(config.links) == 1:
+        return link_driver(config, config.links[0], clock)
+    paths = [RedundantPath(link.name, link_driver(config, link, clock), _addressed(link)) for link in config.links]
+    beat = max(config.scan.period, config.device.heartbeat_period * clock.speed)
+    rules = RedundancyRules(config.device.switch_after, config.device.return_after, config.map.heartbeat, beat)
+    return Redundant(paths, rules, clock.now)
+
+
+def link_driver(config: Config, link: DeviceLink, clock: Clock) -> Driver:
+    """The driver of one link, with the closed write map unless the mode is off. Raises ConfigError.
+
+    In shadow it may be armed later; a link that cannot write is one that reads then.
+    """
+    block, mode = link.map.writeback, config.writeback.mode
+    write_map = block.words if mode != "off" and block is not None else ()
+    try:
+        try:
+            return open_driver(link.map.driver, link.settings, clock=clock.now, write_map=write_map)
+        except AddressError:
+            if mode == "armed":
+                raise
+            return open_driver(link.map.driver, link.settings, clock=clock.now)
+    except DriverError as error:
+        raise ConfigError([f"{link.map.path}: device: {error}"]) from None
+
+
+def _addressed(link: DeviceLink) -> dict[str, Tag]:
+    """All tags of a link by name, the words of its block too."""
+    block = link.map.writeback
+    return {tag.name: tag for tag in (*link.map.tags, *(block.words if block else ()))}
+
+
+def scans_on_change(config: Config) -> bool:
+    """Whether a change that a device tells by itself brings a scan of its own."""
+    configured = config.scan.on_change
+    return any(capabilities(link.map.driver).speaks for link in config.links) if configured is None else configured

@@ -1,0 +1,310 @@
+"""The gateway's configuration: one TOML file, checked whole before anything starts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from drivers.settings import ConfigError, Section, checked, read_toml
+from gateway.settings.devices import DeviceMap
+from gateway.settings.links import DeviceLink, DeviceSection, FilePath, link_problems, links_of
+
+Names = Annotated[tuple[str, ...], Field(strict=False)]
+Seconds = Annotated[tuple[float, ...], Field(strict=False)]
+
+MAX_ARMED_MINUTES = 480.0
+LEAST_BLOCKS = 10.0
+
+
+class ScanSection(Section):
+    """How often the device is read."""
+
+    period: float = Field(1.0, ge=0.01, le=3600, description="the seconds between two scans, 0.01 to 3600")
+    on_change: bool | None = Field(
+        None,
+        description="true: a device that speaks by itself is scanned at once when a tag of the model or of an alarm "
+        "changes; false: at the period only; no key: true for a device that speaks by itself",
+    )
+
+
+class ModelSection(Section):
+    """The model (a directory of artefacts or one JSON file) and the tag that holds its temperature."""
+
+    path: FilePath | None = Field(None, description="a model directory or a model's JSON file, relative to this file")
+    temperature: str = Field("TCuscinettiRiduttore", description="the tag of the temperature to be predicted")
+
+
+class WritebackSection(Section):
+    """Whether anything is written to the PLC: `off`, `shadow` (computed and logged), `armed` (written)."""
+
+    mode: Literal["off", "shadow", "armed"] = Field("off", description="'off', 'shadow' or 'armed'")
+    armed_by: str = Field("", description="the name of the person who arms")
+    reason: str = Field("", description="why the gateway is armed")
+    minutes: float | None = Field(
+        None, gt=0, le=MAX_ARMED_MINUTES, description=f"for how many minutes, at most {MAX_ARMED_MINUTES:g}"
+    )
+    horizon: float | None = Field(None, gt=0, description="one of forecast.horizons, in seconds")
+    most_per_second: float | None = Field(
+        None, ge=0.1, le=1000, description="the most blocks a real second, 0.1 to 1000, or no key for twice the scans"
+    )
+    audit: FilePath | None = Field(None, description="the path of the audit log, beside the historian without this key")
+
+    @model_validator(mode="after")
+    def _armed_is_signed(self) -> "WritebackSection":
+        if self.mode == "armed":
+            missing = [name for name in ("armed_by", "reason", "minutes") if not getattr(self, name)]
+            if missing:
+                raise ValueError(
+                    f"mode 'armed' also needs {', '.join(missing)}; give a name, a reason and the minutes (at most "
+                    f"{MAX_ARMED_MINUTES:g}), or set mode to 'shadow'"
+                )
+        return self
+
+
+class AlarmSection(Section):
+    """The independent threshold alarm, and when the model's own findings are worth an alarm."""
+
+    limit: float = Field(80.0, description="the alarm limit in degC")
+    deadband: float = Field(2.0, ge=0, description="degC below the limit at which the alarm returns")
+    on_delay: float = Field(0.0, ge=0, description="seconds above the limit before the alarm is raised")
+    off_delay: float = Field(10.0, ge=0, description="seconds below the limit before the alarm returns")
+    tags: Names = Field((), description="the tags of the temperatures to watch")
+    p_limit: float = Field(0.5, gt=0, le=1, description="the probability of passing the limit that is worth an alarm")
+    anomaly: float = Field(3.0, gt=0, description="the anomaly score worth an alarm (3: once in a thousand windows)")
+    drift: float | None = Field(
+        None, gt=0, description="degC of a cycle's free-run error that is drift, or no key for the model's own band"
+    )
+    drift_cycles: int = Field(3, ge=1, le=100, description="the cycles running beyond that which are worth an alarm")
+
+
+class HistorianSection(Section):
+    """The embedded historian."""
+
+    path: FilePath = Field(Path("../out/historian.sqlite"), description="the path of the database file")
+    retention_days: float = Field(90.0, gt=0, description="the days after which measurements are deleted")
+    max_mb: float = Field(4096.0, ge=1, description="the largest size of the file in megabytes, at least 1")
+    max_interval: float = Field(5.0, gt=0, description="seconds after which an unchanged value is stored again")
+
+
+class LogSection(Section):
+    """Structured log: JSON lines to a file."""
+
+    path: FilePath | None = Field(None, description="the path of the log file")
+    level: Literal["debug", "info", "warning", "error"] = Field("info", description="debug, info, warning or error")
+
+
+class ForecastSection(Section):
+    """The fan of what may come: horizons, number of simulated runs, and how often it is made."""
+
+    horizons: Seconds = Field((60.0, 300.0, 900.0), min_length=1, description="ascending seconds, such as [60, 900]")
+    runs: int = Field(500, ge=20, le=100_000, description="the number of runs, 20 to 100000")
+    period: float = Field(10.0, gt=0, description="the plant seconds between two forecasts")
+    seed: int = Field(0, ge=0, description="a whole number from 0")
+
+    @field_validator("horizons")
+    @classmethod
+    def _ascending(cls, horizons: tuple[float, ...]) -> tuple[float, ...]:
+        if any(later <= earlier for earlier, later in zip((0.0, *horizons), horizons, strict=False)):
+            raise ValueError(f"{list(horizons)} must be positive and ascending; give seconds such as [60, 300, 900]")
+        return horizons
+
+
+class EnsembleSection(Section):
+    """Models that are followed beside the one of [model]; the forecast is then a mixture of them all."""
+
+    members: Annotated[tuple[FilePath, ...], Field(strict=False)] = Field(
+        (), description="a list of models beside model.path, each a directory or a JSON file"
+    )
+    weights: tuple[float, ...] | Literal["evidence", "equal"] = Field(
+        "evidence", description="'evidence', 'equal' or one number a model, as [0.7, 0.3], model.path's first"
+    )
+    context: Literal["none", "running", "symbols"] = Field(
+        "running",
+        description="'none', 'running' (weights of their own for running and stopped) or 'symbols' (for each "
+        "combination of the alphabet's symbols)",
+    )
+    half_life: float = Field(30.0, gt=0, description="independent forecasts after which evidence counts half")
+    floor: float = Field(0.02, ge=0, lt=1, description="the least weight that evidence leaves a model")
+
+    @field_validator("weights", mode="before")
+    @classmethod
+    def _words_or_numbers(cls, weights: object) -> object:
+        if isinstance(weights, list | tuple):
+            numbers = all(isinstance(one, int | float) and not isinstance(one, bool) and one >= 0 for one in weights)
+            if not numbers or abs(sum(weights) - 1.0) > 1e-6:
+                raise ValueError(f"{list(weights)} must be numbers from 0 that sum to 1; give as many as models")
+            return tuple(float(one) for one in weights)
+        if weights not in ("evidence", "equal"):
+            raise ValueError(f"must be 'evidence', 'equal' or a list of numbers such as [0.7, 0.3], got {weights!r}")
+        return weights
+
+
+class ControlSection(Section):
+    """The local socket by which programs of the same user ask the running gateway."""
+
+    path: FilePath | None = Field(None, description="the path of the socket, beside the historian without this key")
+
+
+class ClockSection(Section):
+    """Plant seconds per real second: other than 1 only for replays against a software PLC on this machine."""
+
+    speed: float = Field(1.0, gt=0, le=10_000, description="plant seconds per real second, 1 for a real plant")
+
+
+class _PlantFile(Section):
+    device: DeviceSection = Field(description="a [device] table with file and host")
+    scan: ScanSection = Field(default_factory=ScanSection, description="a [scan] table")
+    model: ModelSection = Field(default_factory=ModelSection, description="a [model] table")
+    writeback: WritebackSection = Field(default_factory=WritebackSection, description="a [writeback] table")
+    alarms: AlarmSection = Field(default_factory=AlarmSection, description="an [alarms] table")
+    historian: HistorianSection = Field(default_factory=HistorianSection, description="a [historian] table")
+    log: LogSection = Field(default_factory=LogSection, description="a [log] table")
+    forecast: ForecastSection = Field(default_factory=ForecastSection, description="a [forecast] table")
+    ensemble: EnsembleSection = Field(default_factory=EnsembleSection, description="an [ensemble] table")
+    control: ControlSection = Field(default_factory=ControlSection, description="a [control] table")
+    clock: ClockSection = Field(default_factory=ClockSection, description="a [clock] table")
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """A checked configuration; every path in it is complete. `stamp` is the file's time of change (s)."""
+
+    path: Path
+    stamp: float
+    device: DeviceSection
+    scan: ScanSection
+    model: ModelSection
+    writeback: WritebackSection
+    alarms: AlarmSection
+    historian: HistorianSection
+    log: LogSection
+    forecast: ForecastSection
+    ensemble: EnsembleSection
+    control: ControlSection
+    clock: ClockSection
+    links: tuple[DeviceLink, ...]
+
+    @property
+    def map(self) -> DeviceMap:
+        """The device file of the primary link: the tags, and the block that is written back."""
+        return self.links[0].map
+
+    @property
+    def control_socket(self) -> Path:
+        """Where the running gateway can be asked."""
+        return self.control.path or self.historian.path.with_suffix(".sock")
+
+    @property
+    def audit(self) -> Path:
+        """Where every write and refusal is accounted for."""
+        return self.writeback.audit or self.historian.path.with_name("audit.sqlite")
+
+    @property
+    def blocks_per_second(self) -> float:
+        """The most blocks a real second: as configured, or twice the scans and at least LEAST_BLOCKS."""
+        return self.writeback.most_per_second or max(LEAST_BLOCKS, 2.0 * self.clock.speed / self.scan.period)
+
+    @property
+    def watched(self) -> tuple[str, ...]:
+        """The tags of the temperatures under the threshold alarm."""
+        return self.alarms.tags or (self.model.temperature,)
+
+    @property
+    def block_horizon(self) -> float:
+        """The horizon (s) of the forecast in the block: the configured one, or the longest."""
+        return self.writeback.horizon or self.forecast.horizons[-1]
+
+
+def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Config:
+    """The configuration in `path`, with the register map that it names.
+
+    `overrides` replaces single keys before the check, written `section.key` ({"device.port": 15020}); relative paths
+    in the file are relative to the file, in overrides to the working directory. Raises ConfigError with all that is
+    wrong, one sentence each: file, key, reason, what would be right.
+    """
+    data = _overridden(read_toml(path), overrides or {})
+    content = checked(_PlantFile, data, path)
+    home = path.parent
+    links = links_of(content.device, home)
+    problems = _problems(content, links, home)
+    if problems:
+        raise ConfigError([f"{path}: {problem}" for problem in problems])
+    historian = content.historian.model_copy(update={"path": home / content.historian.path})
+    log = content.log.model_copy(update={"path": content.log.path and home / content.log.path})
+    model = content.model.model_copy(update={"path": content.model.path and home / content.model.path})
+    members = tuple(home / member for member in content.ensemble.members)
+    return Config(
+        path=path,
+        stamp=path.stat().st_mtime,
+        device=content.device,
+        scan=content.scan,
+        model=model,
+        writeback=content.writeback.model_copy(
+            update={"audit": content.writeback.audit and home / content.writeback.audit}
+        ),
+        alarms=content.alarms,
+        historian=historian,
+        log=log,
+        forecast=content.forecast,
+        ensemble=content.ensemble.model_copy(update={"members": members}),
+        control=content.control.model_copy(update={"path": content.control.path and home / content.control.path}),
+        clock=content.clock,
+        links=links,
+    )
+
+
+def _overridden(data: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    merged = {key: dict(value) if isinstance(value, dict) else value for key, value in data.items()}
+    for key, value in overrides.items():
+        section, _, name = key.partition(".")
+        table = merged.setdefault(section, {})
+        if isinstance(table, dict):
+            table[name] = str(value.absolute()) if isinstance(value, Path) else value
+    return merged
+
+
+def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) -> list[str]:
+    """What no single key shows: tags that the map lacks, a model that is not there, a speed for a real plant."""
+    device = links[0].map
+    tags = {tag.name for tag in device.tags}
+    named = [("model.temperature", content.model.temperature), *(("alarms.tags", tag) for tag in content.alarms.tags)]
+    problems = [
+        f"{key}: {tag!r} is not a tag of {device.path}; give one of its names" for key, tag in named if tag not in tags
+    ]
+    if content.model.path is not None and not (home / content.model.path).exists():
+        problems.append(
+            f"model.path: there is nothing at {home / content.model.path}; give a model directory or JSON file, or "
+            f"leave the key out to run without a model"
+        )
+    problems += _ensemble_problems(content, home)
+    if content.writeback.mode != "off" and device.writeback is None:
+        problems.append(f"writeback.mode: {device.path} has no [writeback] table; add one or set mode to 'off'")
+    horizon = content.writeback.horizon
+    if horizon is not None and horizon not in content.forecast.horizons:
+        known = ", ".join(f"{value:g}" for value in content.forecast.horizons)
+        problems.append(f"writeback.horizon: {horizon:g} is not among forecast.horizons; give one of {known}")
+    return problems + link_problems(links, content.clock.speed)
+
+
+def _ensemble_problems(content: _PlantFile, home: Path) -> list[str]:
+    """Members that are not there or have no first model beside them, and weights that are not one a model."""
+    ensemble, models = content.ensemble, 1 + len(content.ensemble.members)
+    problems = [
+        f"ensemble.members: there is nothing at {home / path}; give a model directory or JSON file"
+        for path in ensemble.members
+        if not (home / path).exists()
+    ]
+    if ensemble.members and content.model.path is None:
+        problems.append("ensemble.members: members are followed beside model.path, which is missing; give it too")
+    if isinstance(ensemble.weights, tuple) and len(ensemble.weights) != models:
+        problems.append(
+            f"ensemble.weights: has {len(ensemble.weights)} weights for {models} models (model.path and "
+            f"{models - 1} members); give one for each, model.path's first"
+        )
+    if ensemble.floor * models >= 1:
+        problems.append(
+            f"ensemble.floor: {ensemble.floor:g} is too much for {models} models; give less than {1 / models:g}"
+        )
+    return problems

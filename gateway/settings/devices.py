@@ -1,0 +1,112 @@
+"""A device's register map as a file: its tags, what the driver must know, and the block that is written back."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.device_file import BlockField, BlockTable, read_device_file
+from drivers.driver import capabilities
+from drivers.settings import ConfigError
+from drivers.tag import Tag
+
+BLOCK_FIELDS = (
+    "layout_version", "sequence", "heartbeat", "validity", "input_quality", "age", "location", "temperature_now",
+    "band_low", "band_high", "horizon", "horizon_low", "horizon_median", "horizon_high", "p_limit", "minutes_low",
+    "minutes_median", "minutes_high", "zone", "alarms", "anomaly", "model_hash", "crc", "sequence_copy",
+)  # fmt: skip
+"""Every field that the gateway can fill. A map may leave some out or order them differently, the last two apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class WritebackLayout:
+    """The block that the PLC expects. `words` are its registers as raw 16-bit tags, in order: the closed write map.
+
+    `timeout` (s) is the PLC's own timer, `unknown` the word for minutes beyond the forecast.
+    """
+
+    version: int
+    timeout: float
+    unknown: int
+    fields: tuple[BlockField, ...]
+    words: tuple[Tag, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceMap:
+    """One device: how to open its driver, its tags, the tag of its heartbeat, and the block written to it."""
+
+    path: Path
+    name: str
+    driver: str
+    settings: Mapping[str, Any]
+    heartbeat: str | None
+    tags: tuple[Tag, ...]
+    writeback: WritebackLayout | None
+
+    @property
+    def by_name(self) -> dict[str, Tag]:
+        """The tags by their names (made anew at each call)."""
+        return {tag.name: tag for tag in self.tags}
+
+
+_FIELD = "{field}"
+
+
+def complete_paths(driver: str, settings: Mapping[str, Any], home: Path) -> dict[str, Any]:
+    """The driver's settings with the paths among them made complete: they are relative to the file they stand in."""
+    files = capabilities(driver).files
+    return {
+        key: str(home / value) if key in files and isinstance(value, str) and value else value
+        for key, value in settings.items()
+    }
+
+
+def load_device(path: Path) -> DeviceMap:
+    """The register map in `path`. Raises ConfigError with one sentence for each thing that is wrong."""
+    content = read_device_file(path)
+    if content.writeback is not None and (problems := _unfillable([row.name for row in content.writeback.fields])):
+        raise ConfigError([f"{path}: {problem}" for problem in problems])
+    return DeviceMap(
+        path=path,
+        name=content.device.name,
+        driver=content.device.driver,
+        settings=complete_paths(content.device.driver, content.device.model_extra or {}, path.parent),
+        heartbeat=content.device.heartbeat,
+        tags=tuple(row.tag() for row in content.tags),
+        writeback=_layout(content.writeback) if content.writeback else None,
+    )
+
+
+def _unfillable(names: Sequence[str]) -> list[str]:
+    """Why the gateway cannot fill a block of these fields, in sentences."""
+    problems = [
+        f"writeback.fields[{index}].name: {name!r} is nothing that the gateway fills; give one of "
+        f"{', '.join(BLOCK_FIELDS)}"
+        for index, name in enumerate(names)
+        if name not in BLOCK_FIELDS
+    ]
+    if not problems and tuple(names[-2:]) != BLOCK_FIELDS[-2:]:
+        problems.append("writeback.fields: the last two must be 'crc' and 'sequence_copy', in this order")
+    return problems
+
+
+def _layout(table: BlockTable) -> WritebackLayout:
+    return WritebackLayout(
+        version=table.layout_version,
+        timeout=table.timeout_s,
+        unknown=table.unknown,
+        fields=tuple(row.field() for row in table.fields),
+        words=tuple(
+            Tag(f"Writeback.{row.name}", _word_address(table.address, index, row.name), writable=True)
+            for index, row in enumerate(table.fields)
+        ),
+    )
+
+
+def _word_address(pattern: str, index: int, name: str) -> str:
+    """The address of the block's word `index`: `holding:400` -> `holding:403`, `0x2100:1` -> `0x2100:4` for index 3."""
+    if _FIELD in pattern:
+        return pattern.replace(_FIELD, name)
+    space, _, first = pattern.rpartition(":")
+    return f"{space}:{int(first) + index}"

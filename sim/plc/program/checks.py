@@ -1,0 +1,88 @@
+"""Input that cannot be used comes back as one sentence: file or command, key, reason, what would be right."""
+
+import inspect
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+
+from drivers.settings import reason_of, sentences
+
+
+class InputError(ValueError):
+    """A file, an argument or a command that the PLC cannot use; the message is for the one who wrote it."""
+
+
+class FileTable(BaseModel):
+    """A table of a TOML or JSON file: unknown keys and wrong types are refused. A field's description is its remedy."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+E = TypeVar("E", bound=FileTable)
+
+
+def read_text(path: Path, what: str) -> str:
+    """The file as UTF-8 text (a byte order mark is dropped). Raises InputError."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; give the path of {what}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); make it a file that this user can read") from None
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """The TOML file's content. Raises InputError, with the line where TOML has one."""
+    try:
+        return tomllib.loads(read_text(path, what))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: is not TOML: {error}; correct that place") from None
+
+
+def validated(entry: type[E], data: object, where: str) -> E:
+    """`data` as an `entry`. Raises InputError about the first thing that is wrong, naming `where` and the key."""
+    try:
+        return entry.model_validate(data)
+    except ValidationError as error:
+        raise InputError(sentences(entry, error, where)[0]) from None
+
+
+def listed(words: Sequence[str]) -> str:
+    """The words in a row, as a sentence wants them."""
+    return ", ".join(words) if words else "none"
+
+
+def signature_of(function: Callable[..., object]) -> list[str]:
+    """The keyword parameters of a table's function, with their defaults, as documentation prints them."""
+    return [p.name if p.default is p.empty else f"{p.name} = {p.default!r}" for p in _keywords(function)]
+
+
+def checked_arguments(function: Callable[..., object], given: Mapping[str, object], where: str) -> dict[str, Any]:
+    """`given` as the function's keyword arguments, checked against its annotations. Raises InputError."""
+    known = _keywords(function)
+    names = [parameter.name for parameter in known]
+    if unknown := [name for name in given if name not in names]:
+        raise InputError(f"{where}: {unknown[0]}: there is no such key; known are {listed(names)}")
+    if missing := [p.name for p in known if p.default is p.empty and p.name not in given]:
+        raise InputError(f"{where}: {missing[0]}: is missing; it must be given")
+    hints = get_type_hints(function)
+    return {name: _checked(hints[name], value, f"{where}: {name}") for name, value in given.items()}
+
+
+def _keywords(function: Callable[..., object]) -> list[inspect.Parameter]:
+    parameters = inspect.signature(function).parameters.values()
+    return [parameter for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+
+
+def _checked(hint: Any, value: object, where: str) -> object:
+    try:
+        return TypeAdapter(hint, config=ConfigDict(allow_inf_nan=False)).validate_python(value, strict=True)
+    except ValidationError as error:
+        details = error.errors()
+        reason = reason_of(details[0]) if len(details) == 1 else f"fits none of {hint}"
+        raise InputError(f"{where}: {reason}, got {value!r}") from None

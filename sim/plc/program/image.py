@@ -1,0 +1,149 @@
+"""The process image: what is in the PLC's memory, addressed as Modbus addresses it, and what its tags truly are."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
+
+from drivers.tag import Tag, Value
+from sim.plc.program.encode import Unrepresentable, decode, encode, encode_absent
+from sim.plc.program.registers import BIT_TABLES, WORD_TABLES, Place, RegisterMap
+
+Values = Mapping[str, Value | None]
+Complain = Callable[[str], None]
+
+
+class Undefined(LookupError):
+    """An address that the image does not have, or that a client may not write."""
+
+
+class ProcessImage:
+    """Four tables of addresses, and the tags in them.
+
+    `truth` is what the PLC's program knows of each tag; the tables are what a client reads. They differ only while a
+    tag is frozen. Everything happens in one synchronous step, so that no client ever sees half of an update. Unused
+    registers between two used ones, at most `max_gap` of them, read as 0: that is what the map promises of them.
+    """
+
+    def __init__(self, registers: RegisterMap, writable: Iterable[Place] = (), complain: Complain = lambda _: None):
+        self.registers = registers
+        self.truth: dict[str, Value | None] = {}
+        self.version = 0
+        self._served: dict[str, Value | None] = {}
+        self._complain = complain
+        self._complained: set[str] = set()
+        self._writable = _writable(registers, writable)
+        self._owners = _owners(registers)
+        self._tables: dict[str, dict[int, int]] = {table: {} for table in (*WORD_TABLES, *BIT_TABLES)}
+        for table, address in (*self._owners, *self._writable, *_gaps(registers)):
+            self._tables[table][address] = 0
+
+    def learn(self, values: Values) -> dict[str, Value | None]:
+        """Take in what the program knows; give what changed. The tables stay as they are until `serve`."""
+        changed = {name: value for name, value in values.items() if self.truth.get(name, _NEVER) != value}
+        self.truth |= changed
+        self.version += bool(changed)
+        return changed
+
+    def serve(self, frozen: Callable[[str], bool] = lambda _: False) -> None:
+        """Bring the tables to the truth, but for the tags that are frozen."""
+        for name, value in self.truth.items():
+            if self._served.get(name, _NEVER) != value and not frozen(name):
+                self._store(self.registers.tags[name], value)
+                self._served[name] = value
+
+    @property
+    def served(self) -> Mapping[str, Value | None]:
+        """What a client reads of each tag at present; of a tag that is not in it, zeros."""
+        return self._served
+
+    def clear(self) -> None:
+        """All addresses to 0, as after a power failure; the next `serve` writes every tag anew."""
+        for table in self._tables.values():
+            table.update(dict.fromkeys(table, 0))
+        self._served.clear()
+
+    def representable(self, tag: Tag, value: Value | None) -> Value | None:
+        """The value, or what the PLC takes for one that does not fit: "not available" if it can say so, else the limit.
+
+        The first such value of a tag is complained of.
+        """
+        if value is None:
+            return None
+        try:
+            encode(tag, value)
+        except Unrepresentable as error:
+            if tag.name not in self._complained:
+                self._complained.add(tag.name)
+                self._complain(f"{error}: served as {'not available' if tag.sentinel is not None else 'its limit'}")
+            return None if tag.sentinel is not None else decode(tag, error.nearest)
+        return value
+
+    def read(self, table: str, address: int, count: int) -> list[int]:
+        """The words or bits of `count` addresses. Raises Undefined if one of them is not there."""
+        cells = self._tables[table]
+        try:
+            return [cells[address + offset] for offset in range(count)]
+        except KeyError:
+            raise Undefined(f"{table}:{address} and the next {count}") from None
+
+    def may_write(self, table: str, address: int, count: int) -> bool:
+        """True if a client may write to all of these addresses."""
+        return all((table, address + offset) in self._writable for offset in range(count))
+
+    def write(self, table: str, address: int, values: Sequence[int]) -> dict[str, Value | None]:
+        """Store what a client writes; give the tags that it changed. Raises Undefined where it may not."""
+        if not self.may_write(table, address, len(values)):
+            raise Undefined(f"{table}:{address} and the next {len(values)} are not all writable")
+        self._tables[table].update(zip(range(address, address + len(values)), values, strict=True))
+        names = {name for at in range(address, address + len(values)) for name in self._owners.get((table, at), ())}
+        changed = {name: self._decoded(name) for name in sorted(names)}
+        self._served |= changed
+        return self.learn(changed)
+
+    def _decoded(self, name: str) -> Value | None:
+        place = self.registers.places[name]
+        return decode(self.registers.tags[name], self.read(place.table, place.address, place.words))
+
+    def _store(self, tag: Tag, value: Value | None) -> None:
+        place = self.registers.places[tag.name]
+        cells = self._tables[place.table]
+        if place.table in BIT_TABLES:
+            cells[place.address] = int(bool(value))
+        elif tag.bit is not None:
+            word = cells[place.address]
+            cells[place.address] = word & ~_mask(tag) | (_mask(tag) if value else 0)
+        else:
+            words = encode_absent(tag) if value is None else encode(tag, value)
+            cells.update(zip(place.addresses(), words, strict=True))
+
+
+_NEVER = object()
+
+
+def _mask(tag: Tag) -> int:
+    bit = tag.bit or 0
+    return 1 << ((bit ^ 8) if tag.order in ("BADC", "DCBA") else bit)
+
+
+def _owners(registers: RegisterMap) -> dict[tuple[str, int], list[str]]:
+    owners: dict[tuple[str, int], list[str]] = {}
+    for name, place in registers.places.items():
+        for address in place.addresses():
+            owners.setdefault((place.table, address), []).append(name)
+    return owners
+
+
+def _writable(registers: RegisterMap, extra: Iterable[Place]) -> frozenset[tuple[str, int]]:
+    places = [registers.places[name] for name, tag in registers.tags.items() if tag.writable]
+    block = [registers.block.place] if registers.block else []
+    return frozenset((place.table, at) for place in (*places, *block, *extra) for at in place.addresses())
+
+
+def _gaps(registers: RegisterMap) -> list[tuple[str, int]]:
+    """The unused addresses between two used ones of a table that lie at most `max_gap` apart."""
+    gaps: list[tuple[str, int]] = []
+    for table in (*WORD_TABLES, *BIT_TABLES):
+        used = sorted({at for place in registers.places.values() if place.table == table for at in place.addresses()})
+        for left, right in pairwise(used):
+            if 1 < right - left <= registers.max_gap + 1:
+                gaps += [(table, at) for at in range(left + 1, right)]
+    return gaps

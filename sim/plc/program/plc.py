@@ -1,0 +1,296 @@
+"""The PLC's program: each cycle it moves its heartbeat, reads its signals, watches the gateway's block, and answers.
+
+Everything here is synchronous and gets the moment as an argument; the server and the main loop only carry bytes and
+time. Time limits (the watchdog, faults) are wall seconds, whatever the speed of the replay.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Protocol
+
+from drivers.tag import Value
+from sim.plc.program import pdu as modbus
+from sim.plc.program import writeback
+from sim.plc.program.checks import InputError, listed
+from sim.plc.program.clock import EmulatorClock
+from sim.plc.program.encode import Unrepresentable, encode, is_bool, resolution, value_at_rest
+from sim.plc.program.faults import ALL_TAGS, FaultEffect, OrderedFault, merged, refusal
+from sim.plc.program.image import ProcessImage, Undefined
+from sim.plc.program.pdu import ModbusRefusal, ModbusReply, ModbusRequest
+from sim.plc.program.registers import Place, RegisterMap
+from sim.plc.program.replay import TraceReplay
+from sim.plc.program.schedule import CycleFaults, FaultSchedule
+from sim.plc.program.writeback import Intake
+
+
+class RecordRow(Protocol):
+    """Takes a row of the given kind; `moment` is monotonic."""
+
+    def __call__(self, kind: str, moment: float, row: Mapping[str, object]) -> None: ...
+
+
+def record_nothing(kind: str, moment: float, row: Mapping[str, object]) -> None:
+    """The recorder of a PLC that keeps no record."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlcSettings:
+    """What is fixed when the process starts. `unknown_unit` True answers a strange unit with exception 11."""
+
+    permit: bool = True
+    answer_unknown_unit: bool = False
+    max_registers: int | None = None
+    writable: Sequence[Place] = ()
+    seed: int = 0
+
+
+class Plc:
+    """The state of the PLC, moved on by `cycle` and by the requests that `exchange` answers."""
+
+    def __init__(
+        self,
+        registers: RegisterMap,
+        clock: EmulatorClock,
+        replay: TraceReplay | None = None,
+        settings: PlcSettings | None = None,
+        *,
+        faults: Sequence[OrderedFault] = (),
+        record: RecordRow = record_nothing,
+        complain: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        settings = settings or PlcSettings()
+        self.registers, self.clock, self.replay, self.settings = registers, clock, replay, settings
+        self.image = ProcessImage(registers, settings.writable, complain)
+        self.schedule = FaultSchedule(settings.seed)
+        self.intake = Intake()
+        self.permit, self.acknowledged = settings.permit, 0
+        self.forced: dict[str, Value | None] = {}
+        self.heartbeat, self.running, self.usable = 0, True, False
+        self.started, self.ended, self.stopping = False, False, False
+        self.connections = 0
+        self.record = record
+        self.max_registers = settings.max_registers or registers.max_registers
+        self._faults = tuple(faults)
+        self._row: tuple[int, Mapping[str, Value | None]] = (-1, MappingProxyType({}))
+        self._at_rest = {name: value_at_rest(tag) for name, tag in registers.tags.items()}
+        self._own = {registers.heartbeat, *writeback.STATUS_TAGS}
+        for fault in faults:
+            self.check_fault(fault)
+
+    # ---------------------------------------------------------------- the cycle
+
+    def begin(self, now: float, *, hold: bool = False) -> CycleFaults:
+        """Record what this process is, and bring the image up; unless `hold`, the replay and the schedule start."""
+        trace = None if self.replay is None else str(self.replay.table.path)
+        roundings = {name: resolution(tag) for name, tag in self.registers.tags.items()}
+        clock = {"epoch": self.clock.epoch, "monotonic": self.clock.start, "speed": self.clock.speed}
+        about = {"device": self.registers.device, "trace": trace, "seed": self.settings.seed, "roundings": roundings}
+        self.record("run", now, {**clock, **about})
+        self._learn(self._at_rest, now)
+        if not hold:
+            self.start(now)
+        return self.cycle(now)
+
+    def start(self, now: float) -> None:
+        """Let the replay run; the first time, the schedule of faults runs from here."""
+        if self.replay is not None:
+            self.replay = self.replay.changed(now, held=False)
+        for fault in () if self.started else self._faults:
+            self.schedule.add(fault, now)
+        self.started = True
+        self.event("start", now)
+
+    def cycle(self, now: float) -> CycleFaults:
+        """One cycle of the program; gives what the faces have to do."""
+        begun, over = self.schedule.advance(now)
+        for entry in begun:
+            self.event("fault began", now, {"number": entry.number, "kind": entry.fault.kind})
+        for entry in over:
+            self.event("fault ended", now, {"number": entry.number, "kind": entry.fault.kind, "hits": entry.hits})
+        effect = self.schedule.standing(now)
+        if effect.run != self.running:
+            self._switch(effect.run, now)
+        if self.running:
+            self.heartbeat = self.heartbeat % 0xFFFF + 1
+            self._learn(self._values(now), now)
+            self.image.serve(lambda name: name in effect.frozen or ALL_TAGS in effect.frozen)
+        return self.schedule.line(begun, now)
+
+    def _switch(self, run: bool, now: float) -> None:
+        """The program stops (memory to 0, nothing is true any more but the heartbeat's 0) or begins anew."""
+        self.running = run
+        self.heartbeat, self.intake = 0, Intake()
+        self.event("program runs" if run else "program stopped", now)
+        dark: dict[str, Value | None] = dict.fromkeys(self.registers.tags)
+        if self.registers.heartbeat is not None:
+            dark[self.registers.heartbeat] = 0
+        self._learn(self._at_rest if run else dark, now)
+        self.image.clear()
+
+    def _learn(self, values: Mapping[str, Value | None], now: float) -> None:
+        """The record comes first: what a client can see is in the recording already."""
+        changed = self.image.learn(values)
+        if changed:
+            self.record("truth", now, {"version": self.image.version, "values": changed})
+
+    def _values(self, now: float) -> dict[str, Value | None]:
+        own = writeback.status(self.registers, self.intake, now, permit=self.permit, acknowledged=self.acknowledged)
+        usable = bool(own.get("PredictionUsable", False))
+        if usable != self.usable:
+            self.usable = usable
+            self.event("prediction usable" if usable else "prediction not usable", now)
+        if self.registers.heartbeat is not None:
+            own[self.registers.heartbeat] = self.heartbeat
+        return {**self._signals(now), **own, **self.forced}
+
+    def _signals(self, now: float) -> Mapping[str, Value | None]:
+        if self.replay is None:
+            return {}
+        row = self.replay.row(now)
+        if row != self._row[0]:
+            known = {name: value for name, value in self.replay.values(now).items() if self.serves(name)}
+            self._row = (row, {name: self._reading(name, value) for name, value in known.items()})
+        return self._row[1]
+
+    def _reading(self, name: str, value: float | None) -> Value | None:
+        tag = self.registers.tags[name]
+        if value is None:
+            return self._at_rest[name]
+        return bool(value) if is_bool(tag) else self.image.representable(tag, value)
+
+    # ---------------------------------------------------------------- the network
+
+    def exchange(self, request: ModbusRequest, now: float) -> ModbusReply | None:
+        """Act on one request and give the reply, as the faults in force have it; None: no reply at all."""
+        if request.unit != self.registers.unit:
+            code = modbus.exception(request.function, modbus.TARGET_SILENT)
+            answered = self.settings.answer_unknown_unit
+            reply = ModbusReply(request.transaction, request.unit, code, sent=answered, rtu=request.rtu)
+            return self._noted(request, reply, (), now)
+        struck = list(self.schedule.strike(request.function, now, request.face))
+        effect = merged(effect for _, effect in struck)
+        pdu = self._answer(request, effect, now)
+        reply = ModbusReply(request.transaction, request.unit, pdu, rtu=request.rtu)
+        for entry, own in struck:
+            for alter in (own.answer, own.alter):
+                reply = reply if alter is None else alter(request, reply, entry.rng)
+        return self._noted(request, reply, tuple(entry.fault.kind for entry, _ in struck), now)
+
+    def _answer(self, request: ModbusRequest, effect: FaultEffect, now: float) -> bytes:
+        if request.refused is not None:
+            return modbus.exception(request.function, request.refused)
+        refused = refusal(effect, request, modbus.reads(request.pdu))
+        return refused or modbus.answer(request.pdu, _Access(self, request.peer, effect.store, now))
+
+    def _noted(
+        self, request: ModbusRequest, reply: ModbusReply, faults: Sequence[str], now: float
+    ) -> ModbusReply | None:
+        address, count = modbus.span(request.pdu)
+        plain = reply.sent and reply.raw is None
+        refused = reply.pdu[1] if plain and len(reply.pdu) == 2 and reply.pdu[0] & 0x80 else None
+        header = {"transaction": request.transaction, "unit": request.unit, "function": request.function}
+        what = {
+            "peer": request.peer,
+            "face": request.face,
+            **header,
+            "address": address,
+            "count": count,
+            "pdu": request.pdu.hex(),
+        }
+        sent = reply.frame()[: reply.cut].hex() if reply.sent else None
+        outcome = {"reply": sent, "exception": refused, "delay_s": reply.delay_s, "faults": faults}
+        self.record("request", now, {**what, **outcome, "version": self.image.version})
+        return reply if reply.sent else None
+
+    def write(self, peer: str, table: str, address: int, values: Sequence[int], now: float) -> None:
+        """Store what a client wrote, and judge it if it touches the write-back block. Raises Undefined."""
+        changed = self.image.write(table, address, values)
+        if changed:
+            self.record("truth", now, {"version": self.image.version, "values": changed})
+        layout = self.registers.block
+        if layout is None or table != layout.place.table or not self.running:
+            return
+        if set(layout.place.addresses()).isdisjoint(range(address, address + len(values))):
+            return
+        before = self.intake.accepted
+        reason = writeback.verdict(layout, self.intake, address, values)
+        self.intake = writeback.taken(layout, self.intake, address, values, now)
+        fields = None if reason == writeback.LENGTH else writeback.decoded(layout, values)
+        written = {"peer": peer, "address": address, "words": list(values), "fields": fields}
+        self.record("block", now, {**written, "verdict": reason, "accepted": self.intake.accepted > before})
+
+    # ---------------------------------------------------------------- what others ask
+
+    def serves(self, signal: str) -> bool:
+        """True if a signal of the trace has a register that the program does not keep for itself."""
+        return signal in self.registers.tags and signal not in self._own
+
+    def ignored_signals(self) -> list[str]:
+        """The trace's signals that go nowhere."""
+        return [] if self.replay is None else [name for name in self.replay.table.columns if not self.serves(name)]
+
+    def check_fault(self, fault: OrderedFault) -> None:
+        """Raises InputError if the fault freezes a tag that is not there."""
+        self._check_tags(fault.effect(0.0).frozen - {ALL_TAGS})
+
+    def force(self, name: str, value: Value | None) -> None:
+        """Hold a tag at a value (None: not available) whatever the trace says. Raises InputError."""
+        self._check_tags([name])
+        tag = self.registers.tags[name]
+        if value is not None and isinstance(value, str) != (tag.dtype == "string"):
+            raise InputError(f"{name} cannot hold {value!r}; give {'text' if tag.dtype == 'string' else 'a number'}")
+        if value is None and self._at_rest[name] is not None:
+            raise InputError(f'{name} has no way to say "not available"; give a value')
+        try:
+            encode(tag, 0 if value is None else value)
+        except (Unrepresentable, OverflowError):
+            raise InputError(f"{name} cannot hold {value!r}; give a value within its type ({tag.dtype})") from None
+        self.forced[name] = bool(value) if is_bool(tag) and value is not None else value
+
+    def release(self, name: str | None, now: float) -> list[str]:
+        """Let one forced tag, or all, follow the trace again, or else rest; gives their names."""
+        self._check_tags([] if name is None else [name])
+        names = [forced for forced in self.forced if name in (None, forced)]
+        for forced in names:
+            del self.forced[forced]
+        followed = {*self._signals(now), *self._own}
+        self._learn({forced: self._at_rest[forced] for forced in names if forced not in followed}, now)
+        return names
+
+    def _check_tags(self, names: Iterable[str]) -> None:
+        if unknown := [name for name in names if name not in self.registers.tags]:
+            raise InputError(f"there is no tag {unknown[0]!r}; known are {listed(tuple(self.registers.tags))}")
+
+    def event(self, what: str, now: float, detail: Mapping[str, object] = MappingProxyType({})) -> None:
+        """Record anything else."""
+        self.record("event", now, {"event": what, **detail})
+
+
+@dataclass(frozen=True, slots=True)
+class _Access:
+    """The image as one request sees it; `store` False confirms writes and forgets them."""
+
+    plc: Plc
+    peer: str
+    store: bool
+    now: float
+
+    @property
+    def max_registers(self) -> int:
+        """The device's own limit of registers in one request."""
+        return self.plc.max_registers
+
+    def read(self, table: str, address: int, count: int) -> list[int]:
+        """The words or bits of `count` addresses. Raises Refusal."""
+        try:
+            return self.plc.image.read(table, address, count)
+        except Undefined:
+            raise ModbusRefusal(modbus.ILLEGAL_ADDRESS) from None
+
+    def write(self, table: str, address: int, values: Sequence[int]) -> None:
+        """Store the values as one step. Raises Refusal."""
+        if not self.plc.image.may_write(table, address, len(values)):
+            raise ModbusRefusal(modbus.ILLEGAL_ADDRESS)
+        if self.store:
+            self.plc.write(self.peer, table, address, values, self.now)

@@ -1,0 +1,178 @@
+"""The register map (TOML) as the PLC reads it: which tag lies where, and where the gateway's block is taken in."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import ConfigDict, Field
+
+from drivers.device_file import BlockField, BlockTable, read_device_file
+from drivers.settings import ConfigError
+from drivers.tag import DType, Tag
+from sim.plc.program.checks import FileTable, InputError, validated
+from sim.plc.program.encode import sentinel_fits, words_of_type
+
+WORD_TABLES = ("holding", "input")
+BIT_TABLES = ("coil", "discrete")
+MOST_WORDS = 123
+"""Registers that function 16 writes at most (MODBUS Application Protocol V1.1b3, 6.12)."""
+
+_ADDRESS = "'holding:N', 'input:N', 'coil:N' or 'discrete:N' with N in 0..65535"
+_LONGEST_STRING = 250
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """`words` neighbouring addresses of one table; for coils and discretes, one bit each."""
+
+    table: str
+    address: int
+    words: int = 1
+
+    def addresses(self) -> range:
+        """Every address that the place covers."""
+        return range(self.address, self.address + self.words)
+
+    def __str__(self) -> str:
+        return f"{self.table}:{self.address}"
+
+
+@dataclass(frozen=True, slots=True)
+class BlockLayout:
+    """Where the gateway writes its block, what it holds, and for how long (s, real time) the PLC trusts it."""
+
+    place: Place
+    version: int
+    timeout_s: float
+    fields: tuple[BlockField, ...]
+
+    def index(self, name: str) -> int:
+        """The position of a field, counted from 0."""
+        return next(index for index, field in enumerate(self.fields) if field.name == name)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegisterMap:
+    """A device: its tags, where each lies, its limits, and the block that the gateway may write."""
+
+    path: Path
+    device: str
+    unit: int
+    max_registers: int
+    max_gap: int
+    heartbeat: str | None
+    tags: Mapping[str, Tag]
+    places: Mapping[str, Place]
+    block: BlockLayout | None
+
+
+class _ServedDevice(FileTable):
+    """The settings of the driver that hold for the device's side, too; all others are the gateway's business."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+    unit: int = Field(1, strict=True, ge=0, le=255, description="a Modbus unit id in 0..255")
+    max_registers: int = Field(125, strict=True, ge=1, le=125, description="the registers of one request, 1..125")
+    max_gap: int = Field(0, strict=True, ge=0, description="how many unused registers may be read in vain")
+
+
+def read_map(path: Path) -> RegisterMap:
+    """The register map in `path`. Raises InputError with file, tag and key, reason and remedy."""
+    try:
+        content = read_device_file(path)
+    except ConfigError as error:
+        raise InputError(error.problems[0]) from None
+    device = content.device
+    served = validated(_ServedDevice, device.model_extra or {}, f"{path}: [device]")
+    tags = {row.name: row.tag() for row in content.tags}
+    for number, tag in enumerate(tags.values(), start=1):
+        _check_tag(tag, f"{path}: tag {number} ({tag.name})")
+    places = {name: place_of(tag, str(path)) for name, tag in tags.items()}
+    block = _layout(content.writeback, f"{path}: [writeback]") if content.writeback else None
+    _check_overlaps(tags, places, block, path)
+    if device.heartbeat is not None:
+        _check_heartbeat(tags[device.heartbeat], path)
+    return RegisterMap(
+        path=path,
+        device=device.name,
+        unit=served.unit,
+        max_registers=served.max_registers,
+        max_gap=served.max_gap,
+        heartbeat=device.heartbeat,
+        tags=tags,
+        places=places,
+        block=block,
+    )
+
+
+def parse_address(text: str, where: str) -> tuple[str, int]:
+    """`holding:100` -> ("holding", 100). Raises InputError."""
+    table, _, number = text.partition(":")
+    if table not in (*WORD_TABLES, *BIT_TABLES) or not number.isascii() or not number.isdecimal():
+        raise InputError(f"{where}: address {text!r} cannot be read; give {_ADDRESS}")
+    if int(number) > 0xFFFF:
+        raise InputError(f"{where}: address {text!r} is beyond 65535; give {_ADDRESS}")
+    return table, int(number)
+
+
+def place_of(tag: Tag, where: str) -> Place:
+    """The registers that a tag covers. Raises InputError if the type cannot lie there."""
+    table, address = parse_address(tag.address, f"{where}: tag {tag.name!r}: address")
+    place = Place(table, address, 1 if table in BIT_TABLES else words_of_type(tag))
+    if address + place.words > 0x10000:
+        raise InputError(f"{where}: tag {tag.name!r}: its {place.words} registers from {place} run beyond 65535")
+    return place
+
+
+def _check_tag(tag: Tag, where: str) -> None:
+    table = tag.address.partition(":")[0]
+    for key, wrong, remedy in (
+        ("bit", tag.bit is not None and words_of_type(tag) != 1, "it takes more than a register; set dtype = 'bool'"),
+        ("bit", tag.bit is not None and table in BIT_TABLES, f"a {table} is a bit already; leave it out"),
+        ("dtype", table in BIT_TABLES and tag.dtype is not DType.BOOL, f"a {table} holds a bool; set dtype = 'bool'"),
+        ("length", tag.dtype is DType.STRING and tag.length == 0, "a string needs one; give its bytes, 1..250"),
+        ("length", tag.length > _LONGEST_STRING, f"a string has {_LONGEST_STRING} bytes at most; give fewer"),
+        ("length", tag.dtype is not DType.STRING and tag.length > 0, "only a string has one; leave it out"),
+        ("sentinel", not sentinel_fits(tag), f"{tag.sentinel} is no {tag.dtype}; give a raw number that is"),
+        ("writable", tag.writable and table in ("input", "discrete"), f"a {table} is read-only; leave it out"),
+    ):
+        if wrong:
+            raise InputError(f"{where}: {key}: {remedy}")
+
+
+def _layout(entry: BlockTable, where: str) -> BlockLayout:
+    table, address = parse_address(entry.address, f"{where}: address")
+    count = len(entry.fields)
+    if table != "holding":
+        raise InputError(f"{where}: address: a {table} cannot be written by function 16; give 'holding:N'")
+    if count > MOST_WORDS:
+        raise InputError(f"{where}: fields: there are {count}, and function 16 writes {MOST_WORDS}; leave some out")
+    if address + count > 0x10000:
+        raise InputError(f"{where}: address: {count} registers from {address} run beyond 65535")
+    fields = tuple(row.field() for row in entry.fields)
+    return BlockLayout(Place(table, address, count), entry.layout_version, entry.timeout_s, fields)
+
+
+def _check_overlaps(
+    tags: Mapping[str, Tag], places: Mapping[str, Place], block: BlockLayout | None, path: Path
+) -> None:
+    owners: dict[tuple[str, int, int], str] = {}
+    for spot in _spots("[writeback]", None, block.place) if block else ():
+        owners[spot] = "[writeback]"
+    for name, tag in tags.items():
+        for spot in _spots(name, tag, places[name]):
+            if spot in owners:
+                at = f"{spot[0]}:{spot[1]}"
+                raise InputError(
+                    f"{path}: tag {name!r}: address: {at} belongs to {owners[spot]!r} already; move one of them"
+                )
+            owners[spot] = name
+
+
+def _spots(name: str, tag: Tag | None, place: Place) -> Iterator[tuple[str, int, int]]:
+    bits = range(16) if tag is None or tag.bit is None else (tag.bit,)
+    return ((place.table, address, bit) for address in place.addresses() for bit in bits)
+
+
+def _check_heartbeat(tag: Tag, path: Path) -> None:
+    if tag.dtype is not DType.UINT16 or tag.scale != 1 or tag.offset != 0:
+        raise InputError(f"{path}: tag {tag.name!r}: a heartbeat is a plain uint16; leave dtype, scale and offset out")

@@ -1,0 +1,113 @@
+"""The PLC's side of the write-back contract: whether a block is whole and new, and its prediction usable.
+
+An implementation of its own, as the PLC's program would have: it shares nothing with the gateway's side. The PLC
+copies a block that it accepts; a refused one changes nothing but the counters, and the timer covers the rest.
+"""
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+from drivers.tag import Value
+from sim.plc.program.registers import BlockLayout, RegisterMap
+
+ACCEPTED = "none"
+LAYOUT = "layout version"
+TORN = "sequence and its copy differ"
+CHECKSUM = "CRC"
+STILL = "heartbeat did not change"
+LENGTH = "length or start"
+REFUSALS = {ACCEPTED: 0, LAYOUT: 1, TORN: 2, CHECKSUM: 3, STILL: 4, LENGTH: 5}
+STATUS_TAGS = (
+    "WritePermit",
+    "AcknowledgeBits",
+    "BlocksAccepted",
+    "BlocksRefused",
+    "LastRefusal",
+    "PredictionUsable",
+)
+_ALL_USABLE = 1  # bit 0 of the validity word
+
+
+@dataclass(frozen=True, slots=True)
+class Intake:
+    """What the PLC has made of the blocks so far; `accepted_at` is monotonic, `block` the last accepted one."""
+
+    accepted: int = 0
+    refused: int = 0
+    last_refusal: str = ACCEPTED
+    accepted_at: float | None = None
+    block: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def crc16(words: Sequence[int]) -> int:
+    """CRC-16/IBM-3740 (polynomial 0x1021, start 0xFFFF, not reflected) over words, high byte first, bit by bit."""
+    register = 0xFFFF
+    for octet in struct.pack(f">{len(words)}H", *words):
+        register ^= octet << 8
+        for _ in range(8):
+            register = (register << 1 ^ 0x1021 if register & 0x8000 else register << 1) & 0xFFFF
+    return register
+
+
+def decoded(layout: BlockLayout, words: Sequence[int]) -> dict[str, float]:
+    """The block's fields in engineering units."""
+    return {
+        field.name: (word - 0x10000 if field.signed and word & 0x8000 else word) * field.scale
+        for field, word in zip(layout.fields, words, strict=True)
+    }
+
+
+def verdict(layout: BlockLayout, intake: Intake, address: int, words: Sequence[int]) -> str:
+    """What is wrong with a write into the block's area, or ACCEPTED."""
+    if address != layout.place.address or len(words) != layout.place.words:
+        return LENGTH
+    raw = {field.name: word for field, word in zip(layout.fields, words, strict=True)}
+    if raw["layout_version"] != layout.version:
+        return LAYOUT
+    if raw["sequence"] != raw["sequence_copy"]:
+        return TORN
+    if raw["crc"] != crc16(words[: layout.index("crc")]):
+        return CHECKSUM
+    if intake.accepted_at is not None and raw["heartbeat"] == intake.block["heartbeat"]:
+        return STILL
+    return ACCEPTED
+
+
+def taken(layout: BlockLayout, intake: Intake, address: int, words: Sequence[int], now: float) -> Intake:
+    """The state after a write of `words` into the block's area at the monotonic moment `now`."""
+    reason = verdict(layout, intake, address, words)
+    if reason != ACCEPTED:
+        return replace(intake, refused=intake.refused + 1, last_refusal=reason)
+    block = MappingProxyType(decoded(layout, words))
+    return replace(intake, accepted=intake.accepted + 1, accepted_at=now, block=block)
+
+
+def usable(layout: BlockLayout, intake: Intake, now: float, permit: bool) -> bool:
+    """The PLC's verdict: writes permitted, the last accepted block says "all usable", and the timer still runs."""
+    if not permit or intake.accepted_at is None or now - intake.accepted_at > layout.timeout_s:
+        return False
+    return bool(int(intake.block["validity"]) & _ALL_USABLE)
+
+
+def status(
+    registers: RegisterMap, intake: Intake, now: float, *, permit: bool, acknowledged: int
+) -> dict[str, Value | None]:
+    """The PLC-to-gateway tags that the map has. Counters are words and wrap; a refusal's code is its label's."""
+    values: dict[str, Value | None] = {
+        "WritePermit": permit,
+        "AcknowledgeBits": acknowledged,
+        "BlocksAccepted": intake.accepted & 0xFFFF,
+        "BlocksRefused": intake.refused & 0xFFFF,
+        "LastRefusal": refusal_code(registers, intake.last_refusal),
+        "PredictionUsable": registers.block is not None and usable(registers.block, intake, now, permit),
+    }
+    return {name: value for name, value in values.items() if name in registers.tags}
+
+
+def refusal_code(registers: RegisterMap, reason: str) -> int:
+    """The number that the map's LastRefusal labels give to a reason; the contract's own where it has no label."""
+    tag = registers.tags.get("LastRefusal")
+    labels = {label: code for code, label in tag.labels.items()} if tag else {}
+    return labels.get(reason, REFUSALS[reason])
