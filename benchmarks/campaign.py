@@ -36,7 +36,7 @@ from sim.sha.trace import Trace
 from sim.validation.campaign import parallel, slim
 from sim.validation.pictures import draw_one, drawings
 from sim.validation.semantics import side_by_side
-from sim.validation.trace_run import Job, Outcome, Settings, run_job
+from sim.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
 
 GOAL = 10.0
 RUNS = 1000
@@ -65,14 +65,16 @@ def _driven(location: Location) -> Location:
     return replace(location, flow=replace(location.flow, kind="driven", inputs=inputs))
 
 
-def jobs(named: dict[str, Model], traces: Sequence[Trace], runs: int) -> list[Job]:
+def jobs(named: dict[str, Model], traces: Sequence[Trace], runs: int) -> list[TraceJob]:
     """Every model along every trace."""
     return [
-        Job(name, name, model, slim(trace, model), Settings(runs)) for name, model in named.items() for trace in traces
+        TraceJob(label=name, semantics=name, model=model, trace=slim(trace, model), settings=TraceRunSettings(runs))
+        for name, model in named.items()
+        for trace in traces
     ]
 
 
-def simulated_alone(todo: Sequence[Job]) -> None:
+def simulated_alone(todo: Sequence[TraceJob]) -> None:
     """The runs of the jobs and nothing else."""
     rng = np.random.default_rng(0)
     for job in todo:
@@ -80,11 +82,11 @@ def simulated_alone(todo: Sequence[Job]) -> None:
         simulate(open_loop_schedule(job.model, encoded), start_law(job.model, encoded), job.settings.runs, rng)
 
 
-def speeds(todo: Sequence[Job], repeats: int) -> tuple[list[Figure], list[Outcome]]:
+def speeds(todo: Sequence[TraceJob], repeats: int) -> tuple[list[Figure], list[TraceOutcome]]:
     """The campaign in one process and in one a core, and what it gave."""
     cores = len(os.sched_getaffinity(0))
     what = f"campaign, {len(todo)} jobs of {todo[0].settings.runs} runs"
-    outcomes: list[Outcome] = []
+    outcomes: list[TraceOutcome] = []
 
     def here() -> None:
         outcomes[:] = map(run_job, todo)
@@ -106,7 +108,7 @@ def speeds(todo: Sequence[Job], repeats: int) -> tuple[list[Figure], list[Outcom
     ], outcomes
 
 
-def pictures(outcomes: Sequence[Outcome], folder: Path) -> Figure:
+def pictures(outcomes: Sequence[TraceOutcome], folder: Path) -> Figure:
     """Wall time of stage 9's pictures, a PNG and a PDF each, in processes that are there already."""
     cores = len(os.sched_getaffinity(0))
     wanted = list(drawings(folder, outcomes, "TCuscinettiRiduttore", {}).values())
@@ -129,7 +131,7 @@ def long_trace(model: Model, rows: int) -> list[Figure]:
     trace = slim(Trace("long", 1.0 * np.arange(rows), signals, synthetic=True), model)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     begin = perf_counter()
-    outcome = run_job(Job("own", "own", model, trace, Settings(RUNS)))
+    outcome = run_job(TraceJob(label="own", semantics="own", model=model, trace=trace, settings=TraceRunSettings(RUNS)))
     seconds = perf_counter() - begin
     after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     if outcome.result.failure:

@@ -28,7 +28,7 @@ from sim.forecast.calibration import settle as settle_bands
 from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue, mixture, settle, thinned, weights
 from sim.forecast.forecast import LEVELS, Forecast, forecast
 from sim.learning.bins.learn import learn_bins
-from sim.plant.decanter import Plant
+from sim.plant.decanter import DecanterPlant
 from sim.plant.scenarios import production
 from sim.scores import block_bootstrap, coverage, crps_quantiles
 from sim.sha.events import Alphabet, Switch, encode
@@ -37,7 +37,9 @@ from sim.sha.trace import UNKNOWN, Array, Event, Trace
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data"
-WORN = replace(Plant(), heat_per_ampere=1.5 * Plant().heat_per_ampere, idle_heat=1.5 * Plant().idle_heat)
+WORN = replace(
+    DecanterPlant(), heat_per_ampere=1.5 * DecanterPlant().heat_per_ampere, idle_heat=1.5 * DecanterPlant().idle_heat
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,14 +193,14 @@ def synthetic(days: int) -> Case:
 
     name = "TCuscinettiRiduttore"
 
-    def made(seed: int, plant: Plant, length: int) -> Trace:
+    def made(seed: int, plant: DecanterPlant, length: int) -> Trace:
         return production(length, seed=seed, plant=plant, period=10.0, name=f"seed {seed}")
 
     models = [
         learn_bins([made(11 + n, plant, 2)], DECANTER, name, seed=0, name=f"model {n + 1}").model
-        for n, plant in enumerate((Plant(), WORN))
+        for n, plant in enumerate((DecanterPlant(), WORN))
     ]
-    before, after = made(21, Plant(), days), made(22, WORN, days)
+    before, after = made(21, DecanterPlant(), days), made(22, WORN, days)
     shift = float(before.times[-1] - after.times[0]) + 10.0
     times = np.concatenate([before.times, after.times + shift])
     signals = {key: np.concatenate([column, after.signals[key]]) for key, column in before.signals.items()}

@@ -14,12 +14,12 @@ from typing import Literal
 
 import numpy as np
 
-from sim.learning.lsha.automaton import skeleton_of
-from sim.learning.lsha.evidence import Evidence, same_distribution
+from sim.learning.lsha.evidence import PooledEvidence, same_distribution
 from sim.learning.lsha.flow_hypotheses import Flowing, choose_flow
-from sim.learning.lsha.ground import Ground, ground_of
+from sim.learning.lsha.hypothesis import hypothesis_of
 from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import choose_structure
+from sim.learning.lsha.teacher import Teacher, teacher_of
 from sim.learning.lsha.words import classes_of
 from sim.sha.events import Alphabet, Bins, Switch, encode
 from sim.sha.trace import Trace
@@ -145,15 +145,15 @@ class Found:
 def found_again(automaton: Automaton, traces: Sequence[Trace], others: Sequence[Trace]) -> Found:
     """The learner's structure for `traces` against the automaton that they are of; `others` are new words of it."""
     chosen = LshaSettings()
-    ground, flowing = _flowing(traces, chosen)
-    structure, _ = choose_structure(ground, flowing.sample, chosen)
-    skeleton = skeleton_of(ground, structure, complete=True)
-    after = {key: target for key, (target, _) in skeleton.observed.items()} | dict(skeleton.default)
+    teacher, flowing = _flowing(traces, chosen)
+    structure, _ = choose_structure(teacher, flowing.sample, chosen)
+    hypothesis = hypothesis_of(teacher, structure, complete=True)
+    after = {key: target for key, (target, _) in hypothesis.observed.items()} | dict(hypothesis.default)
     pairs = _met(automaton, after, traces)
     minimal = automaton.minimal()
     true, learned = {minimal[state] for state, _ in pairs}, {there for _, there in pairs}
     same = len({(minimal[state], there) for state, there in pairs}) == len(true) == len(learned)
-    law: dict[int, Counter[float]] = {there: Counter() for there in range(len(skeleton.names))}
+    law: dict[int, Counter[float]] = {there: Counter() for there in range(len(hypothesis.names))}
     for (state, there), times in pairs.items():
         law[there][automaton.target[state]] += times
     taken = {there: max(times, key=lambda one: (times[one], one)) for there, times in law.items() if times}
@@ -176,9 +176,9 @@ def _met(
     return pairs
 
 
-def _flowing(traces: Sequence[Trace], settings: LshaSettings) -> tuple[Ground, Flowing]:
-    ground = ground_of(traces, PLANT, "T", settings.n_min, settings.split)
-    return ground, choose_flow(ground, settings.default_flow, settings.alpha, settings.n_min)[0]
+def _flowing(traces: Sequence[Trace], settings: LshaSettings) -> tuple[Teacher, Flowing]:
+    teacher = teacher_of(traces, PLANT, "T", settings.n_min, settings.split)
+    return teacher, choose_flow(teacher, settings.default_flow, settings.alpha, settings.n_min)[0]
 
 
 def query_p(difference: float, rng: np.random.Generator, kind: str = "exponential") -> float:
@@ -196,14 +196,14 @@ def query_p(difference: float, rng: np.random.Generator, kind: str = "exponentia
         for symbol in SYMBOLS
     }
     settings = LshaSettings(default_flow=kind)
-    ground, flowing = _flowing(traces_of(Automaton(after, targets), rng), settings)
-    classes = classes_of(ground.words, "context")
+    teacher, flowing = _flowing(traces_of(Automaton(after, targets), rng), settings)
+    classes = classes_of(teacher.words, "context")
     pooled = flowing.sample.pooled(classes.of_state, len(classes), settings.n_min)
     low, middle = (_evidence(pooled, classes.keys, level) for level in (0, 1))
     return same_distribution(low, middle, 0.0).p
 
 
-def _evidence(pooled: Sequence[Evidence], keys: Sequence[object], level: int) -> Evidence:
+def _evidence(pooled: Sequence[PooledEvidence], keys: Sequence[object], level: int) -> PooledEvidence:
     """Of the words that are on with that level; those that are states of their own belong to it as well."""
     mine = [one for one, key in zip(pooled, keys, strict=True) if getattr(key, "context", None) == (1, level)]
     whole = mine[0]

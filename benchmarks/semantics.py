@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.figures import Figure, give
 from sim.learning.bins.learn import learn_bins
 from sim.plant.scenarios import SCENARIOS, scenario
-from sim.ranking.cross_validation import HeldOut, held_out
+from sim.ranking.cross_validation import HeldOutFold, held_out
 from sim.ranking.paired import Paired, paired
 from sim.sha.events import DECANTER, Alphabet, encode
 from sim.sha.trace import Trace
@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[1]
 SKAB = ROOT.parent / "shared" / "data" / "skab" / "anomaly-free.csv"
 MEASURES = {"mae": "MAE", "crps": "CRPS", "largest": "largest error"}
 PIECES = 10
-Scores = dict[str, list[HeldOut]]
+Scores = dict[str, list[HeldOutFold]]
 
 
 def compare(known: Sequence[Trace], asked: Sequence[Trace], alphabet: Alphabet, temperature: str, seed: int) -> Scores:

@@ -3,7 +3,7 @@
 import csv
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -72,18 +72,17 @@ def load_csv(path: Path, time_column: str, *, loop: bool) -> SoftRecording:
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
-            return _read(csv.reader(stream, strict=True), time_column, loop, str(path))
+            return _read(stream, time_column, loop, str(path))
     except OSError as error:
         raise DriverError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise DriverError(f"{path}: is not UTF-8 text ({error.reason})") from None
-    except csv.Error as error:
-        raise DriverError(f"{path}: is not CSV: {error}") from None
 
 
-def _read(rows: Iterable[list[str]], time_column: str, loop: bool, source: str) -> SoftRecording:
-    lines = iter(rows)
-    header = [name.strip() for name in next(lines, [])]
+def _read(stream: Iterable[str], time_column: str, loop: bool, source: str) -> SoftRecording:
+    rows = _rows(stream, source)
+    _, header = next(rows, (1, []))
+    header = [name.strip() for name in header]
     if header.count(time_column) != 1:
         raise DriverError(f"{source}, line 1: one column must be called {time_column!r}; it has {', '.join(header)}")
     if len(set(header)) != len(header):
@@ -91,7 +90,7 @@ def _read(rows: Iterable[list[str]], time_column: str, loop: bool, source: str) 
     clock = header.index(time_column)
     table: list[list[Value | None]] = []
     times: list[float] = []
-    for number, row in enumerate(lines, start=2):
+    for number, row in rows:
         if not row:
             continue
         if len(row) != len(header):
@@ -100,6 +99,17 @@ def _read(rows: Iterable[list[str]], time_column: str, loop: bool, source: str) 
         table.append([_cell(cell) for cell in row])
     columns = {name: [row[index] for row in table] for index, name in enumerate(header) if index != clock}
     return make_recording(times, columns, loop=loop, source=source)
+
+
+def _rows(stream: Iterable[str], source: str) -> Iterator[tuple[int, list[str]]]:
+    """(number of its first line, cells) of each row: a quoted cell may go on over several lines."""
+    reader, number = csv.reader(stream, strict=True), 1
+    try:
+        for row in reader:
+            yield number, row
+            number = reader.line_num + 1
+    except csv.Error as error:
+        raise DriverError(f"{source}, line {number}: is not CSV: {error}") from None
 
 
 def _time(text: str, place: str) -> float:

@@ -26,7 +26,7 @@ from sim.discrepancy.heat_map import span
 from sim.discrepancy.output.document import document
 from sim.discrepancy.output.folder import MODEL, check_folder, write_diagnosis
 from sim.discrepancy.output.report import Occasion
-from sim.discrepancy.workflow import Outcome
+from sim.discrepancy.workflow import DiagnosisOutcome
 from sim.discrepancy.workflow import diagnose as diagnose_model
 from sim.effects.kinds import ROLES
 from sim.sha.model import Model
@@ -108,7 +108,9 @@ def run(
     return DiagnosisResult(diagnosis, reasons)
 
 
-def new_model(request: DiagnosisRequest, model: Model, traces: Sequence[Trace], outcome: Outcome) -> Model | None:
+def new_model(
+    request: DiagnosisRequest, model: Model, traces: Sequence[Trace], outcome: DiagnosisOutcome
+) -> Model | None:
     """The model with what was found and its lineage; None where nothing is added."""
     if outcome.fitted is None or not outcome.diagnosis.effects:
         return None

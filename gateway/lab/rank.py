@@ -27,7 +27,7 @@ from sim.validation.campaign import Progress, outcomes_by_model, run_here, unrea
 from sim.validation.output_folder import CAMPAIGN, read_results
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared, Wanted, prepare, relabelled
-from sim.validation.trace_run import Settings
+from sim.validation.trace_run import TraceRunSettings
 
 GENERATION = "04_model_generation.json"
 
@@ -69,9 +69,9 @@ def _fresh(request: RankingRequest, progress: Progress) -> RankingInput:
     training = load_traces(list(request.training), column_map)[0] if request.training else None
     prepared = _prepared(request, training)
     run = run_here(request.jobs or len(os.sched_getaffinity(0)))
-    settings = Settings(request.runs, seed=request.seed)
+    settings = TraceRunSettings(request.runs, seed=request.seed)
     by_model = outcomes_by_model(
-        prepared, traces, unread(report, traces), settings=settings, run=run, progress=progress
+        prepared, traces, without=unread(report, traces), settings=settings, run=run, progress=progress
     )
     results = [outcome.result for _, outcomes in by_model for outcome in outcomes]
     return RankingInput(results, _by_entrant(results, {one.label: _facts(one, traces) for one in prepared}))

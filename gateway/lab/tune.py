@@ -13,7 +13,7 @@ from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, table
 from gateway.lab.traces.load import load
 from sim.artefacts.write_model import write_model_directory
-from sim.ranking.tuning import Objective, Plan, Tuning, final_model
+from sim.ranking.tuning import Objective, StudyPlan, Tuning, final_model
 from sim.ranking.tuning import tune as searched
 from sim.traces.cycles import split_cycles
 
@@ -72,7 +72,7 @@ def tune(
         traces, column_map = load(paths, map_name)
         if cycles:
             traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
-        plan = Plan(method, objective, folds, seed)
+        plan = StudyPlan(method, objective, folds, seed)
         found = searched(
             traces,
             column_map.alphabet,
@@ -106,7 +106,7 @@ def tune(
         raise SystemExit(Exit.INTERRUPTED)
 
 
-def _show(found: Tuning, plan: Plan, study: Path, written: Path | None) -> None:
+def _show(found: Tuning, plan: StudyPlan, study: Path, written: Path | None) -> None:
     unit = "CRPS (°C)" if plan.objective == "crps" else "minus log-likelihood per reading"
     complete = sorted((one for one in found.trials if one.state == "complete"), key=lambda one: one.value)
     rows = [[one.number, one.value, one.error, one.settings or "defaults"] for one in complete[:SHOWN]]

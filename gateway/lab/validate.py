@@ -25,13 +25,13 @@ from sim.sha.trace import Trace
 from sim.traces.column_map import ColumnMap, load_map
 from sim.traces.traces import load_traces, units
 from sim.validation.campaign import Progress, cluster, run_here, unread
-from sim.validation.conduct import Plan, conduct
+from sim.validation.conduct import CampaignPlan, conduct
 from sim.validation.output_folder import LEARNED, check_folder, claim_folder, held
-from sim.validation.report import Campaign, natural
+from sim.validation.report import CampaignSummary, natural
 from sim.validation.results import TraceResult
 from sim.validation.stage_records import load_stage
 from sim.validation.stages import Prepared, Wanted, prepare, relabelled
-from sim.validation.trace_run import Settings
+from sim.validation.trace_run import TraceRunSettings
 from sim.validation.verdicts import gain, summaries, verdict
 
 
@@ -46,7 +46,7 @@ class ValidationRequest:
     overwrite: bool
     wanted: Wanted
     training: Sequence[str]
-    settings: Settings
+    settings: TraceRunSettings
     jobs: int | None
     address: str | None
     pictures: bool
@@ -73,13 +73,13 @@ def campaign(
         loading = load_stage(report, perf_counter() - begin)
         facts = _facts(request, traces)
         created = datetime.fromtimestamp(request.created, UTC).strftime("%Y-%m-%d %H:%M UTC")
-        plan = Plan(
+        plan = CampaignPlan(
             settings=request.settings,
             run=run,
             workers=workers,
             pictures=request.pictures,
             units=units(column_map),
-            campaign=Campaign(created, facts),
+            campaign=CampaignSummary(created, facts),
         )
         with held(request.out):
             stale = check_folder(request.out, overwrite=request.overwrite)  # again: nobody else can write there now
@@ -225,7 +225,7 @@ def validate(
     """
     try:
         with sentences(), progress("validating") as bar, interruptible(bar) as report:
-            place, settings = shipped("traces", map_name), Settings(runs, policy, seed)
+            place, settings = shipped("traces", map_name), TraceRunSettings(runs, policy, seed)
             request = ValidationRequest(
                 models=models,
                 paths=paths,

@@ -16,7 +16,7 @@ from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
 from sim.artefacts.model_json import model_hash, model_text
 from sim.artefacts.store import STORE_FILE, VERSIONS, check_store, locked, number_of, versions
 from sim.files import at, refused, replace_durably, sync_directory, write_durably
-from sim.learning.lsha.table import ObservationTable
+from sim.learning.lsha.hypothesis import ObservationTable
 from sim.sha.model import Model
 
 STORE_TEXT = json.dumps({"format": "decanter-model-store", "version": 1}) + "\n"

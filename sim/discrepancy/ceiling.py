@@ -6,6 +6,8 @@ roughness.
 """
 
 import numpy as np
+from sklearn.ensemble import HistGradientBoostingRegressor
+from threadpoolctl import threadpool_limits
 
 from sim.discrepancy.diagnosis import Ceiling
 from sim.discrepancy.fitting.fit import Fitted
@@ -68,9 +70,6 @@ def _features(blocks: Blocks, record: Record) -> tuple[tuple[str, ...], Array]:
 
 def _out_of_fold(features: Array, heat: Array, blocks: Blocks, cycles: Indices, seed: int) -> Array:
     """(b,) the trees' prediction of each block's heat, learned on the other folds' cycles."""
-    from sklearn.ensemble import HistGradientBoostingRegressor  # slow to import
-    from threadpoolctl import threadpool_limits
-
     rng = np.random.default_rng(seed)
     fold = rng.permutation(np.arange(cycles.size) % min(FOLDS, cycles.size))[np.searchsorted(cycles, blocks.cycle)]
     predicted = np.zeros(heat.size)

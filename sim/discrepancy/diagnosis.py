@@ -9,7 +9,7 @@ from sim.sha.trace import Array
 Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Shift:
     """A parameter of the given model that has moved: `change` is relative to its size (a target's: over rest).
 
@@ -26,7 +26,7 @@ class Shift:
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class EffectCandidate:
     """An effect of the catalogue against these data, and what became of it.
 
     `gain` is the log-likelihood that it adds (nats), `confirmed` True where that is of a joint refit with the noise,
@@ -75,8 +75,8 @@ class NamedEffect:
     experiment: str
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeatPlace:
     """A place where unexplained heat lies: in `location`, `seconds` after the event `after`, by strata of a signal.
 
     `share` is its part of all unexplained heat (energy), `heat` the mean there (degC/h), `cycles` (with the sign of the
@@ -110,7 +110,7 @@ class Ceiling:
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOut:
+class HeldOutProof:
     """Free runs over cycles that were never fitted: root mean squares in degC, the noise floor, the excess removed.
 
     `cycles` counts them, `per_cycle` holds (before, after, floor) of each.
@@ -126,7 +126,7 @@ class HeldOut:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class DiagnosisCourse:
     """What the pictures show, over all windows (m,): absolute times, readings, free runs before and after.
 
     `heat_before` and `heat_after` (m,) degC/h are the implied heats that the models leave; `location` names each
@@ -159,14 +159,14 @@ class Diagnosis:
     reasons: tuple[str, ...]
     effects: tuple[NamedEffect, ...]
     shifts: tuple[Shift, ...]
-    places: tuple[Place, ...]
-    unexplained: tuple[Place, ...]
+    places: tuple[HeatPlace, ...]
+    unexplained: tuple[HeatPlace, ...]
     ceiling_before: Ceiling | None
     ceiling_after: Ceiling | None
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[EffectCandidate, ...]
     untested: Mapping[str, str]
-    held_out: HeldOut | None
-    course: Course | None
+    held_out: HeldOutProof | None
+    course: DiagnosisCourse | None
     settings: Mapping[str, float]
     model_before: str
     model_after: str | None

@@ -39,7 +39,7 @@ class Excess:
         return self.median >= WIDE and self.low >= MOSTLY
 
     @property
-    def there(self) -> bool:
+    def exceeded(self) -> bool:
         """True where there is a gap: the errors are too great, or the heat is rougher than the model has learned."""
         return self.wide or self.rougher >= ROUGHER
 

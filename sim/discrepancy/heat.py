@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.discrepancy.fitting.course import as_read
 from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.noise import Weigher, decay_and_pull
+from sim.discrepancy.fitting.noise import Whitener, decay_and_pull
 from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.screen import Projector
 from sim.learning.runs import Indices, first_switch
@@ -19,7 +19,7 @@ REACH = 3.0
 """Mean delays after which a change has reached the reading."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Blocks:
     """b stretches of about ten minutes inside one location: the mean implied heat of each and where it was.
 
@@ -48,7 +48,7 @@ def implied_heat(fitted: Fitted) -> Array:
     heat.
     """
     left = Projector(fitted).residual
-    smoothed = Weigher(fitted.grid, fitted.noise).smoothed(left)
+    smoothed = Whitener(fitted.grid, fitted.noise).smoothed(left)
     grid = fitted.grid
     decay, pull = decay_and_pull(grid.k, grid.dt)
     before = np.concatenate([smoothed[:1], smoothed[:-1]])
@@ -105,16 +105,16 @@ def blocks_of(fitted: Fitted, length: float = BLOCK) -> Blocks:
     columns = (heat * HOUR, times, record.windowed(np.minimum(record.since, 1e6)), stopped, on, record.reading)
     implied, middle, started, stop, running, course = (mean(column)[kept] for column in columns)
     return Blocks(
-        implied,
-        total[kept],
-        middle,
-        place[begins][kept],
-        record.window_cycle[begins][kept],
-        started,
-        stop,
-        running,
-        course,
-        mean(signals)[kept],
+        heat=implied,
+        seconds=total[kept],
+        time=middle,
+        location=place[begins][kept],
+        cycle=record.window_cycle[begins][kept],
+        since_start=started,
+        since_stop=stop,
+        running=running,
+        course=course,
+        signals=mean(signals)[kept],
     )
 
 

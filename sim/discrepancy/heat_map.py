@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.discrepancy.diagnosis import Course
+from sim.discrepancy.diagnosis import DiagnosisCourse
 from sim.sha.trace import Array, Mask
 
 EDGES = (0.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
@@ -19,7 +19,7 @@ ROWS = 24
 """Locations at most: those with the most windows."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HeatMap:
     """Mean heat (degC/h) that a model leaves, by r `locations` and c spans of time since the last start or stop.
 
@@ -54,7 +54,7 @@ class HeatMap:
         return np.asarray(self.cycles < FEW)
 
 
-def heat_map(course: Course) -> HeatMap | None:
+def heat_map(course: DiagnosisCourse) -> HeatMap | None:
     """The map of a course; None where no window has a heat and a start or stop before it."""
     since = np.asarray(course.since_event, dtype=float)
     known = np.isfinite(course.heat_before) & np.isfinite(since) & (since >= 0) & (since <= LONGEST)
@@ -77,7 +77,14 @@ def heat_map(course: Course) -> HeatMap | None:
         after = _means(course.heat_after[known], place, column, shape)[order, spans]
     edges = (*EDGES, np.inf)[: int(used[-1]) + 2]
     found = tuple(str(names[number]) for number in order)
-    return HeatMap(found, edges, before, after, cycles[order, spans], names.size - len(found))
+    return HeatMap(
+        locations=found,
+        edges=edges,
+        before=before,
+        after=after,
+        cycles=cycles[order, spans],
+        left_out=names.size - len(found),
+    )
 
 
 def _means(values: Array, place: NDArray[np.intp], column: NDArray[np.intp], shape: tuple[int, int]) -> Array:

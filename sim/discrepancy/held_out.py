@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import HeldOut
+from sim.discrepancy.diagnosis import HeldOutProof
 from sim.discrepancy.fitting.baseline import on
 from sim.discrepancy.fitting.course import State, at, grid_at
 from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.noise import Weigher
+from sim.discrepancy.fitting.noise import Whitener
 from sim.discrepancy.fitting.record import Record
 from sim.engine.recursion import linear_recursion
 from sim.learning.runs import Indices
@@ -23,12 +23,12 @@ STARTS = 3
 """Rounds in which the start temperatures are fitted (effects on the sensor make them slightly non-linear)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Trial:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldOutRun:
     """A fit let run over a record cut by cycles.
 
     `state` is the free run, `residual` (m,) degC of its windows, `begun` (m,) what one degree at a run's start is
-    there, `order` (m,) numbers the runs, `weigher` weighs by the fit's noise.
+    there, `order` (m,) numbers the runs, `whitener` weighs by the fit's noise.
     """
 
     record: Record
@@ -36,7 +36,7 @@ class Trial:
     residual: Array
     begun: Array
     order: Indices
-    weigher: Weigher
+    whitener: Whitener
 
 
 def by_cycles(record: Record) -> Record:
@@ -46,7 +46,7 @@ def by_cycles(record: Record) -> Record:
     return replace(record, runs=replace(cut, dt=np.where(cut.first, 0.0, runs.dt)))
 
 
-def let_run(fitted: Fitted, record: Record) -> Trial:
+def let_run(fitted: Fitted, record: Record) -> HeldOutRun:
     """The fit's parameters over another record, each run from the start that suits it best."""
     frame = on(fitted.frame, record)
     reading, first = record.reading, record.window_first
@@ -63,13 +63,13 @@ def let_run(fitted: Fitted, record: Record) -> Trial:
         residual = reading - record.windowed(state.mean)
         if np.max(np.abs(moved)) < 1e-3:
             break
-    weigher = Weigher(grid_at(frame, state), fitted.noise)
-    return Trial(record, state, residual, begun, order, weigher)
+    whitener = Whitener(grid_at(frame, state), fitted.noise)
+    return HeldOutRun(record=record, state=state, residual=residual, begun=begun, order=order, whitener=whitener)
 
 
-def floor_squares(trial: Trial, seed: int) -> Array:
+def floor_squares(trial: HeldOutRun, seed: int) -> Array:
     """(R,) degC^2 the mean square of each run that the noise alone makes, its start fitted as the residual's was."""
-    drawn = trial.weigher.draw(np.random.default_rng(seed), DRAWS)
+    drawn = trial.whitener.draw(np.random.default_rng(seed), DRAWS)
     count = int(trial.order[-1]) + 1
     size = np.bincount(trial.order, trial.begun**2, minlength=count)
     parts = np.zeros((count, DRAWS))
@@ -79,7 +79,7 @@ def floor_squares(trial: Trial, seed: int) -> Array:
     return np.asarray(squares / np.maximum(np.bincount(trial.order, minlength=count), 1))
 
 
-def compared(before: Fitted, after: Fitted, record: Record, seed: int) -> tuple[HeldOut, Trial, Trial]:
+def compared(before: Fitted, after: Fitted, record: Record, seed: int) -> tuple[HeldOutProof, HeldOutRun, HeldOutRun]:
     """Two fits let run over the held-out record, with the excess removed and its interval over cycles."""
     first, second = let_run(before, record), let_run(after, record)
     floor = floor_squares(second, seed)
@@ -87,7 +87,7 @@ def compared(before: Fitted, after: Fitted, record: Record, seed: int) -> tuple[
     old = np.bincount(first.order, first.residual**2) / counts
     new = np.bincount(second.order, second.residual**2) / counts
     rows = np.column_stack([old, new, floor])
-    held = HeldOut(
+    held = HeldOutProof(
         cycles=counts.size,
         rmse_before=float(np.sqrt(np.average(old, weights=counts))),
         rmse_after=float(np.sqrt(np.average(new, weights=counts))),

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import Ceiling, HeldOut, Verdict
+from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, Verdict
 from sim.discrepancy.fitting.catalogue import catalogue
 from sim.discrepancy.fitting.fit import Fitted
 from sim.discrepancy.gap import Excess
-from sim.discrepancy.held_out import Trial
-from sim.discrepancy.naming import MARGIN, NEAR, Step
+from sim.discrepancy.held_out import HeldOutRun
+from sim.discrepancy.naming import MARGIN, NEAR, NamingStep
 
 ROBUST, SPREAD, OVERWHELMING = 1.0, 3.0, 20.0
 """The z by cycles that a name needs where its information is spread over at least so many cycles, unless its gain is
@@ -36,20 +36,20 @@ SURELY = 0.002
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class NamingResult:
     """The path of names: each step with its verdict in words ("" where its best entry was taken), and the last fit."""
 
     base: Fitted
     fitted: Fitted
-    steps: tuple[tuple[Step, str], ...]
+    steps: tuple[tuple[NamingStep, str], ...]
 
     @property
-    def taken(self) -> tuple[Step, ...]:
+    def taken(self) -> tuple[NamingStep, ...]:
         """The steps whose best entry was taken."""
         return tuple(one for one, refusal in self.steps if not refusal)
 
 
-def insignificant(one: Step, earlier: Sequence[Step] = ()) -> str:
+def insignificant(one: NamingStep, earlier: Sequence[NamingStep] = ()) -> str:
     """Why the best entry of a step is no more than chance, or a trifle; "" where something is missing.
 
     `earlier` are the steps whose best entries are in the model already.
@@ -70,7 +70,7 @@ def insignificant(one: Step, earlier: Sequence[Step] = ()) -> str:
     return ""
 
 
-def _leftover(step: Step, name: str) -> float:
+def _leftover(step: NamingStep, name: str) -> float:
     """nats that a named effect of not quite the right shape may leave to another entry."""
     if step.best is None:
         return 0.0
@@ -78,7 +78,7 @@ def _leftover(step: Step, name: str) -> float:
     return step.best.gain * (LEFTOVER_OF_RIVAL if alike else LEFTOVER)
 
 
-def dubious(one: Step) -> str:
+def dubious(one: NamingStep) -> str:
     """Why the best entry of a step does not deserve its name though something is missing; "" where it does."""
     best = one.best
     if best is None:
@@ -103,18 +103,24 @@ def systematic_heat(one: Ceiling | None) -> float:
     return max(one.share, 0.0) * one.heat**2 if one is not None else 0.0
 
 
-def foreseen_better(first: Trial, second: Trial) -> float:
+def foreseen_better(first: HeldOutRun, second: HeldOutRun) -> float:
     """nats by which the second free run is nearer to the held-out cycles, both weighed by the second's noise.
 
     The first fit's own noise has swallowed what it could not explain; under it almost any error would be likely.
     """
     old, new = first.residual, second.residual
-    weighed = second.weigher.weigh(np.column_stack([old, new]))
+    weighed = second.whitener.weigh(np.column_stack([old, new]))
     return 0.5 * float(old @ weighed[:, 0] - new @ weighed[:, 1])
 
 
 def doubts(
-    found: Found, first: Trial, second: Trial, held: HeldOut, before: Ceiling | None, left: Ceiling | None
+    found: NamingResult,
+    first: HeldOutRun,
+    *,
+    second: HeldOutRun,
+    held: HeldOutProof,
+    before: Ceiling | None,
+    left: Ceiling | None,
 ) -> tuple[str, ...]:
     """Why names that the likelihood offers are not given after all; `first` and `second` are the held-out runs."""
     if not found.taken:
@@ -132,7 +138,7 @@ def doubts(
     return tuple(reasons)
 
 
-def left_over(found: Found, before: Excess | None, after: Excess | None) -> tuple[str, ...]:
+def left_over(found: NamingResult, before: Excess | None, after: Excess | None) -> tuple[str, ...]:
     """Why names without a clear gain are withheld: the model's own noise did not cover its errors, nor does it now."""
     if not found.taken or before is None or after is None or not before.wide:
         return ()
@@ -141,12 +147,12 @@ def left_over(found: Found, before: Excess | None, after: Excess | None) -> tupl
     return (f"with it the free run is still {after.median:.1f} times as far off as the model's own noise allows",)
 
 
-def _greatest_gain(found: Found) -> float:
+def _greatest_gain(found: NamingResult) -> float:
     return max((one.best.gain for one in found.taken if one.best is not None), default=0.0)
 
 
 def verdict_of(
-    found: Found, reasons: tuple[str, ...], before: Ceiling | None, beyond: Excess | None
+    found: NamingResult, reasons: tuple[str, ...], before: Ceiling | None, beyond: Excess | None
 ) -> tuple[Verdict, tuple[str, ...]]:
     """The verdict, and the reasons why it is none better."""
     if found.taken and reasons:
@@ -158,7 +164,7 @@ def verdict_of(
         return "unexplained", (f"{step.members[0]} {refusal}",)
     if systematic(before) and before is not None and before.p <= SURELY:
         return "unexplained", ("a free learner predicts heat on cycles that it has not seen",)
-    if beyond is not None and beyond.there:
+    if beyond is not None and beyond.exceeded:
         return "unexplained", (beyond.words,)
     return "agree", ()
 

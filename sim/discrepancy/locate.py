@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import Place
+from sim.discrepancy.diagnosis import HeatPlace
 from sim.discrepancy.fitting.fit import Fitted
 from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.heat import Blocks, blocks_of, event_names, flips
@@ -22,7 +22,7 @@ DRAWS, FAMILY = 4000, 0.05
 LEAST_CYCLES, LEAST_SHARE = 3, 0.02
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Cell:
     location: int
     after: str
@@ -32,7 +32,7 @@ class _Cell:
     when: str = ""
 
 
-def places(fitted: Fitted, seed: int) -> tuple[Place, ...]:
+def places(fitted: Fitted, seed: int) -> tuple[HeatPlace, ...]:
     """The cells in which the heat is not chance, the greatest share first."""
     record = fitted.frame.record
     blocks = blocks_of(fitted, 240.0)
@@ -57,16 +57,16 @@ def places(fitted: Fitted, seed: int) -> tuple[Place, ...]:
             same = np.sign(sums[speaking, column]) == np.sign(z[column])
             heat = float(np.sum(energy[cell.rows]) / np.sum(blocks.seconds[cell.rows]))
             found.append(
-                Place(
-                    record.model.sha.locations[cell.location].name,
-                    cell.after,
-                    cell.seconds,
-                    share,
-                    heat,
-                    (int(same.sum()), int(speaking.sum())),
-                    p,
-                    cell.signal or correlate(blocks, record, cell.rows),
-                    cell.when,
+                HeatPlace(
+                    location=record.model.sha.locations[cell.location].name,
+                    after=cell.after,
+                    seconds=cell.seconds,
+                    share=share,
+                    heat=heat,
+                    cycles=(int(same.sum()), int(speaking.sum())),
+                    p=p,
+                    correlates=cell.signal or correlate(blocks, record, cell.rows),
+                    when=cell.when,
                 )
             )
     return tuple(sorted(found, key=lambda place: -place.share))
@@ -88,7 +88,7 @@ def _cells(blocks: Blocks, record: Record) -> list[_Cell]:
         for low, high in pairwise(PHASES):
             rows = here & (phase >= low) & (phase < high)
             if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
-                cells.append(_Cell(location, start if running else stop, (low, high), rows))
+                cells.append(_Cell(location=location, after=start if running else stop, seconds=(low, high), rows=rows))
         cells += _strata(blocks, record, location, start if running else stop)
     return cells
 
@@ -105,7 +105,16 @@ def _strata(blocks: Blocks, record: Record, location: int, after: str) -> list[_
         for side, when in ((column > middle, "above"), (column <= middle, "up to")):
             rows = here & side
             if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
-                cells.append(_Cell(location, after, (0.0, np.inf), rows, name, f"{name} {when} {middle:.4g}"))
+                cells.append(
+                    _Cell(
+                        location=location,
+                        after=after,
+                        seconds=(0.0, np.inf),
+                        rows=rows,
+                        signal=name,
+                        when=f"{name} {when} {middle:.4g}",
+                    )
+                )
     return cells
 
 

@@ -23,8 +23,8 @@ def shifts(fitted: Fitted) -> tuple[Shift, ...]:
         _shift(fitted, number, float(off[number]), float(off[number] / errors[number]))
         for number in np.flatnonzero(np.abs(off) >= SIGMAS * errors).tolist()
     ]
-    told = [one for one in found if abs(one.change) >= LEAST_CHANGE]
-    return tuple(sorted(told, key=lambda one: -abs(one.sigma)))
+    significant = [one for one in found if abs(one.change) >= LEAST_CHANGE]
+    return tuple(sorted(significant, key=lambda one: -abs(one.sigma)))
 
 
 def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
@@ -38,14 +38,38 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
         unit = {"linear": "degC/s", "logarithmic": "degC"}.get(kind, "degC")
         size = _over_rest(frame.shape.centre, targets, number) if kind in RATES and RATES[kind] == "k" else before
         what = {"linear": "drift", "logarithmic": "factor"}.get(kind, "target")
-        return Shift(name, what, before, before + off, unit, off / max(abs(size), 1e-9), sigma)
+        return Shift(
+            location=name,
+            parameter=what,
+            before=before,
+            after=before + off,
+            unit=unit,
+            change=off / max(abs(size), 1e-9),
+            sigma=sigma,
+        )
     if number < len(targets) + len(gains):
         group, signal = gains[number - len(targets)]
-        return Shift(group, f"gain of {signal}", before, before + off, "degC per unit", _share(off, before), sigma)
+        return Shift(
+            location=group,
+            parameter=f"gain of {signal}",
+            before=before,
+            after=before + off,
+            unit="degC per unit",
+            change=_share(off, before),
+            sigma=sigma,
+        )
     group = rates[number - len(targets) - len(gains)]
     rate = RATES[by_name[group].flow.kind]
     old, new = float(np.exp(before)), float(np.exp(before + off))
-    return Shift(group, rate, old, new, "1/s" if rate == "k" else "s", new / old - 1.0, sigma)
+    return Shift(
+        location=group,
+        parameter=rate,
+        before=old,
+        after=new,
+        unit="1/s" if rate == "k" else "s",
+        change=new / old - 1.0,
+        sigma=sigma,
+    )
 
 
 def _over_rest(centre: Array, targets: tuple[str, ...], number: int) -> float:

@@ -36,8 +36,8 @@ that is not quite the plant's may win over its twin."""
 INVISIBLE = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EffectEvidence:
     """An entry against what a fit leaves: its best shape, its gain (nats), and the joint refit where there was one.
 
     `visible`, `z`, `robust` and `cycles` are those of `diagnosis.Candidate`. `spread` is over how many cycles its
@@ -64,7 +64,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class NamingStep:
     """A step from a fit: the evidence of every entry with its signals, best first; the threshold; and cosines.
 
     `cosines` gives, for the best entry, the cosine of each other entry's effect with its own, the model's parameters
@@ -72,12 +72,12 @@ class Step:
     """
 
     before: Fitted
-    evidence: tuple[Evidence, ...]
+    evidence: tuple[EffectEvidence, ...]
     threshold: float
     cosines: Mapping[str, float]
 
     @property
-    def best(self) -> Evidence | None:
+    def best(self) -> EffectEvidence | None:
         """The entry of the greatest gain."""
         return self.evidence[0] if self.evidence else None
 
@@ -99,9 +99,11 @@ class Step:
         return self.best.gain - max(others, default=0.0)
 
 
-def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], seed: int) -> Step:
+def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], seed: int) -> NamingStep:
     """Screen and confirm `entries` on top of a fit."""
     found = screen(before, entries, roles)
+    # The catalogue is searched, so the greatest gain of many is judged: by its own law under "nothing is missing",
+    # drawn from the fitted noise, not by the chi-square of a single test.
     threshold = max(float(np.quantile(null_maximum(found, seed), SURE)), LEAST_GAIN)
     best = found.best()
     evidence = [_evidence(found, number) for number in best.values()]
@@ -109,10 +111,17 @@ def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, 
     confirmed = [confirm(before, one) for one in chosen]
     rest = [one for one in evidence if one.entry.name not in {each.entry.name for each in confirmed}]
     order = tuple(sorted([*confirmed, *rest], key=lambda one: -one.gain))
-    return Step(before, order, threshold, _cosines(before, order))
+    return NamingStep(before, order, threshold, _cosines(before, order))
 
 
-def _evidence(found: Screen, number: int) -> Evidence:
+def _evidence(found: Screen, number: int) -> EffectEvidence:
+    """What the screen says of one shape, and whether many cycles say it or a few.
+
+    The score is a sum over cycles, and so is its information. `spread` is the effective number of cycles (Kish 1965:
+    the squared sum by the sum of squares), `robust` the score in units of its scatter from cycle to cycle (the
+    sandwich's z, which needs no noise model), `carried` the log-likelihood of each cycle under the strength that the
+    others give: what one cycle alone made up is lost in it.
+    """
     shape = found.shapes[number]
     parts, shares = found.by_cycle[:, number], np.maximum(found.information[:, number], 0.0)
     total, mass = float(parts.sum()), float(shares.sum())
@@ -121,22 +130,22 @@ def _evidence(found: Screen, number: int) -> Evidence:
     same = np.sign(parts[speaking]) == np.sign(total)
     others = (total - parts) / np.maximum(mass - shares, 1e-300)
     carried = float(np.sum(parts * others - 0.5 * shares * others**2))
-    return Evidence(
-        shape.entry,
-        shape,
-        float(found.gain[number]),
-        float(found.visible[number]),
-        float(found.signed[number]),
-        total / max(float(np.sqrt(np.sum(parts**2))), 1e-300),
-        (int(same.sum()), int(speaking.sum())),
-        float(spread),
-        carried,
-        0.0,
-        None,
+    return EffectEvidence(
+        entry=shape.entry,
+        shape=shape,
+        gain=float(found.gain[number]),
+        visible=float(found.visible[number]),
+        z=float(found.signed[number]),
+        robust=total / max(float(np.sqrt(np.sum(parts**2))), 1e-300),
+        cycles=(int(same.sum()), int(speaking.sum())),
+        spread=float(spread),
+        carried=carried,
+        amplitude=0.0,
+        fitted=None,
     )
 
 
-def confirm(before: Fitted, one: Evidence) -> Evidence:
+def confirm(before: Fitted, one: EffectEvidence) -> EffectEvidence:
     """The evidence with its shape refined and everything fitted anew together: the likeliest of its alternatives."""
     either = one.entry.either
     shapes = [
@@ -146,7 +155,7 @@ def confirm(before: Fitted, one: Evidence) -> Evidence:
     return max((_confirmed(before, replace(one, shape=shape)) for shape in shapes), key=lambda each: each.gain)
 
 
-def _confirmed(before: Fitted, one: Evidence) -> Evidence:
+def _confirmed(before: Fitted, one: EffectEvidence) -> EffectEvidence:
     strength = _first_strength(before, one)
     named = refined(before, one.shape, strength)
     fitted = fit(
@@ -175,12 +184,13 @@ def _room(before: Fitted, named: Named) -> Array:
 def amplitude(before: Fitted, shape: Shape, named: Named) -> float:
     """degC rms over the windows of what an effect does that the parameters of the fit before cannot imitate."""
     column = columns_of(before, (shape,), smooth_course(before))[:, 0]
+    # What the model's own parameters can imitate would be fitted away and is nobody's effect.
     left = column - before.columns @ np.linalg.lstsq(before.columns, column, rcond=None)[0]
     strength = 1.0 if named.entry.whole else named.strength
     return float(abs(strength) * np.sqrt(np.mean(left**2)))
 
 
-def _first_strength(before: Fitted, one: Evidence) -> float:
+def _first_strength(before: Fitted, one: EffectEvidence) -> float:
     smooth = smooth_course(before)
     found = judged(before, (one.shape,), columns_of(before, (one.shape,), smooth))
     return float(found.strength[0])
@@ -192,8 +202,11 @@ def _without_strength(named: Named) -> dict[str, float]:
     return {name: value for name, value in named.params.items() if name != named.entry.strength}
 
 
-def _cosines(before: Fitted, evidence: Sequence[Evidence]) -> dict[str, float]:
-    """Under the noise of the best entry's refit, where there is one."""
+def _cosines(before: Fitted, evidence: Sequence[EffectEvidence]) -> dict[str, float]:
+    """Cosines in the inverse covariance's product, under the noise of the best entry's refit where there is one.
+
+    Without the refit the noise would still hold what the effect does, and everything would look alike in it.
+    """
     if not evidence:
         return {}
     top = evidence[0]

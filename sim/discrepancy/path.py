@@ -3,15 +3,15 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from sim.discrepancy.fitting.fit import Fitted, fit
-from sim.discrepancy.judging import OVERWHELMING, Found, dubious, insignificant
-from sim.discrepancy.naming import MARGIN, Step, entries_besides, step
+from sim.discrepancy.judging import OVERWHELMING, NamingResult, dubious, insignificant
+from sim.discrepancy.naming import MARGIN, NamingStep, entries_besides, step
 
 Progress = Callable[[str, float], None]
-Judged = tuple[Step, str]
+Judged = tuple[NamingStep, str]
 """A step, and why its best entry is refused ("": it is taken)."""
 
 
-def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: Progress) -> Found:
+def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, progress: Progress) -> NamingResult:
     """Effects named one after the other, each on top of the ones before, until none deserves it; then revised.
 
     `present` gives the signal of each role. An effect that is clear but for rivals that stand too near is taken for the
@@ -19,7 +19,7 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: P
     """
     fitted, taken, refused = base, list[Judged](), list[Judged]()
     for number in range(most):
-        told(f"looking for effect {number + 1}", 0.25 + 0.6 * number / (most + 1))
+        progress(f"looking for effect {number + 1}", 0.25 + 0.6 * number / (most + 1))
         one = step(fitted, entries_besides(fitted.state.named), present, seed + number)
         earlier = [each for each, _ in taken]
         refusal = insignificant(one, earlier) or dubious(one)
@@ -33,14 +33,14 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, told: P
     last = taken[-1][0].best if taken else None
     fitted = last.fitted if last is not None and last.fitted is not None else base
     if len(taken) > 1:
-        told("looking at each name again", 0.25 + 0.6 * most / (most + 1))
+        progress("looking at each name again", 0.25 + 0.6 * most / (most + 1))
         taken, fitted = revised(fitted, taken, present, seed + most, len(taken) - 1)
     if any(refusal for _, refusal in taken):
-        return Found(base, base, tuple(taken[-1:]))
-    return Found(base, fitted, (*taken, *refused))
+        return NamingResult(base, base, tuple(taken[-1:]))
+    return NamingResult(base, fitted, (*taken, *refused))
 
 
-def _open(one: Step, earlier: Sequence[Step]) -> bool:
+def _open(one: NamingStep, earlier: Sequence[NamingStep]) -> bool:
     """Whether a step's best is beyond doubt but for its margin over its rivals."""
     clear = one.best is not None and one.best.gain >= OVERWHELMING and not insignificant(one, earlier)
     return clear and one.margin < MARGIN

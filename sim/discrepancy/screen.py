@@ -18,7 +18,7 @@ from sim.discrepancy.fitting.course import as_read, filtered
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, on_sensor
 from sim.discrepancy.fitting.fit import Fitted
 from sim.discrepancy.fitting.named import Named, effects_of
-from sim.discrepancy.fitting.noise import Weigher
+from sim.discrepancy.fitting.noise import Whitener
 from sim.effects.kind import MachineLog
 from sim.sha.trace import Array
 
@@ -49,9 +49,9 @@ class Projector:
 
     def __init__(self, fitted: Fitted) -> None:
         self.fitted = fitted
-        self._weigher = Weigher(fitted.grid, fitted.noise)
+        self._whitener = Whitener(fitted.grid, fitted.noise)
         stacked = np.column_stack([fitted.residual, fitted.columns])
-        weighed = self._weigher.weigh(stacked)
+        weighed = self._whitener.weigh(stacked)
         prior = np.maximum(fitted.prior, 1e-12)
         self._weighed = weighed[:, 1:]
         self._factor = cho_factor(fitted.columns.T @ self._weighed + np.diag(prior))
@@ -67,7 +67,7 @@ class Projector:
 
     def clean(self, columns: Array) -> tuple[Array, Array, Array]:
         """(columns without what the fit's parameters imitate, the same weighed, V^-1-size of the columns before)."""
-        weighed = self._weigher.weigh(columns)
+        weighed = self._whitener.weigh(columns)
         part = cho_solve(self._factor, self._weighed.T @ columns)
         before = np.einsum("ij,ij->j", columns, weighed)
         return columns - self.fitted.columns @ part, weighed - self._weighed @ part, before
@@ -125,7 +125,7 @@ class Screen:
 def smooth_course(fitted: Fitted) -> Array:
     """(n,) degC the temperature at the knots without the sensor's noise: free run plus the smoothed residual."""
     record = fitted.frame.record
-    smoothed = Weigher(fitted.grid, fitted.noise).smoothed(fitted.residual)
+    smoothed = Whitener(fitted.grid, fitted.noise).smoothed(fitted.residual)
     out = fitted.state.mean.copy()
     runs, run = record.runs, record.runs.run[record.rows[record.begins]]
     times = record.times

@@ -10,19 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.discrepancy.ceiling import ceiling
-from sim.discrepancy.diagnosis import Ceiling, Diagnosis
+from sim.discrepancy.diagnosis import Diagnosis
+from sim.discrepancy.evidence import candidates_of, effect_of
 from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.fit import Fitted, fit
 from sim.discrepancy.fitting.named import Named, named_of
-from sim.discrepancy.fitting.record import Record, in_order, patiently, record_of
-from sim.discrepancy.gap import Excess, excess, spread_of
+from sim.discrepancy.fitting.record import in_order, patiently, record_of
+from sim.discrepancy.gap import excess, spread_of
 from sim.discrepancy.held_out import by_cycles, compared
-from sim.discrepancy.judging import Found, doubts, left_over, systematic, untested, verdict_of
+from sim.discrepancy.judging import doubts, left_over, systematic, untested, verdict_of
 from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
-from sim.discrepancy.output.evidence import candidates_of, effect_of
-from sim.discrepancy.output.story import course_of, sentence_of
 from sim.discrepancy.path import name
+from sim.discrepancy.story import course_of, sentence_of
 from sim.effects.correction import in_sensor_scale
 from sim.effects.kinds import ROLES
 from sim.sha.model import Model
@@ -37,22 +37,12 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class DiagnosisOutcome:
     """A diagnosis, the effects that it adds to the model, and the fit that has them (None with too little data)."""
 
     diagnosis: Diagnosis
     named: tuple[Named, ...]
     fitted: Fitted | None
-
-
-@dataclass(frozen=True, slots=True)
-class Hand:
-    """What every step has at hand: the seed, the roles that are `present` and all `roles`, and whom to tell."""
-
-    seed: int
-    present: Mapping[str, str]
-    roles: Mapping[str, str]
-    told: Progress
 
 
 def diagnose(
@@ -63,34 +53,87 @@ def diagnose(
     roles: Mapping[str, str] = ROLES,
     most: int = MOST_NAMES,
     progress: Progress | None = None,
-) -> Outcome:
+) -> DiagnosisOutcome:
     """The diagnosis of `traces` against `model`, with at most `most` names.
 
     `roles` gives the signal of each role; those that no trace has take their effects off the table. Raises ValueError,
     in one sentence, when the traces cannot be followed at all.
     """
-    told = progress or (lambda _stage, _share: None)
+    report = progress or (lambda _stage, _share: None)
     model = in_sensor_scale(model)
-    told("laying out the traces", 0.0)
+    report("laying out the traces", 0.0)
     given = [patiently(trace, model.alphabet) for trace in in_order(traces)]
     present = present_roles(given, roles)
     record = record_of(model, given, signals_needed(model, present))
     cycles = np.unique(record.cycle)
     if cycles.size < LEAST_CYCLES:
-        return Outcome(_too_little(model, int(cycles.size)), (), None)
-    first = cycles[max(round((1.0 - HELD_OUT) * cycles.size), LEAST_CYCLES - 1)]
-    whole = frame_of(record)
-    training = on(whole, record.where(record.cycle < first))
-    held_out = by_cycles(record.where(record.cycle >= first))
-    told("fitting the model's own parameters", 0.05)
+        return DiagnosisOutcome(_too_little(model, int(cycles.size)), (), None)
+
+    # The last cycles are held out from everything but the proof: not even the screen may have seen them.
+    first_held_out = cycles[max(round((1.0 - HELD_OUT) * cycles.size), LEAST_CYCLES - 1)]
+    training = on(frame_of(record), record.where(record.cycle < first_held_out))
+    held_out = by_cycles(record.where(record.cycle >= first_held_out))
+
+    # The refit comes first: what parameters that have moved explain is no missing effect.
+    report("fitting the model's own parameters", 0.05)
     base = fit(training, named_of(model))
-    told("what a free learner could still explain", 0.2)
-    before = ceiling(base, seed)
-    found = name(base, present, seed, most, told)
-    told("held-out cycles", 0.85)
+    report("what a free learner could still explain", 0.2)
+    ceiling_before = ceiling(base, seed)
+    found = name(base, present, seed, most, report)
+
+    report("held-out cycles", 0.85)
     own = spread_of(model, given, base)
     beyond = excess(base, own), excess(found.fitted, own)
-    return _concluded(model, found, held_out, before, beyond, Hand(seed, present, roles, told))
+    after = found.fitted
+    ceiling_after = ceiling(after, seed) if found.taken else ceiling_before
+    held, first, second = compared(base, after, held_out, seed)
+    reservations = (
+        *doubts(found, first, second=second, held=held, before=ceiling_before, left=ceiling_after),
+        *left_over(found, *beyond),
+    )
+    verdict, reasons = verdict_of(found, reservations, ceiling_before, beyond[0])
+    kept = verdict in ("named", "class")
+    if not kept:  # nothing is added, so what the report shows "after" is the refit itself
+        after = base
+        held, first, second = compared(after, after, held_out, seed)
+
+    report("where the heat is", 0.95)
+    where = places(base, seed)
+    remaining = places(after, seed) if kept else where
+    effects = tuple(effect_of(one, after) for one in found.taken) if kept else ()
+    moved = shifts(after)
+    unexplained = remaining if verdict == "unexplained" or (kept and systematic(ceiling_after)) else ()
+    fitted_cycles = int(np.unique(base.frame.record.cycle).size)
+    noise = found.fitted.noise
+    pairs = zip(("excess_before", "excess_after"), beyond, strict=True)
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        sentence=sentence_of(verdict, effects, unexplained=unexplained, shifts=moved, held=held, cycles=fitted_cycles),
+        reasons=reasons,
+        effects=effects,
+        shifts=moved,
+        places=where,
+        unexplained=unexplained,
+        ceiling_before=ceiling_before,
+        ceiling_after=ceiling_after if kept else None,
+        candidates=candidates_of(found.steps, kept),
+        untested=untested(present, roles),
+        held_out=held,
+        course=course_of(base, after, first, second),
+        settings={
+            "seed": float(seed),
+            "threshold_nats": found.steps[0][0].threshold if found.steps else 0.0,
+            "sensor_sigma": noise.sensor,
+            "process_sigma": noise.process,
+            "rough_sigma": noise.rough,
+            "cycle_scatter": noise.cycle,
+            "rough_memory_s": noise.memory,
+            **{key: each.median for key, each in pairs if each is not None},
+        },
+        model_before=model.sha.name,
+        model_after=None,
+    )
+    return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after)
 
 
 def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str, str]:
@@ -110,71 +153,10 @@ def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*inputs, *present.values()]))
 
 
-def _concluded(
-    model: Model,
-    found: Found,
-    held_out: Record,
-    before: Ceiling | None,
-    beyond: tuple[Excess | None, Excess | None],
-    hand: Hand,
-) -> Outcome:
-    after = found.fitted
-    left = ceiling(after, hand.seed) if found.taken else before
-    held, first, second = compared(found.base, after, held_out, hand.seed)
-    reservations = (*doubts(found, first, second, held, before, left), *left_over(found, *beyond))
-    verdict, reasons = verdict_of(found, reservations, before, beyond[0])
-    kept = verdict in ("named", "class")
-    if not kept:
-        after = found.base
-        held, first, second = compared(after, after, held_out, hand.seed)
-    hand.told("where the heat is", 0.95)
-    where = places(found.base, hand.seed)
-    remaining = places(after, hand.seed) if kept else where
-    effects = tuple(effect_of(one, after) for one in found.taken) if kept else ()
-    moved = shifts(after)
-    unexplained = remaining if verdict == "unexplained" or (kept and systematic(left)) else ()
-    cycles = int(np.unique(found.base.frame.record.cycle).size)
-    diagnosis = Diagnosis(
-        verdict=verdict,
-        sentence=sentence_of(verdict, effects, unexplained, moved, held, cycles),
-        reasons=reasons,
-        effects=effects,
-        shifts=moved,
-        places=where,
-        unexplained=unexplained,
-        ceiling_before=before,
-        ceiling_after=left if kept else None,
-        candidates=candidates_of(found.steps, kept),
-        untested=untested(hand.present, hand.roles),
-        held_out=held,
-        course=course_of(found.base, after, first, second),
-        settings=_settings(found, hand.seed, beyond),
-        model_before=model.sha.name,
-        model_after=None,
-    )
-    return Outcome(diagnosis, after.state.named if kept else (), after)
-
-
-def _settings(found: Found, seed: int, beyond: tuple[Excess | None, Excess | None]) -> dict[str, float]:
-    noise = found.fitted.noise
-    names = ("excess_before", "excess_after")
-    far = {name: one.median for name, one in zip(names, beyond, strict=True) if one is not None}
-    return {
-        "seed": float(seed),
-        "threshold_nats": found.steps[0][0].threshold if found.steps else 0.0,
-        "sensor_sigma": noise.sensor,
-        "process_sigma": noise.process,
-        "rough_sigma": noise.rough,
-        "cycle_scatter": noise.cycle,
-        "rough_memory_s": noise.memory,
-        **far,
-    }
-
-
 def _too_little(model: Model, cycles: int) -> Diagnosis:
     return Diagnosis(
         verdict="too-little-data",
-        sentence=sentence_of("too-little-data", (), (), (), None, cycles),
+        sentence=sentence_of("too-little-data", (), unexplained=(), shifts=(), held=None, cycles=cycles),
         reasons=(f"{cycles} cycle{'' if cycles == 1 else 's'} in all; at least {LEAST_CYCLES} are needed, better ten",),
         effects=(),
         shifts=(),

@@ -60,12 +60,12 @@ def score_forecasts(
     stride = max(sum(trace.times.size for trace in traces) // MOST_ROWS, 1)
     scored: list[Scored] = []
     for trace, first in zip(traces, since, strict=True):
-        scored += _scored(tracker, trace, first, every, stride, rng)
+        scored += _scored(tracker, trace, first=first, every=every, stride=stride, rng=rng)
     return scored
 
 
 def _scored(
-    tracker: Tracker, trace: Trace, first: float, every: float, stride: int, rng: np.random.Generator
+    tracker: Tracker, trace: Trace, *, first: float, every: float, stride: int, rng: np.random.Generator
 ) -> list[Scored]:
     raw = trace.signals[tracker.model.temperature]
     reading = without_spikes(raw, resolution(raw))

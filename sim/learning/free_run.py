@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares
 
 from sim.engine.recursion import linear_recursion
-from sim.learning.runs import Indices, Runs
+from sim.learning.runs import FreeRuns, Indices
 from sim.sha.automaton import Flow
 from sim.sha.flows import FLOWS, coefficients
 from sim.sha.trace import Array, Mask
@@ -40,7 +40,7 @@ Loss = Literal["huber", "squares"]
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class FitShape:
     """Which parameter stands where: L locations, q inputs, p linear parameters, r rates. Equal numbers are shared.
 
     `kinds` (L,) are keys of FLOWS, `rate` (L,) the number of each location's rate, `target` (L,) that of its m and
@@ -60,8 +60,8 @@ class Shape:
     rate_spread: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Fit:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FreeRunFit:
     """The parameters that maximise the free-run likelihood, and how well they are known.
 
     `linear` (p,), `rates` (r,) natural units; `errors` (p + r,) are standard errors, of log(rate) for the rates;
@@ -100,7 +100,7 @@ class Fit:
         return np.asarray(np.sqrt(np.maximum(np.diag(linear) - explained, 0.0)))
 
 
-def steps(runs: Runs, shape: Shape, log_rates: Array) -> tuple[Array, Array]:
+def steps(runs: FreeRuns, shape: FitShape, log_rates: Array) -> tuple[Array, Array]:
     """(decay, pull) of every step at the given log(rate); exactly (0, 0) where a run begins."""
     decay, pull = np.ones(len(runs)), np.zeros(len(runs))
     for place in np.unique(runs.place):
@@ -114,7 +114,7 @@ def steps(runs: Runs, shape: Shape, log_rates: Array) -> tuple[Array, Array]:
     return decay, pull
 
 
-def loads(runs: Runs, shape: Shape) -> Array:
+def loads(runs: FreeRuns, shape: FitShape) -> Array:
     """(n, p) what each linear parameter adds to the target of each step, per unit of the parameter."""
     rows = np.arange(len(runs))
     total = np.zeros((len(runs), shape.centre.size))
@@ -130,7 +130,7 @@ def _add(total: Array, rows: Indices, columns: Indices, values: Array) -> None:
     total[rows[there], columns[there]] += values[there]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Linear:
     """The linear problem at fixed rates, on the rows with a reading; start temperatures are projected out."""
 
@@ -143,12 +143,12 @@ class _Linear:
     decay: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Problem:
     """Readings, loads and the present weights: all that does not depend on the rates."""
 
-    runs: Runs
-    shape: Shape
+    runs: FreeRuns
+    shape: FitShape
     load: Array
     rows: Indices
     reading: Array
@@ -166,11 +166,14 @@ class _Problem:
 
 
 def _solve(problem: _Problem, log_rates: Array) -> _Linear:
+    """Golub & Pereyra's variable projection (1973): at fixed rates all else is linear and solved for exactly."""
     runs, shape = problem.runs, problem.shape
     decay, pull = steps(runs, shape, log_rates)
+    # Column j is the whole course that a unit of parameter j alone would make; `begun` that of a unit of a run's start.
     full = linear_recursion(decay[:, None], pull[:, None] * problem.load, np.zeros(shape.centre.size))
     begun = linear_recursion(decay, runs.first.astype(float), 0.0)
     start = begun[problem.rows]
+    # The starts, one for each run and often hundreds, are taken out run by run, not as columns of the normal equations.
     both, part = problem.project(np.column_stack([full[problem.rows], problem.reading]), start)
     columns, reading = both[:, :-1], both[:, -1]
     prior = problem.noise / shape.spread**2
@@ -180,12 +183,20 @@ def _solve(problem: _Problem, log_rates: Array) -> _Linear:
     starts = part[:, -1] - part[:, :-1] @ linear
     mean = full @ linear + begun * starts[np.cumsum(runs.first) - 1]
     return _Linear(
-        columns, start, reading - columns @ linear, linear, lambda right: cho_solve(factor, right), mean, decay
+        columns=columns,
+        start=start,
+        residual=reading - columns @ linear,
+        linear=linear,
+        inverse=lambda right: cho_solve(factor, right),
+        mean=mean,
+        decay=decay,
     )
 
 
 def _sensitivity(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:
     """(N, r) derivative of the mean at the readings by log(rate), linear parameters and starts held."""
+    # x' = a x + p T, so dx' = a dx + (da x + dp T): the course's own recursion, driven by the change of its
+    # coefficients. These are differentiated numerically, as any flow of the table may stand there.
     runs, shape, step = problem.runs, problem.shape, 1e-4
     target = problem.load @ solved.linear
     before = np.concatenate([[0.0], solved.mean[:-1]])
@@ -208,7 +219,11 @@ def _stacked(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:
 
 
 def _jacobian(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:
-    """Kaufman's: minus the sensitivity without its part in the space of the linear parameters."""
+    """Minus the sensitivity without its part in the space of the linear parameters.
+
+    Kaufman (1975) leaves out the second term of Golub & Pereyra's derivative, which is of the order of the residual:
+    hardly more steps to convergence, each at the price of one recursion a rate.
+    """
     shape = problem.shape
     sense, _ = problem.project(_sensitivity(problem, log_rates, solved), solved.start)
     part = solved.inverse(solved.columns.T @ (problem.weight[:, None] * sense))
@@ -227,6 +242,7 @@ def _best_rates(problem: _Problem, begin: Array) -> Array:
         return begin
     shape = problem.shape
     low, high = (shape.rate_centre + sign * REACH * shape.rate_spread for sign in (-1, 1))
+    # least_squares asks for residuals and slopes at the same point one after the other: one solution serves both.
     kept: dict[bytes, _Linear] = {}
 
     def solved(log_rates: Array) -> _Linear:
@@ -289,7 +305,7 @@ def correlation_time(residual: Array, begins: Mask) -> float:
     return min(max(total, 1.0), max(residual.size / 10.0, 1.0))
 
 
-def fit_free_run(runs: Runs, shape: Shape, *, begin: Array | None = None, loss: Loss = "huber") -> Fit:
+def fit_free_run(runs: FreeRuns, shape: FitShape, *, begin: Array | None = None, loss: Loss = "huber") -> FreeRunFit:
     """The parameters of greatest free-run likelihood (with the weak priors of `shape`) on `runs`.
 
     `begin` (r,) are the rates from which the search starts (default: the best of a coarse scan). With `huber` a reading
@@ -300,10 +316,23 @@ def fit_free_run(runs: Runs, shape: Shape, *, begin: Array | None = None, loss: 
     reading = runs.reading[rows]
     load = loads(runs, shape)
     bounds = np.flatnonzero(begins)
+    # Until there are residuals, a tenth of the readings' variance: the priors must neither rule nor vanish meanwhile.
     noise = 0.1 * float(np.var(reading - np.median(reading))) + 1e-6
-    problem = _Problem(runs, shape, load, rows, reading, bounds, np.ones(rows.size), noise)
+    problem = _Problem(
+        runs=runs,
+        shape=shape,
+        load=load,
+        rows=rows,
+        reading=reading,
+        bounds=bounds,
+        weight=np.ones(rows.size),
+        noise=noise,
+    )
     log_rates = _first_rates(problem) if begin is None else np.log(begin)
     sigma = float("inf")
+    # Iteratively reweighted least squares (Holland & Welsch 1977): rates and linear parameters under fixed weights,
+    # then the weights from their residuals. Errors of neighbouring readings are correlated, so the likelihood is
+    # tempered: `noise` counts `correlation` readings as one, or the priors would have no say against thousands of rows.
     for _ in range(ROUNDS):
         log_rates = _best_rates(problem, log_rates)
         solved = _solve(problem, log_rates)
@@ -316,11 +345,19 @@ def fit_free_run(runs: Runs, shape: Shape, *, begin: Array | None = None, loss: 
     sense, _ = problem.project(_sensitivity(problem, log_rates, solved), solved.start)
     covariance = _covariance(problem, np.column_stack([solved.columns, sense]), error)
     starts = solved.mean[runs.first]
-    return Fit(solved.linear, np.exp(log_rates), covariance, sigma, correlation, solved.mean, starts)
+    return FreeRunFit(
+        linear=solved.linear,
+        rates=np.exp(log_rates),
+        covariance=covariance,
+        sigma=sigma,
+        correlation=correlation,
+        mean=solved.mean,
+        start=starts,
+    )
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class LinearFit:
     """The linear parameters of greatest likelihood at given rates: `linear` (p,), `sigma` (degC), the Huber `loss`."""
 
     linear: Array
@@ -328,7 +365,9 @@ class Given:
     loss: float
 
 
-def fit_at_rates(runs: Runs, shape: Shape, rates: Array, rounds: int = 3, scale: float | None = None) -> Given:
+def fit_at_rates(
+    runs: FreeRuns, shape: FitShape, rates: Array, rounds: int = 3, scale: float | None = None
+) -> LinearFit:
     """`fit_free_run` without its search: the rates (r,) are given, and a few rounds of reweighting are enough.
 
     `loss` is the mean of Huber's loss at `scale` (degC; default: the fit's own), so that rates can be compared.
@@ -337,14 +376,23 @@ def fit_at_rates(runs: Runs, shape: Shape, rates: Array, rounds: int = 3, scale:
     bounds = np.flatnonzero(np.concatenate([[True], np.diff(runs.run[rows]) != 0]))
     reading, logs = runs.reading[rows], np.log(rates)
     noise = 0.1 * float(np.var(reading - np.median(reading))) + 1e-6
-    problem = _Problem(runs, shape, loads(runs, shape), rows, reading, bounds, np.ones(rows.size), noise)
+    problem = _Problem(
+        runs=runs,
+        shape=shape,
+        load=loads(runs, shape),
+        rows=rows,
+        reading=reading,
+        bounds=bounds,
+        weight=np.ones(rows.size),
+        noise=noise,
+    )
     for _ in range(rounds):
         solved = _solve(problem, logs)
         error = reading - solved.mean[rows]
         sigma = robust_sigma(error)
         problem = replace(problem, weight=_weights(error, sigma, "huber"), noise=sigma**2)
     z = np.abs(error) / (scale or sigma)
-    return Given(solved.linear, sigma, float(np.mean(np.where(z < HUBER, 0.5 * z * z, HUBER * z - 0.5 * HUBER**2))))
+    return LinearFit(solved.linear, sigma, float(np.mean(np.where(z < HUBER, 0.5 * z * z, HUBER * z - 0.5 * HUBER**2))))
 
 
 def _weights(error: Array, sigma: float, loss: Loss) -> Array:
@@ -373,7 +421,7 @@ def _covariance(problem: _Problem, columns: Array, error: Array) -> Array:
     return np.asarray(covariance * np.outer(widen, widen))
 
 
-def predict(runs: Runs, shape: Shape, linear: Array, rates: Array, sigma: float) -> Array:
+def predict(runs: FreeRuns, shape: FitShape, linear: Array, rates: Array, sigma: float) -> Array:
     """(n,) the free run of given parameters; each run's start temperature fitted to its readings.
 
     The start temperature minimises the Huber loss at the scale `sigma` (degC).

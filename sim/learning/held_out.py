@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.learning.free_run import HUBER, Fit, Shape, fit_at_rates, fit_free_run, predict
-from sim.learning.runs import Runs, pieces
+from sim.learning.free_run import HUBER, FitShape, FreeRunFit, fit_at_rates, fit_free_run, predict
+from sim.learning.runs import FreeRuns, pieces
 from sim.sha.trace import Array
 
 FOLDS = 5
@@ -18,7 +18,7 @@ LEAST = 20
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOut:
+class HeldOutErrors:
     """How one candidate predicts what it was not fitted to: `error` (N,) in degC, and the `run` (N,) of each."""
 
     error: Array
@@ -53,14 +53,14 @@ class HeldOut:
         return float(np.mean(np.abs(self.error)))
 
 
-def folds(runs: Runs) -> Runs | None:
+def folds(runs: FreeRuns) -> FreeRuns | None:
     """The runs of a cross-validation, long ones halved until there are PIECES; None if there are too few data."""
     cut = pieces(runs, PIECES)
     enough = np.count_nonzero(np.isfinite(cut.reading)) >= LEAST and np.unique(cut.run).size >= 2
     return cut if enough else None
 
 
-def cross_validate(runs: Runs, shape: Shape, begin: Array, *, fixed: bool = False) -> HeldOut:
+def cross_validate(runs: FreeRuns, shape: FitShape, begin: Array, *, fixed: bool = False) -> HeldOutErrors:
     """Fits `shape` to all folds but one and scores its free runs on that one, for each; `begin` (r,) are first rates.
 
     With `fixed` these rates are kept, which costs a tenth: a rate that all runs share hardly changes without one fold.
@@ -80,7 +80,7 @@ def cross_validate(runs: Runs, shape: Shape, begin: Array, *, fixed: bool = Fals
             fit = fit_free_run(rest, shape, begin=begin)
             mean[mine] = predict(runs.where(mine), shape, fit.linear, fit.rates, fit.sigma)
     rows = np.flatnonzero(np.isfinite(runs.reading))
-    return HeldOut((runs.reading - mean)[rows], np.unique(order[rows], return_inverse=True)[1])
+    return HeldOutErrors((runs.reading - mean)[rows], np.unique(order[rows], return_inverse=True)[1])
 
 
 def huber_scale(error: Array) -> float:
@@ -102,7 +102,7 @@ def _log_huber(error: Array, sigma: float) -> Array:
     return np.asarray(-np.log(sigma) - np.where(z < HUBER, 0.5 * z * z, HUBER * z - 0.5 * HUBER**2))
 
 
-def choose(scores: Sequence[HeldOut], size: Sequence[int]) -> int:
+def choose(scores: Sequence[HeldOutErrors], size: Sequence[int]) -> int:
     """The simplest candidate that the held-out likelihood does not tell from the best one.
 
     Candidates are compared on the same held-out runs; one that is worse than the best by no more than one standard
@@ -114,7 +114,7 @@ def choose(scores: Sequence[HeldOut], size: Sequence[int]) -> int:
     return min(equal, key=lambda number: (size[number], -scores[number].score))
 
 
-def _not_worse(one: HeldOut, best: HeldOut) -> bool:
+def _not_worse(one: HeldOutErrors, best: HeldOutErrors) -> bool:
     weight = best.readings / best.readings.sum()
     gap = best.likelihood - one.likelihood
     mean = float(weight @ gap)
@@ -124,7 +124,7 @@ def _not_worse(one: HeldOut, best: HeldOut) -> bool:
     return mean <= error
 
 
-def training_errors(runs: Runs, fit: Fit) -> tuple[float, float]:
+def training_errors(runs: FreeRuns, fit: FreeRunFit) -> tuple[float, float]:
     """(rmse, mae) of the free run on the readings that it was fitted to, degC."""
     error = (runs.reading - fit.mean)[np.isfinite(runs.reading)]
     return float(np.sqrt(np.mean(error**2))), float(np.mean(np.abs(error)))

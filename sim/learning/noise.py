@@ -14,8 +14,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from sim.learning.data import resolution
-from sim.learning.free_run import RATES, Fit, Shape, loads
-from sim.learning.runs import Indices, Runs, sampled
+from sim.learning.free_run import RATES, FitShape, FreeRunFit, loads
+from sim.learning.runs import FreeRuns, Indices, sampled
 from sim.sha.automaton import Flow
 from sim.sha.flows import FLOWS, coefficients
 from sim.sha.trace import Array, Mask
@@ -24,10 +24,12 @@ HORIZONS = (60.0, 300.0, 900.0)
 CHUNK = 150
 ORIGINS = 400
 STEP = 1e-4
+DRIFT_SPAN = 300.0
+"""The changes over so many seconds set the noise of locations in which nothing is known."""
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class NoiseLevels:
     """`sensor` (degC); `process` (G,), degC/sqrt(s), by group of locations; `scatter` (L,), the sigma of each m.
 
     `score` is the mean log-likelihood per reading of the one-step predictions and of those at each of HORIZONS.
@@ -39,8 +41,8 @@ class Noise:
     score: Mapping[float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class _Steps:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _AffineSteps:
     """Every knot's affine step: X' = decay X + pull (m - mu) + drift, variance = density * process^2."""
 
     decay: Array
@@ -55,7 +57,7 @@ class _Steps:
     run: Indices
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Ahead:
     """Predictions from K origins: mean = decay X + own (m - mu) + drift; variance weights of the noises after it."""
 
@@ -69,7 +71,7 @@ class _Ahead:
     scatter: Array
 
 
-def _steps(runs: Runs, shape: Shape, fit: Fit, groups: Indices) -> _Steps:
+def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) -> _AffineSteps:
     n = len(runs)
     decay, pull, density = np.ones(n), np.zeros(n), np.zeros(n)
     for place in np.unique(runs.place):
@@ -78,21 +80,21 @@ def _steps(runs: Runs, shape: Shape, fit: Fit, groups: Indices) -> _Steps:
         if kind in RATES:
             params[RATES[kind]] = float(fit.rates[shape.rate[place]])
         decay[rows], pull[rows], density[rows] = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
-    return _Steps(
-        decay,
-        pull,
-        pull * (loads(runs, shape) @ fit.linear),
-        density,
-        runs.place,
-        groups[runs.place],
-        runs.stay,
-        runs.time,
-        runs.reading,
-        runs.run,
+    return _AffineSteps(
+        decay=decay,
+        pull=pull,
+        drift=pull * (loads(runs, shape) @ fit.linear),
+        density=density,
+        place=runs.place,
+        group=groups[runs.place],
+        stay=runs.stay,
+        time=runs.time,
+        reading=runs.reading,
+        run=runs.run,
     )
 
 
-def _chunks(steps: _Steps) -> Indices:
+def _chunks(steps: _AffineSteps) -> Indices:
     """(J, C) knot numbers of the chunks, filtered side by side; -1 beyond a chunk's end. Each begins at a reading."""
     columns: list[Indices] = []
     first = np.flatnonzero(np.diff(steps.run, prepend=-1) != 0)
@@ -117,8 +119,14 @@ State = tuple[Array, Array, Array, Array, Array]
 """Means of X and m - mu, then xx, xm, mm of their covariance, each (C, Q)."""
 
 
-def _filtered(steps: _Steps, table: Indices, sensor: Array, process: Array, scatter: Array) -> tuple[Array, Array]:
-    """(log-likelihoods (n, Q), states (5, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ..."""
+def _filtered(
+    steps: _AffineSteps, table: Indices, sensor: Array, process: Array, scatter: Array
+) -> tuple[Array, Array]:
+    """(log-likelihoods (n, Q), states (5, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ...
+
+    The Kalman filter on (X, m - mu), vectorised twice: over the chunks, which begin at a reading and so need nothing of
+    one another, and over the Q sets of noises that a gradient takes.
+    """
     n, width = steps.run.size, sensor.size
     scores, states = np.full((n, width), np.nan), np.full((5, n, width), np.nan)
     x = np.repeat(steps.reading[table[0]][:, None], width, axis=1)
@@ -126,8 +134,11 @@ def _filtered(steps: _Steps, table: Indices, sensor: Array, process: Array, scat
     state: State = (x, nothing, nothing + sensor**2, nothing, nothing)
     for row in range(1, table.shape[0]):
         knots = table[row][table[row] >= 0]
+        # A new stay draws its m anew, and so does a chunk's first step: what the stay before it knew is given up.
         fresh = (steps.stay[knots] != steps.stay[knots - 1]) | (row == 1)
-        state = _predicted(steps, knots, fresh, [part[: knots.size] for part in state], process, scatter)
+        state = _predicted(
+            steps, knots, fresh=fresh, state=[part[: knots.size] for part in state], process=process, scatter=scatter
+        )
         error = steps.reading[knots][:, None] - state[0]
         scores[knots] = _log_score(error, state[2] + sensor**2)
         state = _updated(state, np.nan_to_num(error), np.isfinite(error), sensor)
@@ -137,8 +148,9 @@ def _filtered(steps: _Steps, table: Indices, sensor: Array, process: Array, scat
 
 
 def _predicted(
-    steps: _Steps, knots: Indices, fresh: Mask, state: Sequence[Array], process: Array, scatter: Array
+    steps: _AffineSteps, knots: Indices, *, fresh: Mask, state: Sequence[Array], process: Array, scatter: Array
 ) -> State:
+    # A fresh m is independent of X: mean 0, variance that of its location, no covariance with what went before.
     x, m, xx, xm, mm = state
     at = fresh[:, None]
     m, xm, mm = np.where(at, 0.0, m), np.where(at, 0.0, xm), np.where(at, scatter[steps.place[knots]] ** 2, mm)
@@ -161,11 +173,12 @@ def _updated(state: State, error: Array, there: Mask, sensor: Array) -> State:
 
 
 def _log_score(error: Array, variance: Array) -> Array:
+    # Linear beyond three standard deviations (Huber): one wrong reading must not set the noise of a plant.
     z = np.abs(error) / np.sqrt(variance)
     return np.asarray(-0.5 * np.log(2 * np.pi * variance) - np.where(z < 3, 0.5 * z * z, 3 * z - 4.5))
 
 
-def _aims(steps: _Steps, horizon: float) -> tuple[Indices, Indices]:
+def _aims(steps: _AffineSteps, horizon: float) -> tuple[Indices, Indices]:
     """Up to ORIGINS pairs (origin, outcome) of readings of one run, `horizon` to 1.2 times as far apart."""
     there = np.flatnonzero(np.isfinite(steps.reading))
     found: list[Indices] = []
@@ -181,7 +194,7 @@ def _aims(steps: _Steps, horizon: float) -> tuple[Indices, Indices]:
     return pairs[chosen, 0], pairs[chosen, 1]
 
 
-def _ahead(steps: _Steps, horizon: float, groups: int, places: int) -> _Ahead | None:
+def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ahead | None:
     """The predictions over `horizon`, or None when no two readings are so far apart."""
     origin, end = _aims(steps, horizon)
     if not origin.size:
@@ -189,6 +202,9 @@ def _ahead(steps: _Steps, horizon: float, groups: int, places: int) -> _Ahead | 
     size = origin.size
     decay, own, drift, fresh = np.ones(size), np.zeros(size), np.zeros(size), np.zeros(size)
     process, scatter = np.zeros((size, groups)), np.zeros((size, places))
+    # All origins walk on together, one knot a round, until each is at its outcome. The m of the stay in which an
+    # origin lies is the filter's (`own`, while `still`); each later stay has one of its own, whose weight on X is
+    # `fresh` while it lasts and which then goes, squared, to the scatter of its location.
     at, still = origin.copy(), np.ones(size, dtype=bool)
     for _ in range(int((end - origin).max())):
         go = np.flatnonzero(at < end)
@@ -208,7 +224,16 @@ def _ahead(steps: _Steps, horizon: float, groups: int, places: int) -> _Ahead | 
         scatter[go] *= a[:, None] ** 2
         at[go] = here
     scatter[np.arange(size), steps.place[end]] += fresh**2
-    return _Ahead(horizon, origin, steps.reading[end], decay, own, drift, process, scatter)
+    return _Ahead(
+        horizon=horizon,
+        origin=origin,
+        outcome=steps.reading[end],
+        decay=decay,
+        own=own,
+        drift=drift,
+        process=process,
+        scatter=scatter,
+    )
 
 
 def _ahead_score(ahead: _Ahead, states: Array, sensor: Array, process: Array, scatter: Array) -> Array:
@@ -230,7 +255,7 @@ def _mean_known(scores: Array) -> Array:
 class _Task:
     """What the likelihood needs, and the floors and counts of its parameters."""
 
-    steps: _Steps
+    steps: _AffineSteps
     table: Indices
     aheads: tuple[_Ahead, ...]
     groups: int
@@ -276,7 +301,9 @@ class _Task:
         return [sensor, *[(log(1e-4), log(1.0))] * self.groups, *[(log(0.05), log(60.0))] * self.seen.size]
 
 
-def fit_noise(runs: Runs, shape: Shape, fit: Fit, groups: Indices, *, budget: int = 2500, floor: float = 1e-3) -> Noise:
+def fit_noise(
+    runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices, *, budget: int = 2500, floor: float = 1e-3
+) -> NoiseLevels:
     """The noise of greatest composite likelihood, the means given by `fit`.
 
     `groups` (L,) numbers the locations that share one process noise. `floor` is the least sensor sigma (degC); the
@@ -309,11 +336,32 @@ def fit_noise(runs: Runs, shape: Shape, fit: Fit, groups: Indices, *, budget: in
     sensor, process, scatter = task.unpack(np.asarray(found.x)[:, None])
     horizons = [0.0, *(ahead.horizon for ahead in task.aheads)]
     score = {h: float(value[0]) for h, value in zip(horizons, task.scores(np.asarray(found.x)[:, None]), strict=True)}
-    return Noise(float(sensor[0]), process[:, 0], scatter[:, 0], score)
+    return NoiseLevels(float(sensor[0]), process[:, 0], scatter[:, 0], score)
 
 
 def _value_and_slope(theta: Array, task: _Task, weight: float) -> tuple[float, Array]:
-    """The loss and its gradient by forward differences, all perturbations in one pass of the filter."""
+    """The loss and its gradient by forward differences, all perturbations in one pass of the filter.
+
+    In logarithms of standard deviations a step of 1e-4 is a hundredth of a percent: small against what the loss curves
+    by, large against its rounding.
+    """
     trials = theta[:, None] + STEP * np.eye(theta.size, theta.size + 1, 1)
     values = task.loss(trials, weight)
     return float(values[0]), (values[1:] - values[0]) / STEP
+
+
+def drift_noise(runs: FreeRuns) -> float:
+    """The random walk, degC/sqrt(s), whose changes over 300 s are as large as the readings' own (or over a shorter
+    time, when no run lasts so long)."""
+    time, reading = (column[np.isfinite(runs.reading)] for column in (runs.time, runs.reading))
+    run = runs.run[np.isfinite(runs.reading)]
+    squares: list[float] = []
+    for number in np.unique(run):
+        mine = run == number
+        at, value = time[mine], reading[mine]
+        span = min(DRIFT_SPAN, float(at[-1] - at[0]))
+        later = np.minimum(np.searchsorted(at, at + span), at.size - 1)
+        whole = at[later] - at >= span
+        if span > 0:
+            squares += ((value[later] - value)[whole] ** 2 / (at[later] - at)[whole]).tolist()
+    return float(max(np.sqrt(np.mean(squares)) if squares else 0.0, 1e-3))

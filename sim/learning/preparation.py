@@ -5,13 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.learning.runs import Runs
+from sim.learning.runs import FreeRuns
 from sim.learning.structure import LearningError
 from sim.sha.automaton import SHA, Distribution
 from sim.sha.events import Alphabet, encode
 from sim.sha.trace import Trace
 
 LEAST_READINGS = 10
+LEAST_SHARE = 0.1
+"""A location in which a channel is not known is fitted like the known ones when it holds this share of the readings."""
 
 
 def encoded(trace: Trace, alphabet: Alphabet) -> Trace:
@@ -44,7 +46,7 @@ def check_data(traces: Sequence[Trace], temperature: str) -> None:
         raise LearningError("no event of the alphabet happens in any trace, so no location is ever known")
 
 
-def with_range(sha: SHA, runs: Runs, margin: float = 0.0) -> SHA:
+def with_range(sha: SHA, runs: FreeRuns, margin: float = 0.0) -> SHA:
     """The usual range of 0 to 150 degC, wider by 50 degC on a side where the readings leave it or come within `margin`
     of its end."""
     low, high = float(np.nanmin(runs.reading)) - margin, float(np.nanmax(runs.reading)) + margin

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.learning.free_run import Fit, Loss, Shape, fit_free_run
-from sim.learning.runs import Runs, free_runs, sampled
-from sim.learning.shape import Names, Prior, shape_of, with_parameters
+from sim.learning.free_run import FitShape, FreeRunFit, Loss, fit_free_run
+from sim.learning.runs import FreeRuns, free_runs, sampled
+from sim.learning.shape import ParameterNames, Prior, shape_of, with_parameters
 from sim.learning.structure import LearningError
 from sim.sha.automaton import SHA
 from sim.sha.trace import Trace
@@ -23,10 +23,10 @@ class Refit:
     """`sha` with the fitted parameters, the fit, what its numbers stand for (`names`), and the runs it was made on."""
 
     sha: SHA
-    fit: Fit
-    shape: Shape
-    names: Names
-    runs: Runs
+    fit: FreeRunFit
+    shape: FitShape
+    names: ParameterNames
+    runs: FreeRuns
 
 
 def refit(
@@ -63,6 +63,6 @@ def refit(
     return Refit(with_parameters(sha, shape, fit), fit, shape, names, runs)
 
 
-def _gain_spreads(runs: Runs, signals: Sequence[str]) -> dict[str, float]:
+def _gain_spreads(runs: FreeRuns, signals: Sequence[str]) -> dict[str, float]:
     known = {signal: runs.inputs[np.isfinite(runs.inputs[:, n]), n] for n, signal in enumerate(signals)}
     return {signal: SWING / float(np.std(values)) for signal, values in known.items() if np.ptp(values) > 0}

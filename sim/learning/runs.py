@@ -19,7 +19,7 @@ WINDOWS = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Runs:
+class FreeRuns:
     """n knots of several free runs, one after the other; a knot ends the step of `dt` seconds that leads to it.
 
     Every array is (n,), `inputs` (n, q). A run's first knot has a reading and no step (`dt` 0). `place` is the index of
@@ -46,9 +46,9 @@ class Runs:
         """(n,) whether a knot begins a run."""
         return np.asarray(np.diff(self.run, prepend=-1) != 0)
 
-    def where(self, keep: Mask) -> "Runs":
+    def where(self, keep: Mask) -> "FreeRuns":
         """The knots of whole runs, or of parts of runs cut by `pieces`; runs and stays keep their numbers."""
-        return Runs(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
+        return FreeRuns(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,9 @@ def _cut(time: Array, moments: Array) -> Mask:
     return np.diff(passed, prepend=passed[:1]) > 0
 
 
-def _of_trace(trace: Trace, path: _Path, signals: Sequence[str], modelled: Mask, reading: Array, cycle: float) -> Runs:
+def _of_trace(
+    trace: Trace, path: _Path, *, signals: Sequence[str], modelled: Mask, reading: Array, cycle: float
+) -> FreeRuns:
     extra = np.setdiff1d(path.times, trace.times)
     extra = extra[(extra > trace.times[0]) & (extra < trace.times[-1])]
     time = np.concatenate([trace.times, extra])
@@ -124,7 +126,7 @@ def _of_trace(trace: Trace, path: _Path, signals: Sequence[str], modelled: Mask,
     cut[0] = True
     cut |= _cut(time, _cycle_starts(path.started, time[cut], cycle))
     stay = np.cumsum(cut | (np.diff(path.entered[done], prepend=-np.inf) != 0)) - 1
-    return Runs(
+    return FreeRuns(
         time=time,
         dt=np.where(cut, 0.0, time - begin),
         age=begin - path.entered[done],
@@ -137,7 +139,7 @@ def _of_trace(trace: Trace, path: _Path, signals: Sequence[str], modelled: Mask,
     )
 
 
-def _trimmed(runs: Runs) -> Runs:
+def _trimmed(runs: FreeRuns) -> FreeRuns:
     """Each run from its first reading to its last one; runs with fewer than two readings are left out."""
     there = np.isfinite(runs.reading)
     upto = np.cumsum(there)
@@ -150,9 +152,9 @@ def _trimmed(runs: Runs) -> Runs:
     return replace(kept, dt=np.where(kept.first, 0.0, kept.dt))
 
 
-def _joined(parts: Sequence[Runs]) -> Runs:
+def _joined(parts: Sequence[FreeRuns]) -> FreeRuns:
     """Several traces' runs as one, with runs and stays numbered through."""
-    shifted: list[Runs] = []
+    shifted: list[FreeRuns] = []
     run = stay = 0
     for number, part in enumerate(parts):
         if not len(part):
@@ -164,7 +166,9 @@ def _joined(parts: Sequence[Runs]) -> Runs:
         raise LearningError(
             "no stretch of the traces has two temperature readings in a known location, so nothing can be fitted"
         )
-    return Runs(**{each.name: np.concatenate([getattr(part, each.name) for part in shifted]) for each in fields(Runs)})
+    return FreeRuns(
+        **{each.name: np.concatenate([getattr(part, each.name) for part in shifted]) for each in fields(FreeRuns)}
+    )
 
 
 def first_switch(alphabet: Alphabet) -> Switch | None:
@@ -182,7 +186,7 @@ def free_runs(
     rising: str | None = None,
     cycle: float = 3600.0,
     jumps: bool = False,
-) -> Runs:
+) -> FreeRuns:
     """All free runs of the traces through `sha`, each from its first temperature reading to its last.
 
     A run ends where the trace ends, where the state becomes unknown, and where the location is not `modelled` (L,)
@@ -206,7 +210,18 @@ def free_runs(
         if jumps:
             cleaned = np.where(_eventful(trace), reading, cleaned)
         known = replace(trace, signals={**_missing(trace, signals), **trace.signals})
-        parts.append(_trimmed(_of_trace(known, _path(known, sha, moves, rising), signals, modelled, cleaned, cycle)))
+        parts.append(
+            _trimmed(
+                _of_trace(
+                    known,
+                    _path(known, sha, moves, rising),
+                    signals=signals,
+                    modelled=modelled,
+                    reading=cleaned,
+                    cycle=cycle,
+                )
+            )
+        )
     return _joined(parts)
 
 
@@ -220,7 +235,7 @@ def _missing(trace: Trace, signals: Sequence[str]) -> dict[str, Array]:
     return {name: np.full(trace.times.shape, np.nan) for name in signals if name not in trace.signals}
 
 
-def thinned(runs: Runs, budget: int) -> Runs:
+def thinned(runs: FreeRuns, budget: int) -> FreeRuns:
     """The same runs with about `budget` knots at most: exact steps are merged, inputs averaged over the merged step.
 
     The last reading of each window of equal length stays, and so does every change of location; so time, stays and
@@ -243,7 +258,7 @@ def thinned(runs: Runs, budget: int) -> Runs:
     return _merged(runs, keep)
 
 
-def sampled(runs: Runs, budget: int) -> Runs:
+def sampled(runs: FreeRuns, budget: int) -> FreeRuns:
     """`thinned`, and where changes of location alone are too many, windows spread evenly over the whole time.
 
     There are twenty windows, each a run of its own; what lies between them is left out.
@@ -259,7 +274,7 @@ def sampled(runs: Runs, budget: int) -> Runs:
     return _trimmed(replace(part, run=np.cumsum(np.diff(mark, prepend=mark[:1]) != 0)))
 
 
-def _merged(runs: Runs, keep: Mask) -> Runs:
+def _merged(runs: FreeRuns, keep: Mask) -> FreeRuns:
     """Steps merged up to each kept knot; the first of the merged steps gives the age."""
     ends = np.flatnonzero(keep)
     begins = np.concatenate([[0], ends[:-1] + 1])
@@ -273,7 +288,7 @@ def _merged(runs: Runs, keep: Mask) -> Runs:
     return replace(kept, dt=dt, inputs=inputs, age=runs.age[begins])
 
 
-def pieces(runs: Runs, least: int) -> Runs:
+def pieces(runs: FreeRuns, least: int) -> FreeRuns:
     """The same knots with the longest runs halved until there are `least` of them, as far as they are long enough.
 
     A piece begins at a reading and has at least ten of them; its first knot has no step.

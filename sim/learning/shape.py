@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.learning.free_run import RATES, Fit, Shape
+from sim.learning.free_run import RATES, FitShape, FreeRunFit
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Flow, Input, Location
 from sim.sha.trace import Array
@@ -30,7 +30,7 @@ class Prior:
 
 
 @dataclass(frozen=True, slots=True)
-class Names:
+class ParameterNames:
     """What the numbers of a Shape stand for: location or group of each rate, each m, each gain (with its signal)."""
 
     rates: tuple[str, ...]
@@ -46,7 +46,7 @@ def shape_of(
     *,
     rates: Mapping[str, str] | None = None,
     gains: Mapping[str, str] | None = None,
-) -> tuple[Shape, Names]:
+) -> tuple[FitShape, ParameterNames]:
     """The parameter vector of the `free` locations of `sha`, whose flows give the structure.
 
     `rates` and `gains` map a location to the group whose rate or gains it shares (default: its own). The linear
@@ -61,7 +61,7 @@ def shape_of(
         for each in chosen
         for given in each.flow.inputs
     }
-    names = Names(
+    names = ParameterNames(
         tuple(dict.fromkeys(group_of_rate.values())), tuple(targets), tuple(dict.fromkeys(group_of_gain.values()))
     )
     unknown = [signal for _, signal in names.gains if signal not in signals]
@@ -69,7 +69,7 @@ def shape_of(
         raise ValueError(f"SHA {sha.name!r} is driven by {unknown[0]!r}, which is not among the inputs to be fitted")
     gain, at = _gain_table(sha, group_of_gain, names, signals)
     centre, spread = _beliefs(sha, names, prior)
-    shape = Shape(
+    shape = FitShape(
         kinds=tuple(each.flow.kind if each in chosen else "constant" for each in sha.locations),
         rate=_places(sha, group_of_rate, names.rates),
         target=_places(sha, {name: name for name in targets}, names.targets),
@@ -84,7 +84,7 @@ def shape_of(
 
 
 def _gain_table(
-    sha: SHA, groups: Mapping[tuple[str, str], tuple[str, str]], names: Names, signals: Sequence[str]
+    sha: SHA, groups: Mapping[tuple[str, str], tuple[str, str]], names: ParameterNames, signals: Sequence[str]
 ) -> tuple[NDArray[np.intp], Array]:
     """(L, q) the number of each input's gain among the linear parameters, -1 where it has none, and its reference."""
     gain = np.full((len(sha.locations), len(signals)), -1, dtype=np.intp)
@@ -109,7 +109,7 @@ def _rate_centre(sha: SHA, groups: Mapping[str, str], group: str, prior: Prior) 
     return float(np.log(prior.tau if RATES[kind] == "t0" else 1.0 / prior.tau))
 
 
-def _beliefs(sha: SHA, names: Names, prior: Prior) -> tuple[Array, Array]:
+def _beliefs(sha: SHA, names: ParameterNames, prior: Prior) -> tuple[Array, Array]:
     laws = {"linear": (0.0, prior.drift), "logarithmic": (0.0, prior.factor)}
     by_name = sha.by_name
     pairs = [laws.get(by_name[name].flow.kind, prior.temperature) for name in names.targets]
@@ -117,7 +117,7 @@ def _beliefs(sha: SHA, names: Names, prior: Prior) -> tuple[Array, Array]:
     return np.array([centre for centre, _ in pairs]), np.array([spread for _, spread in pairs])
 
 
-def with_parameters(sha: SHA, shape: Shape, fit: Fit) -> SHA:
+def with_parameters(sha: SHA, shape: FitShape, fit: FreeRunFit) -> SHA:
     """`sha` with the fitted m (mean of each location's law), rates and gains; noise and sigma stay what they are."""
     return replace(
         sha,
@@ -125,7 +125,7 @@ def with_parameters(sha: SHA, shape: Shape, fit: Fit) -> SHA:
     )
 
 
-def _fitted(location: Location, place: int, shape: Shape, fit: Fit) -> Location:
+def _fitted(location: Location, place: int, shape: FitShape, fit: FreeRunFit) -> Location:
     if shape.kinds[place] != location.flow.kind or shape.target[place] < 0:
         return location
     flow, params = location.flow, dict(location.flow.params)

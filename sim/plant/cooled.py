@@ -125,11 +125,11 @@ def _rows(
         rate = plant.loss + cooling
         target = (heat[row] + plant.loss * plant.hall + cooling * plant.water) / rate
         bearing = target + (bearing - target) * float(np.exp(-rate * period))
-    return _readings(plant, running, pump, current, temperature, rng), bearing
+    return _readings(plant, running, pump=pump, current=current, temperature=temperature, rng=rng), bearing
 
 
 def _readings(
-    plant: CooledPlant, running: Array, pump: Array, current: Array, temperature: Array, rng: np.random.Generator
+    plant: CooledPlant, running: Array, *, pump: Array, current: Array, temperature: Array, rng: np.random.Generator
 ) -> Array:
     """The columns in the order of SIGNALS, with noise and the transmitters' steps."""
     count = running.size

@@ -62,7 +62,7 @@ class Weather:
 
 
 @dataclass(frozen=True, slots=True)
-class Plant:
+class DecanterPlant:
     """Constants of the machine. Rates in 1/s, heats in degC/s at nominal speed, per ampere where it says so.
 
     `roughness` is the standard deviation (degC/s) of a heat disturbance with the memory `roughness_memory` (s), and
@@ -96,8 +96,8 @@ class Plant:
     sensor_step: float = 0.1
 
 
-@dataclass(slots=True)
-class _State:
+@dataclass(slots=True, kw_only=True)
+class _PlantState:
     """What the machine remembers: temperatures (degC), speed (0..1), wander of the load, friction of this cycle."""
 
     gearbox: float
@@ -114,14 +114,14 @@ class _State:
     current: float = 0.0
 
 
-def _heat(plant: Plant, state: _State, temperature: float) -> float:
+def _heat(plant: DecanterPlant, state: _PlantState, temperature: float) -> float:
     """Friction heat of a bearing (degC/s): viscous with speed squared, thinning as it warms, plus load times speed."""
     viscous = plant.idle_heat * state.speed**2 * exp(-plant.thinning * (temperature - 20.0))
     load = plant.heat_per_ampere * max(state.current - plant.idle_current, 0.0) * state.speed
     return state.friction * (viscous + load) + state.disturbance * state.speed
 
 
-def _thermal_step(plant: Plant, state: _State, hall: float, slurry: float | None, dt: float) -> None:
+def _thermal_step(plant: DecanterPlant, state: _PlantState, hall: float, slurry: float | None, dt: float) -> None:
     """One explicit step of the four masses; every time constant is at least 100 times the step."""
     gearbox, feed, oil, housing = state.gearbox, state.feed, state.oil, state.housing
     wind = 1.0 + plant.windage * state.speed
@@ -140,7 +140,9 @@ def _thermal_step(plant: Plant, state: _State, hall: float, slurry: float | None
     )
 
 
-def _mechanical_step(plant: Plant, state: _State, phase: Phase, dt: float, rng: np.random.Generator) -> None:
+def _mechanical_step(
+    plant: DecanterPlant, state: _PlantState, phase: Phase, dt: float, rng: np.random.Generator
+) -> None:
     """Speed, load current and the disturbances with memory (exact Ornstein-Uhlenbeck steps)."""
     if phase.running and state.speed < 0.05 and state.since_start > 60:
         state.since_start = 0.0
@@ -159,7 +161,7 @@ def _mechanical_step(plant: Plant, state: _State, phase: Phase, dt: float, rng: 
     state.current += (wanted - state.current) * -np.expm1(-dt / (2.5 if phase.running else 0.4))
 
 
-def _sense(plant: Plant, state: _State, dt: float) -> None:
+def _sense(plant: DecanterPlant, state: _PlantState, dt: float) -> None:
     keep = exp(-dt / plant.sensor_lag)
     state.gearbox_sensor = state.gearbox + (state.gearbox_sensor - state.gearbox) * keep
     state.feed_sensor = state.feed + (state.feed_sensor - state.feed) * keep
@@ -171,7 +173,7 @@ def _reading(value: float, noise: float, step: float, rng: np.random.Generator) 
 
 
 def _row(
-    plant: Plant, state: _State, phase: Phase, hall: float, slurry: float, rng: np.random.Generator
+    plant: DecanterPlant, state: _PlantState, *, phase: Phase, hall: float, slurry: float, rng: np.random.Generator
 ) -> list[float]:
     """One row of readings in the order of SIGNALS."""
     feeding = phase.pump and phase.running
@@ -209,9 +211,10 @@ def _sample_times(duration: float, period: float, jitter: float, rng: np.random.
 
 
 def _run(
-    plant: Plant,
+    plant: DecanterPlant,
     weather: Weather,
-    state: _State,
+    *,
+    state: _PlantState,
     phases: Sequence[Phase],
     times: Array,
     start: float,
@@ -234,7 +237,7 @@ def _run(
             _thermal_step(plant, state, hall, slurry if phase.pump and phase.running else None, dt)
             _sense(plant, state, dt)
             now += dt
-        rows[index] = _row(plant, state, phase, hall, slurry, rng)
+        rows[index] = _row(plant, state, phase=phase, hall=hall, slurry=slurry, rng=rng)
     return rows
 
 
@@ -248,7 +251,7 @@ def simulate_decanter(
     start: float = 0.0,
     bearing: float | None = None,
     weather: Weather | None = None,
-    plant: Plant | None = None,
+    plant: DecanterPlant | None = None,
     step: float = 0.5,
 ) -> Trace:
     """A synthetic trace of the phases, one row every `period` seconds on average, its steps scattered by `jitter`.
@@ -259,13 +262,20 @@ def simulate_decanter(
     """
     if not phases or period <= 0 or step <= 0:
         raise ValueError("a decanter needs at least one phase, a positive period and a positive step")
-    plant, weather = plant or Plant(), weather or Weather()
+    plant, weather = plant or DecanterPlant(), weather or Weather()
     rng = np.random.default_rng(seed)
     times = _sample_times(sum(phase.seconds for phase in phases), period, jitter, rng)
     hall = weather.ambient(start % 86400)
     warm = hall if bearing is None else bearing
-    state = _State(warm, warm - 0.3, warm, 0.6 * warm + 0.4 * hall, warm, warm - 0.3)
-    rows = _run(plant, weather, state, phases, times, start, step, rng)
+    state = _PlantState(
+        gearbox=warm,
+        feed=warm - 0.3,
+        oil=warm,
+        housing=0.6 * warm + 0.4 * hall,
+        gearbox_sensor=warm,
+        feed_sensor=warm - 0.3,
+    )
+    rows = _run(plant, weather, state=state, phases=phases, times=times, start=start, step=step, rng=rng)
     return Trace(
         name=name,
         times=start + times,

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim.plant.decanter import Phase, Plant, Weather, simulate_decanter
+from sim.plant.decanter import DecanterPlant, Phase, Weather, simulate_decanter
 from sim.sha.trace import Trace
 
 EPOCH = 1_736_499_600.0
@@ -127,7 +127,13 @@ def _working_day(cycles: int, rng: np.random.Generator) -> list[Phase]:
 
 
 def production(
-    days: int, cycles: int = 4, *, seed: int, period: float = 10.0, plant: Plant | None = None, name: str = "production"
+    days: int,
+    cycles: int = 4,
+    *,
+    seed: int,
+    period: float = 10.0,
+    plant: DecanterPlant | None = None,
+    name: str = "production",
 ) -> Trace:
     """`days` days of `cycles` runs each, one row every `period` seconds. Raises ValueError below one of each."""
     if days < 1 or cycles < 1:

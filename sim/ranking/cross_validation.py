@@ -17,7 +17,7 @@ LEAST_SIGMA = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOut:
+class HeldOutFold:
     """How a model predicts one trace: means over its readings but the first, at which the run starts.
 
     `crps` and `mae` in degC, `log_likelihood` in nats per reading; `largest` is the largest error (degC).
@@ -45,11 +45,11 @@ def predicted(model: Model, trace: Trace) -> tuple[Array, Array, Array]:
     return values[1:], run.mean[rows], np.sqrt(run.variance[rows] + model.sensor_sigma**2)
 
 
-def held_out(model: Model, trace: Trace) -> HeldOut:
+def held_out(model: Model, trace: Trace) -> HeldOutFold:
     """The scores of one trace. Raises ValueError as `predicted` does."""
     values, mean, sigma = predicted(model, trace)
     error = mean - values
-    return HeldOut(
+    return HeldOutFold(
         trace=trace.name,
         readings=int(values.size),
         crps=float(np.mean(crps_gaussian(mean, sigma, values))),

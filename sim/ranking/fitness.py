@@ -15,7 +15,7 @@ Seen = Literal["content", "name"]
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class FitnessLimits:
     """What a model for deployment must keep, on the traces that it was not trained on where there are any.
 
     `coverage_low` and `coverage_high` bound the mean share of readings inside the 90 % band; `persistence` the model's
@@ -44,9 +44,9 @@ class Limits:
             raise ValueError("the limits of clamps, rejecting and unseen are counts: 0 or more")
 
 
-def limits_of(given: Iterable[tuple[str, str]], *, synthetic: bool = False) -> Limits:
+def limits_of(given: Iterable[tuple[str, str]], *, synthetic: bool = False) -> FitnessLimits:
     """Limits from (name, number as text). Raises ValueError for unknown names and for what is no such number."""
-    names = [one.name for one in fields(Limits) if one.name != "synthetic"]
+    names = [one.name for one in fields(FitnessLimits) if one.name != "synthetic"]
     values: dict[str, float] = {}
     for name, text in given:
         if name not in names:
@@ -55,7 +55,7 @@ def limits_of(given: Iterable[tuple[str, str]], *, synthetic: bool = False) -> L
             values[name] = float(text)
         except ValueError:
             raise ValueError(f"the limit {name} is {text!r}; it must be a number, as 0.5 or 3") from None
-    return Limits(synthetic=synthetic, **values)
+    return FitnessLimits(synthetic=synthetic, **values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +88,10 @@ class Case:
     results: Sequence[TraceResult]
     judged: Sequence[TraceResult]
     facts: Facts
-    limits: Limits
+    limits: FitnessLimits
 
 
-def judge(results: Sequence[TraceResult], facts: Facts, limits: Limits) -> tuple[Finding, ...]:
+def judge(results: Sequence[TraceResult], facts: Facts, limits: FitnessLimits) -> tuple[Finding, ...]:
     """All criteria for one model, in the order of the table."""
     fresh = [result for result in results if result.trace not in facts.seen]
     done = [result for result in fresh or results if not result.failure]

@@ -13,7 +13,7 @@ LEAST_FOR_INTERVAL = 5
 """Differences that a bootstrap needs: fewer have too few different resamples for a 95 % interval (3^3 = 27 for 3)."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Paired:
     """The differences of two figures on the same `n` traces: `mean` with its 95 % interval `low`..`high`.
 
@@ -51,13 +51,21 @@ def paired(differences: ArrayLike, rng: np.random.Generator, resamples: int = RE
     values = given[np.isfinite(given)]
     n = int(values.size)
     if n == 0:
-        return Paired(0, nan, nan, nan, nan, nan, 1.0)
+        return Paired(n=0, mean=nan, low=nan, high=nan, error=nan, p=nan, least=1.0)
     low, high = nan, nan
     if n >= LEAST_FOR_INTERVAL:
         means = values[rng.integers(0, n, (resamples, n))].mean(axis=1)
         low, high = (float(bound) for bound in np.quantile(means, [0.025, 0.975]))
     error = float(np.std(values, ddof=1)) / sqrt(n) if n > 1 else nan
-    return Paired(n, float(values.mean()), low, high, error, _signed_rank(values), min(1.0, 2.0 ** (1 - n)))
+    return Paired(
+        n=n,
+        mean=float(values.mean()),
+        low=low,
+        high=high,
+        error=error,
+        p=_signed_rank(values),
+        least=min(1.0, 2.0 ** (1 - n)),
+    )
 
 
 def _signed_rank(values: np.ndarray) -> float:

@@ -7,7 +7,7 @@ from math import isfinite, nan
 
 import numpy as np
 
-from sim.ranking.fitness import Facts, Finding, Limits, Seen, Verdict, judge, verdict
+from sim.ranking.fitness import Facts, Finding, FitnessLimits, Seen, Verdict, judge, verdict
 from sim.ranking.paired import Paired, holm, paired
 from sim.validation.results import TraceResult
 
@@ -69,11 +69,11 @@ class Standing:
         return f"in-sample ({len(self.seen)} of {self.traces} traces{doubt})"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
     """Two models on the traces that both have: `difference` of the scores (one - other), degC, and what it tells.
 
-    `p` is corrected for all pairs (Holm). `better` is the model that is told to be better, or None; `wins` are the
+    `p` is corrected for all pairs (Holm). `better` is the model that is shown to be better, or None; `wins` are the
     traces on which each has the lower score (equal ones count a half for both).
     """
 
@@ -103,7 +103,7 @@ def rank(
     facts: Mapping[str, Facts] | None = None,
     *,
     weights: Weights | None = None,
-    limits: Limits | None = None,
+    limits: FitnessLimits | None = None,
     seed: int = 0,
 ) -> Ranking:
     """Ranks the models of a campaign by their mean score over the traces that all of them got through.
@@ -117,7 +117,15 @@ def rank(
     common = _common(scores)
     wins = _wins(scores, common)
     standings = [
-        _standing(name, own, common, used, wins.get(name, 0.0), known.get(name, Facts()), limits or Limits())
+        _standing(
+            name,
+            own,
+            common=common,
+            weights=used,
+            wins=wins.get(name, 0.0),
+            facts=known.get(name, Facts()),
+            limits=limits or FitnessLimits(),
+        )
         for name, own in by_entrant.items()
     ]
     placed = _placed(standings)
@@ -188,11 +196,12 @@ def _wins(scores: Mapping[str, Mapping[str, float]], common: Sequence[str]) -> d
 def _standing(
     name: str,
     results: Mapping[str, TraceResult],
+    *,
     common: Sequence[str],
     weights: Weights,
     wins: float,
     facts: Facts,
-    limits: Limits,
+    limits: FitnessLimits,
 ) -> Standing:
     ranked = [results[trace] for trace in common if trace in results and not results[trace].failure]
     seen = {trace: reason for trace, reason in facts.seen.items() if trace in results}
@@ -237,27 +246,28 @@ def _pairs(names: Sequence[str], scores: Mapping[str, Mapping[str, float]], seed
     found = [paired(each, rng) for each in differences]
     corrected = holm([1.0 if each.n == 0 else each.p for each in found])
     return tuple(
-        _pair(one, other, values, told, p, len(couples))
-        for (one, other), values, told, p in zip(couples, differences, found, corrected, strict=True)
+        _pair(one, other, values=values, difference=difference, p=p, pairs=len(couples))
+        for (one, other), values, difference, p in zip(couples, differences, found, corrected, strict=True)
     )
 
 
-def _pair(one: str, other: str, values: np.ndarray, told: Paired, p: float, pairs: int) -> Pair:
+def _pair(one: str, other: str, *, values: np.ndarray, difference: Paired, p: float, pairs: int) -> Pair:
     wins = (float((values < 0).sum() + (values == 0).sum() / 2), float((values > 0).sum() + (values == 0).sum() / 2))
     better = None
-    if told.n and pairs * told.least > LEVEL:
+    if difference.n and pairs * difference.least > LEVEL:
         sentence = (
-            f"nothing can be told from {told.n} trace{'' if told.n == 1 else 's'}: even if one were better on all, p "
-            f"would be {min(1.0, pairs * told.least):.2g} with {pairs} pair{'' if pairs == 1 else 's'}"
+            f"nothing can be told from {difference.n} trace{'' if difference.n == 1 else 's'}: even if one were better "
+            f"on all, p "
+            f"would be {min(1.0, pairs * difference.least):.2g} with {pairs} pair{'' if pairs == 1 else 's'}"
         )
-    elif not told.n:
+    elif not difference.n:
         sentence = "nothing can be told: they have no trace in common"
-    elif p < LEVEL and told.excludes_zero:
-        better, worse = (one, other) if told.mean < 0 else (other, one)
+    elif p < LEVEL and difference.excludes_zero:
+        better, worse = (one, other) if difference.mean < 0 else (other, one)
         sentence = f"{better} is better than {worse}"
     else:
         sentence = "not told apart"
-    return Pair(one, other, told, p, better, sentence, wins)
+    return Pair(one=one, other=other, difference=difference, p=p, better=better, sentence=sentence, wins=wins)
 
 
 def _notes(

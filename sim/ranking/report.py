@@ -2,12 +2,13 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -167,8 +168,6 @@ def write_page(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> 
 
 def page(ranking: Ranking, results: Sequence[TraceResult]) -> str:
     """The page: pictures inside, every name escaped."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     places = PackageLoader("sim.ranking")
     environment = Environment(loader=places, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters["figure"] = _figure
@@ -188,8 +187,6 @@ def _figure(value: float, digits: int = 3) -> str:
 
 def as_plain(ranking: Ranking) -> dict[str, Any]:
     """The ranking as plain values for JSON, nothing left out."""
-    from dataclasses import asdict
-
     names, matrix = win_matrix(ranking)
     models = []
     for standing in ranking.standings:

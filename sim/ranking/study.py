@@ -2,7 +2,10 @@
 
 Only this process writes, and SQLite's transactions keep the file whole whenever it is killed. A trial that was running
 then stays marked as running; the next start counts it as interrupted and asks for the same settings again, since what
-is suggested depends on the seed, the number of trials told, and what they told.
+is suggested depends on the seed, the number of finished trials, and their scores.
+
+Optuna and its database layer are the optional extra `tune`, so they are imported where they are needed: `opened` says
+in one sentence that it is missing.
 """
 
 import fcntl
@@ -32,7 +35,7 @@ REASON = "reason"
 """Why a trial failed: what it says to whoever looks at the study."""
 WITHOUT_OPTUNA = "tuning needs Optuna, which is not installed; install the extra: pip install 'decanter-gateway[tune]'"
 BEFORE_PRUNING = 5
-"""Whole trials before one may be pruned, and random ones before the search models what they told, times two."""
+"""Whole trials before one may be pruned, and random ones before the search models their scores, times two."""
 
 Facts = Mapping[str, str | int | bool]
 """What a study is about, fact by fact: it may only be gone on with where all of them are the same."""
@@ -159,7 +162,7 @@ def interrupt(study: "Study") -> int:
 
 
 @unbroken()
-def told(study: "Study") -> list["FrozenTrial"]:
+def finished_trials(study: "Study") -> list["FrozenTrial"]:
     """The trials that are over, by number; interrupted ones, which failed without a reason, are not among them."""
     from optuna.trial import TrialState
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from sim.ranking.cross_validation import HeldOut, folds, held_out, usable
+from sim.ranking.cross_validation import HeldOutFold, folds, held_out, usable
 from sim.ranking.paired import Paired, paired
-from sim.ranking.study import REASON, Facts, ask, interrupt, opened, told, unbroken
+from sim.ranking.study import REASON, Facts, ask, finished_trials, interrupt, opened, unbroken
 from sim.ranking.tuning_methods import Method, Settings, Task, Taught, method_of
 from sim.sha.events import Alphabet
 from sim.sha.trace import Trace
@@ -22,7 +22,7 @@ from sim.validation.trace_run import TROUBLE
 if TYPE_CHECKING:
     from optuna.study import Study
     from optuna.trial import FrozenTrial
-    from optuna.trial import Trial as Asked
+    from optuna.trial import Trial as OptunaTrial
 
 Objective = Literal["crps", "likelihood"]
 OBJECTIVES: tuple[Objective, ...] = ("crps", "likelihood")
@@ -31,7 +31,7 @@ SCORES, SECONDS = "scores", "seconds"
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class StudyPlan:
     """What is searched and how it is scored: `fold_count` folds at most, dealt by `seed`, which seeds the learner too.
 
     `objective`: the mean CRPS (degC, per reading, of open-loop runs of the held-out traces), or minus the mean
@@ -48,13 +48,13 @@ class Plan:
         if self.objective not in OBJECTIVES:
             raise ValueError(f"the objective {self.objective!r} is unknown; known are {', '.join(OBJECTIVES)}")
 
-    def value(self, score: HeldOut) -> float:
+    def value(self, score: HeldOutFold) -> float:
         """The objective of one trace."""
         return score.crps if self.objective == "crps" else -score.log_likelihood
 
 
-@dataclass(frozen=True, slots=True)
-class Trial:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyTrial:
     """One trial that is over; `number` counts those from 0.
 
     `value` with its standard error over traces is NaN where it failed or was pruned. `state` is "complete", "pruned" or
@@ -71,7 +71,7 @@ class Trial:
     seconds: float = nan
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Tuning:
     """What a study says. `best` and `default` are None where no such trial was completed.
 
@@ -79,9 +79,9 @@ class Tuning:
     is larger than its own standard error. `stopped` says that the search was interrupted.
     """
 
-    trials: tuple[Trial, ...]
-    best: Trial | None
-    default: Trial | None
+    trials: tuple[StudyTrial, ...]
+    best: StudyTrial | None
+    default: StudyTrial | None
     gain: Paired | None
     better: bool
     sentence: str
@@ -103,7 +103,7 @@ class FoldJob:
 class FoldResult:
     """The scores of a fold, or why there are none."""
 
-    scores: tuple[HeldOut, ...]
+    scores: tuple[HeldOutFold, ...]
     seconds: float
     reason: str = ""
 
@@ -112,7 +112,7 @@ def tune(
     traces: Sequence[Trace],
     alphabet: Alphabet,
     temperature: str,
-    plan: Plan,
+    plan: StudyPlan,
     study_file: Path,
     *,
     trials: int,
@@ -131,7 +131,9 @@ def tune(
     """
     kept, notes, digest = usable(traces, temperature)
     parts = folds(len(kept), plan.fold_count, plan.seed)
-    search = _Search(plan, kept, parts, alphabet, temperature, jobs, prune)
+    search = _TuningSearch(
+        plan=plan, traces=kept, parts=parts, alphabet=alphabet, temperature=temperature, jobs=jobs, prune=prune
+    )
     stopped = False
     with opened(study_file, _facts(plan, digest, alphabet, temperature, len(parts)), prune=prune) as study:
         try:
@@ -139,11 +141,13 @@ def tune(
         except KeyboardInterrupt:
             interrupt(study)
             stopped = True
-        return summary([_trial(place, one, plan) for place, one in enumerate(told(study))], notes, stopped=stopped)
+        return summary(
+            [_trial(place, one, plan) for place, one in enumerate(finished_trials(study))], notes, stopped=stopped
+        )
 
 
 def final_model(
-    traces: Sequence[Trace], alphabet: Alphabet, temperature: str, plan: Plan, trial: Trial, name: str
+    traces: Sequence[Trace], alphabet: Alphabet, temperature: str, plan: StudyPlan, trial: StudyTrial, name: str
 ) -> Taught:
     """The model learned with a trial's settings from all traces that the search used; its provenance says so.
 
@@ -159,9 +163,9 @@ def final_model(
     return replace(taught, model=replace(taught.model, provenance=origin))
 
 
-@dataclass(frozen=True, slots=True)
-class _Search:
-    plan: Plan
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TuningSearch:
+    plan: StudyPlan
     traces: Sequence[Trace]
     parts: Sequence[Sequence[int]]
     alphabet: Alphabet
@@ -185,7 +189,7 @@ def _silent(traces: Sequence[Trace]) -> list[Trace]:
     return [replace(trace, events=()) for trace in traces]
 
 
-def _facts(plan: Plan, digest: str, alphabet: Alphabet, temperature: str, parts: int) -> Facts:
+def _facts(plan: StudyPlan, digest: str, alphabet: Alphabet, temperature: str, parts: int) -> Facts:
     return {
         "method": plan.method,
         "data": digest[:16],
@@ -198,10 +202,10 @@ def _facts(plan: Plan, digest: str, alphabet: Alphabet, temperature: str, parts:
     }
 
 
-def _run(study: "Study", search: _Search, trials: int, progress: Progress) -> None:
+def _run(study: "Study", search: _TuningSearch, trials: int, progress: Progress) -> None:
     space = method_of(search.plan.method).space
     together = 1 if search.prune else max(1, search.jobs // len(search.parts))
-    while (done := len(told(study))) < trials:
+    while (done := len(finished_trials(study))) < trials:
         asked = [ask(study, space, done + extra, search.plan.seed) for extra in range(min(together, trials - done))]
         progress(f"trial {done + 1} of {trials}{_best_so_far(study)}", done / trials)
         if search.prune:
@@ -215,11 +219,13 @@ def _run(study: "Study", search: _Search, trials: int, progress: Progress) -> No
 
 
 def _best_so_far(study: "Study") -> str:
-    values = [trial.value for trial in told(study) if trial.value is not None and trial.state.name == "COMPLETE"]
+    values = [
+        trial.value for trial in finished_trials(study) if trial.value is not None and trial.state.name == "COMPLETE"
+    ]
     return f", best so far {min(values):.4g}" if values else ""
 
 
-def _pruned_run(trial: "Asked", search: _Search) -> list[FoldResult]:
+def _pruned_run(trial: "OptunaTrial", search: _TuningSearch) -> list[FoldResult]:
     """The folds, as many at a time as there are jobs, until the pruner sees enough."""
     work, results = search.fold_jobs(trial.params), list[FoldResult]()
     for first in range(0, len(work), search.jobs):
@@ -249,7 +255,7 @@ def run_fold(job: FoldJob) -> FoldResult:
 
 
 @unbroken()
-def _tell(study: "Study", trial: "Asked", results: Sequence[FoldResult], search: _Search) -> None:
+def _tell(study: "Study", trial: "OptunaTrial", results: Sequence[FoldResult], search: _TuningSearch) -> None:
     from optuna.trial import TrialState
 
     scores = [score for one in results for score in one.scores]
@@ -265,20 +271,28 @@ def _tell(study: "Study", trial: "Asked", results: Sequence[FoldResult], search:
         study.tell(trial, float(np.mean([search.plan.value(score) for score in scores])))
 
 
-def _trial(number: int, stored: "FrozenTrial", plan: Plan) -> Trial:
+def _trial(number: int, stored: "FrozenTrial", plan: StudyPlan) -> StudyTrial:
     """The trial as the study's file has it."""
     state = {"COMPLETE": "complete", "PRUNED": "pruned"}.get(stored.state.name, "failed")
-    values = {one["trace"]: plan.value(HeldOut(**one)) for one in stored.user_attrs.get(SCORES, ())}
+    values = {one["trace"]: plan.value(HeldOutFold(**one)) for one in stored.user_attrs.get(SCORES, ())}
     seconds = stored.user_attrs.get(SECONDS, nan)
     if state != "complete":
         said = stored.user_attrs.get(REASON, f"given up after {len(values)} traces")
-        return Trial(number, stored.params, state, reason=said, seconds=seconds)
+        return StudyTrial(number=number, settings=stored.params, state=state, reason=said, seconds=seconds)
     column = np.array(list(values.values()))
     error = float(np.std(column, ddof=1)) / sqrt(column.size)
-    return Trial(number, stored.params, state, float(column.mean()), error, values, seconds=seconds)
+    return StudyTrial(
+        number=number,
+        settings=stored.params,
+        state=state,
+        value=float(column.mean()),
+        error=error,
+        by_trace=values,
+        seconds=seconds,
+    )
 
 
-def summary(trials: Sequence[Trial], notes: Sequence[str] = (), *, stopped: bool = False) -> Tuning:
+def summary(trials: Sequence[StudyTrial], notes: Sequence[str] = (), *, stopped: bool = False) -> Tuning:
     """What the trials say: the best settings, and whether they are better than the defaults."""
     complete = [trial for trial in trials if trial.state == "complete"]
     best = min(complete, key=lambda trial: (trial.value, trial.number), default=None)
@@ -286,17 +300,31 @@ def summary(trials: Sequence[Trial], notes: Sequence[str] = (), *, stopped: bool
     gain = _gain(default, best) if best is not None and default is not None and best is not default else None
     better = gain is not None and gain.mean > gain.error
     sentence = _sentence(trials, best, default, gain, better=better)
-    return Tuning(tuple(trials), best, default, gain, better, sentence, tuple(notes), stopped)
+    return Tuning(
+        trials=tuple(trials),
+        best=best,
+        default=default,
+        gain=gain,
+        better=better,
+        sentence=sentence,
+        notes=tuple(notes),
+        stopped=stopped,
+    )
 
 
-def _gain(default: Trial, best: Trial) -> Paired:
+def _gain(default: StudyTrial, best: StudyTrial) -> Paired:
     before, after = default.by_trace or {}, best.by_trace or {}
     differences = [before[trace] - after[trace] for trace in before if trace in after]
     return paired(differences, np.random.default_rng(0))
 
 
 def _sentence(
-    trials: Sequence[Trial], best: Trial | None, default: Trial | None, gain: Paired | None, *, better: bool
+    trials: Sequence[StudyTrial],
+    best: StudyTrial | None,
+    default: StudyTrial | None,
+    gain: Paired | None,
+    *,
+    better: bool,
 ) -> str:
     if best is None:
         failed = next((trial.reason for trial in trials if trial.state == "failed"), "")

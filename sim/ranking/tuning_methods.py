@@ -6,6 +6,9 @@ from itertools import pairwise
 from typing import Any
 
 from sim.learning.bins.candidates import CANDIDATES
+from sim.learning.bins.learn import learn_bins
+from sim.learning.lsha.learn import learn_lsha
+from sim.learning.lsha.settings import LshaSettings
 from sim.sha.events import Alphabet, Bins, Switch
 from sim.sha.model import Model
 from sim.sha.trace import Trace
@@ -77,8 +80,6 @@ ANY = "chosen"
 
 
 def _learn_bins(task: Task, settings: Settings) -> Taught:
-    from sim.learning.bins.learn import learn_bins
-
     def _allowed(name: str, value: str) -> bool:
         return settings.get(name, ANY) in (ANY, value)
 
@@ -94,9 +95,6 @@ def _learn_bins(task: Task, settings: Settings) -> Taught:
 
 
 def _learn_lsha(task: Task, settings: Settings) -> Taught:
-    from sim.learning.lsha.learn import learn_lsha
-    from sim.learning.lsha.settings import LshaSettings
-
     of_alphabet = {"hysteresis", "debounce"}
     own: dict[str, Any] = {
         name: None if value == ANY else value for name, value in settings.items() if name not in of_alphabet

@@ -9,11 +9,11 @@ from drivers.settings import sentences
 from sim.sha.events import DECANTER, Alphabet, Bins, Switch, check_alphabet
 
 
-class _Part(BaseModel):
+class _AlphabetPart(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
 
 
-class _Steps(_Part):
+class _Steps(_AlphabetPart):
     """first, first + step, ... last."""
 
     first: float
@@ -21,14 +21,14 @@ class _Steps(_Part):
     step: Annotated[float, Field(gt=0)]
 
 
-class _Numbered(_Part):
+class _Numbered(_AlphabetPart):
     """The lowest bin's symbol, then prefix + 0, 1, 2 ... for the bins above it."""
 
     lowest: str
     prefix: str
 
 
-class _SwitchTable(_Part):
+class _SwitchTable(_AlphabetPart):
     kind: Literal["switch"]
     signal: str
     rising: str
@@ -36,7 +36,7 @@ class _SwitchTable(_Part):
     on_change: bool = True
 
 
-class _BinsTable(_Part):
+class _BinsTable(_AlphabetPart):
     kind: Literal["bins"]
     signal: str
     thresholds: tuple[float, ...] | _Steps
@@ -45,7 +45,7 @@ class _BinsTable(_Part):
     on_change: bool = False
 
 
-class _AlphabetTable(_Part):
+class _AlphabetTable(_AlphabetPart):
     channels: tuple[Annotated[_SwitchTable | _BinsTable, Field(discriminator="kind")], ...]
     gap: Annotated[float, Field(gt=0)] = DECANTER.gap
     debounce: Annotated[float, Field(ge=0)] = 0.0

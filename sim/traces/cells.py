@@ -21,7 +21,8 @@ def _plain_floats(cells: Sequence[str]) -> Array | None:
         values = np.array(list(map(float, cells)), dtype=float)
     except ValueError:
         return None
-    return None if any("_" in cell for cell in cells) or not np.isfinite(values).all() else values
+    # Python reads 1_000 as a number; a plant's file does not mean one by it.
+    return None if "_" in "".join(cells) or not np.isfinite(values).all() else values
 
 
 def _number(cell: str, decimal: Decimal) -> float:

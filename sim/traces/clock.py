@@ -9,13 +9,13 @@ import pandas as pd
 
 from sim.sha.trace import Array, Mask
 from sim.traces.cells import Decimal, numbers
-from sim.traces.column_map import Clock, Names, TimeOfDay
+from sim.traces.column_map import ClockColumns, Names, TimeOfDay
 
 _OFFSET = re.compile(r":.*(?:[Zz]|[+-]\d\d(?::?\d\d)?)\s*$")
 _DAY = 86400.0
 
 
-def clock_columns(clock: Clock) -> tuple[Names, ...]:
+def clock_columns(clock: ClockColumns) -> tuple[Names, ...]:
     """The columns that the clock needs, in the order in which `read_clock` wants their cells."""
     day = clock.time_of_day
     if day is None:
@@ -23,7 +23,7 @@ def clock_columns(clock: Clock) -> tuple[Names, ...]:
     return (day.hour, day.minute, day.second, *((day.fraction,) if day.fraction else ()))
 
 
-def read_clock(clock: Clock, columns: Sequence[Sequence[str]], decimal: Decimal) -> tuple[Array, Mask]:
+def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: Decimal) -> tuple[Array, Mask]:
     """Seconds for each row (NaN: no time there), and a mask of the rows whose time needs the map's time zone yet."""
     if clock.time_of_day is not None:
         seconds = _time_of_day(clock.time_of_day, columns, decimal)

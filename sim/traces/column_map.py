@@ -20,11 +20,11 @@ Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
 """One name or several: the first that the file has is taken."""
 
 
-class _Part(BaseModel):
+class _MapPart(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class TimeOfDay(_Part):
+class TimeOfDay(_MapPart):
     """The columns of a clock without a date. `fraction` counts in `fraction_unit` seconds."""
 
     hour: Names
@@ -34,7 +34,7 @@ class TimeOfDay(_Part):
     fraction_unit: Annotated[float, Field(gt=0, lt=1)] = 0.1
 
 
-class Clock(_Part):
+class ClockColumns(_MapPart):
     """One `column`, in one of the `formats`, or a `time_of_day` that rolls over at midnight.
 
     Formats, tried in order: `seconds` and `milliseconds` (elapsed or since 1970), `ISO8601`, or a strptime pattern. A
@@ -71,7 +71,7 @@ class Clock(_Part):
         return self
 
 
-class Signal(_Part):
+class SignalColumn(_MapPart):
     """Where a signal's readings are: value = cell * scale + offset, in `unit`.
 
     `column` is the header's name (in a long file, the name in the column of names); the signal's own name if not given.
@@ -90,7 +90,7 @@ class Signal(_Part):
     missing: tuple[float, ...] = ()
 
 
-class Derived(_Part):
+class Derived(_MapPart):
     """What a signal is when the file has no column for it: `signal` > `above`, a `constant`, or a `product`.
 
     A product is `scale` times the signals that it names, in `unit`. It is known in each row with a reading of one of
@@ -121,7 +121,7 @@ class Derived(_Part):
         return self
 
 
-class Effects(_Part):
+class Effects(_MapPart):
     """Which signal plays which part for `decanter diagnose`, where signals do not have the plant's names.
 
     Where the map has this table, a role without a signal is not there, and the effects that need it are not tested.
@@ -141,7 +141,7 @@ class Effects(_Part):
         return {role: signal for role, signal in self.model_dump().items() if signal is not None}
 
 
-class Long(_Part):
+class Long(_MapPart):
     """The columns of a long file: one row a reading. Rows of objects that are not in `objects` are left aside."""
 
     name: Names
@@ -150,7 +150,7 @@ class Long(_Part):
     objects: tuple[str, ...] = ()
 
 
-class ColumnMap(_Part):
+class ColumnMap(_MapPart):
     """How to read one kind of CSV.
 
     `separator` is tried first; another of `, ; tab |` is taken only if the header's names fit under it alone. `decimal`
@@ -163,8 +163,8 @@ class ColumnMap(_Part):
 
     format: Literal["wide", "long"]
     temperature: str
-    clock: Clock
-    signals: dict[str, Signal]
+    clock: ClockColumns
+    signals: dict[str, SignalColumn]
     derived: dict[str, Derived] = {}
     long: Long | None = None
     separator: Literal["auto", ",", ";", "tab", "|"] = "auto"

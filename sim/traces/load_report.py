@@ -18,14 +18,14 @@ class TraceError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RefusedRow:
     """A row that was not used, or a cell whose value was not: line of the file (from 1) and the reason."""
 
     line: int
     reason: str
 
 
-def _line(refused: Refused) -> int:
+def _line(refused: RefusedRow) -> int:
     return refused.line
 
 
@@ -45,7 +45,7 @@ class FileReport:
     merged: int = 0
     bad_cells: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
-    details: list[Refused] = field(default_factory=list)
+    details: list[RefusedRow] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     error: str = ""
 
@@ -69,7 +69,7 @@ class FileReport:
             return
         self.reasons[reason] += len(lines)
         for index, line in enumerate(lines[: DETAILS - len(self.details)]):
-            self.details.append(Refused(line, f"{reason}: {details[index]}" if details else reason))
+            self.details.append(RefusedRow(line, f"{reason}: {details[index]}" if details else reason))
 
     def sentences(self) -> list[str]:
         """What a person wants to know of this file, one sentence a line."""

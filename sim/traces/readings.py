@@ -1,6 +1,6 @@
 """One file's rows as readings: wide or long, each with its time and line, what cannot be used counted and named."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from sim.sha.trace import Array, Mask
 from sim.traces.cells import booleans, numbers
 from sim.traces.clock import clock_columns, read_clock, to_utc
-from sim.traces.column_map import ColumnMap, Long, Names, Signal
+from sim.traces.column_map import ColumnMap, Long, Names, SignalColumn
 from sim.traces.load_report import FileReport, TraceError, listed
-from sim.traces.text_table import Layout, find_layout, place_of, read_rows
+from sim.traces.text_table import TextLayout, find_layout, place_of, read_rows
 
 Rows = NDArray[np.intp]
 
@@ -28,7 +28,7 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True)
-class Readings:
+class FileReadings:
     """n rows in file order: `times` in seconds, `lines` of `files`, and each signal's series over them."""
 
     times: Array
@@ -38,7 +38,7 @@ class Readings:
     comments: tuple[str, ...] = ()
 
 
-def read_file(path: Path, column_map: ColumnMap, report: FileReport) -> Readings:
+def read_file(path: Path, column_map: ColumnMap, report: FileReport) -> FileReadings:
     """The readings of one file. Raises TraceError when nothing of it can be used, OSError when it cannot be read."""
     long = column_map.long
     if long is None:
@@ -57,7 +57,7 @@ def read_file(path: Path, column_map: ColumnMap, report: FileReport) -> Readings
 
 
 def _chunks(
-    path: Path, layout: Layout, column_map: ColumnMap, report: FileReport
+    path: Path, layout: TextLayout, column_map: ColumnMap, report: FileReport
 ) -> Iterator[tuple[list[int], list[list[str]], Array, Mask]]:
     """Rows with a time, in chunks: lines, cells, seconds, and whether the time zone is to be applied yet."""
     places = [_needed(layout, names) for names in clock_columns(column_map.clock)]
@@ -75,14 +75,14 @@ def _chunks(
             yield lines, rows, seconds, local
 
 
-def _needed(layout: Layout, names: Names) -> int:
+def _needed(layout: TextLayout, names: Names) -> int:
     place = place_of(layout.header, names)
     if place is None:  # find_layout has made sure of it
         raise TraceError(f"there is no column {names[0]!r}; the columns are {listed(layout.header)}")
     return place
 
 
-def _convert(name: str, signal: Signal, cells: list[str], column_map: ColumnMap) -> tuple[Array, dict[str, Mask]]:
+def _convert(name: str, signal: SignalColumn, cells: list[str], column_map: ColumnMap) -> tuple[Array, dict[str, Mask]]:
     """Values in the signal's unit, and by reason the cells that cannot be used (their value is NaN)."""
     values, wrong = booleans(cells) if signal.boolean else numbers(cells, column_map.decimal)
     kind = "neither true nor false" if signal.boolean else "no number"
@@ -97,7 +97,7 @@ def _convert(name: str, signal: Signal, cells: list[str], column_map: ColumnMap)
     return values, {f"{name} is {why}": mask for why, mask in faults.items() if mask.any()}
 
 
-def _tell(report: FileReport, lines: Sequence[int], cells: Sequence[str], faults: Mapping[str, Mask]) -> Mask:
+def _count_faults(report: FileReport, lines: Sequence[int], cells: Sequence[str], faults: Mapping[str, Mask]) -> Mask:
     """Count the faults; the mask of all bad cells."""
     bad = np.zeros(len(lines), dtype=bool)
     for reason, mask in faults.items():
@@ -107,8 +107,8 @@ def _tell(report: FileReport, lines: Sequence[int], cells: Sequence[str], faults
     return bad
 
 
-def _wide_places(layout: Layout, column_map: ColumnMap, report: FileReport) -> dict[str, tuple[int, Signal]]:
-    places: dict[str, tuple[int, Signal]] = {}
+def _wide_places(layout: TextLayout, column_map: ColumnMap, report: FileReport) -> dict[str, tuple[int, SignalColumn]]:
+    places: dict[str, tuple[int, SignalColumn]] = {}
     for name, signal in column_map.signals.items():
         place = place_of(layout.header, column_map.names_of(name))
         if place is not None:
@@ -120,14 +120,14 @@ def _wide_places(layout: Layout, column_map: ColumnMap, report: FileReport) -> d
             _needed(layout, names) for names in clock_columns(column_map.clock)
         }
         others = [index for index in range(len(layout.header)) if index not in taken]
-        places.update({layout.header[index]: (index, Signal()) for index in others})
+        places.update({layout.header[index]: (index, SignalColumn()) for index in others})
     for name, count in Counter(layout.header).items():
         if count > 1:
             report.notes.append(f"there are {count} columns {name!r}; the first is taken")
     return places
 
 
-def _read_wide(path: Path, layout: Layout, column_map: ColumnMap, report: FileReport) -> Readings:
+def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: FileReport) -> FileReadings:
     places = _wide_places(layout, column_map, report)
     values: dict[str, list[Array]] = {name: [] for name in places}
     bad: dict[str, list[Mask]] = {name: [] for name in places}
@@ -138,59 +138,47 @@ def _read_wide(path: Path, layout: Layout, column_map: ColumnMap, report: FileRe
             cells = [row[place] for row in rows]
             column, faults = _convert(name, signal, cells, column_map)
             values[name].append(column)
-            bad[name].append(_tell(report, lines, cells, faults))
+            bad[name].append(_count_faults(report, lines, cells, faults))
     series = {}
     for name in places if clock else ():
         column, fault = np.concatenate(values[name]), np.concatenate(bad[name])
-        said = np.flatnonzero(fault | ~np.isnan(column))
-        series[name] = Series(said, column[said], fault[said])
+        present = np.flatnonzero(fault | ~np.isnan(column))
+        series[name] = Series(present, column[present], fault[present])
     return _finished(clock, series, layout, column_map, report)
 
 
-def _read_long(path: Path, layout: Layout, column_map: ColumnMap, long: Long, report: FileReport) -> Readings:
+def _read_long(path: Path, layout: TextLayout, column_map: ColumnMap, long: Long, report: FileReport) -> FileReadings:
     names = {alias: name for name in column_map.signals for alias in column_map.names_of(name)}
     pieces: dict[str, list[Series]] = {}
     clock: list[tuple[list[int], Array, Mask]] = []
-    strangers: Counter[str] = Counter()
+    unmapped: Counter[str] = Counter()
     start = 0
     name_at, value_at = _needed(layout, long.name), _needed(layout, long.value)
     object_at = _needed(layout, long.object) if long.objects else None
     for lines, rows, seconds, local in _chunks(path, layout, column_map, report):
         clock.append((lines, seconds, local))
-        groups: dict[str, list[int]] = {}
+        groups: defaultdict[str, list[int]] = defaultdict(list)
         for index, row in enumerate(rows):
             known = object_at is None or row[object_at].strip() in long.objects
-            groups.setdefault(row[name_at].strip() if known else "", []).append(index)
+            groups[row[name_at].strip() if known else ""].append(index)
         for field, where in groups.items():
             if field not in names:
                 report.aside += len(where)
-                strangers[field or "another object"] += len(where)
+                unmapped[field or "another object"] += len(where)
                 continue
-            pieces.setdefault(names[field], []).append(
-                _long_series(names[field], column_map, report, (lines, rows, where, value_at, start))
-            )
+            name, cells = names[field], [rows[index][value_at] for index in where]
+            values, faults = _convert(name, column_map.signals[name], cells, column_map)
+            # A row of a long file is there to say something: a blank value says that there was none to be had.
+            blank = np.array([not cell.strip() for cell in cells], dtype=bool)
+            if blank.any():
+                faults[f"{name} is blank"] = blank
+            bad = _count_faults(report, [lines[index] for index in where], cells, faults)
+            pieces.setdefault(name, []).append(Series(np.array(where, dtype=np.intp) + start, values, bad))
         start += len(lines)
-    if strangers:
-        report.notes.append(f"rows of {listed(strangers)} are not in the map")
+    if unmapped:
+        report.notes.append(f"rows of {listed(unmapped)} are not in the map")
     series = {name: _joined(parts) for name, parts in pieces.items()}
     return _finished(clock, series, layout, column_map, report)
-
-
-def _long_series(
-    name: str,
-    column_map: ColumnMap,
-    report: FileReport,
-    chunk: tuple[list[int], list[list[str]], list[int], int, int],
-) -> Series:
-    lines, rows, where, value_at, start = chunk
-    cells = [rows[index][value_at] for index in where]
-    values, faults = _convert(name, column_map.signals[name], cells, column_map)
-    # A row of a long file is there to say something: a blank value says that there was none to be had.
-    blank = np.array([not cell.strip() for cell in cells], dtype=bool)
-    if blank.any():
-        faults[f"{name} is blank"] = blank
-    bad = _tell(report, [lines[index] for index in where], cells, faults)
-    return Series(np.array(where, dtype=np.intp) + start, values, bad)
 
 
 def _joined(parts: Sequence[Series]) -> Series:
@@ -204,29 +192,29 @@ def _joined(parts: Sequence[Series]) -> Series:
 def _finished(
     clock: Sequence[tuple[list[int], Array, Mask]],
     series: Mapping[str, Series],
-    layout: Layout,
+    layout: TextLayout,
     column_map: ColumnMap,
     report: FileReport,
-) -> Readings:
+) -> FileReadings:
     """Local times to UTC, and without the rows whose local time never was or that no signal of the map has."""
     if not clock:
         empty = np.empty(0, dtype=np.intp)
-        return Readings(np.empty(0), empty, empty, {}, layout.comments)
+        return FileReadings(np.empty(0), empty, empty, {}, layout.comments)
     lines = np.concatenate([np.array(chunk[0], dtype=np.intp) for chunk in clock])
     seconds = np.concatenate([chunk[1] for chunk in clock])
     times = to_utc(seconds, np.concatenate([chunk[2] for chunk in clock]), column_map.clock.timezone)
-    spoken = np.ones(times.shape, dtype=bool)
+    mentioned = np.ones(times.shape, dtype=bool)
     if column_map.format == "long":
-        spoken[:] = False
+        mentioned[:] = False
         for one in series.values():
-            spoken[one.rows] = True
+            mentioned[one.rows] = True
     never = np.isnan(times)
-    report.refuse(lines[never & spoken].tolist(), f"its local time never was in {column_map.clock.timezone}")
-    everything = Readings(times, lines, np.zeros_like(lines), series, layout.comments)
-    return select(everything, np.flatnonzero(~never & spoken))
+    report.refuse(lines[never & mentioned].tolist(), f"its local time never was in {column_map.clock.timezone}")
+    everything = FileReadings(times, lines, np.zeros_like(lines), series, layout.comments)
+    return select(everything, np.flatnonzero(~never & mentioned))
 
 
-def select(readings: Readings, order: Rows) -> Readings:
+def select(readings: FileReadings, order: Rows) -> FileReadings:
     """The rows `order` in that order; readings of other rows are left out."""
     place = np.full(readings.times.shape, -1, dtype=np.intp)
     place[order] = np.arange(order.size)
@@ -236,17 +224,17 @@ def select(readings: Readings, order: Rows) -> Readings:
         kept = np.flatnonzero(rows >= 0)
         kept = kept[np.argsort(rows[kept], kind="stable")]
         series[name] = Series(rows[kept], one.values[kept], one.bad[kept])
-    return Readings(readings.times[order], readings.lines[order], readings.files[order], series, readings.comments)
+    return FileReadings(readings.times[order], readings.lines[order], readings.files[order], series, readings.comments)
 
 
-def joined(parts: Sequence[Readings]) -> Readings:
+def joined(parts: Sequence[FileReadings]) -> FileReadings:
     """The readings of several files, one after the other; `files` counts them."""
     starts = np.cumsum([0, *(part.times.size for part in parts)])
     pieces: dict[str, list[Series]] = {}
     for part, start in zip(parts, starts.tolist(), strict=False):
         for name, one in part.series.items():
             pieces.setdefault(name, []).append(Series(one.rows + start, one.values, one.bad))
-    return Readings(
+    return FileReadings(
         np.concatenate([part.times for part in parts]),
         np.concatenate([part.lines for part in parts]),
         np.concatenate([np.full(part.times.shape, index, dtype=np.intp) for index, part in enumerate(parts)]),

@@ -1,10 +1,16 @@
-"""A CSV as text: its encoding, separator and header found or refused in one sentence, its rows as cells."""
+"""A CSV as text: its encoding, separator and header found or refused in one sentence, its rows as cells.
+
+The standard library's reader splits the rows. What is added here: the line on which each row begins, comments and blank
+lines between rows, and the rule that one bad row costs one row, a quotation mark that is never closed included.
+"""
 
 import codecs
 import csv
 import io
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 
 from sim.traces.cells import numbers
@@ -14,11 +20,13 @@ from sim.traces.load_report import FileReport, TraceError, listed
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "|": "|"}
 _HEAD = 262_144
 _CHUNK = 100_000
+MOST_LINES = 50
+"""Lines that one row may take. A quotation mark that stays open for longer is a fault of its line."""
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class TextLayout:
     """How a file is written. `skip` lines come before its first row; `comments` are those of them, without the mark."""
 
     encoding: str
@@ -39,29 +47,44 @@ def place_of(header: Sequence[str], names: Names) -> int | None:
     return None
 
 
-def split_cells(line: str, separator: str) -> list[str]:
-    """The cells of one line. Raises csv.Error when a quotation mark is not closed."""
-    if '"' not in line:
-        return line.split(separator)
-    return next(csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True))
-
-
-def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], report: FileReport) -> Layout:
+def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], report: FileReport) -> TextLayout:
     """Encoding, separator and header of `path`. Raises TraceError, saying what is there, unless all `needed` are."""
     with path.open("rb") as stream:
         head = stream.read(_HEAD)
     if not head:
         raise TraceError(f"{path}: the file is empty; give one with a header and rows")
     encoding, text = _decode(path, head, column_map.encoding, report)
-    lines = io.StringIO(text, newline=None)
+    lines = list(io.StringIO(text, newline=None))
     comments: list[str] = []
-    for number, line in enumerate(lines, 1):
-        mark = column_map.comment
-        if mark and line.startswith(mark):
-            comments.append(line[len(mark) :].strip())
+    first = 0
+    for line in lines:
+        if column_map.comment and line.startswith(column_map.comment):
+            comments.append(line[len(column_map.comment) :].strip())
         elif line.strip():
-            return _layout(path, column_map, needed, report, (number, line), (encoding, tuple(comments)))
-    raise TraceError(f"{path}: there is nothing in it but comments and blank lines; give a file with a header and rows")
+            break
+        first += 1
+    else:
+        raise TraceError(
+            f"{path}: there is nothing in it but comments and blank lines; give a file with a header and rows"
+        )
+    # The map's own separator first; of the others any under which the header's names fit.
+    given = SEPARATORS.get(column_map.separator)
+    marks = sorted(SEPARATORS.values(), key=lambda mark: mark != given)
+    headers = {mark: _header(lines[first : first + MOST_LINES], mark) for mark in marks}
+    fits = [mark for mark, (names, _) in headers.items() if all(place_of(names, group) is not None for group in needed)]
+    bare = [mark for mark, (cells, _) in headers.items() if _is_bare_row(cells, column_map)]
+    if fits:
+        separator, (header, span) = fits[0], headers[fits[0]]
+        skip = first + span
+    elif len(bare) == 1:
+        separator, header, skip = bare[0], column_map.columns, first
+    else:
+        raise TraceError(_no_header(path, first + 1, [names for names, _ in headers.values()], needed, column_map))
+    if given is not None and separator != given:
+        report.notes.append(f"its separator is {separator!r}, not {column_map.separator!r} as the map says")
+    if not fits:
+        report.notes.append(f"it has no header; its columns are taken for {listed(column_map.columns)}")
+    return TextLayout(encoding, separator, header, skip, tuple(comments))
 
 
 def _decode(path: Path, head: bytes, encoding: str, report: FileReport) -> tuple[str, str]:
@@ -79,47 +102,16 @@ def _decode(path: Path, head: bytes, encoding: str, report: FileReport) -> tuple
     return chosen, text
 
 
-def _header(line: str, separator: str) -> tuple[str, ...]:
+def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]:
+    """The names in the row that begins with the first of `lines`, and how many lines it takes; no names: no row."""
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
     try:
-        names = [cell.strip() for cell in split_cells(line.rstrip("\n"), separator)]
+        names = [cell.strip() for cell in next(reader)]
     except csv.Error:
-        return ()
+        return (), 1
     while names and not names[-1]:
         names.pop()
-    return tuple(names)
-
-
-def _layout(
-    path: Path,
-    column_map: ColumnMap,
-    needed: Sequence[Names],
-    report: FileReport,
-    first: tuple[int, str],
-    found: tuple[str, tuple[str, ...]],
-) -> Layout:
-    number, line = first
-    encoding, comments = found
-    headers = {separator: _header(line, separator) for separator in _in_order(column_map)}
-    fits = [mark for mark, names in headers.items() if all(place_of(names, group) is not None for group in needed)]
-    if fits:
-        _note_separator(column_map, fits[0], report)
-        return Layout(encoding, fits[0], headers[fits[0]], number, comments)
-    bare = [mark for mark, cells in headers.items() if _is_bare_row(cells, column_map)]
-    if len(bare) == 1:
-        _note_separator(column_map, bare[0], report)
-        report.notes.append(f"it has no header; its columns are taken for {listed(column_map.columns)}")
-        return Layout(encoding, bare[0], column_map.columns, number - 1, comments)
-    raise TraceError(_no_header(path, number, headers, needed, column_map))
-
-
-def _in_order(column_map: ColumnMap) -> list[str]:
-    given = SEPARATORS.get(column_map.separator)
-    return sorted(SEPARATORS.values(), key=lambda mark: mark != given)
-
-
-def _note_separator(column_map: ColumnMap, separator: str, report: FileReport) -> None:
-    if column_map.separator != "auto" and separator != SEPARATORS[column_map.separator]:
-        report.notes.append(f"its separator is {separator!r}, not {column_map.separator!r} as the map says")
+    return tuple(names), reader.line_num
 
 
 def _is_bare_row(cells: Sequence[str], column_map: ColumnMap) -> bool:
@@ -131,59 +123,94 @@ def _is_bare_row(cells: Sequence[str], column_map: ColumnMap) -> bool:
 
 
 def _no_header(
-    path: Path, number: int, headers: dict[str, tuple[str, ...]], needed: Sequence[Names], column_map: ColumnMap
+    path: Path, number: int, headers: Sequence[Sequence[str]], needed: Sequence[Names], column_map: ColumnMap
 ) -> str:
-    names = max(headers.values(), key=len)
+    names = max(headers, key=len)
     lacking = [" or ".join(map(repr, group)) for group in needed if place_of(names, group) is None]
-    there = f"its columns are {listed(names)}" if len(names) > 1 else f"its only column is {line_start(names)}"
+    if len(names) > 1:
+        present = f"its columns are {listed(names)}"
+    else:
+        present = f"its only column is {repr(names[0][:60]) if names else 'blank'}"
     bare = f", and it is no row of {len(column_map.columns)} numbers without header" if column_map.columns else ""
     return (
-        f"{path}: line {number}: there is no column {', '.join(lacking)}; {there}{bare}; "
+        f"{path}: line {number}: there is no column {', '.join(lacking)}; {present}{bare}; "
         "give the file for which the column map was written, or correct the map"
     )
 
 
-def line_start(names: Sequence[str]) -> str:
-    """The beginning of a line that is no header, fit for a sentence."""
-    return repr(names[0][:60]) if names else "blank"
-
-
 def read_rows(
-    path: Path, layout: Layout, comment: str, report: FileReport
+    path: Path, layout: TextLayout, comment: str, report: FileReport
 ) -> Iterator[tuple[list[int], list[list[str]]]]:
     """The rows of a file in chunks: line numbers (from 1) and cells, as many as the header has; the others refused."""
-    lines: list[int] = []
+    numbers_: list[int] = []
     rows: list[list[str]] = []
-    # A byte that does not decode makes its cell no number, which is then told; it must not end the reading.
+    width = len(layout.header)
+    # A byte that does not decode makes its cell no number, which is then reported; it must not end the reading.
     with path.open(encoding=layout.encoding, errors="replace", newline=None) as stream:
-        for number, line in enumerate(stream, 1):
-            if number <= layout.skip or line.isspace() or (comment and line.startswith(comment)):
-                continue
+        lines = islice(enumerate(stream, 1), layout.skip, None)
+        for number, cells, fault in split_rows(lines, layout.separator, comment, width):
             report.rows += 1
-            cells = _cells(line.rstrip("\n"), number, layout, report)
-            if cells is not None:
-                lines.append(number)
+            if fault:
+                report.refuse([number], "it cannot be split into cells", [fault])
+            elif len(cells) != width:
+                detail = f"{len(cells)}, not {width}"
+                report.refuse([number], "it has another number of cells than the header", [detail])
+            elif cells[0] == layout.header[0] and tuple(cell.strip() for cell in cells) == layout.header:
+                report.refuse([number], "it is the header again")
+            else:
+                numbers_.append(number)
                 rows.append(cells)
             if len(rows) == _CHUNK:
-                yield lines, rows
-                lines, rows = [], []
+                yield numbers_, rows
+                numbers_, rows = [], []
     if rows:
-        yield lines, rows
+        yield numbers_, rows
 
 
-def _cells(line: str, number: int, layout: Layout, report: FileReport) -> list[str] | None:
-    try:
-        cells = split_cells(line, layout.separator)
-    except csv.Error as error:
-        report.refuse([number], "it cannot be split into cells", [str(error)])
-        return None
-    width = len(layout.header)
-    if len(cells) == width:
-        if cells[0] == layout.header[0] and tuple(cell.strip() for cell in cells) == layout.header:
-            report.refuse([number], "it is the header again")
-            return None
-        return cells
-    if len(cells) > width and not any(cell.strip() for cell in cells[width:]):
-        return cells[:width]
-    report.refuse([number], "it has another number of cells than the header", [f"{len(cells)}, not {width}"])
-    return None
+def split_rows(
+    lines: Iterator[tuple[int, str]], separator: str, comment: str, width: int
+) -> Iterator[tuple[int, list[str], str]]:
+    """(number of its first line, cells, what is wrong with it) of each row; blank cells beyond `width` are dropped.
+
+    A quoted cell may go on over several lines (RFC 4180), and so may its row. But a quotation mark that somebody forgot
+    to close must not swallow the rows below it. So a row of several lines only counts if the mark is closed within
+    MOST_LINES and `width` cells come out; if not, its first line alone is the bad row, and reading resumes on the next.
+    """
+    again: deque[tuple[int, str]] = deque()  # lines that a bad row had taken beyond its first
+    taken: list[tuple[int, str]] = []  # those of the row that is being split
+
+    def given_back() -> Iterator[tuple[int, str]]:
+        while again:
+            yield again.popleft()
+
+    def feed() -> Iterator[str]:
+        for numbered in chain(given_back(), lines):
+            line = numbered[1]
+            # Inside a quoted cell a blank line, or one that looks like a comment, is text.
+            if not taken and (line.isspace() or (comment and line.startswith(comment))):
+                continue
+            taken.append(numbered)
+            yield line
+            if len(taken) == MOST_LINES:
+                return  # inside a quoted cell: the strict reader calls it an unexpected end of data
+
+    while True:
+        try:
+            for cells in csv.reader(feed(), delimiter=separator, skipinitialspace=True, strict=True):
+                if len(cells) > width and not "".join(cells[width:]).strip():
+                    del cells[width:]
+                if len(taken) > 1 and len(cells) != width:
+                    fault = f"a quotation mark is open at its end; with the lines below it has {len(cells)} cells"
+                    break
+                number = taken[0][0]
+                taken.clear()
+                yield number, cells, ""
+            else:
+                return
+        except csv.Error as error:
+            fault = str(error)
+        # The reader is in the middle of a row, or too far on: the next row gets a new one.
+        again.extendleft(reversed(taken[1:]))
+        number = taken[0][0]
+        taken.clear()
+        yield number, [], fault

@@ -12,7 +12,7 @@ from sim.sha.trace import Array, Mask, Trace
 from sim.traces.clock import longest_rising, unroll_midnight
 from sim.traces.column_map import ColumnMap, Derived
 from sim.traces.load_report import FileReport, LoadReport, TraceError
-from sim.traces.readings import Readings, Rows, Series, joined, read_file, select
+from sim.traces.readings import FileReadings, Rows, Series, joined, read_file, select
 
 Source = str | Path | Iterable[str | Path]
 SYNTHETIC = "SYNTHETIC"
@@ -106,11 +106,11 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
     readings = joined(parts)
     if column_map.clock.time_of_day is not None:
         readings = replace(readings, times=unroll_midnight(readings.times))
-    origin = _said(readings.comments, "origin:") or _origin([file.path for file in used])
+    origin = _comment_value(readings.comments, "origin:") or _origin([file.path for file in used])
     synthetic = column_map.synthetic or any(comment.startswith(SYNTHETIC) for comment in readings.comments)
     traces = []
     for piece in _in_order(readings, column_map, used):
-        if not _is_heard(piece, column_map, used):
+        if not _has_temperature(piece, column_map, used):
             continue
         trace = Trace(used[0].path.stem, *_merged(piece, column_map, used), origin=origin, synthetic=synthetic)
         traces.append(_completed(trace, column_map))
@@ -120,7 +120,7 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
     return traces
 
 
-def _is_heard(piece: Readings, column_map: ColumnMap, files: Sequence[FileReport]) -> bool:
+def _has_temperature(piece: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]) -> bool:
     """Whether there is a temperature in these rows; if not, they are refused."""
     name = column_map.temperature
     if name in column_map.derived or (name in piece.series and not piece.series[name].bad.all()):
@@ -131,7 +131,7 @@ def _is_heard(piece: Readings, column_map: ColumnMap, files: Sequence[FileReport
     return False
 
 
-def _said(comments: Iterable[str], key: str) -> str:
+def _comment_value(comments: Iterable[str], key: str) -> str:
     return next((comment.removeprefix(key).strip() for comment in comments if comment.startswith(key)), "")
 
 
@@ -139,7 +139,7 @@ def _origin(paths: Sequence[Path]) -> str:
     return str(paths[0]) if len(paths) == 1 else f"{paths[0].parent} ({len(paths)} files)"
 
 
-def _in_order(readings: Readings, column_map: ColumnMap, files: Sequence[FileReport]) -> list[Readings]:
+def _in_order(readings: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]) -> list[FileReadings]:
     """The rows with a clock that never goes back, as the map's `clock_back` wants it."""
     back = np.flatnonzero(np.diff(readings.times) < 0) + 1
     if not back.size:
@@ -160,7 +160,7 @@ def _in_order(readings: Readings, column_map: ColumnMap, files: Sequence[FileRep
 
 
 def _merged(
-    readings: Readings, column_map: ColumnMap, files: Sequence[FileReport]
+    readings: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]
 ) -> tuple[Array, dict[str, Array], tuple[()], dict[str, Mask]]:
     """Times, signals and bad marks of a trace, rows of equal time made one unless the map keeps them."""
     first = np.ones(readings.times.shape, dtype=bool)
@@ -213,8 +213,8 @@ def _completed(trace: Trace, column_map: ColumnMap) -> Trace:
 def _held(times: Array, values: Array, bad: Mask | None, gap: float) -> Array:
     """The last reading held over rows without one, not over bad readings and not over gaps."""
     ends = np.diff(times, prepend=-np.inf) > gap
-    said = ~np.isnan(values) | ends | (np.zeros_like(ends) if bad is None else bad)
-    return np.asarray(values[np.maximum.accumulate(np.where(said, np.arange(times.size), 0))])
+    present = ~np.isnan(values) | ends | (np.zeros_like(ends) if bad is None else bad)
+    return np.asarray(values[np.maximum.accumulate(np.where(present, np.arange(times.size), 0))])
 
 
 def _derive(

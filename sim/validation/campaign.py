@@ -15,18 +15,20 @@ from itertools import groupby
 from typing import Any, TypeVar
 from warnings import catch_warnings, simplefilter
 
+from joblib import Parallel, delayed
+
 from sim.effects.kinds import signals_of
 from sim.sha.model import Model
 from sim.sha.trace import Trace
 from sim.traces.load_report import LoadReport
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared
-from sim.validation.trace_run import Job, Outcome, Settings, run_job
+from sim.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
 
 Progress = Callable[[str, float], None]
 T = TypeVar("T")
 R = TypeVar("R")
-Runner = Callable[[Sequence[Job]], Iterator[Outcome]]
+Runner = Callable[[Sequence[TraceJob]], Iterator[TraceOutcome]]
 """Gives the outcomes of jobs in the jobs' order, each as soon as it and all before it are there."""
 
 TINY = 20_000_000
@@ -55,7 +57,7 @@ def unread(report: LoadReport, traces: Sequence[Trace]) -> tuple[Unread, ...]:
     return tuple(Unread(file.path.stem, file.error) for file in failed)
 
 
-def jobs_of(prepared: Prepared, traces: Sequence[Trace], settings: Settings) -> list[Job]:
+def jobs_of(prepared: Prepared, traces: Sequence[Trace], settings: TraceRunSettings) -> list[TraceJob]:
     """The jobs of one model: its semantics one after the other, each along all traces.
 
     A model that cannot be run has one job a trace all the same, which ends after the check of the events.
@@ -66,7 +68,14 @@ def jobs_of(prepared: Prepared, traces: Sequence[Trace], settings: Settings) -> 
     else:
         jobs = [(semantics, model, "") for semantics, model in prepared.variants.items()]
     return [
-        Job(prepared.label, semantics, model, slim(trace, model), settings, reason)
+        TraceJob(
+            label=prepared.label,
+            semantics=semantics,
+            model=model,
+            trace=slim(trace, model),
+            settings=settings,
+            refusal=reason,
+        )
         for semantics, model, reason in jobs
         for trace in traces
     ]
@@ -85,11 +94,12 @@ def slim(trace: Trace, model: Model) -> Trace:
 def outcomes_by_model(
     prepared: Sequence[Prepared],
     traces: Sequence[Trace],
+    *,
     without: Sequence[Unread],
-    settings: Settings,
+    settings: TraceRunSettings,
     run: Runner,
     progress: Progress,
-) -> Iterator[tuple[Prepared, list[Outcome]]]:
+) -> Iterator[tuple[Prepared, list[TraceOutcome]]]:
     """Each model with its outcomes, as soon as they are there; files that gave no trace have failed at stage 5."""
     jobs = [job for one in prepared for job in jobs_of(one, traces, settings)]
     by_label = {one.label: one for one in prepared}
@@ -106,14 +116,14 @@ def outcomes_by_model(
         yield by_label[label], outcomes
 
 
-def _lost(label: str, semantics: str, file: Unread) -> Outcome:
-    return Outcome(TraceResult(label, file.name, semantics, stage=5, failure=file.reason))
+def _lost(label: str, semantics: str, file: Unread) -> TraceOutcome:
+    return TraceOutcome(TraceResult(label, file.name, semantics, stage=5, failure=file.reason))
 
 
 def run_here(workers: int) -> Runner:
     """Jobs in this process (one worker, or little to do), else in `workers` processes."""
 
-    def run(jobs: Sequence[Job]) -> Iterator[Outcome]:
+    def run(jobs: Sequence[TraceJob]) -> Iterator[TraceOutcome]:
         if workers == 1 or _work(jobs) < TINY:
             yield from map(run_job, jobs)
         else:
@@ -122,7 +132,7 @@ def run_here(workers: int) -> Runner:
     return run
 
 
-def _work(jobs: Sequence[Job]) -> int:
+def _work(jobs: Sequence[TraceJob]) -> int:
     return sum(job.trace.times.size * job.settings.runs for job in jobs if not job.refusal)
 
 
@@ -134,8 +144,6 @@ def parallel(
     When a process is killed, the first item without a result is done again by itself and the rest goes on after it. If
     it is killed then too, `lost` says what stands in its place; without `lost` that raises ValueError.
     """
-    from joblib import Parallel, delayed
-
     done, alone = 0, False
     while done < len(items):
         part = items[done : done + 1] if alone else items[done:]
@@ -189,7 +197,7 @@ def cluster(address: str) -> Iterator[Runner]:
             f"{address}: no Dask scheduler answers there ({_reason(error)}); give tcp://HOST:PORT"
         ) from None
 
-    def run(jobs: Sequence[Job]) -> Iterator[Outcome]:
+    def run(jobs: Sequence[TraceJob]) -> Iterator[TraceOutcome]:
         futures = [client.submit(run_job, job, pure=False) for job in jobs]
         for job, future in zip(jobs, futures, strict=True):
             error = waited_for(future, client, address)
@@ -234,9 +242,9 @@ def _check_address(address: str, security: Callable[[], Any]) -> None:
         )
 
 
-def _undone(job: Job, said: str) -> Outcome:
+def _undone(job: TraceJob, said: str) -> TraceOutcome:
     result = TraceResult(job.label, job.trace.name, job.semantics, synthetic=job.trace.synthetic, stage=5)
-    return Outcome(replace(result, failure=said), rows=job.trace.times.size)
+    return TraceOutcome(replace(result, failure=said), rows=job.trace.times.size)
 
 
 def _reason(error: BaseException) -> str:

@@ -9,26 +9,26 @@ from sim.sha.trace import Trace
 from sim.validation.campaign import Progress, Runner, Unread, outcomes_by_model, parallel
 from sim.validation.output_folder import COMPLETE, RESULTS, Folder, results_csv, results_json
 from sim.validation.pictures import draw_one, drawings
-from sim.validation.report import Campaign, Entry, ModelReport, index_html, model_html, shown
+from sim.validation.report import CampaignSummary, ModelReport, ReportEntry, index_html, model_html, shown
 from sim.validation.results import TraceResult
 from sim.validation.stage_records import records
 from sim.validation.stages import Prepared, Stage, timed
-from sim.validation.trace_run import Outcome, Settings
+from sim.validation.trace_run import TraceOutcome, TraceRunSettings
 
 PICTURES_HERE = 2
 """Pictures that are drawn in this process: fewer are done before another process has started."""
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class CampaignPlan:
     """What a campaign is to do. `units` of the signals by name, `pictures` whether to draw, `workers` processes."""
 
-    settings: Settings
+    settings: TraceRunSettings
     run: Runner
     workers: int
     pictures: bool
     units: Mapping[str, str]
-    campaign: Campaign
+    campaign: CampaignSummary
 
 
 def conduct(
@@ -36,7 +36,7 @@ def conduct(
     traces: Sequence[Trace],
     without: Sequence[Unread],
     loading: Stage,
-    plan: Plan,
+    plan: CampaignPlan,
     folder: Folder,
     tell: Callable[[str], None],
     progress: Progress,
@@ -60,17 +60,21 @@ def conduct(
             note(stage)
     note(loading)
     results: list[TraceResult] = []
-    entries: list[Entry] = []
-    for one, outcomes in outcomes_by_model(prepared, traces, without, plan.settings, plan.run, progress):
+    entries: list[ReportEntry] = []
+    for one, outcomes in outcomes_by_model(
+        prepared, traces, without=without, settings=plan.settings, run=plan.run, progress=progress
+    ):
         stages = records(one.label, outcomes)
         for stage in stages:
             note(stage)
         results += [outcome.result for outcome in outcomes]
         folder.write(f"{RESULTS}.json", results_json(results))
         folder.write(f"{RESULTS}.csv", results_csv(results))
-        last, report = _reported(one, outcomes, (*one.stages, loading, *stages), plan, folder, progress)
+        last, report = _reported(
+            one, outcomes, before=(*one.stages, loading, *stages), plan=plan, folder=folder, progress=progress
+        )
         note(last)
-        entries.append(Entry(folder.places[one.label], report))
+        entries.append(ReportEntry(folder.places[one.label], report))
     folder.write("index.html", index_html(plan.campaign, entries, log))
     folder.state(COMPLETE)
     return results
@@ -78,9 +82,10 @@ def conduct(
 
 def _reported(
     prepared: Prepared,
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[TraceOutcome],
+    *,
     before: Sequence[Stage],
-    plan: Plan,
+    plan: CampaignPlan,
     folder: Folder,
     progress: Progress,
 ) -> tuple[Stage, ModelReport]:
@@ -95,7 +100,14 @@ def _reported(
             pairs = one.compatibility.pairs if one.compatibility else {}
             missing.update({f"{symbol} in {place}": count for (place, symbol), count in pairs.items()})
         pictures = shown(results, files, home)
-        report = ModelReport(plan.campaign, prepared, (*before, last), results, pictures, dict(missing.most_common(20)))
+        report = ModelReport(
+            campaign=plan.campaign,
+            prepared=prepared,
+            stages=(*before, last),
+            results=results,
+            pictures=pictures,
+            missing=dict(missing.most_common(20)),
+        )
         drawn = f"{2 * len(files)} pictures" if plan.pictures else "no pictures asked for"
         last.found = f"{drawn}, report.html"
         last.details = {"report": "report.html", "pictures": [str(file.relative_to(home)) for file in files.values()]}
@@ -104,7 +116,7 @@ def _reported(
 
 
 def _draw(
-    prepared: Prepared, outcomes: Sequence[Outcome], plan: Plan, home: Path, progress: Progress
+    prepared: Prepared, outcomes: Sequence[TraceOutcome], plan: CampaignPlan, home: Path, progress: Progress
 ) -> dict[tuple[str, str], Path]:
     """The PNG of each (semantics, trace); the PDF lies beside it."""
     wanted = drawings(home, outcomes, prepared.skeleton.temperature, plan.units)

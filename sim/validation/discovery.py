@@ -101,7 +101,7 @@ def _facts(directory: Path, names: Sequence[str]) -> tuple[FileFacts, ...]:
     return tuple(found)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LawCheck:
     """One reported distribution beside the values it was made from: means in its own unit, NaN where one is absent."""
 
@@ -141,7 +141,9 @@ def cross_check(artefacts: Artefacts) -> CrossCheck:
     """Every reported distribution against the histogram's values (six decimals, as the report prints them)."""
     reported = artefacts.report.distributions
     if artefacts.histogram is None:
-        laws = tuple(LawCheck(law.name, law.mean, nan, nan, 0, 0) for law in reported)
+        laws = tuple(
+            LawCheck(name=law.name, reported=law.mean, mean=nan, sigma=nan, values=0, distinct=0) for law in reported
+        )
         return CrossCheck(laws, 0, 0, "", ())
     used = evidence(artefacts.histogram, reported)
     checks = tuple(_law_check(law.name, law.mean, used.values) for law in reported)
@@ -169,9 +171,16 @@ def own_check(artefacts: Artefacts, model: Model) -> CrossCheck:
 
 def _law_check(name: str, reported: float, values: Mapping[str, tuple[float, ...]]) -> LawCheck:
     if not values.get(name):
-        return LawCheck(name, reported, nan, nan, 0, 0)
+        return LawCheck(name=name, reported=reported, mean=nan, sigma=nan, values=0, distinct=0)
     fitted = fit(values[name])
-    return LawCheck(name, reported, fitted.mean, fitted.sigma, fitted.count, fitted.distinct)
+    return LawCheck(
+        name=name,
+        reported=reported,
+        mean=fitted.mean,
+        sigma=fitted.sigma,
+        values=fitted.count,
+        distinct=fitted.distinct,
+    )
 
 
 def artefacts_beside(found: Discovery) -> Artefacts | None:

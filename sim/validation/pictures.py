@@ -9,7 +9,7 @@ import numpy as np
 from sim.validation.output_folder import places, stopped_at
 from sim.validation.plots import Curve, Picture, draw
 from sim.validation.results import TraceResult
-from sim.validation.trace_run import Course, Outcome
+from sim.validation.trace_run import TraceCourse, TraceOutcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class Drawing:
 
 
 def drawings(
-    folder: Path, outcomes: Sequence[Outcome], temperature: str, units: Mapping[str, str]
+    folder: Path, outcomes: Sequence[TraceOutcome], temperature: str, units: Mapping[str, str]
 ) -> dict[tuple[str, str], Drawing]:
     """By semantics and trace, what is to be drawn into `folder` for the outcomes of one model that have a course."""
     courses = {(one.result.semantics, one.result.trace): one for one in outcomes if one.course is not None}
@@ -43,7 +43,7 @@ def draw_one(drawing: Drawing) -> Path:
         raise stopped_at(drawing.png, error) from None
 
 
-def _picture(result: TraceResult, course: Course, temperature: str, units: Mapping[str, str]) -> Picture:
+def _picture(result: TraceResult, course: TraceCourse, temperature: str, units: Mapping[str, str]) -> Picture:
     said = [
         f"MAE {result.mae.value:.2f} °C",
         f"final error {result.final_error:+.2f} °C",

@@ -14,7 +14,7 @@ from sim.sha.automaton import Location
 from sim.validation.metrics import QUANTILES
 from sim.validation.results import Interval, TraceResult
 from sim.validation.stages import Prepared, Stage, location_row
-from sim.validation.verdicts import Gain, Summary, Verdict, gain, summaries, verdict
+from sim.validation.verdicts import Gain, TraceVerdict, VerdictSummary, gain, summaries, verdict
 
 EMBEDDED = 40
 """Pictures that stand in the report itself; of more traces the worst, and the others are in the folder."""
@@ -47,43 +47,43 @@ class Boxes:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class ReportFigure:
     """A picture in the report: `data` is its PNG as a data URI, empty where only the `file` is named."""
 
     result: TraceResult
-    verdict: Verdict
+    verdict: TraceVerdict
     data: str
     file: str
 
 
 @dataclass(frozen=True, slots=True)
-class Campaign:
+class CampaignSummary:
     """What is the same for all reports of a campaign: `facts` by name, as they stand in the header."""
 
     created: str
     facts: Mapping[str, str]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ModelReport:
     """All that the report of one model tells."""
 
-    campaign: Campaign
+    campaign: CampaignSummary
     prepared: Prepared
     stages: Sequence[Stage]
     results: Sequence[TraceResult]
-    pictures: Sequence[Shown] = ()
+    pictures: Sequence[ReportFigure] = ()
     missing: Mapping[str, int] = field(default_factory=dict)
 
     @property
-    def judged(self) -> list[tuple[TraceResult, Verdict]]:
+    def judged(self) -> list[tuple[TraceResult, TraceVerdict]]:
         """Each result with its verdict, trace by trace in the order of the numbers in their names (cd2 before cd10)."""
         places = list(dict.fromkeys(one.semantics for one in self.results))
         ordered = sorted(self.results, key=lambda one: (places.index(one.semantics), natural(one.trace)))
         return [(one, verdict(one)) for one in ordered]
 
     @property
-    def summaries(self) -> list[Summary]:
+    def summaries(self) -> list[VerdictSummary]:
         """One a semantics."""
         return summaries(self.results)
 
@@ -180,7 +180,7 @@ def _tick(span: float) -> float:
     return next((factor * power for factor in (1.0, 2.0, 5.0) if factor * power >= raw), 10.0 * power)
 
 
-def shown(results: Sequence[TraceResult], files: Mapping[tuple[str, str], Path], base: Path) -> list[Shown]:
+def shown(results: Sequence[TraceResult], files: Mapping[tuple[str, str], Path], base: Path) -> list[ReportFigure]:
     """The pictures in `files` (by semantics and trace), the first EMBEDDED of them with their data.
 
     The trace with the largest error first; the semantics of one trace stand together. Raises OSError.
@@ -193,7 +193,7 @@ def shown(results: Sequence[TraceResult], files: Mapping[tuple[str, str], Path],
         file = files[one.semantics, one.trace]
         content = base64.b64encode(file.read_bytes()).decode() if rank < EMBEDDED else ""
         data = f"data:image/png;base64,{content}" if content else ""
-        made.append(Shown(one, verdict(one), data, str(file.relative_to(base))))
+        made.append(ReportFigure(one, verdict(one), data, str(file.relative_to(base))))
     return made
 
 
@@ -205,14 +205,14 @@ def model_html(report: ModelReport) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ReportEntry:
     """A model in the index: where its folder is, relative to the index."""
 
     place: str
     report: ModelReport
 
 
-def index_html(campaign: Campaign, entries: Sequence[Entry], log: Sequence[Stage]) -> str:
+def index_html(campaign: CampaignSummary, entries: Sequence[ReportEntry], log: Sequence[Stage]) -> str:
     """The page from which the reports of a campaign are reached."""
     return _environment().get_template("index.html").render(campaign=campaign, entries=entries, log=log)
 

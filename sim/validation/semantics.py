@@ -37,7 +37,7 @@ STILL = Flow("constant", {"noise": 0.0})
 
 
 @dataclass(frozen=True, slots=True)
-class Entries:
+class EntryLaws:
     """The temperatures (degC) at which each location was entered, by its name, and in words where they come from."""
 
     temperatures: Mapping[str, Array]
@@ -86,7 +86,7 @@ def _carried(location: Location) -> Location:
     return replace(location, distribution=None, entry="none")
 
 
-def resampled(model: Model, entries: Entries) -> Model:
+def resampled(model: Model, entries: EntryLaws) -> Model:
     """The counterpart of a model that carries X: X ~ N(mu, sigma) on entry, under the same flows at their mean m.
 
     A location's law is that of its own entries. Its sigma counts the scatter of all entries as one entry more, so that
@@ -126,7 +126,7 @@ def _counterpart(model: Model, locations: tuple[Location, ...], semantics: str, 
     return replace(model, sha=replace(model.sha, locations=locations), calibration={}, provenance=provenance)
 
 
-def entries_of_traces(model: Model, traces: Sequence[Trace]) -> Entries:
+def entries_of_traces(model: Model, traces: Sequence[Trace]) -> EntryLaws:
     """The readings held at each entry along `traces`, encoded by the model's alphabet where they are not.
 
     An event without an edge leads where its symbol does most often (`resync`). Where a trace begins nothing is entered:
@@ -141,7 +141,7 @@ def entries_of_traces(model: Model, traces: Sequence[Trace]) -> Entries:
             found[name].append(temperature)
     count = sum(map(len, found.values()))
     columns = {name: np.array(values) for name, values in found.items()}
-    return Entries(columns, f"{count} entries along {len(traces)} traces")
+    return EntryLaws(columns, f"{count} entries along {len(traces)} traces")
 
 
 def _skeleton(sha: SHA) -> SHA:
@@ -160,7 +160,7 @@ def _entries(bare: SHA, model: Model, trace: Trace) -> Iterator[tuple[str, float
         yield bare.locations[steps.location[step]].name, float(values[row])
 
 
-def entries_of_runs(model: Model, seed: int) -> Entries:
+def entries_of_runs(model: Model, seed: int) -> EntryLaws:
     """What the model itself expects: semi-Markov runs over an hour from each location, begun by its initial law.
 
     Raises ValueError for a model without sojourn laws or without an initial law.
@@ -179,32 +179,32 @@ def entries_of_runs(model: Model, seed: int) -> Entries:
         if law is None:
             continue
         x0 = distributions.draw(initial, RUNS, rng)
-        for location, temperatures in _run(model.sha, chain, place, x0, offsets, rng):
+        for location, temperatures in _run(model.sha, chain, start=place, x0=x0, offsets=offsets, rng=rng):
             found[location].append(temperatures)
     columns = {chain.names[place]: np.concatenate(parts) for place, parts in found.items()}
-    return Entries(columns, f"semi-Markov runs of the model itself, {RUNS} from each location over {SPAN:g} s")
+    return EntryLaws(columns, f"semi-Markov runs of the model itself, {RUNS} from each location over {SPAN:g} s")
 
 
 def _run(
-    sha: SHA, chain: Chain, start: int, x0: Array, offsets: Array, rng: np.random.Generator
+    sha: SHA, chain: Chain, *, start: int, x0: Array, offsets: Array, rng: np.random.Generator
 ) -> Iterator[tuple[int, Array]]:
     """(location, the temperatures of the runs that enter it), stay by stay, from the temperatures `x0` in `start`."""
     x = x0.copy()
-    paths = draw_paths(chain, start, 0.0, SPAN, RUNS, rng)
+    paths = draw_paths(chain, start, age=0.0, horizon=SPAN, runs=RUNS, rng=rng)
     ends = np.minimum(np.vstack([paths.entered[1:], np.full((1, RUNS), np.inf)]), SPAN)
     for stay, (here, begin, end) in enumerate(zip(paths.location, paths.entered, ends, strict=True)):
         for place in np.unique(here[np.isfinite(begin)]).tolist():
             there = np.flatnonzero((here == place) & np.isfinite(begin))
             if stay:
                 yield place, x[there]
-            x[there] = _stepped(sha, place, x[there], end[there] - begin[there], offsets[place], rng)
+            x[there] = _stepped(sha, place, x=x[there], dt=end[there] - begin[there], offset=offsets[place], rng=rng)
 
 
-def _stepped(sha: SHA, place: int, x: Array, dt: Array, offset: float, rng: np.random.Generator) -> Array:
+def _stepped(sha: SHA, place: int, *, x: Array, dt: Array, offset: float, rng: np.random.Generator) -> Array:
     """The temperatures after a stay of `dt` seconds in one location, each with an m of its own."""
     location, age = sha.locations[place], np.zeros(x.size)
     mean, variance = mode_parameter(location)
     target = mean + offset + sqrt(variance) * rng.standard_normal(x.size)
-    after = flows.mean_step(location.flow, x, target, age, dt, sha.max_rate)
+    after = flows.mean_step(location.flow, x, target, age, dt=dt, max_rate=sha.max_rate)
     noise = np.sqrt(flows.coefficients(location.flow, age, dt)[2]) * rng.standard_normal(x.size)
     return np.asarray(np.clip(after + noise, sha.low, sha.high))

@@ -7,13 +7,13 @@ from typing import Any
 from sim.traces.load_report import LoadReport, listed
 from sim.validation.results import TraceResult
 from sim.validation.stages import Stage
-from sim.validation.trace_run import Outcome
+from sim.validation.trace_run import TraceOutcome
 from sim.validation.verdicts import mean, summaries, verdict
 
 Row = Mapping[str, Any]
 
 
-def records(label: str, outcomes: Sequence[Outcome]) -> list[Stage]:
+def records(label: str, outcomes: Sequence[TraceOutcome]) -> list[Stage]:
     """Stages 5 to 8 of one model. Seconds are those of the work, summed over all processes."""
     made = []
     for number, sentence, row in (
@@ -42,7 +42,7 @@ def _key(result: TraceResult) -> dict[str, Any]:
     return key | ({"stopped_at": result.stage, "failure": result.failure} if result.failure else {})
 
 
-def _with_failures(number: int, sentence: str, reached: Sequence[Outcome]) -> str:
+def _with_failures(number: int, sentence: str, reached: Sequence[TraceOutcome]) -> str:
     here = (4, 6) if number == 6 else (number,)  # a model refused at stage 4 goes as far as the check of the events
     failed = [one.result for one in reached if one.result.failure and one.result.stage in here]
     if not failed:
@@ -50,14 +50,14 @@ def _with_failures(number: int, sentence: str, reached: Sequence[Outcome]) -> st
     return f"{sentence}; {len(failed)} stopped here, the first is {failed[0].trace}: {failed[0].failure}"
 
 
-def _processed(outcomes: Sequence[Outcome]) -> str:
+def _processed(outcomes: Sequence[TraceOutcome]) -> str:
     traces = {one.result.trace: one for one in outcomes if one.result.readings}
     readings = sum(one.result.readings for one in traces.values())
     events = sum(one.result.events for one in traces.values())
     return f"{len(traces)} traces, {readings} readings of the temperature, {events} events in the filtered encoding"
 
 
-def _processed_row(outcome: Outcome) -> Row:
+def _processed_row(outcome: TraceOutcome) -> Row:
     result = outcome.result
     return {
         "rows": outcome.rows,
@@ -69,7 +69,7 @@ def _processed_row(outcome: Outcome) -> Row:
     }
 
 
-def _simulated(outcomes: Sequence[Outcome]) -> str:
+def _simulated(outcomes: Sequence[TraceOutcome]) -> str:
     accepted = sum(one.result.accepted for one in outcomes)
     pairs = Counter[tuple[str, str]]()
     for one in outcomes:
@@ -82,7 +82,7 @@ def _simulated(outcomes: Sequence[Outcome]) -> str:
     return f"{said}; simulated at {simulated} readings"
 
 
-def _simulated_row(outcome: Outcome) -> Row:
+def _simulated_row(outcome: TraceOutcome) -> Row:
     checked, result = outcome.compatibility, outcome.result
     missing = {f"{symbol} in {place}": count for (place, symbol), count in checked.pairs.items()} if checked else {}
     return {
@@ -97,7 +97,7 @@ def _simulated_row(outcome: Outcome) -> Row:
     }
 
 
-def _compared(outcomes: Sequence[Outcome]) -> str:
+def _compared(outcomes: Sequence[TraceOutcome]) -> str:
     said = []
     for semantics in dict.fromkeys(one.result.semantics for one in outcomes):
         done = [one for one in outcomes if one.result.semantics == semantics and not one.result.failure]
@@ -112,7 +112,7 @@ def _compared(outcomes: Sequence[Outcome]) -> str:
     return "; ".join(said) or "nothing to compare"
 
 
-def _compared_row(outcome: Outcome) -> Row:
+def _compared_row(outcome: TraceOutcome) -> Row:
     result = outcome.result
     return {
         "sparse_at_events": result.at_events,
@@ -122,7 +122,7 @@ def _compared_row(outcome: Outcome) -> Row:
     }
 
 
-def _measured(outcomes: Sequence[Outcome]) -> str:
+def _measured(outcomes: Sequence[TraceOutcome]) -> str:
     done = [one.result for one in outcomes if not one.result.failure]
     return "; ".join(_summed(done)) if done else "no figures"
 
@@ -136,7 +136,7 @@ def _summed(results: Sequence[TraceResult]) -> list[str]:
     ]
 
 
-def _measured_row(outcome: Outcome) -> Row:
+def _measured_row(outcome: TraceOutcome) -> Row:
     result, judged = outcome.result, verdict(outcome.result)
     names = ("final_error", "final_percent", "at_events", "at_samples", "mae", "rmse", "max_error", "error_sigma")
     more = ("coverage", "crps", "beyond", "persistence", "clamps", "error_quantiles")

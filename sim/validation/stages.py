@@ -57,7 +57,7 @@ class Stage:
         return f"{self.number} {self.name:<28} {self.seconds:7.2f} s  {whose}{self.found}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Prepared:
     """A model after its first four stages. `variants` are what is simulated, by semantics; empty when nothing can be.
 
@@ -116,7 +116,17 @@ def prepare(
         four.found, four.details = _generated(found, variants, refusals)
     for stage in stages:
         stage.model = found.name
-    return Prepared(found.name, where, found, skeleton, variants, refusals, stages, discovery, check)
+    return Prepared(
+        label=found.name,
+        where=where,
+        found=found,
+        skeleton=skeleton,
+        variants=variants,
+        refusals=refusals,
+        stages=stages,
+        discovery=discovery,
+        check=check,
+    )
 
 
 def relabelled(prepared: Sequence[Prepared]) -> list[Prepared]:

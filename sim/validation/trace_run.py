@@ -35,7 +35,7 @@ TROUBLE = (ValueError, ArithmeticError, MemoryError)
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class TraceRunSettings:
     """How a campaign simulates: runs a trace, the policy for events without an edge, the seed."""
 
     runs: int = 1000
@@ -43,8 +43,8 @@ class Settings:
     seed: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TraceJob:
     """One model under one semantics along one trace (not yet encoded; only the signals that matter).
 
     `refusal` says why the model cannot be run: then nothing is done after the check of the events.
@@ -54,12 +54,12 @@ class Job:
     semantics: str
     model: Model
     trace: Trace
-    settings: Settings
+    settings: TraceRunSettings
     refusal: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Course:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TraceCourse:
     """What a picture shows, at most a few thousand points each: (times, ...) in absolute s and degC."""
 
     measured: tuple[Array, Array]
@@ -84,7 +84,7 @@ class Comparison:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class TraceOutcome:
     """A job's result, with what the records of stages 5 to 8 and the picture need.
 
     `rows` of the trace, events of the `full` encoding, readings `simulated`, `seconds` by stage.
@@ -96,7 +96,7 @@ class Outcome:
     rows: int = 0
     full: int = 0
     simulated: int = 0
-    course: Course | None = None
+    course: TraceCourse | None = None
     seconds: Mapping[int, float] = field(default_factory=dict)
 
 
@@ -104,7 +104,7 @@ class Outcome:
 class _Found:
     """What is known so far, so that a failure at any stage loses nothing of the stages before it."""
 
-    outcome: Outcome
+    outcome: TraceOutcome
     stage: int = 5
     seconds: dict[int, float] = field(default_factory=dict)
 
@@ -143,10 +143,10 @@ class _Simulated:
     clamped: int
 
 
-def run_job(job: Job) -> Outcome:
+def run_job(job: TraceJob) -> TraceOutcome:
     """The job done, or the sentence of the stage that could not be passed. Equal jobs give equal results anywhere."""
     result = TraceResult(job.label, job.trace.name, job.semantics, synthetic=job.trace.synthetic)
-    found = _Found(Outcome(result, rows=job.trace.times.size))
+    found = _Found(TraceOutcome(result, rows=job.trace.times.size))
     try:
         _stages(job, found)
     except TROUBLE as error:
@@ -155,7 +155,7 @@ def run_job(job: Job) -> Outcome:
     return replace(found.outcome, seconds=found.seconds)
 
 
-def _stages(job: Job, found: _Found) -> None:
+def _stages(job: TraceJob, found: _Found) -> None:
     rng = generator(job)
     with found.at(5):
         read = _encoded(job)
@@ -183,13 +183,13 @@ def _stages(job: Job, found: _Found) -> None:
         found.outcome = replace(found.outcome, course=_course(job, read, runs, band))
 
 
-def generator(job: Job) -> np.random.Generator:
+def generator(job: TraceJob) -> np.random.Generator:
     """The random numbers of a job: of its model, semantics and trace, and of nothing else that runs beside it."""
     name = "\n".join((job.label, job.semantics, job.trace.name)).encode()
     return np.random.default_rng([job.settings.seed, *sha256(name).digest()])
 
 
-def _encoded(job: Job) -> _Readings:
+def _encoded(job: TraceJob) -> _Readings:
     trace, model = job.trace, job.model
     times, values = measured(trace, model.temperature)
     if times.size < 2:
@@ -200,7 +200,7 @@ def _encoded(job: Job) -> _Readings:
     return _Readings(replace(trace, events=encode(trace, model.alphabet)), times, values, full)
 
 
-def _refuse(checked: Compatibility, job: Job) -> None:
+def _refuse(checked: Compatibility, job: TraceJob) -> None:
     """Raises ValueError where it makes no sense to go on."""
     if checked.accepted:
         return
@@ -212,7 +212,7 @@ def _refuse(checked: Compatibility, job: Job) -> None:
         raise ValueError(f"{checked.sentence}; the model knows none of the trace's events, its own are {known}")
 
 
-def _simulate(job: Job, read: _Readings, rng: np.random.Generator) -> _Simulated:
+def _simulate(job: TraceJob, read: _Readings, rng: np.random.Generator) -> _Simulated:
     model, settings = job.model, job.settings
     law = start_law(model, read.trace)
     steps = open_loop_schedule(model, read.trace, settings.policy)
@@ -230,7 +230,7 @@ def _spread(size: int, most: int) -> Indices:
     return np.arange(size) if size <= most else np.unique(np.linspace(0, size - 1, most).astype(np.intp))
 
 
-def _dense(job: Job, read: _Readings, sparse: Prediction) -> tuple[Score, Comparison]:
+def _dense(job: TraceJob, read: _Readings, sparse: Prediction) -> tuple[Score, Comparison]:
     """The mean under the full encoding against all readings of its rows (the thesis's second run)."""
     model, policy = job.model, job.settings.policy
     end = float(read.full.times[-1])
@@ -247,7 +247,9 @@ def _dense(job: Job, read: _Readings, sparse: Prediction) -> tuple[Score, Compar
     return score(residual), Comparison(rows, len(read.full.events), len(events), float(apart.max()))
 
 
-def _figures(job: Job, read: _Readings, runs: _Simulated, covered: Covered, rng: np.random.Generator) -> dict[str, Any]:
+def _figures(
+    job: TraceJob, read: _Readings, runs: _Simulated, covered: Covered, rng: np.random.Generator
+) -> dict[str, Any]:
     """The fields of the result that stage 8 gives."""
     predicted = runs.mean.mean[np.searchsorted(runs.mean.times, read.times)]
     residual = predicted - read.values
@@ -267,7 +269,7 @@ def _figures(job: Job, read: _Readings, runs: _Simulated, covered: Covered, rng:
     }
 
 
-def _flags(job: Job, runs: _Simulated) -> tuple[str, ...]:
+def _flags(job: TraceJob, runs: _Simulated) -> tuple[str, ...]:
     channels = job.model.alphabet.channels
     unheard = [channel.signal for channel in channels if channel.signal not in job.trace.signals]
     said = [f"signals: the trace has no {', '.join(unheard)}, so their events cannot be seen"] if unheard else []
@@ -276,7 +278,7 @@ def _flags(job: Job, runs: _Simulated) -> tuple[str, ...]:
     return (*runs.mean.flags, *said)
 
 
-def _course(job: Job, read: _Readings, runs: _Simulated, band: Band) -> Course:
+def _course(job: TraceJob, read: _Readings, runs: _Simulated, band: Band) -> TraceCourse:
     def thinned(*columns: Array) -> tuple[Array, ...]:
         places = _spread(columns[0].size, DRAWN)
         return tuple(column[places] for column in columns)
@@ -293,6 +295,11 @@ def _course(job: Job, read: _Readings, runs: _Simulated, band: Band) -> Course:
     moments_of, low, high = thinned(runs.times, band.low, band.high)
     events = read.trace.events
     shown = tuple(events[place] for place in _spread(len(events), DRAWN).tolist())
-    return Course(
-        (read.times[places], read.values[places]), (times, mean), (moments_of, low, high), inputs, shown, len(events)
+    return TraceCourse(
+        measured=(read.times[places], read.values[places]),
+        mean=(times, mean),
+        band=(moments_of, low, high),
+        inputs=inputs,
+        events=shown,
+        seen=len(events),
     )

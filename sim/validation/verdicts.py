@@ -17,17 +17,17 @@ COVERED = 0.75
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class TraceVerdict:
     """`failed`: no figures. `review`: somebody should look, for the `reasons`. `good`: nothing speaks against it."""
 
     word: Word
     reasons: tuple[str, ...] = ()
 
 
-def verdict(result: TraceResult) -> Verdict:
+def verdict(result: TraceResult) -> TraceVerdict:
     """What to say of one model on one trace."""
     if result.failure:
-        return Verdict("failed", (f"stage {result.stage}: {result.failure}",))
+        return TraceVerdict("failed", (f"stage {result.stage}: {result.failure}",))
     said = []
     if result.rejected:
         said.append(result.rejected)
@@ -38,11 +38,11 @@ def verdict(result: TraceResult) -> Verdict:
     if result.mae.value >= result.persistence:
         said.append(f"holding the first reading does as well (MAE {result.persistence:.2f} °C)")
     said += [flag for flag in result.flags if not (result.rejected and flag.startswith("events:"))]
-    return Verdict("review" if said else "good", tuple(said))
+    return TraceVerdict("review" if said else "good", tuple(said))
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
+class VerdictSummary:
     """One model under one semantics over all its traces; means over the traces that have figures, each counting once.
 
     `better` counts the traces with a smaller MAE than persistence.
@@ -69,13 +69,13 @@ class Summary:
     better: int
 
 
-def summary(results: Sequence[TraceResult]) -> Summary:
+def summary(results: Sequence[TraceResult]) -> VerdictSummary:
     """The summary of the results of one model and semantics. Raises ValueError without results."""
     if not results:
         raise ValueError("nothing can be summarised without results")
     done = [one for one in results if not one.failure]
     words = [verdict(one).word for one in results]
-    return Summary(
+    return VerdictSummary(
         model=results[0].model,
         semantics=results[0].semantics,
         traces=len(results),
@@ -98,7 +98,7 @@ def summary(results: Sequence[TraceResult]) -> Summary:
     )
 
 
-def summaries(results: Iterable[TraceResult]) -> list[Summary]:
+def summaries(results: Iterable[TraceResult]) -> list[VerdictSummary]:
     """One summary for each model and semantics, in the order of their first result."""
     groups: dict[tuple[str, str], list[TraceResult]] = {}
     for one in results:
@@ -112,8 +112,8 @@ class Gain:
 
     traces: int
     wins: int
-    own: Summary
-    thesis: Summary
+    own: VerdictSummary
+    thesis: VerdictSummary
 
     @property
     def sentence(self) -> str:

@@ -22,7 +22,7 @@ from benchmarks.discrepancy.strata import Spec
 from benchmarks.discrepancy.visible import Family
 from gateway.lab.traces.load import load
 from sim.artefacts.write_model import write_model_directory
-from sim.learning.bins.candidates import Candidate
+from sim.learning.bins.candidates import BinsCandidate
 from sim.learning.bins.learn import learn_bins
 
 QUIET = Roughness(0.0, 400.0, 0.0, 0.02, 0.01)
@@ -81,7 +81,7 @@ def test_a_rival_is_not_offered_what_it_has_no_signal_for(tmp_path: Path) -> Non
 def quick_learn(traces: Path, out: Path, seed: int) -> None:
     """A model of one fixed shape, instead of the choice between eight."""
     loaded, column_map = load([str(traces)], "decanter")
-    shape = (Candidate("driven" if "linear" in traces.stem else "constant", "switch", "shared"),)
+    shape = (BinsCandidate("driven" if "linear" in traces.stem else "constant", "switch", "shared"),)
     learned = learn_bins(loaded, column_map.alphabet, column_map.temperature, seed=seed, candidates=shape)
     write_model_directory(out, learned.model, learned.values)
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.discrepancy.diagnosis import HeldOut
+from sim.discrepancy.diagnosis import HeldOutProof
 from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.catalogue import catalogue
 from sim.discrepancy.fitting.fit import Fitted, fit
 from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.heat import REACH, implied_heat
 from sim.discrepancy.held_out import by_cycles, let_run
-from sim.discrepancy.judging import Found, doubts
-from sim.discrepancy.naming import Step, confirm, step
+from sim.discrepancy.judging import NamingResult, doubts
+from sim.discrepancy.naming import NamingStep, confirm, step
 from tests.discrepancy.plants import model, plant
 
 
@@ -23,7 +23,7 @@ def base() -> Fitted:
     return fit(on(frame_of(record), record))
 
 
-def confirmed(base: Fitted, name: str) -> Step:
+def confirmed(base: Fitted, name: str) -> NamingStep:
     found = step(base, [one for one in catalogue() if one.name == name], {"pump": "MarciaPmpFango"}, 0)
     assert found.best is not None
     return replace(found, evidence=(confirm(base, found.best),))
@@ -36,10 +36,12 @@ def test_a_clear_gap_must_shrink_unless_the_gain_is_clear(
     one = confirmed(base, "pump-cooling")
     best = one.evidence[0]
     assert best.fitted is not None
-    found = Found(base, best.fitted, ((replace(one, evidence=(replace(best, gain=gain),)), ""),))
+    found = NamingResult(base, best.fitted, ((replace(one, evidence=(replace(best, gain=gain),)), ""),))
     record = by_cycles(base.frame.record)
-    held = HeldOut(5, 0.5, 0.5, 0.2, removed, (-1.0, 1.0), ())
-    reasons = doubts(found, let_run(base, record), let_run(best.fitted, record), held, None, None)
+    held = HeldOutProof(5, 0.5, 0.5, 0.2, removed, (-1.0, 1.0), ())
+    reasons = doubts(
+        found, let_run(base, record), second=let_run(best.fitted, record), held=held, before=None, left=None
+    )
     assert [reason for reason in reasons if "no nearer" in reason] == list(reasons)
     assert bool(reasons) is withheld
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from sim.discrepancy.fitting.noise import DIFFUSE, Belief, Grid, Noise, Weigher, decay_and_pull, fit_noise
+from sim.discrepancy.fitting.noise import DIFFUSE, Grid, NoiseModel, Whitener, WindowBelief, decay_and_pull, fit_noise
 from sim.engine.recursion import linear_recursion
 from sim.learning.runs import Indices
 from sim.sha.trace import Array, Mask
 
-NOISE = Noise(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)
+NOISE = NoiseModel(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)
 
 
 def small_grid(seed: int = 1, size: int = 40) -> Grid:
@@ -27,10 +27,12 @@ def grid_of(dt: Array, k: Array, running: Array, weight: Array, first: Mask, cyc
     decay, pull = decay_and_pull(k, dt)
     decay, push = np.where(first, 0.0, decay), np.where(first, 0.0, pull * weight)
     columns = [linear_recursion(decay, np.where(cycle == number, push, 0.0), 0.0) for number in np.unique(cycle)]
-    return Grid(dt, k, running, first, cycle, np.asfortranarray(np.column_stack(columns)))
+    return Grid(
+        dt=dt, k=k, running=running, first=first, cycle=cycle, heats=np.asfortranarray(np.column_stack(columns))
+    )
 
 
-def dense(grid: Grid, noise: Noise) -> Array:
+def dense(grid: Grid, noise: NoiseModel) -> Array:
     """V as the product of the steps that the model states, without any of the tricks."""
     size = grid.dt.size
     state = np.zeros((2 * size, 2 * size))
@@ -61,14 +63,14 @@ def test_weighing_and_determinant_are_those_of_the_dense_covariance() -> None:
     grid = small_grid()
     covariance = dense(grid, NOISE)
     columns = np.random.default_rng(0).standard_normal((grid.dt.size, 3))
-    weigher = Weigher(grid, NOISE)
-    np.testing.assert_allclose(weigher.weigh(columns), np.linalg.solve(covariance, columns), rtol=1e-6, atol=1e-9)
-    assert weigher.logdet == pytest.approx(np.linalg.slogdet(covariance)[1], abs=1e-6)
+    whitener = Whitener(grid, NOISE)
+    np.testing.assert_allclose(whitener.weigh(columns), np.linalg.solve(covariance, columns), rtol=1e-6, atol=1e-9)
+    assert whitener.logdet == pytest.approx(np.linalg.slogdet(covariance)[1], abs=1e-6)
 
 
 def test_draws_have_the_covariance_that_they_are_weighed_by() -> None:
     grid = small_grid()
-    drawn = Weigher(grid, NOISE).draw(np.random.default_rng(3), 6000)
+    drawn = Whitener(grid, NOISE).draw(np.random.default_rng(3), 6000)
     starts = np.flatnonzero(grid.first)
     covariance = dense(grid, NOISE)
     # A run's first deviation is drawn as 0, the diffuse start being no part of a plant's noise.
@@ -92,9 +94,11 @@ def _decay_from(grid: Grid, start: int) -> Array:
 def test_the_smoothed_residual_is_closer_to_the_truth_than_the_reading() -> None:
     grid = small_grid(size=200)
     rng = np.random.default_rng(5)
-    truth = Weigher(grid, Noise(1e-6, 0.004, 0.002, 0.3, 500.0, 0.4)).draw(rng, 1)[:, 0]
+    truth = Whitener(grid, NoiseModel(sensor=1e-6, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4)).draw(
+        rng, 1
+    )[:, 0]
     read = truth + 0.05 * rng.standard_normal(truth.size)
-    smoothed = Weigher(grid, NOISE).smoothed(read)
+    smoothed = Whitener(grid, NOISE).smoothed(read)
     assert np.std(smoothed - truth) < 0.9 * np.std(read - truth)
 
 
@@ -104,14 +108,19 @@ def test_the_noise_is_found_again_from_its_own_draws() -> None:
     running = (np.arange(size) % 100 < 60).astype(float)
     first = np.arange(size) == 0
     grid = grid_of(np.full(size, 60.0), np.full(size, 8e-4), running, 1e-2 * running, first, np.arange(size) // 100)
-    truth = Noise(0.04, 0.003, 0.001, 0.05, 400.0, 0.2)
-    residual = Weigher(grid, truth).draw(rng, 1)
+    truth = NoiseModel(sensor=0.04, process=0.003, rough=0.001, cycle=0.05, memory=400.0, rest=0.2)
+    residual = Whitener(grid, truth).draw(rng, 1)
 
-    def cost(trial: Noise) -> float:
-        weigher = Weigher(grid, trial)
-        return 0.5 * float(residual[:, 0] @ weigher.weigh(residual)[:, 0] + weigher.logdet)
+    def cost(trial: NoiseModel) -> float:
+        whitener = Whitener(grid, trial)
+        return 0.5 * float(residual[:, 0] @ whitener.weigh(residual)[:, 0] + whitener.logdet)
 
-    found, _ = fit_noise(cost, Belief(Noise(0.1, 0.01, 3e-4, 0.02)), Noise(0.1, 0.01, 3e-4, 0.02), 40)
+    found, _ = fit_noise(
+        cost,
+        WindowBelief(NoiseModel(sensor=0.1, process=0.01, rough=3e-4, cycle=0.02)),
+        NoiseModel(sensor=0.1, process=0.01, rough=3e-4, cycle=0.02),
+        40,
+    )
     assert found.sensor == pytest.approx(truth.sensor, rel=0.15)
     assert found.rough == pytest.approx(truth.rough, rel=0.4)
     assert found.cycle == pytest.approx(truth.cycle, rel=0.7)

@@ -7,14 +7,14 @@ import pytest
 
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.fitting.named import named_of
-from sim.discrepancy.workflow import Outcome, diagnose
+from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 from sim.engine.open_loop import open_loop
 from sim.learning.structure import LearningError
 from tests.discrepancy.plants import model, plant
 
 
 @pytest.fixture(scope="module")
-def pumped() -> Outcome:
+def pumped() -> DiagnosisOutcome:
     return diagnose(model(), [plant(3, pump=2e-4)], seed=0)
 
 
@@ -32,7 +32,7 @@ def test_moved_parameters_are_a_shift_and_no_missing_effect() -> None:
     assert all(one.change < 0 for one in found.shifts if one.parameter == "target" and one.location != "OFF")
 
 
-def test_a_hidden_pump_is_named_with_its_strength_and_the_gap_shrinks(pumped: Outcome) -> None:
+def test_a_hidden_pump_is_named_with_its_strength_and_the_gap_shrinks(pumped: DiagnosisOutcome) -> None:
     found = pumped.diagnosis
     assert (found.verdict, [one.name for one in found.effects]) == ("named", ["pump-cooling"])
     assert found.effects[0].params["loss"] == pytest.approx(2e-4, rel=0.25)
@@ -45,7 +45,7 @@ def test_a_hidden_pump_is_named_with_its_strength_and_the_gap_shrinks(pumped: Ou
     assert {one.correlates for one in found.places} == {"MarciaPmpFango"}
 
 
-def test_the_augmented_model_runs_as_the_diagnosis_ran(pumped: Outcome) -> None:
+def test_the_augmented_model_runs_as_the_diagnosis_ran(pumped: DiagnosisOutcome) -> None:
     assert pumped.fitted is not None
     fitted = pumped.fitted
     made = augmented(fitted, name="augmented")
@@ -61,7 +61,7 @@ def test_the_augmented_model_runs_as_the_diagnosis_ran(pumped: Outcome) -> None:
     assert np.max(np.abs(run.mean - ours)) < 0.02
 
 
-def test_an_augmented_model_is_diagnosed_again_and_then_agrees(pumped: Outcome) -> None:
+def test_an_augmented_model_is_diagnosed_again_and_then_agrees(pumped: DiagnosisOutcome) -> None:
     assert pumped.fitted is not None
     made = augmented(pumped.fitted)
     assert [one.entry.name for one in named_of(made)] == ["pump-cooling"]
@@ -86,12 +86,12 @@ def test_a_cycle_or_two_are_too_little() -> None:
     assert "too little" in found.sentence.lower()
 
 
-def test_missing_signals_take_their_effects_off_the_table_and_the_report_says_which(pumped: Outcome) -> None:
+def test_missing_signals_take_their_effects_off_the_table_and_the_report_says_which(pumped: DiagnosisOutcome) -> None:
     assert "TFango" in pumped.diagnosis.untested["feed-temperature-coupling"]
     assert "pump-cooling" not in pumped.diagnosis.untested
 
 
-def test_the_same_seed_gives_the_same_diagnosis(pumped: Outcome) -> None:
+def test_the_same_seed_gives_the_same_diagnosis(pumped: DiagnosisOutcome) -> None:
     again = diagnose(model(), [plant(3, pump=2e-4)], seed=0).diagnosis
     assert again.effects == pumped.diagnosis.effects
 

@@ -6,13 +6,13 @@ from math import inf, nan
 import numpy as np
 
 from sim.discrepancy.diagnosis import (
-    Candidate,
     Ceiling,
-    Course,
     Diagnosis,
-    HeldOut,
+    DiagnosisCourse,
+    EffectCandidate,
+    HeatPlace,
+    HeldOutProof,
     NamedEffect,
-    Place,
     Shift,
     Verdict,
 )
@@ -21,7 +21,7 @@ EVIL = '<script>alert(1)</script> & "quotes" $x$'
 LOCATIONS = ("OFF/0-100", "ON/0-100", "ON/100-200", "ON/200-300")
 
 
-def course(cycles: int = 11, held_out: int = 4, *, after: bool = True, seed: int = 1) -> Course:
+def course(cycles: int = 11, held_out: int = 4, *, after: bool = True, seed: int = 1) -> DiagnosisCourse:
     """Cycles of three hours with 60 windows each; in one location, soon after the start, the plant is warmer."""
     rng = np.random.default_rng(seed)
     minutes = np.linspace(1.0, 179.0, 60)
@@ -38,7 +38,7 @@ def course(cycles: int = 11, held_out: int = 4, *, after: bool = True, seed: int
     nothing = np.full(times.size, nan)
     heat = tiles[3] + 5.0 * rng.normal(size=times.size)
     left = 5.0 * rng.normal(size=times.size)
-    return Course(
+    return DiagnosisCourse(
         times,
         reading,
         before,
@@ -52,15 +52,17 @@ def course(cycles: int = 11, held_out: int = 4, *, after: bool = True, seed: int
     )
 
 
-def held_out(*, after: bool = True) -> HeldOut:
+def held_out(*, after: bool = True) -> HeldOutProof:
     rows = tuple((0.55 + 0.05 * n, 0.21 + 0.01 * n if after else 0.55 + 0.05 * n, 0.2) for n in range(4))
     if not after:
-        return HeldOut(4, 0.63, 0.63, 0.2, 0.0, (0.0, 0.0), rows)
-    return HeldOut(4, 0.63, 0.225, 0.2, 0.97, (0.9, 1.0), rows)
+        return HeldOutProof(4, 0.63, 0.63, 0.2, 0.0, (0.0, 0.0), rows)
+    return HeldOutProof(4, 0.63, 0.225, 0.2, 0.97, (0.9, 1.0), rows)
 
 
-def candidate(name: str, gain: float, fate: str, *, confirmed: bool = True, twins: tuple[str, ...] = ()) -> Candidate:
-    return Candidate(
+def candidate(
+    name: str, gain: float, fate: str, *, confirmed: bool = True, twins: tuple[str, ...] = ()
+) -> EffectCandidate:
+    return EffectCandidate(
         name,
         f"what {name} is",
         1,
@@ -95,9 +97,27 @@ def effect(members: tuple[str, ...]) -> NamedEffect:
     )
 
 
-PLACE = Place("ON/200-300", "W_ON", (0.0, 240.0), 0.62, 38.5, (9, 11), 0.001, "MarciaPmpFango")
-LATE = Place("OFF/0-100", "W_OFF", (1800.0, inf), 0.08, -2.5, (8, 11), 0.03, "")
-SHIFT = Shift("ON/200-300", "target", 61.2, 63.9, "degC", 0.05, 4.1)
+PLACE = HeatPlace(
+    location="ON/200-300",
+    after="W_ON",
+    seconds=(0.0, 240.0),
+    share=0.62,
+    heat=38.5,
+    cycles=(9, 11),
+    p=0.001,
+    correlates="MarciaPmpFango",
+)
+LATE = HeatPlace(
+    location="OFF/0-100",
+    after="W_OFF",
+    seconds=(1800.0, inf),
+    share=0.08,
+    heat=-2.5,
+    cycles=(8, 11),
+    p=0.03,
+    correlates="",
+)
+SHIFT = Shift(location="ON/200-300", parameter="target", before=61.2, after=63.9, unit="degC", change=0.05, sigma=4.1)
 
 
 def agree() -> Diagnosis:

@@ -189,7 +189,8 @@ def test_a_csv_is_replayed_with_its_bools_gaps_and_dates(clock: Clock, tmp_path:
         ("time,a\nsoon,2\n", "line 2: 'soon' is neither seconds nor an ISO 8601 time"),
         ("time,a\nnan,2\n", "line 2: 'nan' is not a time"),
         ("time,a\n2,1\n1,1\n", "row 2 is at 1.0, before the row above it"),
-        ('time,a\n1,"2\n', "is not CSV"),
+        ('time,a\n1,"2\n', "line 2: is not CSV"),
+        ('time,a\n1,"2\n3"\n2\n', "line 4: 1 cells for 2 columns"),
     ],
 )
 def test_a_csv_that_cannot_be_used_is_refused_with_file_line_and_reason(

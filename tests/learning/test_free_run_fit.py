@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.learning.bins.candidates import Candidate, build, ground
+from sim.learning.bins.candidates import BinsCandidate, basis_of, build
 from sim.learning.data import resolution, without_spikes
-from sim.learning.free_run import Fit, fit_free_run, predict
+from sim.learning.free_run import FreeRunFit, fit_free_run, predict
 from sim.learning.refit import refit
-from sim.learning.runs import Runs, free_runs, pieces, sampled, thinned
+from sim.learning.runs import FreeRuns, free_runs, pieces, sampled, thinned
 from sim.learning.structure import LearningError, bare_sha
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER
@@ -18,15 +18,15 @@ from sim.sha.trace import UNKNOWN, Event, Trace
 from tests.learning.plants import Truth, simulate, with_signal, without_rows
 
 EXACT = Truth(noise=0.0, scatter=0.0, sensor=0.0, gain=0.1, tau=(700.0, 500.0))
-DRIVEN = Candidate("driven", "switch", "shared")
+DRIVEN = BinsCandidate("driven", "switch", "shared")
 
 
-def runs_of(traces: list[Trace]) -> Runs:
+def runs_of(traces: list[Trace]) -> FreeRuns:
     return free_runs(traces, bare_sha(DECANTER), "T", signals=("Assorbimento",), rising="W_ON")
 
 
-def fitted(runs: Runs, candidate: Candidate = DRIVEN) -> tuple[dict[str, float], Fit]:
-    _, shape, names = build(candidate, ground(runs, DECANTER))
+def fitted(runs: FreeRuns, candidate: BinsCandidate = DRIVEN) -> tuple[dict[str, float], FreeRunFit]:
+    _, shape, names = build(candidate, basis_of(runs, DECANTER))
     fit = fit_free_run(runs, shape)
     values = dict(zip(names.targets, fit.linear, strict=False))
     values |= {f"gain {group}": fit.linear[len(names.targets) + n] for n, (group, _) in enumerate(names.gains)}
@@ -102,8 +102,8 @@ def test_merged_steps_give_the_same_free_run_where_inputs_are_steady() -> None:
     few = thinned(runs, 150)
     assert len(few) < 220
     assert few.dt.sum() == pytest.approx(runs.dt.sum())
-    values, _ = fitted(runs, Candidate("constant", "switch"))
-    fewer, _ = fitted(few, Candidate("constant", "switch"))
+    values, _ = fitted(runs, BinsCandidate("constant", "switch"))
+    fewer, _ = fitted(few, BinsCandidate("constant", "switch"))
     assert fewer["tau ON"] == pytest.approx(values["tau ON"], rel=0.02)
 
 
@@ -142,7 +142,7 @@ def test_lasting_outliers_are_held_down_by_the_loss_and_not_by_squares() -> None
     trace = simulate(Truth(scatter=0.0), 9, cycles=4)
     stuck = [with_signal(one, T=np.where((np.arange(240) % 60) < 6, 5.0, one.signals["T"])) for one in trace]
     runs = runs_of(stuck)
-    _, shape, _ = build(Candidate("constant", "shared"), ground(runs, DECANTER))
+    _, shape, _ = build(BinsCandidate("constant", "shared"), basis_of(runs, DECANTER))
     truth = np.array([20.0, 35.0, 50.0, 65.0, 80.0])
     robust = np.abs(fit_free_run(runs, shape).linear - truth).max()
     squares = np.abs(fit_free_run(runs, shape, loss="squares").linear - truth).max()
@@ -152,7 +152,7 @@ def test_lasting_outliers_are_held_down_by_the_loss_and_not_by_squares() -> None
 def test_standard_errors_cover_the_truth() -> None:
     z = []
     for seed in range(12):
-        _, fit = fitted(runs_of(simulate(Truth(), seed, cycles=8)), Candidate("constant", "shared"))
+        _, fit = fitted(runs_of(simulate(Truth(), seed, cycles=8)), BinsCandidate("constant", "shared"))
         z += ((fit.linear - np.array(Truth().targets)) / fit.errors[:5]).tolist()
         z.append(float(np.log(fit.rates[0] * 600) / fit.errors[5]))
     # 72 values, some of them related: between 80 and 100 % within two standard errors, none beyond five.
@@ -163,7 +163,7 @@ def test_standard_errors_cover_the_truth() -> None:
 def test_held_out_prediction_uses_the_given_parameters() -> None:
     traces = simulate(EXACT, 10, cycles=4)
     known = runs_of(traces[:3])
-    _, shape, _ = build(DRIVEN, ground(known, DECANTER))
+    _, shape, _ = build(DRIVEN, basis_of(known, DECANTER))
     fit = fit_free_run(known, shape)
     ahead = runs_of(traces[3:])
     np.testing.assert_allclose(predict(ahead, shape, fit.linear, fit.rates, 0.1), ahead.reading, atol=0.2)

@@ -9,9 +9,9 @@ import pytest
 
 from sim.learning import held_out
 from sim.learning.bins import learn as bins
-from sim.learning.bins.candidates import Candidate
+from sim.learning.bins.candidates import BinsCandidate
 from sim.learning.bins.learn import CANDIDATES, Learned, learn_bins
-from sim.learning.held_out import HeldOut, choose, huber_scale
+from sim.learning.held_out import HeldOutErrors, choose, huber_scale
 from sim.learning.structure import LearningError, contexts
 from sim.sha.automaton import nondeterminism
 from sim.sha.distributions import check_distribution
@@ -104,8 +104,8 @@ def test_among_equals_the_simplest_is_chosen_and_a_clear_winner_wins() -> None:
     rng = np.random.default_rng(0)
     run = np.repeat(np.arange(10), 50)
     error = rng.normal(size=500)
-    near, far = HeldOut(error + rng.normal(0, 0.01, 500), run), HeldOut(error * 2.0, run)
-    best = HeldOut(error, run)
+    near, far = HeldOutErrors(error + rng.normal(0, 0.01, 500), run), HeldOutErrors(error * 2.0, run)
+    best = HeldOutErrors(error, run)
     assert best.score > far.score
     assert choose([best, near], [9, 3]) == 1
     assert choose([best, far], [9, 3]) == 0
@@ -306,5 +306,5 @@ def test_over_many_locations_rates_are_shared_or_refused_in_one_sentence() -> No
         LearningError, match=r"^the traces stay in 30 locations, and a rate or gain of its own for each"
     ):
         learn_bins([trace], wide, "T", seed=0, candidates=own)
-    learned = learn_bins([trace], wide, "T", seed=0, candidates=[*own, Candidate("constant", "shared")])
+    learned = learn_bins([trace], wide, "T", seed=0, candidates=[*own, BinsCandidate("constant", "shared")])
     assert [row.label for row in learned.candidates] == ["constant, one k"]

@@ -19,11 +19,11 @@ from sim.artefacts.write_model import write_model_directory
 from sim.effects.check import check_sha
 from sim.engine.open_loop import measured, open_loop
 from sim.learning.lsha.flow_hypotheses import choose_flow
-from sim.learning.lsha.ground import ground_of
 from sim.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.learning.lsha.report import counterexamples, report_document, report_text
 from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import choose_structure
+from sim.learning.lsha.teacher import teacher_of
 from sim.learning.structure import LearningError, name_of
 from sim.plant.scenarios import scenario
 from sim.sha.automaton import nondeterminism, transitions
@@ -77,9 +77,9 @@ def found_again(seed: int) -> bool:
     """Whether exactly the four locations of `by_context` come back, from traces that hold them evenly."""
     traces = random_traces(by_context, seed)
     chosen = LshaSettings()
-    ground = ground_of(traces, PLANT, "T", chosen.n_min, chosen.split)
-    flowing, _ = choose_flow(ground, chosen.default_flow, chosen.alpha, chosen.n_min)
-    structure, _ = choose_structure(ground, flowing.sample, chosen)
+    teacher = teacher_of(traces, PLANT, "T", chosen.n_min, chosen.split)
+    flowing, _ = choose_flow(teacher, chosen.default_flow, chosen.alpha, chosen.n_min)
+    structure, _ = choose_structure(teacher, flowing.sample, chosen)
     members: dict[int, set[str]] = {}
     for key, location in zip(structure.classes.keys, structure.partition.location.tolist(), strict=True):
         if structure.partition.modelled[location]:
@@ -119,10 +119,10 @@ def test_runs_that_begin_where_nothing_has_a_law_do_no_harm(debounce: float) -> 
     alphabet = replace(DECANTER, debounce=debounce)
     traces = [scenario(name, 0) for name in ("cd1", "cd4", "cd6", "cd9")]
     again = [replace(one, events=encode(replace(one, events=()), alphabet)) for one in traces]
-    ground = ground_of(again, alphabet, "TCuscinettiRiduttore", 5, 5)
-    places = np.unique(ground.runs.place)
-    assert (debounce > 0) == bool(np.any(~ground.modelled[places]))
-    flowing, _ = choose_flow(ground, None, 0.05, 5)
+    teacher = teacher_of(again, alphabet, "TCuscinettiRiduttore", 5, 5)
+    places = np.unique(teacher.runs.place)
+    assert (debounce > 0) == bool(np.any(~teacher.modelled[places]))
+    flowing, _ = choose_flow(teacher, None, 0.05, 5)
     assert flowing.sample.value.size > 20
 
 

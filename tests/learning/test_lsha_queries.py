@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from sim.learning.lsha.evidence import Evidence, between, evidence_of, same_distribution, sample_of
-from sim.learning.lsha.ground import placed
+from sim.learning.lsha.evidence import PooledEvidence, between, evidence_of, same_distribution, sample_of
 from sim.learning.lsha.identify import identify, rate_alone
 from sim.learning.lsha.merging import Partition, learn_partition
-from sim.learning.lsha.segments import Motion, Segments, levels, parameters
+from sim.learning.lsha.segments import Motion, TraceSegments, levels, parameters
 from sim.learning.lsha.settings import MEMORIES, LshaSettings
-from sim.learning.lsha.words import Classes, History, classes_of, words_of
+from sim.learning.lsha.teacher import placed
+from sim.learning.lsha.words import Classes, WordHistory, classes_of, words_of
 from sim.learning.runs import free_runs
 from sim.sha.automaton import Flow
 from sim.sha.flows import coefficients
@@ -19,7 +19,7 @@ from tests.learning.lsha_plants import PLANT, by_context, random_traces
 N_MIN = 5
 
 
-def evidence(value: np.ndarray, variance: np.ndarray, scatter: float) -> Evidence:
+def evidence(value: np.ndarray, variance: np.ndarray, scatter: float) -> PooledEvidence:
     w = 1.0 / (scatter**2 + variance)
     rows = (np.ones_like(w), w, w * value, w**2, w**2 * value, w**2 * value**2, w**2 * variance)
     return evidence_of(tuple(float(row.sum()) for row in rows), N_MIN)
@@ -70,7 +70,7 @@ def test_the_scatter_between_segments_is_kept_apart_from_their_errors() -> None:
     variance = 10.0 ** rng.uniform(-1, 1, 400)
     value = 7.0 + rng.normal(0, np.sqrt(0.8**2 + variance))
     rows = np.zeros(400, dtype=np.intp)
-    sample = sample_of(Segments(value, variance, rows, rows, rows, variance, variance, 0.1), rows[:1])
+    sample = sample_of(TraceSegments(value, variance, rows, rows, rows, variance, variance, 0.1), rows[:1])
     mean, error, scatter = between(sample, np.ones(400, dtype=bool))
     assert mean == pytest.approx(7.0, abs=4 * error)
     assert error < 0.2
@@ -79,13 +79,13 @@ def test_the_scatter_between_segments_is_kept_apart_from_their_errors() -> None:
 
 def star(count: int) -> Classes:
     """A root from which every class is reached by a symbol of its own, and which every class leads back to."""
-    keys = tuple(History((None,)) if n == 0 else History((n,)) for n in range(count + 1))
+    keys = tuple(WordHistory((None,)) if n == 0 else WordHistory((n,)) for n in range(count + 1))
     edges = ({f"s{n}": n for n in range(1, count + 1)}, *({} for _ in range(count)))
     apart = np.abs(np.subtract.outer(np.arange(count + 1), np.arange(count + 1))).astype(float)
     return Classes("context", np.arange(count + 1), keys, edges, apart)
 
 
-def partition(classes: Classes, found: list[Evidence], delta: float = 0.0, alpha: float = 0.05) -> Partition:
+def partition(classes: Classes, found: list[PooledEvidence], delta: float = 0.0, alpha: float = 0.05) -> Partition:
     modelled = np.arange(len(classes)) > 0
     nothing = evidence_of((0.0,) * 7, N_MIN)
     return learn_partition(classes, [nothing, *found], modelled, delta=delta, alpha=alpha, n_min=N_MIN)
@@ -124,7 +124,7 @@ def test_a_row_below_n_min_follows_its_neighbour_unless_its_segments_refute_it()
 
 def test_a_merge_is_refused_when_a_suffix_speaks_against_it() -> None:
     """1 and 2 look alike, but after `x` they do not; 5 and 6 look alike and agree in what follows."""
-    keys = tuple(History((None,) if n == 0 else (n,)) for n in range(7))
+    keys = tuple(WordHistory((None,) if n == 0 else (n,)) for n in range(7))
     edges = ({f"s{n}": n for n in range(1, 7)}, {"x": 3}, {"x": 4}, {}, {}, {"x": 3}, {"x": 3})
     away = np.abs(np.subtract.outer(np.arange(7), np.arange(7))).astype(float)
     classes = Classes("context", np.arange(7), keys, edges, away)
@@ -202,8 +202,24 @@ def test_a_location_with_another_flow_is_identified_and_the_others_keep_the_defa
     motions = {
         kind: Motion(*coefficients(flow, runs.age, runs.dt)[:2], np.zeros(len(runs))) for kind, flow in rates.items()
     }
-    wrong = identify(runs, len(classes), "linear", motions["linear"], {"exponential": rates["exponential"]}, 0.05, 5)
-    right = identify(runs, len(classes), "exponential", motions["exponential"], {"linear": linear}, 0.05, 5)
+    wrong = identify(
+        runs,
+        len(classes),
+        default="linear",
+        motion=motions["linear"],
+        alternatives={"exponential": rates["exponential"]},
+        alpha=0.05,
+        n_min=5,
+    )
+    right = identify(
+        runs,
+        len(classes),
+        default="exponential",
+        motion=motions["exponential"],
+        alternatives={"linear": linear},
+        alpha=0.05,
+        n_min=5,
+    )
     assert {one.kind for one in wrong if not one.kept} == {"exponential"}
     assert sum(not one.kept for one in wrong) > 0.5 * len(wrong)
     assert all(one.kept for one in right)

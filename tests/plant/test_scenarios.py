@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.plant.decanter import Phase, Plant, Weather, simulate_decanter
+from sim.plant.decanter import DecanterPlant, Phase, Weather, simulate_decanter
 from sim.plant.scenarios import SCENARIOS, production, scenario
 from sim.sha.trace import Trace
 
@@ -89,16 +89,16 @@ def test_bearings_cool_towards_the_hall_when_the_drum_rests() -> None:
 
 
 def test_more_load_and_more_friction_make_a_hotter_bearing() -> None:
-    def end(load: float, plant: Plant) -> float:
+    def end(load: float, plant: DecanterPlant) -> float:
         phases = [Phase(3600, running=True, load=load)]
         return float(simulate_decanter(phases, seed=3, name="x", period=30, plant=plant).signals[BEARING][-1])
 
-    assert end(250, Plant()) > end(120, Plant()) + 3
-    assert end(250, Plant(heat_per_ampere=2 * Plant().heat_per_ampere)) > end(250, Plant()) + 5
+    assert end(250, DecanterPlant()) > end(120, DecanterPlant()) + 3
+    assert end(250, DecanterPlant(heat_per_ampere=2 * DecanterPlant().heat_per_ampere)) > end(250, DecanterPlant()) + 5
 
 
 def test_the_step_of_integration_does_not_matter() -> None:
-    quiet = Plant(roughness=0.0, cycle_scatter=0.0, sensor_noise=0.0, sensor_step=1e-6)
+    quiet = DecanterPlant(roughness=0.0, cycle_scatter=0.0, sensor_noise=0.0, sensor_step=1e-6)
     phases = [Phase(1800, running=True, load=180)]
     ends = [
         simulate_decanter(phases, seed=1, name="x", period=1800, jitter=0.0, plant=quiet, step=step).signals[BEARING][

@@ -76,6 +76,18 @@ def test_a_bad_trace_is_refused_with_file_line_and_reason(
         assert word in str(caught.value)
 
 
+def test_a_quoted_cell_with_a_line_break_is_one_row_and_lines_count_on(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text('time,"A"\n0,"\n\n1"\n1,2\n')
+    assert list(read_trace(path).columns["A"]) == [1.0, 2.0]
+    path.write_text('time,"A"\n0,"\n# no comment"\n')
+    with pytest.raises(InputError, match=r"line 2: column 'A'"):
+        read_trace(path)
+    path.write_text('time,A\n0,"\n1"\n1,"2\n2,3\n')
+    with pytest.raises(InputError, match=r"line 4: is not CSV"):
+        read_trace(path)
+
+
 def test_a_file_of_comments_has_no_header(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("# nothing\n\n")
     with pytest.raises(InputError, match="no header"):

@@ -31,10 +31,10 @@ from sim.validation.discovery import Discovery
 from sim.validation.output_folder import results_json
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared
-from sim.validation.trace_run import Settings
+from sim.validation.trace_run import TraceRunSettings
 from tests.validation.small_plant import plant_model, plant_trace
 
-SETTINGS = Settings(runs=300)
+SETTINGS = TraceRunSettings(runs=300)
 GOOD = [plant_trace(f"run{number}", noise=0.2, seed=number) for number in range(4)]
 COLD = Trace("cold", GOOD[0].times, {"Motor": GOOD[0].signals["Motor"]})
 
@@ -60,14 +60,25 @@ asyncio.run(main())
 def prepared(label: str, **options: float) -> Prepared:
     model = plant_model(label, **options)
     found = FoundModel(label, model.sha, model)
-    return Prepared(label, label, found, model, {"own": model}, {}, (), Discovery("by hand", Path(), ()))
+    return Prepared(
+        label=label,
+        where=label,
+        found=found,
+        skeleton=model,
+        variants={"own": model},
+        refusals={},
+        stages=(),
+        discovery=Discovery("by hand", Path(), ()),
+    )
 
 
 MODELS = [prepared("sharp", sensor=0.2), prepared("wide", sensor=0.2, sigma=3.0, noise=0.1)]
 
 
 def results(run: Runner, traces: Sequence[Trace], without: Sequence[Unread] = ()) -> list[TraceResult]:
-    found = outcomes_by_model(MODELS, traces, without, SETTINGS, run, lambda what, share: None)
+    found = outcomes_by_model(
+        MODELS, traces, without=without, settings=SETTINGS, run=run, progress=lambda what, share: None
+    )
     return [replace(outcome.result, seconds=0.0) for _, outcomes in found for outcome in outcomes]
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from sim.engine.open_loop import Score
 from sim.plant.scenarios import scenario
-from sim.ranking.fitness import CRITERIA, Facts, Limits, judge, limits_of, seen_traces, verdict
+from sim.ranking.fitness import CRITERIA, Facts, FitnessLimits, judge, limits_of, seen_traces, verdict
 from sim.ranking.paired import holm, paired
 from sim.ranking.ranking import Ranking, Weights, rank, score
 from sim.ranking.report import as_plain, draw_ranking, page, spreads, win_matrix
@@ -48,8 +48,10 @@ def campaign(count: int = 8, **maes: float) -> list[TraceResult]:
     return [result(model, f"t{n}", mae * (1 + 0.01 * n)) for model, mae in maes.items() for n in range(count)]
 
 
-def finding(results: list[TraceResult], criterion: str, facts: Facts = KNOWN, limits: Limits | None = None) -> object:
-    return {one.criterion: one for one in judge(results, facts, limits or Limits())}[criterion].kept
+def finding(
+    results: list[TraceResult], criterion: str, facts: Facts = KNOWN, limits: FitnessLimits | None = None
+) -> object:
+    return {one.criterion: one for one in judge(results, facts, limits or FitnessLimits())}[criterion].kept
 
 
 def test_the_score_is_the_weighted_sum() -> None:
@@ -200,10 +202,10 @@ def test_what_is_known_of_the_model_decides_a_criterion(facts: Facts, criterion:
 
 def test_fit_unfit_and_open_follow_from_the_findings() -> None:
     results = [result("m", "t0")]
-    assert verdict(judge(results, KNOWN, Limits())) == "fit"
-    assert verdict(judge(results, Facts(), Limits())) == "open"
-    assert verdict(judge(results, replace(KNOWN, verified=False), Limits())) == "unfit"
-    assert [one.criterion for one in judge(results, KNOWN, Limits())] == list(CRITERIA)
+    assert verdict(judge(results, KNOWN, FitnessLimits())) == "fit"
+    assert verdict(judge(results, Facts(), FitnessLimits())) == "open"
+    assert verdict(judge(results, replace(KNOWN, verified=False), FitnessLimits())) == "unfit"
+    assert [one.criterion for one in judge(results, KNOWN, FitnessLimits())] == list(CRITERIA)
 
 
 def test_coverage_and_persistence_are_judged_on_traces_that_were_not_trained_on() -> None:
@@ -214,7 +216,7 @@ def test_coverage_and_persistence_are_judged_on_traces_that_were_not_trained_on(
 
 def test_limits_come_from_names_and_numbers() -> None:
     found = limits_of([("coverage_low", "0.5"), ("clamps", "3")], synthetic=True)
-    assert found == Limits(coverage_low=0.5, clamps=3.0, synthetic=True)
+    assert found == FitnessLimits(coverage_low=0.5, clamps=3.0, synthetic=True)
     for pairs, words in (
         ([("clamp", "3")], "no limit 'clamp'; there are coverage_low"),
         ([("clamps", "few")], "limit clamps is 'few'"),

@@ -19,7 +19,7 @@ from sim.validation.discovery import Discovery
 from sim.validation.output_folder import results_csv
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared
-from sim.validation.trace_run import Settings
+from sim.validation.trace_run import TraceRunSettings
 from tests.validation.small_plant import COLD, HOT, K, plant_model, plant_trace
 
 SPREAD = {"sharp": (0.0, 0.0), "wide": (3.0, 0.1), "shifted": (3.0, 0.1)}
@@ -56,14 +56,28 @@ def prepared(label: str) -> Prepared:
     )
     model = replace(model, sha=replace(model.sha, locations=places))
     return Prepared(
-        label, label, FoundModel(label, model.sha, model), model, {"own": model}, {}, (), Discovery("", Path(), ())
+        label=label,
+        where=label,
+        found=FoundModel(label, model.sha, model),
+        skeleton=model,
+        variants={"own": model},
+        refusals={},
+        stages=(),
+        discovery=Discovery("", Path(), ()),
     )
 
 
 @pytest.fixture(scope="module")
 def results() -> list[TraceResult]:
     models = [prepared(label) for label in SPREAD]
-    found = outcomes_by_model(models, TRACES, (), Settings(4000), run_here(1), lambda _what, _share: None)
+    found = outcomes_by_model(
+        models,
+        TRACES,
+        without=(),
+        settings=TraceRunSettings(4000),
+        run=run_here(1),
+        progress=lambda _what, _share: None,
+    )
     return [outcome.result for _, outcomes in found for outcome in outcomes]
 
 

@@ -9,14 +9,16 @@ from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Trace
 from sim.validation import trace_run
-from sim.validation.trace_run import Job, Outcome, Settings, run_job
+from sim.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
 from tests.validation.small_plant import location, plant_model, plant_trace, without_edge
 
-SETTINGS = Settings(runs=400)
+SETTINGS = TraceRunSettings(runs=400)
 
 
-def run(model: Model, trace: Trace, settings: Settings = SETTINGS, refusal: str = "") -> Outcome:
-    return run_job(Job("plant", "own", model, trace, settings, refusal))
+def run(model: Model, trace: Trace, settings: TraceRunSettings = SETTINGS, refusal: str = "") -> TraceOutcome:
+    return run_job(
+        TraceJob(label="plant", semantics="own", model=model, trace=trace, settings=settings, refusal=refusal)
+    )
 
 
 def test_a_trace_that_follows_the_model_exactly_has_no_error_at_all() -> None:
@@ -30,7 +32,7 @@ def test_a_trace_that_follows_the_model_exactly_has_no_error_at_all() -> None:
 
 
 def test_the_sensors_noise_alone_is_covered_by_the_band_and_is_the_error() -> None:
-    result = run(plant_model(sensor=0.5), plant_trace(rows=2000, noise=0.5, seed=3), Settings(runs=1000)).result
+    result = run(plant_model(sensor=0.5), plant_trace(rows=2000, noise=0.5, seed=3), TraceRunSettings(runs=1000)).result
     assert result.rmse.value == pytest.approx(0.5, rel=0.1)
     assert result.rmse.low < 0.5 < result.rmse.high
     assert result.coverage == pytest.approx(0.9, abs=0.03) and result.beyond < 0.01
@@ -86,13 +88,13 @@ def test_a_gap_a_clock_that_repeats_and_missing_readings_are_no_trouble() -> Non
 def test_the_same_job_gives_the_same_result_and_another_trace_or_seed_other_runs() -> None:
     model, trace = plant_model(sigma=2.0), plant_trace(noise=0.1)
 
-    def figures(outcome: Outcome) -> tuple[float, float]:
+    def figures(outcome: TraceOutcome) -> tuple[float, float]:
         return outcome.result.crps, outcome.result.mae.low
 
     first = figures(run(model, trace))
     assert figures(run(model, trace)) == first
     assert figures(run(model, replace(trace, name="other"))) != first
-    assert figures(run(model, trace, Settings(runs=400, seed=1))) != first
+    assert figures(run(model, trace, TraceRunSettings(runs=400, seed=1))) != first
 
 
 @pytest.mark.parametrize(
@@ -115,7 +117,7 @@ def test_the_policy_decides_about_an_event_without_an_edge_and_the_result_names_
     model = without_edge(plant_model(), "on", "M_OFF")
     rejected = run(model, plant_trace(), replace(SETTINGS, policy="reject")).result
     assert rejected.stage == 6 and "'M_OFF'" in rejected.failure and "'on'" in rejected.failure
-    for settings in (Settings(400, "ignore"), Settings(400, "resync")):
+    for settings in (TraceRunSettings(400, "ignore"), TraceRunSettings(400, "resync")):
         result = run(model, plant_trace(), settings).result
         assert result.failure == "" and not result.accepted and "'M_OFF'" in result.rejected
         assert any("no edge" in flag for flag in result.flags)

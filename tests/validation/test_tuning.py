@@ -14,14 +14,14 @@ import pytest
 from sim.plant.scenarios import scenario
 from sim.ranking import study, tuning_methods
 from sim.ranking.cross_validation import folds, held_out, usable
-from sim.ranking.tuning import Plan, Trial, Tuning, final_model, tune
+from sim.ranking.tuning import StudyPlan, StudyTrial, Tuning, final_model, tune
 from sim.ranking.tuning_methods import ANY, METHODS, Choice, Real, Task, Whole, method_of, tuned_alphabet
 from sim.sha.events import DECANTER, Bins
 from sim.sha.trace import Trace
 from tests.validation.places import ROOT
 from tests.validation.tuning_plant import ALPHABET, relaxing, relaxing_method, traces
 
-PLAN = Plan("bins")
+PLAN = StudyPlan("bins")
 
 
 @pytest.fixture
@@ -30,7 +30,9 @@ def known(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tuning_methods, "METHODS", {**METHODS, "bins": relaxing_method()})
 
 
-def search(file: Path, trials: int = 12, plan: Plan = PLAN, given: list[Trace] | None = None, **more: object) -> Tuning:
+def search(
+    file: Path, trials: int = 12, plan: StudyPlan = PLAN, given: list[Trace] | None = None, **more: object
+) -> Tuning:
     return tune(given or traces(), ALPHABET, "T", plan, file, trials=trials, **more)
 
 
@@ -69,7 +71,7 @@ def test_both_objectives_are_means_over_traces_of_means_over_readings(tmp_path: 
     model = relaxing(Task((), ALPHABET, "T", 0), {}).model
     scores = [held_out(model, one) for one in traces()]
     crps = search(tmp_path / "c.db", 1).default
-    likelihood = search(tmp_path / "l.db", 1, Plan("bins", "likelihood")).default
+    likelihood = search(tmp_path / "l.db", 1, StudyPlan("bins", "likelihood")).default
     assert crps is not None and likelihood is not None
     assert crps.value == pytest.approx(np.mean([one.crps for one in scores]))
     assert likelihood.value == pytest.approx(-np.mean([one.log_likelihood for one in scores]))
@@ -82,7 +84,7 @@ def test_a_study_that_is_gone_on_with_is_the_same_as_one_that_never_stopped(tmp_
     for trials in (1, 4, 12):
         parts = search(tmp_path / "parts.db", trials)
     assert told(parts) == told(whole)
-    assert told(search(tmp_path / "other.db", 12, Plan("bins", seed=1))) != told(whole)
+    assert told(search(tmp_path / "other.db", 12, StudyPlan("bins", seed=1))) != told(whole)
 
 
 @pytest.mark.usefixtures("known")
@@ -147,7 +149,13 @@ def test_the_search_is_the_same_with_one_worker_and_with_two(tmp_path: Path) -> 
 
 def test_bins_learns_by_the_settings_and_the_final_model_says_them() -> None:
     given = [short(scenario("cd3"))]
-    trial = Trial(7, {"flow": "constant", "rates": "shared", "hysteresis": 0.1, "debounce": 4.0}, "complete", 1.5, 0.5)
+    trial = StudyTrial(
+        number=7,
+        settings={"flow": "constant", "rates": "shared", "hysteresis": 0.1, "debounce": 4.0},
+        state="complete",
+        value=1.5,
+        error=0.5,
+    )
     taught = final_model(given, DECANTER, "TCuscinettiRiduttore", PLAN, trial, "final")
     origin = taught.model.provenance
     assert (origin.settings["flow"], origin.settings["rates"], origin.settings["tuned_debounce"]) == (
@@ -164,13 +172,13 @@ def test_bins_learns_by_the_settings_and_the_final_model_says_them() -> None:
     ("plan", "count", "words"),
     [
         (PLAN, 5, "another data"),
-        (Plan("bins", seed=3), 6, r"another seed \(seed: 0 then, 3 now\)"),
-        (Plan("bins", "likelihood"), 6, "another objective"),
-        (Plan("bins", fold_count=3), 6, "another number of folds"),
-        (Plan("lsha"), 6, "another method and another search space"),
+        (StudyPlan("bins", seed=3), 6, r"another seed \(seed: 0 then, 3 now\)"),
+        (StudyPlan("bins", "likelihood"), 6, "another objective"),
+        (StudyPlan("bins", fold_count=3), 6, "another number of folds"),
+        (StudyPlan("lsha"), 6, "another method and another search space"),
     ],
 )
-def test_a_study_of_something_else_is_refused(tmp_path: Path, plan: Plan, count: int, words: str) -> None:
+def test_a_study_of_something_else_is_refused(tmp_path: Path, plan: StudyPlan, count: int, words: str) -> None:
     search(tmp_path / "s.db", 1)
     with pytest.raises(ValueError, match=words):
         search(tmp_path / "s.db", 2, plan, traces(count))

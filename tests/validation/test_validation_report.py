@@ -13,15 +13,15 @@ from sim.sha.trace import Trace
 from sim.validation.campaign import jobs_of
 from sim.validation.discovery import Discovery
 from sim.validation.pictures import draw_one, drawings
-from sim.validation.report import Campaign, Entry, ModelReport, error_boxes, index_html, model_html, shown
+from sim.validation.report import CampaignSummary, ModelReport, ReportEntry, error_boxes, index_html, model_html, shown
 from sim.validation.stage_records import records
 from sim.validation.stages import Prepared, Stage
-from sim.validation.trace_run import Outcome, Settings, run_job
+from sim.validation.trace_run import TraceOutcome, TraceRunSettings, run_job
 from sim.validation.verdicts import gain, verdict
 from tests.validation.small_plant import location, plant_model, plant_trace
 
 EVIL = '<script>alert(1)</script> & "quotes"'
-CAMPAIGN = Campaign("2026-01-01 00:00 UTC", {"runs": "200"})
+CAMPAIGN = CampaignSummary("2026-01-01 00:00 UTC", {"runs": "200"})
 
 
 def prepared(label: str = "plant") -> Prepared:
@@ -29,13 +29,22 @@ def prepared(label: str = "plant") -> Prepared:
     cold = replace(model, sha=replace(model.sha, locations=(location("off", 15.0), location("on", 40.0))))
     found = FoundModel(label, model.sha, model, None, (f"note {label}",))
     variants = {"own": model, "thesis": cold}
-    return Prepared(label, label, found, model, variants, {}, (), Discovery("by hand", Path(label), ()))
+    return Prepared(
+        label=label,
+        where=label,
+        found=found,
+        skeleton=model,
+        variants=variants,
+        refusals={},
+        stages=(),
+        discovery=Discovery("by hand", Path(label), ()),
+    )
 
 
-def outcomes(one: Prepared, name: str = "run") -> list[Outcome]:
+def outcomes(one: Prepared, name: str = "run") -> list[TraceOutcome]:
     traces = [replace(plant_trace(f"{name}{number}", noise=0.2, seed=number), synthetic=True) for number in (1, 2, 10)]
     bad = Trace(f"{name}-cold", traces[0].times, {"Motor": traces[0].signals["Motor"]})
-    return [run_job(job) for job in jobs_of(one, [*traces, bad], Settings(runs=200))]
+    return [run_job(job) for job in jobs_of(one, [*traces, bad], TraceRunSettings(runs=200))]
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +58,14 @@ def html(tmp_path_factory: pytest.TempPathFactory) -> str:
         draw_one(drawing)
     results = [outcome.result for outcome in done]
     pictures = shown(results, {key: drawing.png for key, drawing in wanted.items()}, home)
-    report = ModelReport(CAMPAIGN, one, [Stage(1, EVIL, EVIL), *records(EVIL, done)], results, pictures, {EVIL: 3})
+    report = ModelReport(
+        campaign=CAMPAIGN,
+        prepared=one,
+        stages=[Stage(1, EVIL, EVIL), *records(EVIL, done)],
+        results=results,
+        pictures=pictures,
+        missing={EVIL: 3},
+    )
     return model_html(report)
 
 
@@ -89,7 +105,9 @@ def test_the_report_has_each_trace_its_verdict_the_failures_sentence_and_says_sy
 
 def test_traces_stand_in_the_order_of_their_numbers() -> None:
     done = outcomes(prepared())
-    report = ModelReport(CAMPAIGN, prepared(), [], [outcome.result for outcome in reversed(done)])
+    report = ModelReport(
+        campaign=CAMPAIGN, prepared=prepared(), stages=[], results=[outcome.result for outcome in reversed(done)]
+    )
     names = [one.trace for one, _ in report.judged]
     assert names == ["run1", "run2", "run10", "run-cold"] * 2
 
@@ -132,15 +150,18 @@ def test_the_gain_is_counted_on_the_traces_that_both_semantics_have() -> None:
 
 def test_the_index_links_each_report_by_its_folder() -> None:
     one = prepared()
-    entry = Entry("plant", ModelReport(CAMPAIGN, one, [], [outcome.result for outcome in outcomes(one)]))
+    entry = ReportEntry(
+        "plant",
+        ModelReport(campaign=CAMPAIGN, prepared=one, stages=[], results=[outcome.result for outcome in outcomes(one)]),
+    )
     text = index_html(CAMPAIGN, [entry], [Stage(1, "plant", "found")])
     assert re.findall(r'href="([^"]+)"', text) == ["plant/report.html"] * 2
 
 
 def test_traces_that_the_model_was_learned_from_are_named() -> None:
     one, results = prepared(), [outcome.result for outcome in outcomes(prepared())]
-    assert "In sample" not in model_html(ModelReport(CAMPAIGN, one, [], results))
+    assert "In sample" not in model_html(ModelReport(campaign=CAMPAIGN, prepared=one, stages=[], results=results))
     origin = Provenance("bins", traces=("run2", "elsewhere"))
     learned = replace(one, skeleton=replace(one.skeleton, provenance=origin))
-    text = model_html(ModelReport(CAMPAIGN, learned, [], results))
+    text = model_html(ModelReport(campaign=CAMPAIGN, prepared=learned, stages=[], results=results))
     assert "learned from traces of the names run2;" in text

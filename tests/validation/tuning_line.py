@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from sim.ranking import tuning_methods
-from sim.ranking.tuning import Plan, tune
+from sim.ranking.tuning import StudyPlan, tune
 from tests.validation.tuning_plant import ALPHABET, relaxing, relaxing_method, traces
 
 
@@ -23,7 +23,7 @@ def main(study: Path, trials: int) -> None:
     known = dict(tuning_methods.METHODS)
     known["bins"] = tuning_methods.Method(relaxing_method().space, slowly)
     tuning_methods.METHODS = known
-    tune(traces(), ALPHABET, "T", Plan("bins"), study, trials=trials, progress=report)
+    tune(traces(), ALPHABET, "T", StudyPlan("bins"), study, trials=trials, progress=report)
 
 
 if __name__ == "__main__":

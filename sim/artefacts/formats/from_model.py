@@ -20,7 +20,7 @@ from sim.artefacts.formats.report import (
 )
 from sim.effects.kinds import effect_summary
 from sim.files import ArtefactError
-from sim.learning.lsha.table import ObservationTable, TableRow
+from sim.learning.lsha.hypothesis import ObservationTable, TableRow
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet, Bins

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.fitting.record import Record
-from sim.learning.free_run import RATES, Shape, loads
-from sim.learning.shape import Names, Prior, shape_of
+from sim.learning.free_run import RATES, FitShape, loads
+from sim.learning.shape import ParameterNames, Prior, shape_of
 from sim.sha.entry import mode_parameter
 from sim.sha.model import Model
 from sim.sha.trace import Array
@@ -24,8 +24,8 @@ class Frame:
     """A record with the structure of the parameters: `shape`, their `names`, and `load` (n, p) on targets."""
 
     record: Record
-    shape: Shape
-    names: Names
+    shape: FitShape
+    names: ParameterNames
     load: Array
 
     @property
@@ -83,7 +83,7 @@ def _shared_gains(model: Model) -> dict[str, str]:
     }
 
 
-def _centred(model: Model, shape: Shape, names: Names) -> Shape:
+def _centred(model: Model, shape: FitShape, names: ParameterNames) -> FitShape:
     """The shape with the given model's values as the belief's centre."""
     by_name = model.sha.by_name
     centre, spread = shape.centre.copy(), shape.spread.copy()

@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
 from sim.discrepancy.fitting.course import State, at, grid_at, sensitivity
 from sim.discrepancy.fitting.named import Named
-from sim.discrepancy.fitting.noise import Belief, Grid, Noise, Weigher, fit_noise
+from sim.discrepancy.fitting.noise import Grid, NoiseModel, Whitener, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
 from sim.sha.model import Model
 from sim.sha.trace import Array
@@ -30,7 +30,7 @@ SETTLED = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fitted:
     """A fit: the free run `state`, the `noise` under which it is judged, and the linear problem around it.
 
@@ -42,7 +42,7 @@ class Fitted:
     frame: Frame
     state: State
     start: Array
-    noise: Noise
+    noise: NoiseModel
     grid: Grid
     residual: Array
     columns: Array
@@ -64,13 +64,18 @@ class Fitted:
         return float(self.noise.sensor * np.sqrt(np.median(counts)))
 
 
-def first_noise(model: Model, record: Record) -> Noise:
+def first_noise(model: Model, record: Record) -> NoiseModel:
     """Where the search for the noise begins: the given model's sensor and process, a slightly rough plant."""
     process = [location.flow.params.get("noise", 0.0) for location in model.sha.locations]
     seen = [value for value in process if value > 0]
     counts = np.diff(np.append(record.begins, record.rows.size))
     sensor = max(model.sensor_sigma, 0.02) / np.sqrt(float(np.median(counts)))
-    return Noise(max(float(sensor), rounding(model, record)), float(np.median(seen)) / 2 if seen else 0.003, 3e-4, 0.01)
+    return NoiseModel(
+        sensor=max(float(sensor), rounding(model, record)),
+        process=float(np.median(seen)) / 2 if seen else 0.003,
+        rough=3e-4,
+        cycle=0.01,
+    )
 
 
 def rounding(model: Model, record: Record) -> float:
@@ -128,35 +133,51 @@ def fit(
     own = frame.centre if begin is None else begin.state.parameters[: begin.own]
     own = own if moved is None else own + moved
     prior = np.concatenate([frame.prior, np.zeros(len(named))])
-    belief = Belief(first_noise(record.model, record), least=rounding(record.model, record))
+    # Parameters under fixed noise, then the noise under fixed parameters, until the noise stands still: a wrong target
+    # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
+    belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
     noise = belief.centre if begin is None else begin.noise
     state = at(frame, np.concatenate([own, [one.strength for one in named]]), start, named)
     for _ in range(rounds):
-        state = _newton_steps(frame, state, start, reading, noise, prior)
+        state = _newton_steps(frame, state, start=start, reading=reading, noise=noise, prior=prior)
         point = _around(frame, state, start, reading)
         before = noise
         noise, cost = _noise(point, frame, belief, noise, iterations)
         if _change(before, noise) < SETTLED:
             break
-    weigher = Weigher(point.grid, noise)
-    inverse = np.linalg.inv(point.columns.T @ weigher.weigh(point.columns) + np.diag(np.maximum(prior, 1e-12)))
+    whitener = Whitener(point.grid, noise)
+    inverse = np.linalg.inv(point.columns.T @ whitener.weigh(point.columns) + np.diag(np.maximum(prior, 1e-12)))
     covariance = np.asarray(inverse, dtype=float)
     return Fitted(
-        frame, state, start, noise, point.grid, point.residual, point.columns, prior, point.off, covariance, -cost
+        frame=frame,
+        state=state,
+        start=start,
+        noise=noise,
+        grid=point.grid,
+        residual=point.residual,
+        columns=point.columns,
+        prior=prior,
+        off=point.off,
+        covariance=covariance,
+        likelihood=-cost,
     )
 
 
-def _noise(point: _Point, frame: Frame, belief: Belief, noise: Noise, iterations: int) -> tuple[Noise, float]:
+def _noise(
+    point: _Point, frame: Frame, belief: WindowBelief, noise: NoiseModel, iterations: int
+) -> tuple[NoiseModel, float]:
+    # Only the model's own parameters are integrated out. The strengths of the effects are maximised, so that fits with
+    # different effects have the same integral and their likelihoods differ by what the effects explain.
     own = sum(frame.count)
     columns, prior, off = point.columns[:, :own], frame.prior, point.off[:own]
 
-    def cost(trial: Noise) -> float:
-        return -restricted(Weigher(point.grid, trial), columns, point.residual, prior, off)
+    def cost(trial: NoiseModel) -> float:
+        return -restricted(Whitener(point.grid, trial), columns, point.residual, prior, off)
 
     return fit_noise(cost, belief, noise, iterations)
 
 
-def _change(before: Noise, after: Noise) -> float:
+def _change(before: NoiseModel, after: NoiseModel) -> float:
     pairs = zip(
         (before.sensor, before.process, before.rough, before.cycle, before.memory),
         (after.sensor, after.process, after.rough, after.cycle, after.memory),
@@ -165,21 +186,29 @@ def _change(before: Noise, after: Noise) -> float:
     return max(abs(float(np.log(new / old))) for old, new in pairs)
 
 
-def _newton_steps(frame: Frame, state: State, start: Array, reading: Array, noise: Noise, prior: Array) -> State:
-    """A few steps of Gauss and Newton, each halved until it does not make things worse."""
+def _newton_steps(
+    frame: Frame, state: State, *, start: Array, reading: Array, noise: NoiseModel, prior: Array
+) -> State:
+    """A few damped Gauss-Newton steps (Nocedal & Wright 2006, ch. 10): a step limit, then backtracking.
+
+    The penalised squares r' V^-1 r + (b - b0)' P (b - b0) go down with every step that is taken. Second derivatives are
+    left out: the free run is linear in most parameters, and its residual is small where it matters.
+    """
     point = _around(frame, state, start, reading)
     for _ in range(NEWTON):
-        weigher = Weigher(point.grid, noise)
-        both = weigher.weigh(np.column_stack([point.residual, point.columns]))
+        whitener = Whitener(point.grid, noise)
+        both = whitener.weigh(np.column_stack([point.residual, point.columns]))
         normal = point.columns.T @ both[:, 1:] + np.diag(np.maximum(prior, 1e-12))
         step = cho_solve(cho_factor(normal), point.columns.T @ both[:, 0] - prior * point.off)
+        # The whole step is shortened, not single parts of it: it must stay a descent direction.
         step = step * min(1.0, 1.0 / float(np.max(np.abs(step) / _longest(frame, state), initial=1.0)))
+        # Backtracking, five lengths at most. If none helps, the linear problem does not describe the plant here.
         here = float(point.residual @ both[:, 0] + point.off @ (prior * point.off))
         for _half in range(5):
             moved = at(frame, _allowed(state, state.parameters + step), start, state.named, state.course)
             residual = reading - frame.record.windowed(moved.mean)
             off = point.off + np.concatenate([step[: point.off.size - len(state.named)], np.zeros(len(state.named))])
-            there = float(residual @ weigher.weigh(residual[:, None])[:, 0] + off @ (prior * off))
+            there = float(residual @ whitener.weigh(residual[:, None])[:, 0] + off @ (prior * off))
             if np.isfinite(there) and there <= here + 1e-6:
                 break
             step = 0.5 * step
@@ -187,7 +216,7 @@ def _newton_steps(frame: Frame, state: State, start: Array, reading: Array, nois
             break
         state = moved
         point = _around(frame, state, start, reading)
-        if here - there < 0.02:
+        if here - there < 0.02:  # a hundredth of a nat: no decision is that fine
             break
     return state
 
@@ -208,12 +237,14 @@ def _allowed(state: State, point: Array) -> Array:
     return out
 
 
-def restricted(weigher: Weigher, columns: Array, residual: Array, prior: Array, off: Array) -> float:
+def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array, off: Array) -> float:
     """The log-likelihood with the parameters integrated out around the free run (their belief included)."""
-    both = weigher.weigh(np.column_stack([residual, columns]))
+    # Laplace's integral, exact for the linear problem around the free run: with N = C' V^-1 C + P the parameters'
+    # posterior precision and g the score at the state, -2 ln L = ln |V| + ln |N| - ln |P| + misfit - g' N^-1 g.
+    both = whitener.weigh(np.column_stack([residual, columns]))
     normal = columns.T @ both[:, 1:] + np.diag(prior)
     score = columns.T @ both[:, 0] - prior * off
     factor = cho_factor(normal)
     misfit = float(residual @ both[:, 0] + off @ (prior * off) - score @ cho_solve(factor, score))
     determinant = 2.0 * float(np.log(np.diag(factor[0])).sum()) - float(np.log(prior).sum())
-    return -0.5 * (weigher.logdet + determinant + misfit)
+    return -0.5 * (whitener.logdet + determinant + misfit)

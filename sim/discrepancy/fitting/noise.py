@@ -30,8 +30,8 @@ MOST_SCATTER = float(np.log(0.05))
 """The scatter of a cycle's friction (log): more of it would make up for wrong targets, cycle by cycle."""
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseModel:
     """Standard deviations: `sensor` degC, `process` degC/sqrt(s), `rough` degC/s with the `memory` (s), `cycle` (1).
 
     `cycle` is the relative scatter of the friction heat from cycle to cycle, `rest` the share of the rough heat that
@@ -46,7 +46,7 @@ class Noise:
     rest: float = 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Grid:
     """m windows of R runs, one after the other: `dt` (m,) s since the one before (of no meaning at a run's first).
 
@@ -70,12 +70,17 @@ def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:
     return np.exp(-k * dt), pull
 
 
-class Weigher:
-    """The inverse covariance of the windows under one Noise."""
+class Whitener:
+    """The inverse covariance of the windows under one `NoiseModel`.
 
-    def __init__(self, grid: Grid, noise: Noise) -> None:
+    V = H S H' + sensor^2 + Z Z', with S the covariance of the states (x, h), of which only the banded inverse is
+    formed, and Z a column a cycle. Both steps are Woodbury's identity; V itself (m x m) is never formed.
+    """
+
+    def __init__(self, grid: Grid, noise: NoiseModel) -> None:
         self.grid, self.noise = grid, noise
         posterior, self._prior_logdet = _precision(grid, noise)
+        # Each window is one reading of its x: the sensor's precision comes to every other diagonal entry.
         posterior[0, ::2] += 1.0 / noise.sensor**2
         self._factor = cholesky_banded(posterior, lower=True, overwrite_ab=True, check_finite=False)
         self._heats = grid.heats * noise.cycle
@@ -129,19 +134,21 @@ class Weigher:
         return np.asarray(columns * precision - solved[::2] * precision)
 
 
-def _steps(grid: Grid, noise: Noise) -> tuple[Array, Array, Array, Array]:
+def _steps(grid: Grid, noise: NoiseModel) -> tuple[Array, Array, Array, Array]:
     """(what the rough heat keeps, decay, pull, process variance) of the step to each window."""
     decay, pull = decay_and_pull(grid.k, grid.dt)
     variance = max(noise.process, LEAST_PROCESS) ** 2 * decay_and_pull(2 * grid.k, grid.dt)[1]
     return np.exp(-grid.dt / noise.memory), decay, pull, variance
 
 
-def _precision(grid: Grid, noise: Noise) -> tuple[Array, float]:
+def _precision(grid: Grid, noise: NoiseModel) -> tuple[Array, float]:
     """(4, 2m) the banded precision of the states (x, h) at the windows, lower form, and its log-determinant."""
     m = grid.dt.size
     keep, decay, pull, variance = _steps(grid, noise)
     heat = max(noise.rough, LEAST_HEAT) ** 2
     pull = pull * (noise.rest + (1.0 - noise.rest) * grid.running)
+    # A Markov chain's precision has a block of two rows a window and one to its neighbour: with z' = F z + q, cov q =
+    # Q, the step to each window adds Q^-1 to its own block, F' Q^-1 F to the block before, -Q^-1 F between them.
     # Between two windows the heat is its mean of both ends' as seen from the first: half of what it loses, half fresh.
     move = pull * (1.0 + keep) / 2.0
     fresh = heat * (1.0 - keep**2)
@@ -149,6 +156,7 @@ def _precision(grid: Grid, noise: Noise) -> tuple[Array, float]:
     cross = fresh * pull / 2.0
     qx, qh = np.where(grid.first, DIFFUSE, qx), np.where(grid.first, heat, qh)
     cross = np.where(grid.first, 0.0, cross)
+    # Q^-1 = (a b; b d), written out: two rows need no solver. In lower form row i of `band` is the i-th subdiagonal.
     determinant = qx * qh - cross**2
     a, b, d = qh / determinant, -cross / determinant, qx / determinant
     f11, f12, f22 = (np.where(grid.first, 0.0, part) for part in (decay, move, keep))
@@ -169,32 +177,39 @@ def _precision(grid: Grid, noise: Noise) -> tuple[Array, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class WindowBelief:
     """What is believed of the noise before the data: centres and spreads (of logarithms) of sensor .. memory.
 
     The sensor's is not below `least` (degC).
     """
 
-    centre: Noise
+    centre: NoiseModel
     spread: tuple[float, float, float, float, float] = (1.0, 2.0, 2.0, 1.5, 0.7)
     least: float = 0.0
 
 
-def vector(noise: Noise) -> Array:
+def vector(noise: NoiseModel) -> Array:
     """Unbounded coordinates: logarithms, and the logit of `rest`."""
     logs = np.log([noise.sensor, noise.process, noise.rough, noise.cycle, noise.memory])
     return np.append(logs, np.log(noise.rest / (1.0 - noise.rest)))
 
 
-def noise_of(point: Array) -> Noise:
+def noise_of(point: Array) -> NoiseModel:
     """The inverse of `vector`."""
     sensor, process, rough, cycle, memory = np.exp(point[:5]).tolist()
-    return Noise(sensor, process, rough, cycle, memory, float(1.0 / (1.0 + np.exp(-point[5]))))
+    return NoiseModel(
+        sensor=sensor,
+        process=process,
+        rough=rough,
+        cycle=cycle,
+        memory=memory,
+        rest=float(1.0 / (1.0 + np.exp(-point[5]))),
+    )
 
 
 def fit_noise(
-    objective: Callable[[Noise], float], belief: Belief, begin: Noise, iterations: int = 12
-) -> tuple[Noise, float]:
+    objective: Callable[[NoiseModel], float], belief: WindowBelief, begin: NoiseModel, iterations: int = 12
+) -> tuple[NoiseModel, float]:
     """(the noise of least `objective` (minus a log-likelihood) plus the belief's, and that sum), from `begin`."""
     centre = vector(belief.centre)
     spread = np.array([*belief.spread, 1.0])
@@ -203,6 +218,8 @@ def fit_noise(
     def cost(point: Array) -> float:
         return objective(noise_of(point)) + 0.5 * float(np.sum(((point - centre) / spread) ** 2))
 
+    # Differences of 1e-3 in the logarithms: the objective has a Cholesky decomposition in it, and its rounding would
+    # show in smaller ones. Few iterations are enough, since the fit comes back here with better parameters.
     bounds = [(value - 4.0, value + 4.0) for value in centre]
     bounds[0] = max(bounds[0][0], float(np.log(max(belief.least, 1e-12)))), bounds[0][1]
     bounds[3] = bounds[3][0], MOST_SCATTER

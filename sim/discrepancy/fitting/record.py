@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.discrepancy.fitting.noise import Grid
 from sim.learning.preparation import encoded
-from sim.learning.runs import Indices, Runs, first_switch, free_runs, thinned
+from sim.learning.runs import FreeRuns, Indices, first_switch, free_runs, thinned
 from sim.learning.structure import LearningError
 from sim.sha.events import Alphabet, Switch, encode
 from sim.sha.model import Model
@@ -34,7 +34,7 @@ NEVER = 1e9
 """Seconds since a start-up that was not seen."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
     """n knots of the traces under `model`'s locations, and m windows of readings.
 
@@ -47,7 +47,7 @@ class Record:
 
     model: Model
     signals: tuple[str, ...]
-    runs: Runs
+    runs: FreeRuns
     running: Array
     since: Array
     cycle: Indices
@@ -94,7 +94,9 @@ class Record:
         first = self.window_first
         dt = np.where(first, 1.0, np.diff(times, prepend=times[0] - 1.0))
         rate, share = (np.diff(mean, axis=0, prepend=mean[:1]) / dt[:, None]).T
-        return Grid(dt, np.where(first, 0.0, rate), share, first, self.window_cycle, heats)
+        return Grid(
+            dt=dt, k=np.where(first, 0.0, rate), running=share, first=first, cycle=self.window_cycle, heats=heats
+        )
 
     def where(self, keep: Mask) -> "Record":
         """The knots of whole cycles, of which the first of each piece begins a run of its own."""
@@ -163,10 +165,20 @@ def record_of(
     runs = _cut_late(runs, running)
     window = max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER)
     rows, begins = _windows(runs, cycle, running, window)
-    return Record(model, tuple(signals), runs, running, since, cycle, window, rows, begins)
+    return Record(
+        model=model,
+        signals=tuple(signals),
+        runs=runs,
+        running=running,
+        since=since,
+        cycle=cycle,
+        window=window,
+        rows=rows,
+        begins=begins,
+    )
 
 
-def _cut_late(runs: Runs, running: Array) -> Runs:
+def _cut_late(runs: FreeRuns, running: Array) -> FreeRuns:
     """The runs begun anew where a start or a stop was noticed late: it lies somewhere in a step that took long.
 
     Heat that the model would then be given late is no heat that it lacks.
@@ -190,7 +202,7 @@ def known(model: Model) -> Mask:
     )
 
 
-def _machine(runs: Runs, traces: Sequence[Trace], switch: Switch | None) -> tuple[Array, Array, Indices]:
+def _machine(runs: FreeRuns, traces: Sequence[Trace], switch: Switch | None) -> tuple[Array, Array, Indices]:
     """(running, since, cycle) of every knot, from the switch's events."""
     running, since = np.ones(len(runs)), np.full(len(runs), NEVER)
     cycle, count = np.zeros(len(runs), dtype=np.intp), 0
@@ -201,9 +213,9 @@ def _machine(runs: Runs, traces: Sequence[Trace], switch: Switch | None) -> tupl
         begin = runs.time[rows] - runs.dt[rows]
         starts = np.empty(0)
         if switch is not None:
-            told = [event for event in trace.events if event.symbol in (switch.rising, switch.falling, UNKNOWN)]
-            times = np.array([event.time for event in told])
-            state = np.array([0.0, *(float(event.symbol == switch.rising) for event in told)])
+            switching = [event for event in trace.events if event.symbol in (switch.rising, switch.falling, UNKNOWN)]
+            times = np.array([event.time for event in switching])
+            state = np.array([0.0, *(float(event.symbol == switch.rising) for event in switching)])
             done = np.searchsorted(times, begin, side="right")
             running[rows] = state[done]
             rises = state[1:] > state[:-1]
@@ -217,14 +229,14 @@ def _machine(runs: Runs, traces: Sequence[Trace], switch: Switch | None) -> tupl
     return running, since, cycle
 
 
-def _clock(runs: Runs, running: Array) -> Array:
+def _clock(runs: FreeRuns, running: Array) -> Array:
     """(n,) seconds that pass FINER times faster after a start or a stop."""
     changed = (np.diff(running, prepend=running[:1]) != 0) | runs.first
     moment = (runs.time - runs.dt)[changed][np.cumsum(changed) - 1]
     return np.cumsum(runs.dt * np.where(runs.time - moment <= LIVELY, FINER, 1.0))
 
 
-def _windows(runs: Runs, cycle: Indices, running: Array, length: float) -> tuple[Indices, Indices]:
+def _windows(runs: FreeRuns, cycle: Indices, running: Array, length: float) -> tuple[Indices, Indices]:
     """(rows, begins) of windows of `length` seconds of that clock, which end where a run or a cycle ends."""
     rows = np.flatnonzero(np.isfinite(runs.reading))
     new = np.diff(np.floor(_clock(runs, running) / length)[rows], prepend=-1) != 0

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import Candidate, Course, Diagnosis, HeldOut, NamedEffect, Place
+from sim.discrepancy.diagnosis import Diagnosis, DiagnosisCourse, EffectCandidate, HeatPlace, HeldOutProof, NamedEffect
 from sim.discrepancy.heat_map import LONGEST
 from sim.strict_json import json_text, strict
 
@@ -63,7 +63,7 @@ def _effect(one: NamedEffect) -> dict[str, Any]:
     }
 
 
-def _place(one: Place, course: Course | None) -> dict[str, Any]:
+def _place(one: HeatPlace, course: DiagnosisCourse | None) -> dict[str, Any]:
     """`cycles` as "9/11"; a span without an end goes to the longest time that was seen there."""
     low, high = one.seconds
     if not isfinite(high):
@@ -71,7 +71,7 @@ def _place(one: Place, course: Course | None) -> dict[str, Any]:
     return asdict(one) | {"seconds": [low, max(low, high)], "cycles": f"{one.cycles[0]}/{one.cycles[1]}"}
 
 
-def _longest(location: str, course: Course | None) -> float:
+def _longest(location: str, course: DiagnosisCourse | None) -> float:
     """Seconds since the last start or stop that were seen in a location; 0 where none were."""
     if course is None:
         return 0.0
@@ -80,7 +80,7 @@ def _longest(location: str, course: Course | None) -> float:
     return float(since.max()) if since.size else 0.0
 
 
-def _candidate(one: Candidate) -> dict[str, Any]:
+def _candidate(one: EffectCandidate) -> dict[str, Any]:
     fields = asdict(one)
     fields["gain_nats"] = fields.pop("gain")
     fields["parameters"] = fields.pop("params")
@@ -88,6 +88,6 @@ def _candidate(one: Candidate) -> dict[str, Any]:
     return fields | {"cycles": f"{one.cycles[0]}/{one.cycles[1]}"}
 
 
-def _held_out(one: HeldOut) -> dict[str, Any]:
+def _held_out(one: HeldOutProof) -> dict[str, Any]:
     names = ("before", "after", "noise_floor")
     return asdict(one) | {"per_cycle": [dict(zip(names, row, strict=True)) for row in one.per_cycle]}

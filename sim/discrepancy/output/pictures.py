@@ -13,7 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Rectangle
 
-from sim.discrepancy.diagnosis import Course, Diagnosis, HeldOut
+from sim.discrepancy.diagnosis import Diagnosis, DiagnosisCourse, HeldOutProof
 from sim.discrepancy.heat_map import HeatMap, heat_map
 from sim.sha.trace import Array, Mask
 
@@ -51,7 +51,7 @@ def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
     return {name: _save(figure, folder / name) for name, figure in jobs}
 
 
-def _to_show(diagnosis: Diagnosis) -> tuple[Course | None, HeldOut | None]:
+def _to_show(diagnosis: Diagnosis) -> tuple[DiagnosisCourse | None, HeldOutProof | None]:
     """Course and errors, without an "after" where nothing was added to the model."""
     course, held_out = diagnosis.course, diagnosis.held_out
     if not diagnosis.effects:
@@ -155,7 +155,7 @@ def _short(name: str, most: int = 28) -> str:
 # -------------------------------------------------------------------- cycles
 
 
-def cycles_to_show(course: Course, most: int = SHOWN) -> list[int]:
+def cycles_to_show(course: DiagnosisCourse, most: int = SHOWN) -> list[int]:
     """The numbers of held-out cycles to draw, spread evenly; of all cycles where none is held out."""
     seen = np.isfinite(course.before) & np.isfinite(course.reading)
     chosen = seen & (course.held_out > 0.5)
@@ -167,12 +167,14 @@ def cycles_to_show(course: Course, most: int = SHOWN) -> list[int]:
     return [int(number) for number in cycles]
 
 
-def held_out_cycles(course: Course) -> list[int]:
+def held_out_cycles(course: DiagnosisCourse) -> list[int]:
     """The numbers of the held-out cycles, in the order of time."""
     return [int(number) for number in np.unique(course.cycle[course.held_out > 0.5])]
 
 
-def draw_cycles(figure: Figure | SubFigure, course: Course, shown: Sequence[int], held_out: HeldOut | None) -> None:
+def draw_cycles(
+    figure: Figure | SubFigure, course: DiagnosisCourse, shown: Sequence[int], held_out: HeldOutProof | None
+) -> None:
     """A column a cycle: measured and free runs above, their errors below, with the noise floor as a band."""
     axes = figure.subplots(2, len(shown), squeeze=False, sharex="col", sharey="row", height_ratios=(1.5, 1.0))
     spans = [np.ptp(course.times[course.cycle == cycle]) for cycle in shown]
@@ -202,14 +204,14 @@ def draw_cycles(figure: Figure | SubFigure, course: Course, shown: Sequence[int]
     )
 
 
-def _curves(axis: Axes, course: Course, rows: Mask, clock: Array) -> None:
+def _curves(axis: Axes, course: DiagnosisCourse, rows: Mask, clock: Array) -> None:
     axis.plot(clock, course.reading[rows], ".", color=MEASURED, markersize=2.0, zorder=3, label="measured")
     axis.plot(clock, course.before[rows], color=BEFORE, linewidth=1.3, label="free run before (refitted)")
     if np.isfinite(course.after).any():
         axis.plot(clock, course.after[rows], color=AFTER, linewidth=1.3, label="free run after")
 
 
-def _errors(axis: Axes, course: Course, rows: Mask, clock: Array, held_out: HeldOut | None) -> None:
+def _errors(axis: Axes, course: DiagnosisCourse, rows: Mask, clock: Array, held_out: HeldOutProof | None) -> None:
     if held_out is not None and np.isfinite(held_out.noise_floor):
         floor = held_out.noise_floor
         axis.axhspan(-floor, floor, color=FLOOR, alpha=0.15, linewidth=0, label="noise floor (rms)")
@@ -219,7 +221,7 @@ def _errors(axis: Axes, course: Course, rows: Mask, clock: Array, held_out: Held
         axis.plot(clock, course.after[rows] - course.reading[rows], color=AFTER, linewidth=1.1)
 
 
-def draw_errors(axis: Axes, held_out: HeldOut, cycles: Sequence[int]) -> None:
+def draw_errors(axis: Axes, held_out: HeldOutProof, cycles: Sequence[int]) -> None:
     """A pair of bars a held-out cycle, before and after, and a line at the noise floor of each.
 
     `cycles` are their numbers; another count than there are bars, and they are counted from 1.

@@ -9,7 +9,7 @@ from shlex import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from sim.discrepancy.diagnosis import Candidate, Diagnosis, NamedEffect, Place
+from sim.discrepancy.diagnosis import Diagnosis, EffectCandidate, HeatPlace, NamedEffect
 from sim.discrepancy.heat_map import span
 from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE
 
@@ -89,7 +89,7 @@ def _embedded(path: Path) -> str:
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
 
 
-def place_sentence(place: Place) -> str:
+def place_sentence(place: HeatPlace) -> str:
     """One sentence of where heat is: "62 % of the unexplained heat is in ON/200-300, 0-4 min after W_ON, ..."."""
     after = f", {span(*place.seconds)} after {place.after}" if place.after else ""
     after += f", with {place.when}" if place.when else ""
@@ -102,7 +102,7 @@ def place_sentence(place: Place) -> str:
     return said + (f"; it goes with {place.correlates}" if place.correlates and not place.when else "")
 
 
-def rivals_of(effect: NamedEffect, candidates: Sequence[Candidate]) -> tuple[str, ...]:
+def rivals_of(effect: NamedEffect, candidates: Sequence[EffectCandidate]) -> tuple[str, ...]:
     """The names that look somewhat like a named effect in these data, outside its class."""
     own = next((one for one in candidates if one.name == effect.name), None)
     return () if own is None else tuple(name for name in own.rivals if name not in effect.members)

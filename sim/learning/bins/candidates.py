@@ -6,17 +6,16 @@ from typing import Literal
 
 import numpy as np
 
-from sim.learning.free_run import Shape
-from sim.learning.runs import Indices, Runs
-from sim.learning.shape import Names, Prior, shape_of
+from sim.learning.free_run import FitShape
+from sim.learning.preparation import LEAST_SHARE
+from sim.learning.runs import FreeRuns, Indices
+from sim.learning.shape import ParameterNames, Prior, shape_of
 from sim.learning.structure import LearningError, contexts, labels, level_signals, product_sha, reference
 from sim.sha.automaton import SHA, Flow, Input, Location
 from sim.sha.events import Alphabet, Switch
 from sim.sha.trace import Mask
 
 Sharing = Literal["shared", "switch", "location"]
-LEAST_SHARE = 0.1
-"""A location in which a channel is not known is fitted like the known ones when it holds this share of the readings."""
 LEAST_SWING = 0.05
 """A location is driven by an input that scatters there by this share of its scatter over all locations."""
 MOST_OWN = 24
@@ -26,7 +25,7 @@ SPREAD = 40.0
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class BinsCandidate:
     """One way to build the model. `flow`: targets `constant` or `driven` by the level signals.
 
     `rates`: one k for all locations, one for each position of the first switch, or one each; `gains` likewise.
@@ -44,20 +43,20 @@ class Candidate:
         return f"{self.flow}, {words[self.rates]}{gains[self.gains] if self.flow == 'driven' else ''}"
 
 
-CANDIDATES: tuple[Candidate, ...] = (
-    Candidate("constant", "shared"),
-    Candidate("constant", "switch"),
-    Candidate("constant", "location"),
-    Candidate("driven", "shared", "shared"),
-    Candidate("driven", "switch", "shared"),
-    Candidate("driven", "shared", "location"),
-    Candidate("driven", "switch", "location"),
-    Candidate("driven", "location", "location"),
+CANDIDATES: tuple[BinsCandidate, ...] = (
+    BinsCandidate("constant", "shared"),
+    BinsCandidate("constant", "switch"),
+    BinsCandidate("constant", "location"),
+    BinsCandidate("driven", "shared", "shared"),
+    BinsCandidate("driven", "switch", "shared"),
+    BinsCandidate("driven", "shared", "location"),
+    BinsCandidate("driven", "switch", "location"),
+    BinsCandidate("driven", "location", "location"),
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class Basis:
     """What the candidates are built on: the alphabet, the locations with data, and the inputs that move in each."""
 
     alphabet: Alphabet
@@ -67,7 +66,7 @@ class Ground:
     prior: Prior
 
 
-def modelled_places(runs: Runs, alphabet: Alphabet) -> Mask:
+def modelled_places(runs: FreeRuns, alphabet: Alphabet) -> Mask:
     """(L,) the locations that get parameters of their own, given runs through all but the unknown one.
 
     Those in which every channel is known; and those in which one is not, when they hold a tenth of the readings: a
@@ -79,13 +78,13 @@ def modelled_places(runs: Runs, alphabet: Alphabet) -> Mask:
     return np.asarray((known | (count >= LEAST_SHARE * count.sum())) & ~nothing)
 
 
-def readings_by_place(runs: Runs, places: int) -> Indices:
+def readings_by_place(runs: FreeRuns, places: int) -> Indices:
     """(L,) how many readings end a step made in each location."""
     there = np.isfinite(runs.reading) & ~runs.first
     return np.bincount(runs.place[there], minlength=places)
 
 
-def ground(runs: Runs, alphabet: Alphabet) -> Ground:
+def basis_of(runs: FreeRuns, alphabet: Alphabet) -> Basis:
     """What the runs say about locations and inputs; the prior's centre is the median temperature."""
     names = list(contexts(alphabet))
     signals = level_signals(alphabet)
@@ -102,10 +101,10 @@ def ground(runs: Runs, alphabet: Alphabet) -> Ground:
     reading = runs.reading[np.isfinite(runs.reading)]
     gains = {signal: SPREAD / value for signal, value in swing.items() if value > 0}
     prior = Prior((float(np.median(reading)), SPREAD), gains)
-    return Ground(alphabet, tuple(names[place] for place in seen), signals, moving, prior)
+    return Basis(alphabet, tuple(names[place] for place in seen), signals, moving, prior)
 
 
-def _scatter(runs: Runs, number: int, rows: Mask) -> float:
+def _scatter(runs: FreeRuns, number: int, rows: Mask) -> float:
     """Standard deviation of an input over time, in its unit; 0 where it was never read."""
     use = rows & np.isfinite(runs.inputs[:, number]) & (runs.dt > 0)
     if not use.any():
@@ -115,7 +114,7 @@ def _scatter(runs: Runs, number: int, rows: Mask) -> float:
     return float(np.sqrt(np.average((value - mean) ** 2, weights=weight)))
 
 
-def build(candidate: Candidate, base: Ground) -> tuple[SHA, Shape, Names]:
+def build(candidate: BinsCandidate, base: Basis) -> tuple[SHA, FitShape, ParameterNames]:
     """The candidate's automaton, still without values, and its parameter vector."""
     sha = product_sha(
         base.alphabet, {name: _location(name, candidate, base) for name in contexts(base.alphabet)}, "bins"
@@ -125,7 +124,7 @@ def build(candidate: Candidate, base: Ground) -> tuple[SHA, Shape, Names]:
     return sha, *shape_of(sha, base.seen, base.signals, base.prior, rates=rates, gains=gains)
 
 
-def _location(name: str, candidate: Candidate, base: Ground) -> Location:
+def _location(name: str, candidate: BinsCandidate, base: Basis) -> Location:
     if name not in base.seen:
         return Location(name, Flow("constant", {"noise": 0.0}), entry="none")
     params = {"k": 1.0 / base.prior.tau, "noise": 0.0}
@@ -153,14 +152,14 @@ def process_groups(alphabet: Alphabet) -> Indices:
     return np.array([order.index(group) for group in groups], dtype=np.intp)
 
 
-def distinct(candidates: Sequence[Candidate], base: Ground) -> list[Candidate]:
+def distinct(candidates: Sequence[BinsCandidate], base: Basis) -> list[BinsCandidate]:
     """The candidates that differ on these data: with one location, or no moving input, several are the same.
 
     Over more than MOST_OWN locations none has a rate or a gain of its own for each of them. Raises LearningError when
     that leaves no candidate.
     """
     many = len(base.seen) > MOST_OWN
-    kept: dict[tuple[object, ...], Candidate] = {}
+    kept: dict[tuple[object, ...], BinsCandidate] = {}
     for candidate in candidates:
         if many and "location" in (candidate.rates, candidate.gains if candidate.flow == "driven" else ""):
             continue

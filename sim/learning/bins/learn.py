@@ -11,24 +11,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.assemble import LocationFit, learned_sha, location_fits, stay_values, well_seen
+from sim.learning.bins.assemble import LocationFit, learned_sha, location_fits, stay_values, well_seen
 from sim.learning.bins.candidates import (
     CANDIDATES,
-    Candidate,
-    Ground,
+    Basis,
+    BinsCandidate,
+    basis_of,
     build,
     distinct,
-    ground,
     modelled_places,
     process_groups,
 )
 from sim.learning.calibrate import Coverage, Scored, coverage_of, score_forecasts
 from sim.learning.data import in_order
-from sim.learning.free_run import Fit, fit_free_run
-from sim.learning.held_out import HeldOut, choose, cross_validate, folds, training_errors
-from sim.learning.noise import Noise, fit_noise
+from sim.learning.free_run import FreeRunFit, fit_free_run
+from sim.learning.held_out import HeldOutErrors, choose, cross_validate, folds, training_errors
+from sim.learning.noise import NoiseLevels, fit_noise
 from sim.learning.preparation import LEAST_READINGS, check_data, encoded, initial_law, splits, with_range
-from sim.learning.runs import Runs, first_switch, free_runs, sampled
+from sim.learning.runs import FreeRuns, first_switch, free_runs, sampled
 from sim.learning.semi_markov import fit_stays
 from sim.learning.structure import LearningError, bare_sha, level_signals
 from sim.sha.events import Alphabet, check_alphabet
@@ -60,7 +60,7 @@ class CandidateScore:
     chosen: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Learned:
     """A learned model, the m of each stay by location (for the histogram file) and how it came about."""
 
@@ -68,7 +68,7 @@ class Learned:
     values: Mapping[str, tuple[float, ...]]
     candidates: tuple[CandidateScore, ...]
     locations: tuple[LocationFit, ...]
-    noise: Noise
+    noise: NoiseLevels
     coverage: tuple[Coverage, ...]
 
 
@@ -79,8 +79,8 @@ class _Fitted:
     model: Model
     values: Mapping[str, tuple[float, ...]]
     locations: tuple[LocationFit, ...]
-    fit: Fit
-    noise: Noise
+    fit: FreeRunFit
+    noise: NoiseLevels
 
 
 def learn_bins(
@@ -90,7 +90,7 @@ def learn_bins(
     *,
     seed: int,
     name: str = "bins",
-    candidates: Sequence[Candidate] = CANDIDATES,
+    candidates: Sequence[BinsCandidate] = CANDIDATES,
     data_hash: str = "",
     progress: Progress | None = None,
 ) -> Learned:
@@ -98,22 +98,24 @@ def learn_bins(
 
     Traces without events are encoded by `alphabet`. The result depends on the traces' content and names, `seed` and the
     settings, not on the order of the traces; copies count once. `data_hash` defaults to the SHA-256 over their content.
-    `progress` is told what is being done and the share that is done (0 to 1).
+    `progress` is called with what is being done and the share that is done (0 to 1).
 
     Raises LearningError (a ValueError), in one sentence, when the traces cannot teach a model.
     """
-    told = progress or (lambda _stage, _share: None)
+    report = progress or (lambda _stage, _share: None)
     check_alphabet(alphabet)
     given = [encoded(trace, alphabet) for trace in traces if trace.times.size]
     ordered, digest = in_order(given)
-    told("reading the traces", 0.0)
+    report("reading the traces", 0.0)
     runs, base = _ground(ordered, alphabet, temperature)
-    scores, chosen, begin = _select(runs, base, candidates, told)
-    told("fitting the chosen candidate", 0.6)
-    fitted = _fit(name, ordered, runs, base, chosen, begin, temperature, FIT_BUDGET)
-    told("calibrating the bands", 0.75)
+    scores, chosen, begin = _select(runs, base, candidates, report)
+    report("fitting the chosen candidate", 0.6)
+    fitted = _fit(
+        name, ordered, runs=runs, base=base, candidate=chosen, begin=begin, temperature=temperature, budget=FIT_BUDGET
+    )
+    report("calibrating the bands", 0.75)
     coverage = coverage_of(_held_out_forecasts(ordered, alphabet, temperature, chosen, seed))
-    told("done", 1.0)
+    report("done", 1.0)
     table = tuple(_row(*figures, figures[0] == chosen) for figures in scores)
     provenance = Provenance(
         method="bins",
@@ -125,10 +127,17 @@ def learn_bins(
     )
     factors = {one.horizon: one.factor for one in coverage}
     model = replace(fitted.model, calibration=factors, provenance=provenance)
-    return Learned(model, fitted.values, table, fitted.locations, fitted.noise, coverage)
+    return Learned(
+        model=model,
+        values=fitted.values,
+        candidates=table,
+        locations=fitted.locations,
+        noise=fitted.noise,
+        coverage=coverage,
+    )
 
 
-def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tuple[Runs, Ground]:
+def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tuple[FreeRuns, Basis]:
     """The free runs through the locations that the data can teach, and what candidates are built on."""
     check_data(traces, temperature)
     sha, signals = bare_sha(alphabet), level_signals(alphabet)
@@ -143,15 +152,15 @@ def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tu
             f"only {count} readings of {temperature!r} fall into known locations, over {runs.dt.sum():.0f} s; "
             f"a model needs at least {LEAST_READINGS}, at different times"
         )
-    return runs, ground(runs, alphabet)
+    return runs, basis_of(runs, alphabet)
 
 
-Scores = list[tuple[Candidate, HeldOut | None, int, tuple[float, float]]]
+Scores = list[tuple[BinsCandidate, HeldOutErrors | None, int, tuple[float, float]]]
 
 
 def _select(
-    runs: Runs, base: Ground, candidates: Sequence[Candidate], told: Progress
-) -> tuple[Scores, Candidate, Array]:
+    runs: FreeRuns, base: Basis, candidates: Sequence[BinsCandidate], report: Progress
+) -> tuple[Scores, BinsCandidate, Array]:
     """(every candidate's figures, the chosen one, its rates): the held-out likelihood decides."""
     few = sampled(runs, CHOICE_BUDGET)
     cut = folds(few)
@@ -159,7 +168,7 @@ def _select(
     scores: Scores = []
     rates = []
     for number, candidate in enumerate(rivals):
-        told(f"trying: {candidate.label}", 0.1 + 0.5 * number / len(rivals))
+        report(f"trying: {candidate.label}", 0.1 + 0.5 * number / len(rivals))
         _, shape, _ = build(candidate, base)
         fit = fit_free_run(few, shape)
         held = cross_validate(cut, shape, fit.rates) if cut is not None else None
@@ -174,9 +183,10 @@ def _select(
 def _fit(
     name: str,
     traces: Sequence[Trace],
-    runs: Runs,
-    base: Ground,
-    candidate: Candidate,
+    *,
+    runs: FreeRuns,
+    base: Basis,
+    candidate: BinsCandidate,
     begin: Array | None,
     temperature: str,
     budget: int,
@@ -185,8 +195,8 @@ def _fit(
     few = sampled(runs, budget)
     fit = fit_free_run(few, shape, begin=begin)
     noise = fit_noise(few, shape, fit, process_groups(base.alphabet))
-    told = well_seen(sha, shape, fit, base)
-    learned = learned_sha(name, sha, shape, fit, noise, few, told)
+    measured = well_seen(sha, shape, fit, base)
+    learned = learned_sha(name, sha, shape=shape, fit=fit, noise=noise, runs=few, base=measured)
     model = Model(
         sha=with_range(learned, runs, 4.0 * noise.sensor),
         alphabet=base.alphabet,
@@ -196,15 +206,15 @@ def _fit(
     )
     return _Fitted(
         replace(model, semi_markov=fit_stays(model, traces)),
-        stay_values(few, learned, shape, fit, noise, told),
-        location_fits(learned, shape, fit, runs, told),
+        stay_values(few, learned, shape=shape, fit=fit, noise=noise, base=measured),
+        location_fits(learned, shape, fit, runs, measured),
         fit,
         noise,
     )
 
 
 def _held_out_forecasts(
-    traces: Sequence[Trace], alphabet: Alphabet, temperature: str, candidate: Candidate, seed: int
+    traces: Sequence[Trace], alphabet: Alphabet, temperature: str, candidate: BinsCandidate, seed: int
 ) -> list[Scored]:
     """Forecasts by models of the same kind that did not see what came next.
 
@@ -218,20 +228,29 @@ def _held_out_forecasts(
             runs, base = _ground(known, alphabet, temperature)
         except LearningError:
             continue
-        model = _fit("part", known, runs, base, candidate, None, temperature, PART_BUDGET).model
+        model = _fit(
+            "part",
+            known,
+            runs=runs,
+            base=base,
+            candidate=candidate,
+            begin=None,
+            temperature=temperature,
+            budget=PART_BUDGET,
+        ).model
         scored += score_forecasts(model, asked, since, rng)
     return scored
 
 
 def _row(
-    candidate: Candidate, held: HeldOut | None, size: int, errors: tuple[float, float], chosen: bool
+    candidate: BinsCandidate, held: HeldOutErrors | None, size: int, errors: tuple[float, float], chosen: bool
 ) -> CandidateScore:
     nan = float("nan")
     figures = (held.score, held.rmse, held.mae) if held is not None else (nan, nan, nan)
     return CandidateScore(candidate.label, size, *figures, *errors, chosen)
 
 
-def _settings(seed: int, chosen: Candidate, fitted: _Fitted, copies: int) -> dict[str, str | float | int | bool]:
+def _settings(seed: int, chosen: BinsCandidate, fitted: _Fitted, copies: int) -> dict[str, str | float | int | bool]:
     borrowed = [f"{one.name} {one.source}" for one in fitted.locations if one.source.startswith("borrowed")]
     return {
         "seed": seed,

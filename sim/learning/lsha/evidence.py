@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtr
 
-from sim.learning.lsha.segments import Segments
+from sim.learning.lsha.segments import TraceSegments
 from sim.learning.runs import Indices
 from sim.sha.trace import Array, Mask
 
@@ -32,7 +32,7 @@ Sums = tuple[float, float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class PooledEvidence:
     """What a set of segments says: their sums, and the mean that follows (NaN without any segment).
 
     `variance` is that of the mean, with `freedom` degrees of freedom: the sandwich estimate from `n_min` segments on,
@@ -50,28 +50,28 @@ class Evidence:
         """How many segments there are."""
         return self.sums[0]
 
-    def joined(self, other: "Evidence") -> "Evidence":
+    def joined(self, other: "PooledEvidence") -> "PooledEvidence":
         """The evidence of both sets, each segment counted once."""
         a, b = self.sums, other.sums
         sums = (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6])
         return evidence_of(sums, self.n_min)
 
 
-def evidence_of(sums: Sums, n_min: int) -> Evidence:
+def evidence_of(sums: Sums, n_min: int) -> PooledEvidence:
     """The evidence of a set of segments with these sums."""
     count, weight, total, square, square_total, square_square, error = sums
     if not count:
-        return Evidence(sums, n_min, nan, inf, CERTAIN)
+        return PooledEvidence(sums, n_min, nan, inf, CERTAIN)
     mean = total / weight
     effective = weight * weight / square
     if count < n_min or effective < 1.5:
-        return Evidence(sums, n_min, mean, 1.0 / weight, CERTAIN)
+        return PooledEvidence(sums, n_min, mean, 1.0 / weight, CERTAIN)
     sandwich = square_square - 2.0 * mean * square_total + mean * mean * square
     own = sandwich * effective / (effective - 1.0)
-    return Evidence(sums, n_min, mean, max(own, error) / (weight * weight), effective - 1.0)
+    return PooledEvidence(sums, n_min, mean, max(own, error) / (weight * weight), effective - 1.0)
 
 
-class Answer(NamedTuple):
+class WelchTest(NamedTuple):
     """The answer of a hypothesis-test query: Welch's t beyond `delta`, its degrees of freedom and p (two-sided)."""
 
     statistic: float
@@ -80,34 +80,34 @@ class Answer(NamedTuple):
     difference: float
 
 
-def same_distribution(one: Evidence, other: Evidence, delta: float) -> Answer:
+def same_distribution(one: PooledEvidence, other: PooledEvidence, delta: float) -> WelchTest:
     """Whether the means of two sets differ by more than `delta` (in the parameter's unit); both have segments."""
     difference = other.mean - one.mean
     beyond = abs(difference) - delta
     if beyond <= 0.0:
-        return Answer(0.0, CERTAIN, 1.0, difference)
+        return WelchTest(0.0, CERTAIN, 1.0, difference)
     whole = one.variance + other.variance
     statistic = beyond / sqrt(whole)
     freedom = whole * whole / (one.variance**2 / one.freedom + other.variance**2 / other.freedom)
-    return Answer(statistic, freedom, 2.0 * float(stdtr(freedom, -statistic)), difference)
+    return WelchTest(statistic, freedom, 2.0 * float(stdtr(freedom, -statistic)), difference)
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SegmentSample:
     """Segments ready to be pooled: weights, values relative to `centre`, and the scatter that was assumed.
 
     `scatter` is the robust standard deviation of the parameter from segment to segment of one state, `spread` that of
     all segments together (both in the parameter's unit).
     """
 
-    segments: Segments
+    segments: TraceSegments
     weight: Array
     value: Array
     centre: float
     scatter: float
     spread: float
 
-    def pooled(self, of_state: Indices, size: int, n_min: int, use: Mask | None = None) -> list[Evidence]:
+    def pooled(self, of_state: Indices, size: int, n_min: int, use: Mask | None = None) -> list[PooledEvidence]:
         """The evidence of each of `size` classes; `of_state` gives the class of each state, `use` (N,) leaves out."""
         rows = np.ones(self.value.size, dtype=bool) if use is None else use
         place, w, m, v = (
@@ -122,7 +122,7 @@ class Sample:
         return [evidence_of((*row,), n_min) for row in sums.tolist()]
 
 
-def sample_of(segments: Segments, alike: Indices) -> Sample:
+def sample_of(segments: TraceSegments, alike: Indices) -> SegmentSample:
     """The segments with weights: the scatter is the one that makes the residuals about their states' means typical.
 
     `alike` (S,) puts states together that are believed to resemble each other, for when too few segments share one.
@@ -132,10 +132,17 @@ def sample_of(segments: Segments, alike: Indices) -> Sample:
     weight = 1.0 / (scatter**2 + variance)
     centre = float(np.average(value, weights=weight))
     spread = float(np.sqrt(np.average((value - centre) ** 2, weights=weight)))
-    return Sample(segments, weight, value - centre, centre, scatter, max(spread, 1e-12))
+    return SegmentSample(
+        segments=segments,
+        weight=weight,
+        value=value - centre,
+        centre=centre,
+        scatter=scatter,
+        spread=max(spread, 1e-12),
+    )
 
 
-def _scatter(segments: Segments, alike: Indices) -> float:
+def _scatter(segments: TraceSegments, alike: Indices) -> float:
     """tau by which half of (m - mean)^2 / (tau^2 + v) lie below a chi-square's median, over states with 2 or more.
 
     States are taken as they are where LEAST_TWICE segments or more have company, else as `alike` says.
@@ -162,7 +169,7 @@ def _scatter(segments: Segments, alike: Indices) -> float:
     return max(high, floor)
 
 
-def between(sample: Sample, rows: Sequence[bool] | Mask) -> tuple[float, float, float]:
+def between(sample: SegmentSample, rows: Sequence[bool] | Mask) -> tuple[float, float, float]:
     """(mean, its standard error, scatter between segments apart from measurement error) of the chosen segments.
 
     The scatter is the moment estimate of DerSimonian & Laird (1986) with the sample's weights, drawn towards the

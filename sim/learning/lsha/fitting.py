@@ -1,29 +1,42 @@
-"""The physical parameters over a learned structure: levels of a `resample` automaton, or a joint free-run fit."""
+"""The physical parameters over a learned structure: flows of single locations, targets and rates, stays, bands.
 
-from collections.abc import Mapping, Sequence
+The structure is given. `plan_of` asks the model-identification query of each location, `fitted_model` fits everything
+together (levels of a `resample` automaton, or one joint free-run fit), `bands` fits the parameters again without parts
+of the readings, to see how far its forecasts of those parts are off.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.assemble import drift_noise
-from sim.learning.free_run import RATES, Fit, Shape, fit_free_run
-from sim.learning.lsha.automaton import Skeleton
-from sim.learning.lsha.evidence import Sample, between
-from sim.learning.lsha.flow_hypotheses import Flowing, flow_of, flow_shape, positions
-from sim.learning.lsha.ground import Ground, placed
-from sim.learning.lsha.segments import stays_after
-from sim.learning.noise import fit_noise
-from sim.learning.runs import Indices, Runs, sampled
+from sim.learning.calibrate import Coverage, Scored, coverage_of, score_forecasts
+from sim.learning.free_run import RATES, FitShape, FreeRunFit, fit_free_run
+from sim.learning.held_out import choose, cross_validate, folds
+from sim.learning.lsha.evidence import SegmentSample, between, sample_of
+from sim.learning.lsha.flow_hypotheses import BUDGET, Flowing, flow_of, flow_shape, flows_of, positions
+from sim.learning.lsha.hypothesis import HypothesisAutomaton
+from sim.learning.lsha.identify import Identified, identify
+from sim.learning.lsha.segments import levels, stays_after
+from sim.learning.lsha.settings import LshaSettings
+from sim.learning.lsha.structures import Structure
+from sim.learning.lsha.teacher import Teacher, alike, placed
+from sim.learning.lsha.words import described
+from sim.learning.noise import drift_noise, fit_noise
+from sim.learning.preparation import initial_law, splits, with_range
+from sim.learning.runs import FreeRuns, Indices, sampled
+from sim.learning.semi_markov import fit_stays
 from sim.learning.shape import with_parameters
 from sim.sha.automaton import SHA, Distribution, Entry, Flow, Input, Location
-from sim.sha.trace import Mask
+from sim.sha.model import Model
+from sim.sha.trace import Mask, Trace
 
 FIRST_SCATTER = 1.0
 """degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""
 
 
 @dataclass(frozen=True, slots=True)
-class LocationFit:
+class LshaLocationFit:
     """What was learned about one location: `words` that lead there, its flow, and the law of its parameter.
 
     `mu` and `sigma` are the law's, in the parameter's unit; `mu_error` is the standard error of the mean and `scatter`
@@ -46,13 +59,13 @@ class LocationFit:
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
+class FittedHypothesis:
     """The automaton with all parameters, the sensor's standard deviation, raw values of each law, and the table."""
 
     sha: SHA
     sensor: float
     values: Mapping[str, tuple[float, ...]]
-    locations: tuple[LocationFit, ...]
+    locations: tuple[LshaLocationFit, ...]
 
     @property
     def margin(self) -> float:
@@ -66,20 +79,21 @@ class Fitted:
 
 def fit_levels(
     name: str,
-    ground: Ground,
-    sample: Sample,
-    skeleton: Skeleton,
+    teacher: Teacher,
+    *,
+    sample: SegmentSample,
+    hypothesis: HypothesisAutomaton,
     modelled: Sequence[bool],
     words: Sequence[Sequence[str]],
-) -> Fitted:
+) -> FittedHypothesis:
     """A `resample` automaton under constant flows: every location draws its level anew on entry."""
-    sensor, drift = _inside(ground.runs)
-    unknown = drift_noise(ground.runs)
-    place = skeleton.place[sample.segments.place]
-    _, after = stays_after(ground.runs)
-    reading = np.bincount(skeleton.place[after[np.isfinite(ground.runs.reading)]], minlength=len(skeleton.names))
+    sensor, drift = _inside(teacher.runs)
+    unknown = drift_noise(teacher.runs)
+    place = hypothesis.place[sample.segments.place]
+    _, after = stays_after(teacher.runs)
+    reading = np.bincount(hypothesis.place[after[np.isfinite(teacher.runs.reading)]], minlength=len(hypothesis.names))
     locations, values, table = [], {}, []
-    for number, title in enumerate(skeleton.names):
+    for number, title in enumerate(hypothesis.names):
         mine = place == number
         if not modelled[number] or not mine.any():
             locations.append(Location(title, Flow("constant", {"noise": unknown}), entry="none"))
@@ -91,12 +105,21 @@ def fit_levels(
             locations.append(Location(title, Flow("constant", {"noise": drift}), distribution, "resample"))
             values[title] = tuple(sample.segments.value[mine].tolist())
         table.append(
-            _row(ground, skeleton, number, words[number], locations[-1], int(mine.sum()), int(reading[number]), law)
+            _row(
+                teacher,
+                hypothesis,
+                number=number,
+                words=words[number],
+                location=locations[-1],
+                segments=int(mine.sum()),
+                readings=int(reading[number]),
+                law=law,
+            )
         )
-    return Fitted(_sha(name, locations, skeleton), sensor, values, tuple(table))
+    return FittedHypothesis(_sha(name, locations, hypothesis), sensor, values, tuple(table))
 
 
-def _inside(runs: Runs) -> tuple[float, float]:
+def _inside(runs: FreeRuns) -> tuple[float, float]:
     """(sensor's sigma, random walk in degC/sqrt(s)) inside segments, by the variogram: from the shortest lag to the
     longest one in each segment."""
     stay, _ = stays_after(runs)
@@ -117,7 +140,7 @@ def _inside(runs: Runs) -> tuple[float, float]:
     return sensor, float(max(np.sqrt(walk), 1e-3 * sensor))
 
 
-def _variogram(runs: Runs, pairs: Indices) -> tuple[float, float]:
+def _variogram(runs: FreeRuns, pairs: Indices) -> tuple[float, float]:
     """(half the robust mean squared difference, mean lag) of pairs of readings."""
     gap = np.abs(runs.reading[pairs[:, 1]] - runs.reading[pairs[:, 0]])
     limit = 4.0 * max(1.4826 * float(np.median(gap)), 1e-9)
@@ -127,28 +150,31 @@ def _variogram(runs: Runs, pairs: Indices) -> tuple[float, float]:
 
 def fit_motion(
     name: str,
-    ground: Ground,
+    teacher: Teacher,
+    *,
     flowing: Flowing,
-    skeleton: Skeleton,
+    hypothesis: HypothesisAutomaton,
     modelled: Sequence[bool],
     words: Sequence[Sequence[str]],
     kinds: Sequence[str],
     budget: int,
-) -> Fitted:
+) -> FittedHypothesis:
     """A `parameter` automaton: all targets, rates and gains together by the likelihood of the free runs."""
-    size = len(skeleton.names)
-    place = skeleton.place
-    where = positions(ground, place, size)
-    shape, rated = flow_shape(flowing.hypothesis, ground, where, modelled, kinds)
-    runs = sampled(placed(ground.runs, place), budget)
+    size = len(hypothesis.names)
+    place = hypothesis.place
+    where = positions(teacher, place, size)
+    shape, rated = flow_shape(flowing.hypothesis, teacher, where, modelled, kinds)
+    runs = sampled(placed(teacher.runs, place), budget)
     begin = flowing.rates_of(rated) if all(kind == flowing.hypothesis.kind for kind in kinds) else None
     fit = fit_free_run(runs, shape, begin=begin)
     order = sorted(set(where))
     groups = np.array([order.index(each) for each in where], dtype=np.intp)
     noise = fit_noise(runs, shape, fit, groups)
-    bare = _bare(name, ground, shape, skeleton, modelled, drift_noise(ground.runs))
+    bare = _bare(
+        name, teacher, shape=shape, hypothesis=hypothesis, modelled=modelled, unknown=drift_noise(teacher.runs)
+    )
     sha = with_parameters(bare, shape, fit)
-    located = skeleton.place[flowing.sample.segments.place]
+    located = hypothesis.place[flowing.sample.segments.place]
     locations, values, table = [], {}, []
     readings = np.bincount(runs.place[np.isfinite(runs.reading) & ~runs.first], minlength=size)
     for number, location in enumerate(sha.locations):
@@ -158,21 +184,30 @@ def fit_motion(
             law = _law(fit, int(shape.target[number]), float(noise.scatter[number]), stays)
             location = _with_law(location, law, float(noise.process[groups[number]]))
             own = kinds[number] == flowing.hypothesis.kind
-            values[location.name] = (_told(flowing.sample, mine, law) if own else ()) or (law[0],)
+            values[location.name] = (_well_measured(flowing.sample, mine, law) if own else ()) or (law[0],)
         locations.append(location)
         table.append(
-            _row(ground, skeleton, number, words[number], location, int(mine.sum()), int(readings[number]), law)
+            _row(
+                teacher,
+                hypothesis,
+                number=number,
+                words=words[number],
+                location=location,
+                segments=int(mine.sum()),
+                readings=int(readings[number]),
+                law=law,
+            )
         )
-    return Fitted(_sha(name, locations, skeleton), noise.sensor, values, tuple(table))
+    return FittedHypothesis(_sha(name, locations, hypothesis), noise.sensor, values, tuple(table))
 
 
-def _told(sample: Sample, mine: Mask, law: tuple[float, float, float]) -> tuple[float, ...]:
+def _well_measured(sample: SegmentSample, mine: Mask, law: tuple[float, float, float]) -> tuple[float, ...]:
     """The parameters of the segments `mine` that are known to within twice the law's sigma."""
     sigma = float(np.hypot(law[1], law[2]))
     return tuple(sample.segments.value[mine & (np.sqrt(sample.segments.variance) <= 2.0 * sigma)].tolist())
 
 
-def _law(fit: Fit, column: int, scatter: float, stays: int) -> tuple[float, float, float]:
+def _law(fit: FreeRunFit, column: int, scatter: float, stays: int) -> tuple[float, float, float]:
     """(mean, its standard error, scatter between stays); the scatter is drawn towards 1 degC as if one stay had shown
     that."""
     shrunk = float(np.sqrt((stays * scatter**2 + FIRST_SCATTER**2) / (stays + 1)))
@@ -185,50 +220,206 @@ def _with_law(location: Location, law: tuple[float, float, float], noise: float)
     return replace(location, flow=flow, distribution=distribution)
 
 
-def _bare(name: str, ground: Ground, shape: Shape, skeleton: Skeleton, modelled: Sequence[bool], unknown: float) -> SHA:
+def _bare(
+    name: str,
+    teacher: Teacher,
+    *,
+    shape: FitShape,
+    hypothesis: HypothesisAutomaton,
+    modelled: Sequence[bool],
+    unknown: float,
+) -> SHA:
     """The automaton with flows but without values, as `with_parameters` wants it."""
     entry: Entry = "none"
     locations = []
-    for number, title in enumerate(skeleton.names):
+    for number, title in enumerate(hypothesis.names):
         if not modelled[number] or shape.target[number] < 0:
             locations.append(Location(title, Flow("constant", {"noise": unknown}), entry=entry))
             continue
         inputs = tuple(
             Input(signal, 0.0, centre)
-            for place, (signal, centre) in enumerate(zip(ground.signals, ground.centre.tolist(), strict=True))
+            for place, (signal, centre) in enumerate(zip(teacher.signals, teacher.centre.tolist(), strict=True))
             if shape.gain[number, place] >= 0
         )
-        locations.append(Location(title, flow_of(shape.kinds[number], ground.prior.tau, inputs)))
-    return _sha(name, locations, skeleton)
+        locations.append(Location(title, flow_of(shape.kinds[number], teacher.prior.tau, inputs)))
+    return _sha(name, locations, hypothesis)
 
 
-def _sha(name: str, locations: Sequence[Location], skeleton: Skeleton) -> SHA:
-    return SHA(name, tuple(locations), skeleton.edges(), skeleton.names[0])
+def _sha(name: str, locations: Sequence[Location], hypothesis: HypothesisAutomaton) -> SHA:
+    return SHA(name, tuple(locations), hypothesis.edges(), hypothesis.names[0])
 
 
 def _row(
-    ground: Ground,
-    skeleton: Skeleton,
+    teacher: Teacher,
+    hypothesis: HypothesisAutomaton,
+    *,
     number: int,
     words: Sequence[str],
     location: Location,
     segments: int,
     readings: int,
     law: tuple[float, float, float],
-) -> LocationFit:
+) -> LshaLocationFit:
     mu, error, scatter = law
     kind = location.flow.kind
-    return LocationFit(
-        name=skeleton.names[number],
+    return LshaLocationFit(
+        name=hypothesis.names[number],
         words=tuple(words),
         flow=kind,
         entry=location.entry,
         segments=segments,
         readings=readings,
-        seconds=float(ground.runs.dt[skeleton.place[ground.runs.place] == number].sum()),
+        seconds=float(teacher.runs.dt[hypothesis.place[teacher.runs.place] == number].sum()),
         mu=mu,
         mu_error=error,
         sigma=float(np.hypot(error, scatter)),
         scatter=scatter,
         rate=location.flow.params.get(RATES[kind], float("nan")) if kind in RATES else float("nan"),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitPlan:
+    """A structure ready to be fitted: the flow of each location (`kinds`) and the words that lead there (`words`)."""
+
+    name: str
+    temperature: str
+    flowing: Flowing
+    hypothesis: HypothesisAutomaton
+    modelled: Sequence[bool]
+    kinds: tuple[str, ...]
+    words: tuple[tuple[str, ...], ...]
+    identified: tuple[Identified, ...]
+
+
+def plan_of(
+    name: str,
+    temperature: str,
+    *,
+    teacher: Teacher,
+    flowing: Flowing,
+    structure: Structure,
+    hypothesis: HypothesisAutomaton,
+    settings: LshaSettings,
+) -> FitPlan:
+    """The plan, with the model-identification queries of the single locations answered."""
+    size, kind = structure.partition.size, flowing.hypothesis.kind
+    keys = structure.classes.keys
+    words = tuple(
+        tuple(dict.fromkeys(described(keys[one], teacher.alphabet) for one in mine)) for mine in hypothesis.members
+    )
+    plan = FitPlan(
+        name=name,
+        temperature=temperature,
+        flowing=flowing,
+        hypothesis=hypothesis,
+        modelled=structure.partition.modelled,
+        kinds=(kind,) * size,
+        words=words,
+        identified=(),
+    )
+    if flowing.given is None:
+        return plan  # under `resample` there is nothing to ask: a level is a level
+    motion, alternatives = flows_of(flowing, teacher)
+    runs = placed(teacher.runs, hypothesis.place)
+    answers = identify(
+        runs, size, default=kind, motion=motion, alternatives=alternatives, alpha=settings.alpha, n_min=settings.n_min
+    )
+    return _confirmed(plan, answers, teacher)
+
+
+def _confirmed(plan: FitPlan, answers: tuple[Identified, ...], teacher: Teacher) -> FitPlan:
+    """Flows of single locations are only taken if the held-out free runs do not get worse by them."""
+    kinds = list(plan.kinds)
+    for answer in answers:
+        kinds[answer.location] = answer.kind
+    mixed = replace(plan, kinds=tuple(kinds), identified=answers)
+    if mixed.kinds == plan.kinds:
+        return mixed
+    few = sampled(placed(teacher.runs, plan.hypothesis.place), BUDGET)
+    cut = folds(few)
+    scores, sizes = [], []
+    for one in (plan, mixed):
+        where = positions(teacher, plan.hypothesis.place, len(plan.kinds))
+        shape, _ = flow_shape(plan.flowing.hypothesis, teacher, where, plan.modelled, one.kinds)
+        sizes.append(shape.centre.size + shape.rate_centre.size)
+        if cut is not None:
+            scores.append(cross_validate(cut, shape, fit_free_run(few, shape).rates, fixed=True))
+    if len(scores) == 2 and scores[1].score > scores[0].score and choose(scores, [1, 2]) == 1:
+        return mixed
+    refused = tuple(replace(answer, kept=True, kind=answer.default) for answer in answers)
+    return replace(plan, identified=refused)
+
+
+def fitted_model(
+    plan: FitPlan, teacher: Teacher, traces: Sequence[Trace], budget: int
+) -> tuple[FittedHypothesis, Model]:
+    """All parameters by the readings of `teacher`, and the model with the stays of `traces`."""
+    fitted = fit(plan, teacher, budget)
+    model = Model(
+        sha=with_range(fitted.sha, teacher.runs, fitted.margin),
+        alphabet=teacher.alphabet,
+        temperature=plan.temperature,
+        sensor_sigma=fitted.sensor,
+        initial=initial_law(traces, plan.temperature),
+    )
+    return fitted, replace(model, semi_markov=fit_stays(model, traces))
+
+
+def fit(plan: FitPlan, teacher: Teacher, budget: int) -> FittedHypothesis:
+    """All parameters of the automaton by the readings of `teacher`."""
+    if plan.flowing.given is None:
+        sample = sample_of(levels(teacher.runs, teacher.group), alike(teacher))
+        return fit_levels(
+            plan.name, teacher, sample=sample, hypothesis=plan.hypothesis, modelled=plan.modelled, words=plan.words
+        )
+    return fit_motion(
+        plan.name,
+        teacher,
+        flowing=plan.flowing,
+        hypothesis=plan.hypothesis,
+        modelled=plan.modelled,
+        words=plan.words,
+        kinds=plan.kinds,
+        budget=budget,
+    )
+
+
+LEAST_KNOTS = 10
+
+
+def bands(
+    teacher: Teacher,
+    traces: Sequence[Trace],
+    *,
+    temperature: str,
+    fitted: Callable[[Teacher], Model],
+    seed: int,
+    origins: int,
+) -> tuple[Coverage, ...]:
+    """The coverage of forecasts over the parts of `preparation.splits`, `origins` of them a part.
+
+    `fitted` gives the parameters anew for the readings that are known in each part. The structure stays: what is
+    learned here is how wrong flows and laws may be.
+    """
+    rng = np.random.default_rng(seed)
+    read = [trace for trace in traces if np.isfinite(trace.signals.get(temperature, np.empty(0))).any()]
+    scored: list[Scored] = []
+    for known, asked, since in _parts(teacher, read):
+        if np.isfinite(teacher.runs.reading[known]).sum() >= LEAST_KNOTS:
+            model = fitted(replace(teacher, runs=teacher.runs.where(known), group=teacher.group[known]))
+            scored += score_forecasts(model, asked, since, rng, origins=origins)
+    return coverage_of(scored)
+
+
+def _parts(teacher: Teacher, traces: Sequence[Trace]) -> Iterator[tuple[Mask, Sequence[Trace], Sequence[float]]]:
+    """(knots that are known, traces to forecast, since when) of each part."""
+    runs = teacher.runs
+    usable = np.array([number for number, trace in enumerate(traces) if trace.times.size > 1], dtype=np.intp)
+    rank = np.searchsorted(usable, runs.trace)
+    for part, (_, asked, since) in enumerate(splits(traces)):
+        if usable.size >= 6:
+            yield rank % 3 != part, asked, since
+        else:
+            # Whole runs have to be kept: one that goes on beyond the cut ends there.
+            yield runs.time < np.asarray(since)[rank], asked, since

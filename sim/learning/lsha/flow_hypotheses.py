@@ -5,16 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.free_run import Given, Shape, fit_at_rates, predict, steps
-from sim.learning.held_out import FOLDS, HeldOut, choose, cross_validate, folds
-from sim.learning.lsha.evidence import Sample, sample_of
-from sim.learning.lsha.ground import Ground, alike, placed
+from sim.learning.free_run import FitShape, LinearFit, fit_at_rates, predict, steps
+from sim.learning.held_out import FOLDS, HeldOutErrors, choose, cross_validate, folds
+from sim.learning.lsha.evidence import SegmentSample, sample_of
 from sim.learning.lsha.identify import rate_alone
 from sim.learning.lsha.merging import Partition, learn_partition
 from sim.learning.lsha.segments import Motion, levels, parameters, stays_after
 from sim.learning.lsha.settings import Memory
-from sim.learning.lsha.words import Classes, History, classes_of
-from sim.learning.runs import Indices, Runs, sampled
+from sim.learning.lsha.teacher import Teacher, alike, placed
+from sim.learning.lsha.words import Classes, WordHistory, classes_of
+from sim.learning.runs import FreeRuns, Indices, sampled
 from sim.learning.shape import shape_of
 from sim.learning.structure import LearningError, distance, labels
 from sim.sha.automaton import SHA, Entry, Flow, Input, Location
@@ -79,7 +79,7 @@ class Rival:
     chosen: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Flowing:
     """A flow hypothesis with its rates and gains, and what the segments say under it.
 
@@ -89,10 +89,10 @@ class Flowing:
 
     hypothesis: FlowHypothesis
     groups: Indices
-    shape: Shape | None
-    given: Given | None
+    shape: FitShape | None
+    given: LinearFit | None
     rates: Mapping[str, float]
-    sample: Sample
+    sample: SegmentSample
 
     def rates_of(self, groups: Sequence[str]) -> Array:
         """(r,) the rates of the given groups; one that the coarse structure did not have gets the geometric mean."""
@@ -100,26 +100,26 @@ class Flowing:
         return np.array([self.rates.get(group, usual) for group in groups])
 
 
-def choose_flow(ground: Ground, kind: str | None, alpha: float, n_min: int) -> tuple[Flowing, tuple[Rival, ...]]:
+def choose_flow(teacher: Teacher, kind: str | None, alpha: float, n_min: int) -> tuple[Flowing, tuple[Rival, ...]]:
     """The hypothesis of greatest held-out likelihood (one-standard-error rule), of `kind` if one is given.
 
     Each hypothesis gets the structure that suits it: words merged with the memory `direction` or `word`, whichever is
     better, and the tolerance DELTA.
     Raises LearningError when the data cannot show a flow of that kind.
     """
-    groups, names = coarse(ground)
-    few = sampled(ground.runs, BUDGET)
+    groups, names = coarse(teacher)
+    few = sampled(teacher.runs, BUDGET)
     cut = folds(few)
-    rivals = [each for each in FLOW_HYPOTHESES if kind in (None, each.kind) and _possible(each, ground, names)]
+    rivals = [each for each in FLOW_HYPOTHESES if kind in (None, each.kind) and _possible(each, teacher, names)]
     if not rivals:
         raise LearningError(
             f"the flow {kind!r} needs a level signal of the alphabet that moves, and there is none; "
             "choose another default flow"
         )
-    found = [flowing(each, ground, groups, names, few) for each in rivals]
-    memories: tuple[Memory, ...] = ("direction", "word") if ground.words.whole else ("direction",)
-    seen = [classes_of(ground.words, memory) for memory in memories]
-    scored = [_held_out(each, ground, seen, cut, alpha, n_min) for each in found]
+    found = [flowing(each, teacher, groups, names, few) for each in rivals]
+    memories: tuple[Memory, ...] = ("direction", "word") if teacher.words.whole else ("direction",)
+    seen = [classes_of(teacher.words, memory) for memory in memories]
+    scored = [_held_out(each, teacher, seen=seen, cut=cut, alpha=alpha, n_min=n_min) for each in found]
     sizes = [size for _, size in scored]
     known = [held for held, _ in scored if held is not None]
     best = choose(known, sizes) if len(known) == len(scored) else sizes.index(min(sizes))
@@ -128,27 +128,41 @@ def choose_flow(ground: Ground, kind: str | None, alpha: float, n_min: int) -> t
 
 
 def flowing(
-    hypothesis: FlowHypothesis, ground: Ground, groups: Indices, names: Sequence[History], few: Runs
+    hypothesis: FlowHypothesis, teacher: Teacher, groups: Indices, names: Sequence[WordHistory], few: FreeRuns
 ) -> Flowing:
     """The hypothesis fitted to the coarse structure, and every segment's parameter under it."""
     if hypothesis.entry == "resample":
-        return Flowing(hypothesis, groups, None, None, {}, sample_of(levels(ground.runs, ground.group), alike(ground)))
+        return Flowing(
+            hypothesis=hypothesis,
+            groups=groups,
+            shape=None,
+            given=None,
+            rates={},
+            sample=sample_of(levels(teacher.runs, teacher.group), alike(teacher)),
+        )
     # One more location stands for all states without a law: runs begin where one of those ends.
-    where = [*(_position(key, ground) for key in names), ""]
-    shape, rated = flow_shape(hypothesis, ground, where, [True] * len(names) + [False])
+    where = [*(_position(key, teacher) for key in names), ""]
+    shape, rated = flow_shape(hypothesis, teacher, where, [True] * len(names) + [False])
     if hypothesis.alone:
-        rates = np.full(shape.rate_centre.size, rate_alone(ground.runs, hypothesis.kind))
+        rates = np.full(shape.rate_centre.size, rate_alone(teacher.runs, hypothesis.kind))
         given = fit_at_rates(placed(few, groups), shape, rates)
     else:
         rates, given = _rates(placed(few, groups), shape)
-    motion = _motion(placed(ground.runs, groups), shape, given, rates)
+    motion = _motion(placed(teacher.runs, groups), shape, given, rates)
     unit = float(np.median(shape.spread[np.unique(shape.target[shape.target >= 0])]))
-    segments = parameters(ground.runs, ground.group, motion, unit**2)
+    segments = parameters(teacher.runs, teacher.group, motion, unit**2)
     by_group = dict(zip(rated, rates.tolist(), strict=True))
-    return Flowing(hypothesis, groups, shape, given, by_group, sample_of(segments, alike(ground)))
+    return Flowing(
+        hypothesis=hypothesis,
+        groups=groups,
+        shape=shape,
+        given=given,
+        rates=by_group,
+        sample=sample_of(segments, alike(teacher)),
+    )
 
 
-def _rates(runs: Runs, shape: Shape) -> tuple[Array, Given]:
+def _rates(runs: FreeRuns, shape: FitShape) -> tuple[Array, LinearFit]:
     """The rates of least loss: all shifted together on a grid of the prior, then each by itself in halving steps."""
     best = fit_at_rates(runs, shape, np.exp(shape.rate_centre))
     logs, scale = shape.rate_centre, best.sigma
@@ -157,34 +171,38 @@ def _rates(runs: Runs, shape: Shape) -> tuple[Array, Given]:
     best = fit_at_rates(runs, shape, np.exp(logs), ROUNDS, scale)
     shifts = [shift * shape.rate_spread for shift in (-1.0, 1.0, 2.0, 3.0, 4.0)]
     for trial in [logs + shift for shift in shifts]:
-        logs, best = _better(runs, shape, trial, logs, best, scale)
+        logs, best = _better(runs, shape, trial=trial, logs=logs, best=best, scale=scale)
     for step in (0.5, 0.25, 0.12):
         for one in np.eye(logs.size):
             for sign in (-1.0, 1.0):
-                logs, best = _better(runs, shape, logs + sign * step * one * shape.rate_spread, logs, best, scale)
+                logs, best = _better(
+                    runs, shape, trial=logs + sign * step * one * shape.rate_spread, logs=logs, best=best, scale=scale
+                )
     return np.exp(logs), best
 
 
-def _better(runs: Runs, shape: Shape, trial: Array, logs: Array, best: Given, scale: float) -> tuple[Array, Given]:
+def _better(
+    runs: FreeRuns, shape: FitShape, *, trial: Array, logs: Array, best: LinearFit, scale: float
+) -> tuple[Array, LinearFit]:
     """The trial if its loss, with the prior's, is less."""
     found = fit_at_rates(runs, shape, np.exp(trial), ROUNDS, scale)
     return (trial, found) if found.loss < best.loss else (logs, best)
 
 
 def _held_out(
-    one: Flowing, ground: Ground, seen: Sequence[Classes], cut: Runs | None, alpha: float, n_min: int
-) -> tuple[HeldOut | None, int]:
+    one: Flowing, teacher: Teacher, *, seen: Sequence[Classes], cut: FreeRuns | None, alpha: float, n_min: int
+) -> tuple[HeldOutErrors | None, int]:
     """(held-out free-run errors over the structure that suits the hypothesis, its number of parameters).
 
     `seen` are the words through several memories; the one of the highest score counts.
     """
-    found = [_over(one, ground, classes, cut, alpha, n_min) for classes in seen]
+    found = [_over(one, teacher, classes=classes, cut=cut, alpha=alpha, n_min=n_min) for classes in seen]
     return max(found, key=lambda each: each[0].score if each[0] is not None else 0.0)
 
 
 def _over(
-    one: Flowing, ground: Ground, classes: Classes, cut: Runs | None, alpha: float, n_min: int
-) -> tuple[HeldOut | None, int]:
+    one: Flowing, teacher: Teacher, *, classes: Classes, cut: FreeRuns | None, alpha: float, n_min: int
+) -> tuple[HeldOutErrors | None, int]:
     """(held-out errors over the structure by these classes, number of parameters).
 
     Where every word is told apart the structure is learned anew without each fold of the traces: with a location for
@@ -192,97 +210,110 @@ def _over(
     once, from so many events that one fold hardly changes it.
     """
     delta = DELTA * one.sample.spread
-    partition = merged(classes, one.sample, ground, delta=delta, alpha=alpha, n_min=n_min)
+    partition = merged(classes, one.sample, teacher, delta=delta, alpha=alpha, n_min=n_min)
     place = partition.location[classes.of_state]
     size = partition.laws
     if one.shape is not None:
-        shape, rated = flow_shape(one.hypothesis, ground, positions(ground, place, partition.size), partition.modelled)
+        shape, rated = flow_shape(
+            one.hypothesis, teacher, positions(teacher, place, partition.size), partition.modelled
+        )
         size += int((shape.gain >= 0).any()) * shape.gain.shape[1] + shape.rate_centre.size
     if cut is None:
         return None, size
     traces = np.unique(cut.trace)
-    if ground.words.whole and traces.size >= FOLDS and np.array_equal(ground.group, ground.runs.trace):
+    if teacher.words.whole and traces.size >= FOLDS and np.array_equal(teacher.group, teacher.runs.trace):
         fold, part = (np.searchsorted(traces, each) % FOLDS for each in (cut.trace, one.sample.segments.group))
         error, kept = np.empty(len(cut)), np.isfinite(cut.reading)
         for held in range(FOLDS):
             use = part != held
-            fewer = merged(classes, one.sample, ground, delta=delta, alpha=alpha, n_min=n_min, use=use)
-            error[fold == held] = _errors(one, ground, fewer, classes, cut, fold == held)
-        return HeldOut(error[kept], np.unique(cut.run[kept], return_inverse=True)[1]), size
+            fewer = merged(classes, one.sample, teacher, delta=delta, alpha=alpha, n_min=n_min, use=use)
+            error[fold == held] = _errors(one, teacher, partition=fewer, classes=classes, cut=cut, mine=fold == held)
+        return HeldOutErrors(error[kept], np.unique(cut.run[kept], return_inverse=True)[1]), size
     if one.shape is None:
         return hold_out_levels(placed(cut, place)), size
     return cross_validate(placed(cut, place), shape, one.rates_of(rated), fixed=True), size
 
 
-def _errors(one: Flowing, ground: Ground, partition: Partition, classes: Classes, cut: Runs, mine: Mask) -> Array:
+def _errors(
+    one: Flowing, teacher: Teacher, *, partition: Partition, classes: Classes, cut: FreeRuns, mine: Mask
+) -> Array:
     """(m,) the errors of the free runs of `mine` (n,), over a given structure, by targets of the other runs."""
     place = partition.location[classes.of_state]
     runs = placed(cut, place)
     if one.shape is None:
         return _level_errors(runs, mine)
-    shape, rated = flow_shape(one.hypothesis, ground, positions(ground, place, partition.size), partition.modelled)
+    shape, rated = flow_shape(one.hypothesis, teacher, positions(teacher, place, partition.size), partition.modelled)
     rates = one.rates_of(rated)
     given = fit_at_rates(runs.where(~mine), shape, rates)
     return runs.reading[mine] - predict(runs.where(mine), shape, given.linear, rates, given.sigma)
 
 
 def merged(
-    classes: Classes, sample: Sample, ground: Ground, *, delta: float, alpha: float, n_min: int, use: Mask | None = None
+    classes: Classes,
+    sample: SegmentSample,
+    teacher: Teacher,
+    *,
+    delta: float,
+    alpha: float,
+    n_min: int,
+    use: Mask | None = None,
 ) -> Partition:
     """The classes merged by what the segments (those to `use`) say of them; `delta` in the parameter's unit."""
     modelled = np.zeros(len(classes), dtype=bool)
-    modelled[classes.of_state[ground.modelled]] = True
+    modelled[classes.of_state[teacher.modelled]] = True
     evidence = sample.pooled(classes.of_state, len(classes), n_min, use)
     return learn_partition(classes, evidence, modelled, delta=delta, alpha=alpha, n_min=n_min)
 
 
-def positions(ground: Ground, place: Indices, size: int) -> list[str]:
+def positions(teacher: Teacher, place: Indices, size: int) -> list[str]:
     """The position of the first switch in which each location spends most of its time."""
     spent: list[dict[str, float]] = [{} for _ in range(size)]
-    seconds = np.bincount(ground.runs.place, ground.runs.dt, place.size)
-    for state, where, time in zip(ground.words.states, place.tolist(), seconds.tolist(), strict=True):
-        position = _position(state, ground)
+    seconds = np.bincount(teacher.runs.place, teacher.runs.dt, place.size)
+    for state, where, time in zip(teacher.words.states, place.tolist(), seconds.tolist(), strict=True):
+        position = _position(state, teacher)
         spent[where][position] = spent[where].get(position, 0.0) + time
     return [max(times, key=lambda name: times[name]) for times in spent]
 
 
-def row(label: str, size: int, held: HeldOut | None) -> Rival:
+def row(label: str, size: int, held: HeldOutErrors | None) -> Rival:
     """A row of a table of rivals, not chosen yet."""
     nan = float("nan")
     figures = (held.score, held.rmse, held.mae) if held is not None else (nan, nan, nan)
     return Rival(label, size, *figures, chosen=False)
 
 
-def _possible(hypothesis: FlowHypothesis, ground: Ground, names: Sequence[History]) -> bool:
+def _possible(hypothesis: FlowHypothesis, teacher: Teacher, names: Sequence[WordHistory]) -> bool:
     """Whether the data can tell it from a simpler one: inputs that move, two positions of the switch."""
-    if hypothesis.kind == "driven" and not ground.prior.gain:
+    if hypothesis.kind == "driven" and not teacher.prior.gain:
         return False
-    return not hypothesis.by_switch or len({_position(key, ground) for key in names}) > 1
+    return not hypothesis.by_switch or len({_position(key, teacher) for key in names}) > 1
 
 
-def coarse(ground: Ground) -> tuple[Indices, tuple[History, ...]]:
+def coarse(teacher: Teacher) -> tuple[Indices, tuple[WordHistory, ...]]:
     """((S,) the coarse location of each state, what the states of each location have in common)."""
-    words, runs = ground.words, ground.runs
+    words, runs = teacher.words, teacher.runs
     seconds = np.bincount(runs.place, runs.dt, len(words.states))
-    total: dict[History, float] = {}
-    for state, spent, there in zip(words.states, seconds.tolist(), ground.modelled.tolist(), strict=True):
+    total: dict[WordHistory, float] = {}
+    for state, spent, there in zip(words.states, seconds.tolist(), teacher.modelled.tolist(), strict=True):
         if there:
-            key = History(state.context)
+            key = WordHistory(state.context)
             total[key] = total.get(key, 0.0) + spent
     first = list(total)
     kept = sorted(first, key=lambda key: (-total[key], first.index(key)))[:COARSE]
-    nearest = {key: min(kept, key=lambda other: distance(key.context, other.context, ground.alphabet)) for key in total}
+    nearest = {
+        key: min(kept, key=lambda other: distance(key.context, other.context, teacher.alphabet)) for key in total
+    }
     number = {key: n for n, key in enumerate(kept)}
     groups = [
-        number[nearest[History(s.context)]] if there else len(kept)
-        for s, there in zip(words.states, ground.modelled.tolist(), strict=True)
+        number[nearest[WordHistory(s.context)]] if there else len(kept)
+        for s, there in zip(words.states, teacher.modelled.tolist(), strict=True)
     ]
     return np.array(groups, dtype=np.intp), tuple(kept)
 
 
-def _position(state: History, ground: Ground) -> str:
+def _position(state: WordHistory, teacher: Teacher) -> str:
     """The position of the first switch, "" where there is none or it is not known."""
-    for value, channel in zip(state.context, ground.alphabet.channels, strict=True):
+    for value, channel in zip(state.context, teacher.alphabet.channels, strict=True):
         if isinstance(channel, Switch):
             return "" if value is None else labels(channel)[value]
     return ""
@@ -290,11 +321,11 @@ def _position(state: History, ground: Ground) -> str:
 
 def flow_shape(
     hypothesis: FlowHypothesis,
-    ground: Ground,
+    teacher: Teacher,
     positions: Sequence[str],
     free: Sequence[bool],
     kinds: Sequence[str] = (),
-) -> tuple[Shape, tuple[str, ...]]:
+) -> tuple[FitShape, tuple[str, ...]]:
     """(parameter vector of the `free` of L locations with that flow, the groups that its rates belong to).
 
     `positions` (L,) are those of the first switch; the other locations count as constant. `kinds` (L,) are the flows of
@@ -305,13 +336,13 @@ def flow_shape(
     """
     inputs = tuple(
         Input(signal, 0.0, centre)
-        for signal, centre in zip(ground.signals, ground.centre.tolist(), strict=True)
-        if hypothesis.kind == "driven" and signal in ground.prior.gain
+        for signal, centre in zip(teacher.signals, teacher.centre.tolist(), strict=True)
+        if hypothesis.kind == "driven" and signal in teacher.prior.gain
     )
     each = list(kinds) or [hypothesis.kind] * len(positions)
     names = [str(number) for number in range(len(positions))]
     locations = [
-        Location(name, flow_of(kind, ground.prior.tau, inputs if kind == "driven" else ()))
+        Location(name, flow_of(kind, teacher.prior.tau, inputs if kind == "driven" else ()))
         for name, kind in zip(names, each, strict=True)
     ]
     sha = SHA("flows", tuple(locations), (), names[0])
@@ -320,7 +351,7 @@ def flow_shape(
         for name, position, kind in zip(names, positions, each, strict=True)
     }
     mine = [name for name, own in zip(names, free, strict=True) if own]
-    shape, known = shape_of(sha, mine, ground.signals, ground.prior, rates=rates, gains=dict.fromkeys(names, "all"))
+    shape, known = shape_of(sha, mine, teacher.signals, teacher.prior, rates=rates, gains=dict.fromkeys(names, "all"))
     return shape, known.rates
 
 
@@ -332,7 +363,7 @@ def flow_of(kind: str, tau: float, inputs: tuple[Input, ...] = ()) -> Flow:
     return Flow(kind, {**rate, "noise": 0.0}, inputs)
 
 
-def hold_out_levels(runs: Runs) -> HeldOut:
+def hold_out_levels(runs: FreeRuns) -> HeldOutErrors:
     """The held-out errors of a level for each place, entered anew at each event: the free run of `resample`.
 
     Folds are those of `cross_validate`. A place that the other folds do not have gets the level of all.
@@ -342,10 +373,10 @@ def hold_out_levels(runs: Runs) -> HeldOut:
     for held in range(min(FOLDS, int(order[-1]) + 1)):
         error[order % FOLDS == held] = _level_errors(runs, order % FOLDS == held)
     there = np.isfinite(runs.reading)
-    return HeldOut(error[there], np.unique(order[there], return_inverse=True)[1])
+    return HeldOutErrors(error[there], np.unique(order[there], return_inverse=True)[1])
 
 
-def _level_errors(runs: Runs, mine: Mask) -> Array:
+def _level_errors(runs: FreeRuns, mine: Mask) -> Array:
     """(m,) the readings of `mine` (n,), less the mean of the others' in the same place (of all others without any)."""
     _, place = stays_after(runs)
     rest = ~mine & np.isfinite(runs.reading)
@@ -355,7 +386,7 @@ def _level_errors(runs: Runs, mine: Mask) -> Array:
     return np.asarray(runs.reading[mine] - level[place[mine]])
 
 
-def _motion(runs: Runs, shape: Shape, given: Given, rates: Array) -> Motion:
+def _motion(runs: FreeRuns, shape: FitShape, given: LinearFit, rates: Array) -> Motion:
     """The fitted flow's step at every knot, and what the gains add to its target."""
     decay, pull = steps(runs, shape, np.log(rates))
     decay = np.where(runs.first, 1.0, decay)
@@ -367,7 +398,7 @@ def _motion(runs: Runs, shape: Shape, given: Given, rates: Array) -> Motion:
     return Motion(decay, pull, offset)
 
 
-def flows_of(flowing: Flowing, ground: Ground) -> tuple[Motion, dict[str, Flow]]:
+def flows_of(flowing: Flowing, teacher: Teacher) -> tuple[Motion, dict[str, Flow]]:
     """(the motion under the chosen flow, the other flows that a location may have instead).
 
     The rate of an alternative comes from the median length of the segments: it is only asked whether its shape fits.
@@ -375,8 +406,8 @@ def flows_of(flowing: Flowing, ground: Ground) -> tuple[Motion, dict[str, Flow]]
     if flowing.shape is None or flowing.given is None:
         raise ValueError("a resampled level has no motion")
     order = tuple(flowing.rates)
-    motion = _motion(placed(ground.runs, flowing.groups), flowing.shape, flowing.given, flowing.rates_of(order))
-    seconds = np.bincount(ground.runs.stay, ground.runs.dt)
+    motion = _motion(placed(teacher.runs, flowing.groups), flowing.shape, flowing.given, flowing.rates_of(order))
+    seconds = np.bincount(teacher.runs.stay, teacher.runs.dt)
     typical = max(float(np.median(seconds[seconds > 0])), 1e-3)
     kinds = ("constant", "linear", "logarithmic", "exponential")
     own = "exponential" if flowing.hypothesis.kind == "driven" else flowing.hypothesis.kind

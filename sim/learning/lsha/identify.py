@@ -14,7 +14,7 @@ from scipy.special import stdtr
 
 from sim.learning.free_run import RATES
 from sim.learning.lsha.segments import Motion, stay_fits
-from sim.learning.runs import Indices, Runs
+from sim.learning.runs import FreeRuns, Indices
 from sim.sha.automaton import Flow
 from sim.sha.flows import coefficients
 from sim.sha.trace import Array
@@ -25,7 +25,7 @@ LEAST_READINGS = 4
 """Readings of a segment that can tell flows apart: two unknowns, and two more."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Identified:
     """The answer for one location: the `kind` that fits best, against the `default` one.
 
@@ -44,7 +44,14 @@ class Identified:
 
 
 def identify(
-    runs: Runs, size: int, default: str, motion: Motion, alternatives: Mapping[str, Flow], alpha: float, n_min: int
+    runs: FreeRuns,
+    size: int,
+    *,
+    default: str,
+    motion: Motion,
+    alternatives: Mapping[str, Flow],
+    alpha: float,
+    n_min: int,
 ) -> tuple[Identified, ...]:
     """The answers for the locations 0..size-1 that have `n_min` segments of four readings or more."""
     own = _log_squares(runs, motion)
@@ -62,11 +69,22 @@ def identify(
         )
         p, gain, kind = best
         kept = p >= alpha / queries
-        answers.append(Identified(number, default, default if kept else kind, int(rows.sum()), -gain, p, queries, kept))
+        answers.append(
+            Identified(
+                location=number,
+                default=default,
+                kind=default if kept else kind,
+                segments=int(rows.sum()),
+                gain=-gain,
+                p=p,
+                queries=queries,
+                kept=kept,
+            )
+        )
     return tuple(answers)
 
 
-def rate_alone(runs: Runs, kind: str) -> float:
+def rate_alone(runs: FreeRuns, kind: str) -> float:
     """The rate (k in 1/s, t0 in s) under which the segments fit best, each with a start and a parameter of its own.
 
     Nothing is assumed of which segments belong together; slow flows hardly show their rate inside a segment.
@@ -85,7 +103,7 @@ def _rate(kind: str, tau: float) -> float:
     return tau if RATES[kind] == "t0" else 1.0 / tau
 
 
-def _loss(runs: Runs, flow: Flow) -> float:
+def _loss(runs: FreeRuns, flow: Flow) -> float:
     """Minus the log-likelihood of all segments, each with a noise of its own."""
     logs, count, _ = _log_squares(runs, _uniform(runs, flow))
     return float(0.5 * count @ logs)
@@ -100,12 +118,12 @@ def _compared(gain: Array, kind: str) -> tuple[float, float, str]:
     return float(stdtr(clipped.size - 1, -mean / error)), -mean, kind
 
 
-def _uniform(runs: Runs, flow: Flow) -> Motion:
+def _uniform(runs: FreeRuns, flow: Flow) -> Motion:
     decay, pull, _ = coefficients(flow, runs.age, runs.dt)
     return Motion(decay, pull, np.zeros(len(runs)))
 
 
-def _log_squares(runs: Runs, motion: Motion) -> tuple[Array, Array, Indices]:
+def _log_squares(runs: FreeRuns, motion: Motion) -> tuple[Array, Array, Indices]:
     """(log of the mean squared residual, readings, place) of every stay; squares below 1e-9 of all are that."""
     _, _, squares, count, begin = stay_fits(runs, motion)
     mean = squares / np.maximum(count, 1.0)

@@ -1,9 +1,15 @@
 """Method `lsha`: L*_SHA, a learner with an observation table and a teacher who answers from traces.
 
-The order of things: words and segments (`words`, `segments`); which flow the plant has (`flow_hypotheses`); which words
-lead to the same location (`merging`, chosen among rival structures by `structures`); the automaton (`automaton`); the
-flow of single locations (`identify`); all parameters over the learned structure (`fitting`); stays, bands and the check
-that every training trace is accepted.
+`learn_lsha` reads from top to bottom in the words of L* (Angluin 1987). The system under learning is not at hand: the
+teacher knows its traces alone, so a query is answered by a statistical test over what was recorded, or not at all.
+
+- membership query: what follows a word. The teacher's segments after it tell a flow (model-identification query) and a
+  parameter (`segments`); whether two rows are alike is a hypothesis-test query (`evidence`).
+- closedness, consistency: a row like no location becomes one; what is merged is merged with all that follows
+  (`merging`). Nothing observed decides nothing, so the table is closed and consistent whatever is missing.
+- hypothesis: the automaton of the merged rows (`hypothesis`), with its physical parameters (`fitting`).
+- equivalence query: the hypothesis runs along every training trace. A trace that it does not accept would be a
+  counterexample; since all words of the traces are rows from the beginning, it is a defect of the learner.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,17 +19,21 @@ import numpy as np
 
 from sim.learning.calibrate import Coverage
 from sim.learning.data import in_order
-from sim.learning.lsha.automaton import Acceptance, Skeleton, acceptance, skeleton_of
-from sim.learning.lsha.bands import bands
-from sim.learning.lsha.build import Plan, fit, fitted_model, plan_of
-from sim.learning.lsha.fitting import Fitted, LocationFit
-from sim.learning.lsha.flow_hypotheses import Flowing, Rival, choose_flow
-from sim.learning.lsha.ground import CYCLE, Ground, ground_of
+from sim.learning.lsha.fitting import LshaLocationFit, bands, fit, fitted_model, plan_of
+from sim.learning.lsha.flow_hypotheses import Rival, choose_flow
+from sim.learning.lsha.hypothesis import (
+    HypothesisAutomaton,
+    ObservationTable,
+    TraceAcceptance,
+    acceptance,
+    hypothesis_of,
+    observation_table,
+)
 from sim.learning.lsha.identify import Identified
 from sim.learning.lsha.merging import Decision
 from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import Structure, choose_structure
-from sim.learning.lsha.table import ObservationTable, observation_table
+from sim.learning.lsha.teacher import CYCLE, Teacher, teacher_of
 from sim.learning.lsha.words import Word, described, spelled
 from sim.learning.preparation import check_data, encoded, with_range
 from sim.learning.structure import LearningError
@@ -75,10 +85,10 @@ class LshaReport:
     level: float
     identified: tuple[Identified, ...]
     table: ObservationTable
-    locations: tuple[LocationFit, ...]
+    locations: tuple[LshaLocationFit, ...]
     observed_edges: int
     default_edges: int
-    acceptance: Acceptance
+    acceptance: TraceAcceptance
     coverage: tuple[Coverage, ...]
     copies: int
 
@@ -107,146 +117,121 @@ def learn_lsha(
 
     Traces without events are encoded by `alphabet`. The result depends on the traces' content and names, `seed` and the
     settings, not on the order of the traces; copies count once. `data_hash` defaults to the SHA-256 over their content.
-    `progress` is told what is being done and the share that is done (0 to 1).
+    `progress` is called with what is being done and the share that is done (0 to 1).
 
     Raises LearningError (a ValueError), in one sentence, when the traces cannot teach a model.
     """
-    told = progress or (lambda _stage, _share: None)
+    report_progress = progress or (lambda _stage, _share: None)
     chosen = settings or LshaSettings()
     check_alphabet(alphabet)
     given = [encoded(trace, alphabet) for trace in traces if trace.times.size]
     ordered, digest = in_order(given)
     check_data(ordered, temperature)
-    told("words and segments", 0.0)
-    ground = ground_of(ordered, alphabet, temperature, chosen.n_min, chosen.split)
-    asked = _ask(ground, chosen, told)
-    told(f"fitting {asked.structure.partition.laws} locations", 0.6)
-    plan = plan_of(name, temperature, ground, asked.flowing, asked.structure, asked.skeleton, chosen)
-    fitted, model = fitted_model(plan, ground, ordered, BUDGET)
-    told("calibrating the bands", 0.8)
-    coverage = bands(ground, ordered, temperature, lambda part: _part(plan, part, model), seed, ORIGINS)
-    checked = acceptance(asked.skeleton, ordered)
-    if checked.failure:
-        raise LearningError(f"the learned automaton does not accept {checked.failure}; this is a defect, report it")
-    report = _report(ground, chosen, asked, plan, fitted, checked, coverage, len(given) - len(ordered))
-    origin = _origin(report, ordered, data_hash or digest, seed, asked)
-    told("done", 1.0)
-    model = replace(model, calibration={one.horizon: one.factor for one in coverage}, provenance=origin)
-    return LearnedLsha(model, fitted.values, report)
 
+    # The teacher: every word of the traces, and the segments that were measured after each.
+    report_progress("words and segments", 0.0)
+    teacher = teacher_of(ordered, alphabet, temperature, n_min=chosen.n_min, split=chosen.split)
 
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """What the queries were answered: the flow, the structure, the rivals of both, and the automaton that follows."""
-
-    flowing: Flowing
-    flows: tuple[Rival, ...]
-    structure: Structure
-    structures: tuple[Rival, ...]
-    skeleton: Skeleton
-
-
-def _ask(ground: Ground, settings: LshaSettings, told: Progress) -> _Asked:
-    """Both kinds of queries. Raises LearningError when no segment tells its parameter."""
-    told("model-identification queries", 0.1)
-    flowing, flows = choose_flow(ground, settings.default_flow, settings.alpha, settings.n_min)
+    # Membership queries: which flow the segments follow, and each segment's parameter under it.
+    report_progress("model-identification queries", 0.1)
+    flowing, flows = choose_flow(teacher, chosen.default_flow, chosen.alpha, chosen.n_min)
     if not flowing.sample.value.size:
         raise LearningError(
             "no segment between two events has readings that tell its parameter; longer or denser traces are needed"
         )
-    told("hypothesis-test queries", 0.35)
-    structure, structures = choose_structure(ground, flowing.sample, settings)
-    return _Asked(flowing, flows, structure, structures, skeleton_of(ground, structure, complete=settings.complete))
 
+    # The table is closed and made consistent under each memory and tolerance; held-out segments choose between them.
+    report_progress("hypothesis-test queries", 0.35)
+    structure, structures = choose_structure(teacher, flowing.sample, chosen)
 
-def _report(
-    ground: Ground,
-    settings: LshaSettings,
-    asked: _Asked,
-    plan: Plan,
-    fitted: Fitted,
-    checked: Acceptance,
-    coverage: tuple[Coverage, ...],
-    copies: int,
-) -> LshaReport:
-    partition, sample = asked.structure.partition, asked.flowing.sample
-    return LshaReport(
-        settings=settings,
-        flows=asked.flows,
-        structures=asked.structures,
-        delta=asked.structure.delta,
-        spread=sample.spread,
-        scatter=sample.scatter,
-        segments=int(sample.value.size),
-        rows=_rows(ground, asked.structure, asked.skeleton),
+    # The hypothesis, first its locations and edges, then their flows and laws.
+    hypothesis = hypothesis_of(teacher, structure, complete=chosen.complete)
+    report_progress(f"fitting {structure.partition.laws} locations", 0.6)
+    plan = plan_of(
+        name,
+        temperature,
+        teacher=teacher,
+        flowing=flowing,
+        structure=structure,
+        hypothesis=hypothesis,
+        settings=chosen,
+    )
+    fitted, model = fitted_model(plan, teacher, ordered, BUDGET)
+
+    # The equivalence query. Only observed edges count: default edges would accept anything.
+    accepted = acceptance(hypothesis, ordered)
+    if accepted.failure:
+        raise LearningError(f"the learned automaton does not accept {accepted.failure}; this is a defect, report it")
+
+    def refitted(part: Teacher) -> Model:
+        """The whole model with the parameters of a part of the readings."""
+        fewer = fit(plan, part, PART_BUDGET)
+        return replace(model, sha=with_range(fewer.sha, part.runs, fewer.margin), sensor_sigma=fewer.sensor)
+
+    report_progress("calibrating the bands", 0.8)
+    coverage = bands(teacher, ordered, temperature=temperature, fitted=refitted, seed=seed, origins=ORIGINS)
+    partition = structure.partition
+    suffixes = [decision.suffix for decision in partition.decisions if decision.verdict == "new"]
+    report = LshaReport(
+        settings=chosen,
+        flows=flows,
+        structures=structures,
+        delta=structure.delta,
+        spread=flowing.sample.spread,
+        scatter=flowing.sample.scatter,
+        segments=int(flowing.sample.value.size),
+        rows=_rows(teacher, structure, hypothesis),
         decisions=partition.decisions,
         queries=partition.queries,
         level=partition.level,
         identified=plan.identified,
-        table=_table(asked.skeleton, asked.structure),
+        table=observation_table(hypothesis, suffixes, partition.modelled),
         locations=fitted.locations,
-        observed_edges=len(asked.skeleton.observed),
-        default_edges=len(asked.skeleton.default),
-        acceptance=checked,
+        observed_edges=len(hypothesis.observed),
+        default_edges=len(hypothesis.default),
+        acceptance=accepted,
         coverage=coverage,
-        copies=copies,
+        copies=len(given) - len(ordered),
     )
+    provenance = Provenance(
+        method="lsha",
+        data_hash=data_hash or digest,
+        traces=tuple(trace.name for trace in ordered),
+        synthetic=any(trace.synthetic for trace in ordered),
+        settings={
+            "seed": seed,
+            "flow": flowing.hypothesis.label,
+            "memory": structure.classes.memory,
+            "delta": structure.delta,
+            "alpha": chosen.alpha,
+            "n_min": chosen.n_min,
+            "split": chosen.split,
+            "complete": chosen.complete,
+            "cycle_s": CYCLE,
+            "copies_left_out": report.copies,
+            "locations_with_a_law": sum(partition.modelled),
+            "observed_edges": report.observed_edges,
+            "default_edges": report.default_edges,
+            "accepted": f"{accepted.accepted} of {accepted.traces} training traces",
+        },
+        scores=_scores(report),
+    )
+    report_progress("done", 1.0)
+    calibration = {one.horizon: one.factor for one in coverage}
+    return LearnedLsha(replace(model, calibration=calibration, provenance=provenance), fitted.values, report)
 
 
-def _part(plan: Plan, ground: Ground, whole: Model) -> Model:
-    """The whole model with the parameters of a part of the readings."""
-    fitted = fit(plan, ground, PART_BUDGET)
-    return replace(whole, sha=with_range(fitted.sha, ground.runs, fitted.margin), sensor_sigma=fitted.sensor)
-
-
-def _rows(ground: Ground, structure: Structure, skeleton: Skeleton) -> tuple[RowOfWords, ...]:
+def _rows(teacher: Teacher, structure: Structure, hypothesis: HypothesisAutomaton) -> tuple[RowOfWords, ...]:
     """Every class of words: what it is called, where it was seen first, and the location that it leads to."""
-    classes, words = structure.classes, ground.words
+    classes, words = structure.classes, teacher.words
     first: dict[int, int] = {}
     for state, one in enumerate(classes.of_state.tolist()):
         first.setdefault(one, state)
-    names = [skeleton.names[number] for number in structure.partition.location.tolist()]
+    names = [hypothesis.names[number] for number in structure.partition.location.tolist()]
     return tuple(
-        RowOfWords(described(key, ground.alphabet), spelled(key, words), *words.first[first[number]], names[number])
+        RowOfWords(described(key, teacher.alphabet), spelled(key, words), *words.first[first[number]], names[number])
         for number, key in enumerate(classes.keys)
     )
-
-
-def _table(skeleton: Skeleton, structure: Structure) -> ObservationTable:
-    suffixes = [decision.suffix for decision in structure.partition.decisions if decision.verdict == "new"]
-    return observation_table(skeleton, suffixes, structure.partition.modelled)
-
-
-def _origin(report: LshaReport, traces: Sequence[Trace], digest: str, seed: int, asked: _Asked) -> Provenance:
-    return Provenance(
-        method="lsha",
-        data_hash=digest,
-        traces=tuple(trace.name for trace in traces),
-        synthetic=any(trace.synthetic for trace in traces),
-        settings=_settings(report, seed, asked.flowing, asked.structure),
-        scores=_scores(report),
-    )
-
-
-def _settings(
-    report: LshaReport, seed: int, flowing: Flowing, structure: Structure
-) -> dict[str, str | float | int | bool]:
-    return {
-        "seed": seed,
-        "flow": flowing.hypothesis.label,
-        "memory": structure.classes.memory,
-        "delta": structure.delta,
-        "alpha": report.settings.alpha,
-        "n_min": report.settings.n_min,
-        "split": report.settings.split,
-        "complete": report.settings.complete,
-        "cycle_s": CYCLE,
-        "copies_left_out": report.copies,
-        "locations_with_a_law": sum(structure.partition.modelled),
-        "observed_edges": report.observed_edges,
-        "default_edges": report.default_edges,
-        "accepted": f"{report.acceptance.accepted} of {report.acceptance.traces} training traces",
-    }
 
 
 def _scores(report: LshaReport) -> dict[str, float]:

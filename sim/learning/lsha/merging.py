@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim.learning.lsha.evidence import Answer, Evidence, same_distribution
+from sim.learning.lsha.evidence import PooledEvidence, WelchTest, same_distribution
 from sim.learning.lsha.words import Classes
 from sim.learning.runs import Indices
 from sim.sha.trace import Mask
@@ -28,7 +28,7 @@ TRIED = 6
 Verdict = Literal["new", "merged", "default", "dissolved"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
     """Why class `row` is where it is. `other` is the class that its location began with (itself for a new one).
 
@@ -42,7 +42,7 @@ class Decision:
     verdict: Verdict
     other: int
     evidence: int
-    answer: Answer | None = None
+    answer: WelchTest | None = None
     rival: int | None = None
     suffix: tuple[str, ...] = ()
 
@@ -51,7 +51,7 @@ class Decision:
 class Query:
     """A refused merge: the pair of classes whose evidence speaks against it, and the suffix on which they meet."""
 
-    answer: Answer | None
+    answer: WelchTest | None
     suffix: tuple[str, ...]
     pair: tuple[int, int]
 
@@ -81,13 +81,13 @@ class Partition:
         return sum(self.modelled)
 
 
-@dataclass(slots=True)
-class _State:
+@dataclass(slots=True, kw_only=True)
+class _PartitionState:
     """The partition while it is made: union-find over classes, edges and evidence of each set; the rows done (C,)."""
 
     parent: list[int]
     edges: list[dict[str, int]]
-    evidence: list[Evidence]
+    evidence: list[PooledEvidence]
     fixed: set[int]
     placed: list[bool]
     delta: float
@@ -101,7 +101,7 @@ class _State:
             one = self.parent[one]
         return one
 
-    def compare(self, one: Evidence, other: Evidence) -> Answer:
+    def compare(self, one: PooledEvidence, other: PooledEvidence) -> WelchTest:
         self.queries += 1
         return same_distribution(one, other, self.delta)
 
@@ -110,11 +110,11 @@ class _State:
 class _Fold:
     """A merge on trial: what would be joined, over the state as it is."""
 
-    state: _State
+    state: _PartitionState
     parent: dict[int, int] = field(default_factory=dict)
     edges: dict[int, dict[str, int]] = field(default_factory=dict)
-    evidence: dict[int, Evidence] = field(default_factory=dict)
-    answers: list[tuple[Answer, tuple[str, ...], tuple[int, int]]] = field(default_factory=list)
+    evidence: dict[int, PooledEvidence] = field(default_factory=dict)
+    answers: list[tuple[WelchTest, tuple[str, ...], tuple[int, int]]] = field(default_factory=list)
 
     def find(self, one: int) -> int:
         one = self.state.find(one)
@@ -130,26 +130,20 @@ class _Fold:
             keep, gone = self.find(first), self.find(second)
             if keep == gone:
                 continue
-            keep, gone = self._ordered(keep, gone)
+            if gone in self.state.known and keep not in self.state.known:
+                keep, gone = gone, keep  # a known location keeps its number
             if gone in self.state.fixed or keep in self.state.fixed:
                 return Query(None, suffix, (keep, gone))
-            self._compare(keep, gone, suffix)
+            one, other = (self.evidence.get(each, self.state.evidence[each]) for each in (keep, gone))
+            if one.count and other.count:
+                self.answers.append((self.state.compare(one, other), suffix, (keep, gone)))
+            self.evidence[keep] = one.joined(other)
+            # Consistency: where both sets have an edge on a symbol, determinism makes their targets one as well.
             kept, lost = self.edges.get(keep, self.state.edges[keep]), self.edges.get(gone, self.state.edges[gone])
             stack += [(kept[symbol], lost[symbol], (*suffix, symbol)) for symbol in sorted(kept.keys() & lost.keys())]
             self.edges[keep] = {**lost, **kept}
             self.parent[gone] = keep
         return None
-
-    def _ordered(self, keep: int, gone: int) -> tuple[int, int]:
-        """A known location keeps its number."""
-        known = self.state.known
-        return (gone, keep) if gone in known and keep not in known else (keep, gone)
-
-    def _compare(self, keep: int, gone: int, suffix: tuple[str, ...]) -> None:
-        one, other = (self.evidence.get(each, self.state.evidence[each]) for each in (keep, gone))
-        if one.count and other.count:
-            self.answers.append((self.state.compare(one, other), suffix, (keep, gone)))
-        self.evidence[keep] = one.joined(other)
 
     def worst(self) -> tuple[float, Query | None]:
         """(p of the whole merge, the pair that speaks most against it)."""
@@ -172,7 +166,7 @@ class _Fold:
 
 def learn_partition(
     classes: Classes,
-    evidence: Sequence[Evidence],
+    evidence: Sequence[PooledEvidence],
     modelled: Mask,
     *,
     delta: float,
@@ -187,7 +181,15 @@ def learn_partition(
     size = len(classes)
     fixed = {number for number in range(size) if not modelled[number]}
     edges = [dict(each) for each in classes.edges]
-    state = _State(list(range(size)), edges, list(evidence), fixed, [False] * size, delta, n_min)
+    state = _PartitionState(
+        parent=list(range(size)),
+        edges=edges,
+        evidence=list(evidence),
+        fixed=fixed,
+        placed=[False] * size,
+        delta=delta,
+        n_min=n_min,
+    )
     level = alpha / max(sum(one.count > 0 for one in evidence), 1)
     free = [number for number in range(size) if number not in fixed]
     if classes.memory == "word":
@@ -195,27 +197,45 @@ def learn_partition(
     else:
         order = sorted(free, key=lambda n: (-evidence[n].count, n))
     decisions: list[Decision] = []
+    # Closedness: every row equals a location or becomes one. The order matters: what has most evidence becomes a
+    # location first, so that a row of chance does not attract the rows to which it happens to be like.
     for row in order:
         # A merge before may have entailed where the row belongs.
         if state.find(row) not in state.known:
-            decide = _decide if state.evidence[state.find(row)].count else _placed
-            decisions += decide(state, row, classes, level)
+            if state.evidence[state.find(row)].count:
+                decisions.append(_decide(state, row, classes, level))
+            else:
+                decisions += _follow_neighbours(state, row, classes, level)
         state.placed[row] = True
     decisions += _dissolved(state, level)
-    return _numbered(state, tuple(decisions), level)
+    # Locations are numbered in the order of their first class, whatever number their set has.
+    roots = [state.find(number) for number in range(size)]
+    numbers: dict[int, int] = {}
+    for root in roots:
+        numbers.setdefault(root, len(numbers))
+    return Partition(
+        location=np.array([numbers[root] for root in roots], dtype=np.intp),
+        modelled=tuple(root in state.known for root in numbers),
+        decisions=tuple(decisions),
+        queries=state.queries,
+        level=level,
+    )
 
 
-def _decide(state: _State, row: int, classes: Classes, level: float) -> list[Decision]:
+def _decide(state: _PartitionState, row: int, classes: Classes, level: float) -> Decision:
+    """A row with evidence joins the location that nothing speaks against, or becomes one."""
     here = state.find(row)
     mine = state.evidence[here]
+    # The row's own segments against those of every location, the most similar first.
     answers = {one: state.compare(state.evidence[one], mine) for one in state.known}
-    default = _default(state, here, classes)
     equal = sorted(
         (one for one, answer in answers.items() if answer.p >= level), key=lambda one: (-answers[one].p, one)
     )
+    default = _default(state, here, classes)
     if default in equal:
         equal.remove(default)
         equal.insert(0, default)
+    # Each merge is tried with all that it entails, on a copy: a suffix may tell apart what the row itself does not.
     refused: Query | None = None
     allowed: list[tuple[int, _Fold]] = []
     for one in equal[:TRIED]:
@@ -228,38 +248,33 @@ def _decide(state: _State, row: int, classes: Classes, level: float) -> list[Dec
                 break
         else:
             refused = refused or query or against
-    if not allowed:
-        return [_new(state, row, here, answers, equal, refused)]
-    # A single word says little by itself: of several merges the one for which most of what follows was compared.
-    one, fold = max(allowed, key=lambda found: len(found[1].answers))
-    fold.commit()
-    verdict: Verdict = "default" if one == default and mine.count < state.n_min else "merged"
-    return [Decision(row, verdict, one, int(mine.count), answers[one])]
-
-
-def _new(
-    state: _State, row: int, here: int, answers: dict[int, Answer], equal: Sequence[int], refused: Query | None
-) -> Decision:
-    """The row becomes a location: what was most like it, and what told them apart."""
+    count = int(mine.count)
+    if allowed:
+        # A single word says little by itself: of several merges the one for which most of what follows was compared.
+        one, fold = max(allowed, key=lambda candidate: len(candidate[1].answers))
+        fold.commit()
+        verdict: Verdict = "default" if one == default and mine.count < state.n_min else "merged"
+        return Decision(row=row, verdict=verdict, other=one, evidence=count, answer=answers[one])
     state.known.append(here)
-    count = int(state.evidence[here].count)
     if refused is not None:
-        return Decision(row, "new", here, count, refused.answer, equal[0], refused.suffix)
-    best = max(answers, key=lambda one: answers[one].p, default=None)
-    return Decision(row, "new", here, count, answers[best] if best is not None else None, best)
+        answer, rival, suffix = refused.answer, equal[0], refused.suffix
+        return Decision(row=row, verdict="new", other=here, evidence=count, answer=answer, rival=rival, suffix=suffix)
+    nearest = max(answers, key=lambda one: answers[one].p, default=None)
+    test = answers[nearest] if nearest is not None else None
+    return Decision(row=row, verdict="new", other=here, evidence=count, answer=test, rival=nearest)
 
 
-def _placed(state: _State, row: int, classes: Classes, level: float) -> list[Decision]:
+def _follow_neighbours(state: _PartitionState, row: int, classes: Classes, level: float) -> list[Decision]:
     """A row without any evidence follows the default hypothesis, where determinism and the tests allow it."""
     for one in _neighbours(state, row, classes):
         fold = _Fold(state)
         if fold.join(state.find(row), one) is None and fold.worst()[0] >= level:
             fold.commit()
-            return [Decision(row, "default", one, 0)]
+            return [Decision(row=row, verdict="default", other=one, evidence=0)]
     return []
 
 
-def _default(state: _State, row: int, classes: Classes) -> int | None:
+def _default(state: _PartitionState, row: int, classes: Classes) -> int | None:
     """The default hypothesis: the location that began with the same context, or, below `n_min`, the nearest one."""
     if state.evidence[row].count < state.n_min:
         return next(iter(_neighbours(state, row, classes)), None)
@@ -268,7 +283,7 @@ def _default(state: _State, row: int, classes: Classes) -> int | None:
     return min(same, key=lambda one: (classes.keys[one].direction != key.direction, one), default=None)
 
 
-def _neighbours(state: _State, row: int, classes: Classes) -> list[int]:
+def _neighbours(state: _PartitionState, row: int, classes: Classes) -> list[int]:
     """The locations by how near the nearest words are that lead there, TRIED at most."""
     near: dict[int, None] = {}
     for one in classes.near(row):
@@ -279,7 +294,7 @@ def _neighbours(state: _State, row: int, classes: Classes) -> list[int]:
     return [one for one in near if one in state.known]
 
 
-def _dissolved(state: _State, level: float) -> list[Decision]:
+def _dissolved(state: _PartitionState, level: float) -> list[Decision]:
     """Locations below `n_min` join the most likely location that determinism and the tests of the rest allow."""
     decisions: list[Decision] = []
     for one in sorted(state.known, key=lambda n: (state.evidence[n].count, n)):
@@ -290,25 +305,14 @@ def _dissolved(state: _State, level: float) -> list[Decision]:
         answers = {other: state.compare(state.evidence[other], mine) for other in others}
         for other in sorted(others, key=lambda n: (answers[n].statistic, n))[:TRIED]:
             fold = _Fold(state)
-            if fold.join(one, other) is None and _rest(fold, level):
+            if fold.join(one, other) is not None:
+                continue
+            # The row itself is too small to speak against it; what the merge entails beyond it may.
+            rest = [answer.p for answer, suffix, _ in fold.answers if suffix]
+            if not rest or min(rest) * len(rest) >= level:
                 fold.commit()
-                decisions.append(Decision(one, "dissolved", other, int(mine.count), answers[other]))
+                decisions.append(
+                    Decision(row=one, verdict="dissolved", other=other, evidence=int(mine.count), answer=answers[other])
+                )
                 break
     return decisions
-
-
-def _rest(fold: _Fold, level: float) -> bool:
-    """Whether nothing speaks against what a merge entails beyond the row itself."""
-    rest = [answer.p for answer, suffix, _ in fold.answers if suffix]
-    return not rest or min(rest) * len(rest) >= level
-
-
-def _numbered(state: _State, decisions: tuple[Decision, ...], level: float) -> Partition:
-    roots = [state.find(number) for number in range(len(state.parent))]
-    order: dict[int, int] = {}
-    for root in roots:
-        order.setdefault(root, len(order))
-    modelled = tuple(root in state.known for root in order)
-    return Partition(
-        np.array([order[root] for root in roots], dtype=np.intp), modelled, decisions, state.queries, level
-    )

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.engine.recursion import linear_recursion
-from sim.learning.runs import Indices, Runs
+from sim.learning.runs import FreeRuns, Indices
 from sim.sha.trace import Array, Mask
 
-TOLD = 1e-9
+LEAST_INFORMATION = 1e-9
 """A segment tells m if x0 leaves this share of m's information."""
 
 
 @dataclass(frozen=True, slots=True)
-class Segments:
+class TraceSegments:
     """N segments that tell their parameter: `value` and `variance` (of its error), its state and its group.
 
     `place` (N,) is the state of the finest automaton, `group` (N,) the trace (or part of one) that it comes from,
@@ -46,14 +46,14 @@ class Motion:
     offset: Array
 
 
-def stays_after(runs: Runs) -> tuple[Indices, Indices]:
+def stays_after(runs: FreeRuns) -> tuple[Indices, Indices]:
     """(stay, place) of each knot after the events of its instant: those of the step that follows, where one does."""
     follows = np.append((runs.run[1:] == runs.run[:-1]), False)
     rows = np.arange(len(runs)) + follows
     return runs.stay[rows], runs.place[rows]
 
 
-def levels(runs: Runs, group: Indices) -> Segments:
+def levels(runs: FreeRuns, group: Indices) -> TraceSegments:
     """The segments' mean readings: the parameter of `resample` entry under a constant flow."""
     stay, place = stays_after(runs)
     there = np.isfinite(runs.reading)
@@ -63,7 +63,7 @@ def levels(runs: Runs, group: Indices) -> Segments:
     mean = np.asarray(np.bincount(inverse, reading) / count, dtype=float)
     squares = np.asarray(np.bincount(inverse, (reading - mean[inverse]) ** 2), dtype=float)
     noise = _noise(squares, np.asarray(count - 1, dtype=float))
-    return Segments(
+    return TraceSegments(
         value=mean,
         variance=noise**2 / count,
         place=place[first],
@@ -75,18 +75,18 @@ def levels(runs: Runs, group: Indices) -> Segments:
     )
 
 
-def parameters(runs: Runs, group: Indices, motion: Motion, unit: float) -> Segments:
+def parameters(runs: FreeRuns, group: Indices, motion: Motion, unit: float) -> TraceSegments:
     """The segments' parameters by least squares with a free start temperature: for `parameter` entry.
 
     `unit` is a variance in the parameter's unit squared; segments whose own is a million times that say nothing and are
     left out.
     """
-    value, told, squares, count, begin = stay_fits(runs, motion)
+    value, information, squares, count, begin = stay_fits(runs, motion)
     good = np.isfinite(value) & (count >= 2)
     noise = _noise(squares[good], count[good] - 2)
-    variance = np.where(good, noise**2 / np.where(good, told, 1.0), np.inf)
+    variance = np.where(good, noise**2 / np.where(good, information, 1.0), np.inf)
     good &= variance < 1e6 * unit
-    return Segments(
+    return TraceSegments(
         value=value[good],
         variance=variance[good],
         place=runs.place[begin][good],
@@ -98,19 +98,19 @@ def parameters(runs: Runs, group: Indices, motion: Motion, unit: float) -> Segme
     )
 
 
-def stay_fits(runs: Runs, motion: Motion) -> tuple[Array, Array, Array, Array, Indices]:
+def stay_fits(runs: FreeRuns, motion: Motion) -> tuple[Array, Array, Array, Array, Indices]:
     """Of every stay: m by least squares (NaN where it is not told), its information, the sum of squares that is left,
     the number of readings, and the stay's first knot."""
     begins = (np.diff(runs.stay, prepend=-1) != 0) | runs.first
     (ss, sm, mm, sy, my, yy, count), begin = _sums(runs, motion, begins)
     with np.errstate(divide="ignore", invalid="ignore"):
-        told = mm - sm**2 / ss
-        value = np.where(told > TOLD * mm, (my - sm * sy / ss) / told, np.nan)
-        squares = np.maximum(yy - sy**2 / ss - np.where(np.isnan(value), 0.0, told * value**2), 0.0)
-    return value, told, squares, count, begin
+        information = mm - sm**2 / ss
+        value = np.where(information > LEAST_INFORMATION * mm, (my - sm * sy / ss) / information, np.nan)
+        squares = np.maximum(yy - sy**2 / ss - np.where(np.isnan(value), 0.0, information * value**2), 0.0)
+    return value, information, squares, count, begin
 
 
-def _sums(runs: Runs, motion: Motion, begins: Mask) -> tuple[tuple[Array, ...], Indices]:
+def _sums(runs: FreeRuns, motion: Motion, begins: Mask) -> tuple[tuple[Array, ...], Indices]:
     """The normal equations of every stay, the reading at its beginning included; and the stays' first knots."""
     inside = np.where(begins, 0.0, motion.decay)
     start = linear_recursion(inside, np.where(begins, motion.decay, 0.0), 0.0)

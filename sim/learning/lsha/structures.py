@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.held_out import LEAST, HeldOut, choose
-from sim.learning.lsha.evidence import Sample
+from sim.learning.held_out import LEAST, HeldOutErrors, choose
+from sim.learning.lsha.evidence import SegmentSample
 from sim.learning.lsha.flow_hypotheses import DELTA, Rival, merged, row
-from sim.learning.lsha.ground import Ground
 from sim.learning.lsha.merging import Partition
 from sim.learning.lsha.settings import DELTAS, MEMORIES, LshaSettings, Memory
+from sim.learning.lsha.teacher import Teacher
 from sim.learning.lsha.words import MOST_EVENTS, Classes, classes_of
 from sim.learning.runs import Indices
 from sim.learning.structure import LearningError
@@ -31,19 +31,21 @@ class Structure:
     delta: float
 
 
-def choose_structure(ground: Ground, sample: Sample, settings: LshaSettings) -> tuple[Structure, tuple[Rival, ...]]:
+def choose_structure(
+    teacher: Teacher, sample: SegmentSample, settings: LshaSettings
+) -> tuple[Structure, tuple[Rival, ...]]:
     """Memory first, then tolerance: each time the simplest structure that held-out segments do not tell from the best.
 
     With too few data to hold any out: the memory `context` and the tolerance DELTA.
     """
-    memories = _memories(ground, settings)
+    memories = _memories(teacher, settings)
     deltas = DELTAS if settings.delta is None else (settings.delta,)
     first = DELTA if settings.delta is None else settings.delta
-    tried = {(memory, first): _tried(ground, sample, settings, memory, first) for memory in memories}
+    tried = {(memory, first): _tried(teacher, sample, settings, memory, first) for memory in memories}
     memory = _best(tried)[0]
     rest = [(memory, delta) for delta in deltas if delta != first]
     finer = {(memory, first): tried[memory, first]} | {
-        (memory, delta): _tried(ground, sample, settings, memory, delta) for memory, delta in rest
+        (memory, delta): _tried(teacher, sample, settings, memory, delta) for memory, delta in rest
     }
     best = _best(finer)
     table = tuple(
@@ -54,16 +56,16 @@ def choose_structure(ground: Ground, sample: Sample, settings: LshaSettings) -> 
     return Structure(chosen.classes, chosen.partition, best[1]), table
 
 
-def _memories(ground: Ground, settings: LshaSettings) -> tuple[Memory, ...]:
+def _memories(teacher: Teacher, settings: LshaSettings) -> tuple[Memory, ...]:
     """The memories to be tried. Raises LearningError when `word` is asked for and there are too many words."""
-    if settings.memory == "word" and not ground.words.whole:
+    if settings.memory == "word" and not teacher.words.whole:
         raise LearningError(
             f"the memory 'word' tells all words apart, which is done for up to {MOST_EVENTS} events in all; the traces "
             "have more: choose another memory, or fewer traces"
         )
     if settings.memory is not None:
         return (settings.memory,)
-    return tuple(one for one in MEMORIES if one != "word" or ground.words.whole)
+    return tuple(one for one in MEMORIES if one != "word" or teacher.words.whole)
 
 
 Hypothesis = tuple[Memory, float]
@@ -75,13 +77,13 @@ class _Tried:
 
     classes: Classes
     partition: Partition
-    held: HeldOut | None
+    held: HeldOutErrors | None
 
 
-def _tried(ground: Ground, sample: Sample, settings: LshaSettings, memory: Memory, delta: float) -> _Tried:
-    classes = classes_of(ground.words, memory)
-    partition = _learned(ground, classes, sample, settings, delta)
-    return _Tried(classes, partition, _held_out(ground, classes, sample, settings, delta))
+def _tried(teacher: Teacher, sample: SegmentSample, settings: LshaSettings, memory: Memory, delta: float) -> _Tried:
+    classes = classes_of(teacher.words, memory)
+    partition = _learned(teacher, classes, sample, settings, delta)
+    return _Tried(classes, partition, _held_out(teacher, classes, sample, settings, delta))
 
 
 def _best(tried: Mapping[Hypothesis, _Tried]) -> Hypothesis:
@@ -97,11 +99,15 @@ def _best(tried: Mapping[Hypothesis, _Tried]) -> Hypothesis:
     return order[choose(known, size)]
 
 
-def _learned(ground: Ground, classes: Classes, sample: Sample, settings: LshaSettings, delta: float) -> Partition:
-    return merged(classes, sample, ground, delta=delta * sample.spread, alpha=settings.alpha, n_min=settings.n_min)
+def _learned(
+    teacher: Teacher, classes: Classes, sample: SegmentSample, settings: LshaSettings, delta: float
+) -> Partition:
+    return merged(classes, sample, teacher, delta=delta * sample.spread, alpha=settings.alpha, n_min=settings.n_min)
 
 
-def _held_out(ground: Ground, classes: Classes, sample: Sample, settings: LshaSettings, delta: float) -> HeldOut | None:
+def _held_out(
+    teacher: Teacher, classes: Classes, sample: SegmentSample, settings: LshaSettings, delta: float
+) -> HeldOutErrors | None:
     """The errors of all segments, each against a structure that was learned without its part of the traces."""
     groups, order = np.unique(sample.segments.group, return_inverse=True)
     if groups.size < 2 or sample.value.size < LEAST:
@@ -112,15 +118,15 @@ def _held_out(ground: Ground, classes: Classes, sample: Sample, settings: LshaSe
     for held in np.unique(part):
         use = part != held
         partition = merged(
-            classes, sample, ground, delta=delta * sample.spread, alpha=settings.alpha, n_min=settings.n_min, use=use
+            classes, sample, teacher, delta=delta * sample.spread, alpha=settings.alpha, n_min=settings.n_min, use=use
         )
         means = _means(sample, partition.location[classes.of_state], partition.size, use)
         error[~use] = sample.value[~use] - means[partition.location[classed[~use]]]
     scale = np.sqrt(sample.scatter**2 + sample.segments.variance)
-    return HeldOut(error / scale, order)
+    return HeldOutErrors(error / scale, order)
 
 
-def _means(sample: Sample, place: Indices, size: int, use: Mask) -> Array:
+def _means(sample: SegmentSample, place: Indices, size: int, use: Mask) -> Array:
     """(L,) the mean of each location, relative to the sample's centre; without evidence that of all."""
     pooled = sample.pooled(place, size, 2, use)
     return np.array([one.mean if one.count else 0.0 for one in pooled])

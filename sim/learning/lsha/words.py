@@ -32,7 +32,7 @@ MOST_EVENTS = 1500
 
 
 @dataclass(frozen=True, slots=True)
-class History:
+class WordHistory:
     """What is remembered at most: the context, the direction of the last level that moved (-1, 0, 1), the last move.
 
     `moved` is (channel, value before it), None before anything moved. `node` is the number of the word itself where
@@ -54,7 +54,7 @@ class Meaning:
     symbols: Mapping[str, tuple[int, int]]
     levels: tuple[bool, ...]
 
-    def after(self, history: History, symbol: str, node: int = -1, word: int = -1) -> History:
+    def after(self, history: WordHistory, symbol: str, node: int = -1, word: int = -1) -> WordHistory:
         """What is remembered once `symbol` has happened."""
         channel, value = self.symbols[symbol]
         before = history.context[channel]
@@ -64,7 +64,7 @@ class Meaning:
             moved = (channel, before)
             if self.levels[channel] and before is not None:
                 direction = 1 if value > before else -1
-        return History(context, direction, moved, node, word)
+        return WordHistory(context, direction, moved, node, word)
 
 
 def meaning(alphabet: Alphabet) -> Meaning:
@@ -77,8 +77,8 @@ def meaning(alphabet: Alphabet) -> Meaning:
     return Meaning(alphabet, symbols, tuple(not isinstance(each, Switch) for each in alphabet.channels))
 
 
-@dataclass(frozen=True, slots=True)
-class Words:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TraceWords:
     """The finest automaton of some traces: its states are numbered from 0, the state in which nothing is known.
 
     `edges` counts how often each (state, symbol) was taken and says where it led. `first` is where each state was seen
@@ -87,7 +87,7 @@ class Words:
     """
 
     meaning: Meaning
-    states: tuple[History, ...]
+    states: tuple[WordHistory, ...]
     edges: Mapping[tuple[int, str], tuple[int, int]]
     first: tuple[tuple[str, int], ...]
     tree: tuple[tuple[int, str], ...]
@@ -110,7 +110,7 @@ class Words:
         return SHA("words", locations, tuple(edges), "0")
 
 
-def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> Words:
+def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> TraceWords:
     """The finest automaton that follows the encoded traces; words that `n_min` stretches begin with are states.
 
     With MOST_EVENTS events or fewer every word is a state. Raises LearningError, naming trace and event, for a symbol
@@ -120,8 +120,8 @@ def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> Words:
     stretches = [stretch for trace in traces for stretch in _stretches(trace, table)]
     whole = sum(len(word) for _, _, word in stretches) <= MOST_EVENTS
     nodes, counts = _tree([word for _, _, word in stretches], 1 if whole else n_min)
-    start = History((None,) * len(alphabet.channels))
-    number: dict[History, int] = {start: 0}
+    start = WordHistory((None,) * len(alphabet.channels))
+    number: dict[WordHistory, int] = {start: 0}
     first = [(traces[0].name, 0)]
     edges: dict[tuple[int, str], tuple[int, int]] = {}
     for name, offset, word in stretches:
@@ -136,7 +136,9 @@ def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> Words:
             _, count = edges.get((here, symbol), (there, 0))
             edges[here, symbol] = (there, count + 1)
             here = there
-    return Words(table, tuple(number), edges, tuple(first), tuple(nodes), whole)
+    return TraceWords(
+        meaning=table, states=tuple(number), edges=edges, first=tuple(first), tree=tuple(nodes), whole=whole
+    )
 
 
 def _stretches(trace: Trace, table: Meaning) -> list[tuple[str, int, Word]]:
@@ -189,7 +191,7 @@ class Classes:
 
     memory: Memory
     of_state: Indices
-    keys: tuple[History, ...]
+    keys: tuple[WordHistory, ...]
     edges: tuple[Mapping[str, int], ...]
     apart: Array
     _near: dict[int, list[int]] = field(default_factory=dict, compare=False, repr=False)
@@ -204,9 +206,9 @@ class Classes:
         return self._near[row]
 
 
-def classes_of(words: Words, memory: Memory) -> Classes:
+def classes_of(words: TraceWords, memory: Memory) -> Classes:
     """The states of the finest automaton joined where `memory` does not tell them apart; class 0 knows nothing."""
-    number: dict[History, int] = {}
+    number: dict[WordHistory, int] = {}
     of_state = [number.setdefault(remembered(state, memory), len(number)) for state in words.states]
     edges: list[dict[str, int]] = [{} for _ in number]
     for (source, symbol), (target, _) in words.edges.items():
@@ -215,7 +217,7 @@ def classes_of(words: Words, memory: Memory) -> Classes:
     return Classes(memory, np.array(of_state, dtype=np.intp), keys, tuple(edges), apart(keys, keys, words.meaning))
 
 
-def apart(ones: Sequence[History], others: Sequence[History], table: Meaning) -> Array:
+def apart(ones: Sequence[WordHistory], others: Sequence[WordHistory], table: Meaning) -> Array:
     """(C, D) how far classes are from each other, as `structure.distance` counts, another direction like a switch."""
     nan = float("nan")  # a channel that is not known
     one, other = (
@@ -233,11 +235,11 @@ def apart(ones: Sequence[History], others: Sequence[History], table: Meaning) ->
     return np.asarray(total + np.where(turn == other_turn, 0.0, np.where(unknown, 1.0, SWITCH_STEPS)))
 
 
-def remembered(history: History, memory: Memory) -> History:
+def remembered(history: WordHistory, memory: Memory) -> WordHistory:
     """A history with only what `memory` keeps; a word that is a state of its own keeps its number."""
     if memory == "word":
-        return History(history.context, word=history.word)
-    return History(
+        return WordHistory(history.context, word=history.word)
+    return WordHistory(
         history.context,
         history.direction if memory == "direction" else 0,
         history.moved if memory == "previous" else None,
@@ -245,13 +247,13 @@ def remembered(history: History, memory: Memory) -> History:
     )
 
 
-def spelled(key: History, words: Words) -> Word | None:
+def spelled(key: WordHistory, words: TraceWords) -> Word | None:
     """The word that a class consists of; None for a class of many words."""
     node = max(key.node, key.word)
     return words.spelled(node) if node > 0 else None
 
 
-def described(key: History, alphabet: Alphabet) -> str:
+def described(key: WordHistory, alphabet: Alphabet) -> str:
     """A class in words: "ON/200-300", "ON/200-300 rising", "ON/200-300 after 100-200"."""
     text = name_of(key.context, alphabet)
     if key.direction:

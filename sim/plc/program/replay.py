@@ -121,12 +121,24 @@ def read_trace(path: Path) -> TraceTable:
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    for number, line in enumerate(read_text(path, "a trace").splitlines(), start=1):
-        if line.strip() and not line.startswith("#"):
-            try:
-                yield number, next(csv.reader([line], strict=True))
-            except csv.Error as error:
-                raise InputError(f"{path}: line {number}: is not CSV: {error}; correct that line") from None
+    """(number of its first line, cells) of each row; a quoted cell may go on over several lines."""
+    text = iter(read_text(path, "a trace").splitlines(keepends=True))
+    number, inside = 0, 0
+
+    def feed() -> Iterator[str]:
+        nonlocal number, inside
+        for number, line in enumerate(text, start=1):  # noqa: B007 (read outside)
+            # Between rows comments and blank lines are left out; inside a quoted cell they are its text.
+            if inside or (line.strip() and not line.startswith("#")):
+                inside += 1
+                yield line
+
+    try:
+        for cells in csv.reader(feed(), strict=True):
+            yield number - inside + 1, cells
+            inside = 0
+    except csv.Error as error:
+        raise InputError(f"{path}: line {number - inside + 1}: is not CSV: {error}; correct that line") from None
 
 
 def _check_header(names: list[str], where: str) -> None:

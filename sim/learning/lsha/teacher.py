@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.bins.candidates import LEAST_SHARE
-from sim.learning.lsha.words import Words, classes_of, words_of
-from sim.learning.preparation import LEAST_READINGS
-from sim.learning.runs import Indices, Runs, first_switch, free_runs, pieces
+from sim.learning.lsha.words import TraceWords, classes_of, words_of
+from sim.learning.preparation import LEAST_READINGS, LEAST_SHARE
+from sim.learning.runs import FreeRuns, Indices, first_switch, free_runs, pieces
 from sim.learning.shape import Prior
 from sim.learning.structure import LearningError, level_signals
 from sim.sha.events import Alphabet
@@ -20,8 +19,8 @@ SPREAD = 40.0
 """Spread of the prior of targets, in degC, and what an input moves a target by over one standard deviation of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ground:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Teacher:
     """What every hypothesis is built on.
 
     `runs` have a place in the finest automaton (`words`); `modelled` (S,) says which of its states may have a law of
@@ -29,8 +28,8 @@ class Ground:
     are fewer traces than `split`. `signals` are the inputs of the runs, `centre` (q,) their means over time.
     """
 
-    words: Words
-    runs: Runs
+    words: TraceWords
+    runs: FreeRuns
     modelled: Mask
     group: Indices
     signals: tuple[str, ...]
@@ -43,13 +42,13 @@ class Ground:
         return self.words.meaning.alphabet
 
 
-def ground_of(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_min: int, split: int) -> Ground:
+def teacher_of(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_min: int, split: int) -> Teacher:
     """The encoded traces as words and free runs. Raises LearningError when they leave nothing to fit."""
     words = words_of(traces, alphabet, n_min)
     signals, switch = level_signals(alphabet), first_switch(alphabet)
     rising = switch.rising if switch else None
 
-    def followed(modelled: Mask) -> Runs:
+    def followed(modelled: Mask) -> FreeRuns:
         return free_runs(
             traces,
             words.sha,
@@ -76,10 +75,18 @@ def ground_of(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_m
     reading = runs.reading[np.isfinite(runs.reading)]
     gains = {signal: SPREAD / s for signal, s in zip(signals, spread.tolist(), strict=True) if s > 0}
     prior = Prior((float(np.median(reading)), SPREAD), gains)
-    return Ground(words, runs, modelled, _groups(runs, split), signals, centre, prior)
+    return Teacher(
+        words=words,
+        runs=runs,
+        modelled=modelled,
+        group=_groups(runs, split),
+        signals=signals,
+        centre=centre,
+        prior=prior,
+    )
 
 
-def _modelled(words: Words, runs: Runs, something: Mask) -> Mask:
+def _modelled(words: TraceWords, runs: FreeRuns, something: Mask) -> Mask:
     """States in which every channel is known, and those of contexts that hold a tenth of the readings all the same."""
     there = np.isfinite(runs.reading) & ~runs.first
     count = np.bincount(runs.place[there], minlength=len(words.states))
@@ -91,7 +98,7 @@ def _modelled(words: Words, runs: Runs, something: Mask) -> Mask:
     return np.asarray(enough & something)
 
 
-def _moments(runs: Runs) -> tuple[Array, Array]:
+def _moments(runs: FreeRuns) -> tuple[Array, Array]:
     """(means, standard deviations) of the inputs over time; 0 where one was never read."""
     known = np.isfinite(runs.inputs)
     weight = np.where(known, runs.dt[:, None], 0.0)
@@ -101,17 +108,17 @@ def _moments(runs: Runs) -> tuple[Array, Array]:
     return mean, np.sqrt((weight * (values - mean) ** 2).sum(axis=0) / mass)
 
 
-def _groups(runs: Runs, split: int) -> Indices:
+def _groups(runs: FreeRuns, split: int) -> Indices:
     if np.unique(runs.trace).size >= split:
         return runs.trace
     return pieces(runs, 2 * split).run
 
 
-def alike(ground: Ground) -> Indices:
+def alike(teacher: Teacher) -> Indices:
     """(S,) the class of each state of the finest automaton by the memory `previous`."""
-    return classes_of(ground.words, "previous").of_state
+    return classes_of(teacher.words, "previous").of_state
 
 
-def placed(runs: Runs, place: Indices) -> Runs:
+def placed(runs: FreeRuns, place: Indices) -> FreeRuns:
     """The runs with their places renumbered: `place` (S,) is the new place of each."""
     return replace(runs, place=place[runs.place])

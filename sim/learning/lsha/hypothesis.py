@@ -1,4 +1,10 @@
-"""From merged words to an automaton: names, observed edges, default edges for what was never seen, and acceptance."""
+"""The hypothesis: merged words as an automaton, its observation table, and whether it accepts every training trace.
+
+Locations are the rows that nothing told apart. The table's upper rows are prefix-closed: a shortest word to each
+location along observed edges, the first in the alphabet's order; the lower ones are their one-event extensions. A cell
+is the location that word and suffix lead to, None where that was not observed; that location's flow and distribution
+are the cell's content in the sense of L*_SHA.
+"""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -6,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.learning.lsha.ground import Ground
 from sim.learning.lsha.structures import Structure
-from sim.learning.lsha.words import Classes, apart, described, remembered
+from sim.learning.lsha.teacher import Teacher
+from sim.learning.lsha.words import Classes, Word, apart, described, remembered
 from sim.learning.runs import Indices
 from sim.sha.automaton import Edge
 from sim.sha.events import alphabet_symbols
@@ -16,7 +22,7 @@ from sim.sha.trace import UNKNOWN, Array, Trace
 
 
 @dataclass(frozen=True, slots=True)
-class Skeleton:
+class HypothesisAutomaton:
     """Locations and edges without flows. `names` (L,), the initial one first.
 
     `place` (S,) is the location of each state of the finest automaton, `members` (L,) the classes of words in each.
@@ -40,37 +46,42 @@ class Skeleton:
         )
 
 
-def skeleton_of(ground: Ground, structure: Structure, *, complete: bool) -> Skeleton:
+def hypothesis_of(teacher: Teacher, structure: Structure, *, complete: bool) -> HypothesisAutomaton:
     """The automaton of a structure; with `complete` every location has an edge for every symbol."""
     classes, location = structure.classes, structure.partition.location
     place = location[classes.of_state]
     size = structure.partition.size
     members = tuple(tuple(np.flatnonzero(location == number).tolist()) for number in range(size))
     observed: dict[tuple[int, str], tuple[int, int]] = {}
-    for (source, symbol), (target, count) in ground.words.edges.items():
+    for (source, symbol), (target, count) in teacher.words.edges.items():
         here, there = int(place[source]), int(place[target])
         observed[here, symbol] = (there, observed.get((here, symbol), (there, 0))[1] + count)
-    spent = np.bincount(classes.of_state[ground.runs.place], ground.runs.dt, len(classes))
+    spent = np.bincount(classes.of_state[teacher.runs.place], teacher.runs.dt, len(classes))
     seconds = np.asarray(spent, dtype=float)
-    names = _names(ground, classes, members, seconds)
-    default = _defaults(ground, classes, structure, members, seconds, observed) if complete else {}
-    return Skeleton(names, place, members, observed, default)
+    names = _names(teacher, classes, members, seconds)
+    default = (
+        _defaults(teacher, classes, structure=structure, members=members, seconds=seconds, observed=observed)
+        if complete
+        else {}
+    )
+    return HypothesisAutomaton(names, place, members, observed, default)
 
 
-def _names(ground: Ground, classes: Classes, members: Sequence[Sequence[int]], seconds: Array) -> tuple[str, ...]:
+def _names(teacher: Teacher, classes: Classes, members: Sequence[Sequence[int]], seconds: Array) -> tuple[str, ...]:
     """Each location is called by the words it spends most of its time after; equal names are numbered."""
     taken: Counter[str] = Counter()
     names = []
     for mine in members:
-        name = described(classes.keys[max(mine, key=lambda each: (seconds[each], -each))], ground.alphabet)
+        name = described(classes.keys[max(mine, key=lambda each: (seconds[each], -each))], teacher.alphabet)
         taken[name] += 1
         names.append(name if taken[name] == 1 else f"{name} #{taken[name]}")
     return tuple(names)
 
 
 def _defaults(
-    ground: Ground,
+    teacher: Teacher,
     classes: Classes,
+    *,
     structure: Structure,
     members: Sequence[Sequence[int]],
     seconds: Array,
@@ -84,10 +95,10 @@ def _defaults(
     missing = [
         (number, symbol)
         for number in range(len(members))
-        for symbol in alphabet_symbols(ground.alphabet)
+        for symbol in alphabet_symbols(teacher.alphabet)
         if (number, symbol) not in observed
     ]
-    table, memory = ground.words.meaning, classes.memory
+    table, memory = teacher.words.meaning, classes.memory
     wanted = [remembered(table.after(typical[number], symbol), memory) for number, symbol in missing]
     different = tuple(dict.fromkeys(wanted))
     away = apart(different, classes.keys, table)
@@ -101,7 +112,7 @@ def _defaults(
 
 
 @dataclass(frozen=True, slots=True)
-class Acceptance:
+class TraceAcceptance:
     """How many training traces the observed edges accept from the initial location, and where the first one failed."""
 
     traces: int
@@ -110,7 +121,7 @@ class Acceptance:
     failure: str = ""
 
 
-def acceptance(skeleton: Skeleton, traces: Sequence[Trace]) -> Acceptance:
+def acceptance(hypothesis: HypothesisAutomaton, traces: Sequence[Trace]) -> TraceAcceptance:
     """Every trace followed by the observed edges alone: default edges would accept anything."""
     accepted, failure = 0, ""
     for trace in traces:
@@ -119,10 +130,74 @@ def acceptance(skeleton: Skeleton, traces: Sequence[Trace]) -> Acceptance:
             if event.symbol == UNKNOWN:
                 here = 0
                 continue
-            target = skeleton.observed.get((here, event.symbol))
+            target = hypothesis.observed.get((here, event.symbol))
             if target is None:
                 fine, failure = False, failure or f"trace {trace.name!r}, event {number} ({event.symbol!r})"
                 break
             here = target[0]
         accepted += fine
-    return Acceptance(len(traces), accepted, sum(len(trace.events) for trace in traces), failure)
+    return TraceAcceptance(len(traces), accepted, sum(len(trace.events) for trace in traces), failure)
+
+
+@dataclass(frozen=True, slots=True)
+class TableRow:
+    """A word, the location that it leads to, and one location per suffix (None: not observed)."""
+
+    word: Word
+    location: str
+    cells: tuple[str | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ObservationTable:
+    """Suffixes E (the empty one first), access words S (`upper`), and S times the alphabet (`lower`)."""
+
+    suffixes: tuple[Word, ...]
+    upper: tuple[TableRow, ...]
+    lower: tuple[TableRow, ...]
+
+
+def observation_table(
+    hypothesis: HypothesisAutomaton, suffixes: Sequence[Word], evident: Sequence[bool]
+) -> ObservationTable:
+    """The table of an automaton; a location that is not `evident` (L,), without evidence, is an unobserved cell."""
+    after = _successors(hypothesis)
+    access: dict[int, Word] = {0: ()}
+    queue, extensions = [0], list[tuple[Word, int]]()
+    for here in queue:
+        for symbol, target in sorted(after[here].items()):
+            word = (*access[here], symbol)
+            if target in access:
+                extensions.append((word, target))
+            else:
+                access[target] = word
+                queue.append(target)
+    columns = ((), *sorted({tuple(suffix) for suffix in suffixes if suffix}, key=lambda word: (len(word), word)))
+
+    def row(word: Word, here: int) -> TableRow:
+        ends = [_end(after, here, suffix) for suffix in columns]
+        cells = tuple(hypothesis.names[end] if end is not None and evident[end] else None for end in ends)
+        return TableRow(word, hypothesis.names[here], cells)
+
+    return ObservationTable(
+        columns,
+        tuple(row(word, here) for here, word in access.items()),
+        tuple(row(word, here) for word, here in extensions),
+    )
+
+
+def _successors(hypothesis: HypothesisAutomaton) -> list[dict[str, int]]:
+    after: list[dict[str, int]] = [{} for _ in hypothesis.names]
+    for (source, symbol), (target, _) in hypothesis.observed.items():
+        after[source][symbol] = target
+    return after
+
+
+def _end(after: Sequence[dict[str, int]], here: int, word: Word) -> int | None:
+    """Where a word leads from `here` along observed edges."""
+    for symbol in word:
+        target = after[here].get(symbol)
+        if target is None:
+            return None
+        here = target
+    return here

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import Candidate, NamedEffect
+from sim.discrepancy.diagnosis import EffectCandidate, NamedEffect
 from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.naming import INVISIBLE, NEAR, SAME, Evidence, Step
+from sim.discrepancy.naming import INVISIBLE, NEAR, SAME, EffectEvidence, NamingStep
 
 
-def candidates_of(steps: Sequence[tuple[Step, str]], kept: bool) -> tuple[Candidate, ...]:
+def candidates_of(steps: Sequence[tuple[NamingStep, str]], kept: bool) -> tuple[EffectCandidate, ...]:
     """Every entry of every step, in the order of their gains; `kept` says whether the names were given in the end."""
     return tuple(
         _candidate(one, number, each, refusal, kept)
@@ -18,10 +18,10 @@ def candidates_of(steps: Sequence[tuple[Step, str]], kept: bool) -> tuple[Candid
     )
 
 
-def _candidate(one: Evidence, number: int, step: Step, refusal: str, kept: bool) -> Candidate:
+def _candidate(one: EffectEvidence, number: int, step: NamingStep, refusal: str, kept: bool) -> EffectCandidate:
     cosine = {name: abs(value) for name, value in step.cosines.items()}
     top = one is step.best
-    return Candidate(
+    return EffectCandidate(
         name=one.entry.name,
         plain=one.entry.plain,
         step=number + 1,
@@ -40,7 +40,7 @@ def _candidate(one: Evidence, number: int, step: Step, refusal: str, kept: bool)
     )
 
 
-def _fate(one: Evidence, step: Step, refusal: str, kept: bool) -> str:
+def _fate(one: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -> str:
     if one is step.best:
         return refusal or ("named" if kept else "the best of all, but the name is withheld")
     if one.visible < INVISIBLE:
@@ -52,7 +52,7 @@ def _fate(one: Evidence, step: Step, refusal: str, kept: bool) -> str:
     return "adds nothing that chance does not"
 
 
-def effect_of(step: Step, after: Fitted) -> NamedEffect:
+def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:
     """The step's best entry as it stands in the last fit."""
     best = step.best
     if best is None:
@@ -75,7 +75,7 @@ def effect_of(step: Step, after: Fitted) -> NamedEffect:
     )
 
 
-def confidence(step: Step) -> float:
+def confidence(step: NamingStep) -> float:
     """The share of the best name among all that the likelihood allows, equal odds before the data; at most 0.99."""
     gains = np.array([one.gain for one in step.evidence])
     null = step.threshold - np.log(99.0)  # what makes "nothing is missing" as likely as 1 in 100 at the threshold

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.engine.recursion import linear_recursion
-from sim.learning.bins.candidates import Ground, process_groups
-from sim.learning.free_run import Fit, Shape, loads, steps
-from sim.learning.noise import Noise
-from sim.learning.runs import Indices, Runs
+from sim.learning.bins.candidates import Basis, process_groups
+from sim.learning.free_run import FitShape, FreeRunFit, loads, steps
+from sim.learning.noise import NoiseLevels, drift_noise
+from sim.learning.runs import FreeRuns, Indices
 from sim.learning.shape import with_parameters
 from sim.learning.structure import contexts, name_of, nearest
 from sim.sha.automaton import SHA, Distribution, Flow, Location
@@ -21,8 +21,6 @@ HARDLY = 20.0
 """degC: a location whose target is not known better than this (half the prior's spread) counts as not seen."""
 FIRST_SCATTER = 1.0
 """degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""
-DRIFT_SPAN = 300.0
-"""The changes over so many seconds set the noise of locations in which nothing is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,24 +46,7 @@ class LocationFit:
     gain_errors: Mapping[str, float]
 
 
-def drift_noise(runs: Runs) -> float:
-    """The random walk, degC/sqrt(s), whose changes over 300 s are as large as the readings' own (or over a shorter
-    time, when no run lasts so long)."""
-    time, reading = (column[np.isfinite(runs.reading)] for column in (runs.time, runs.reading))
-    run = runs.run[np.isfinite(runs.reading)]
-    squares: list[float] = []
-    for number in np.unique(run):
-        mine = run == number
-        at, value = time[mine], reading[mine]
-        span = min(DRIFT_SPAN, float(at[-1] - at[0]))
-        later = np.minimum(np.searchsorted(at, at + span), at.size - 1)
-        whole = at[later] - at >= span
-        if span > 0:
-            squares += ((value[later] - value)[whole] ** 2 / (at[later] - at)[whole]).tolist()
-    return float(max(np.sqrt(np.mean(squares)) if squares else 0.0, 1e-3))
-
-
-def well_seen(sha: SHA, shape: Shape, fit: Fit, base: Ground) -> Ground:
+def well_seen(sha: SHA, shape: FitShape, fit: FreeRunFit, base: Basis) -> Basis:
     """`base` with only those seen locations whose target the data tell to within HARDLY (the best one at least)."""
     error = {
         location.name: float(fit.errors_at_rates[shape.target[place]])
@@ -76,7 +57,9 @@ def well_seen(sha: SHA, shape: Shape, fit: Fit, base: Ground) -> Ground:
     return replace(base, seen=tuple(name for name in base.seen if name == best or error[name] < HARDLY))
 
 
-def learned_sha(name: str, sha: SHA, shape: Shape, fit: Fit, noise: Noise, runs: Runs, base: Ground) -> SHA:
+def learned_sha(
+    name: str, sha: SHA, *, shape: FitShape, fit: FreeRunFit, noise: NoiseLevels, runs: FreeRuns, base: Basis
+) -> SHA:
     """`sha` with all parameters, and every location that `base` has not seen filled in.
 
     A seen location's m scatters by the fitted sigma (drawn towards 1 degC as if one stay had said so) and by what is
@@ -99,7 +82,7 @@ def learned_sha(name: str, sha: SHA, shape: Shape, fit: Fit, noise: Noise, runs:
     return replace(sha, name=name, locations=tuple(_filled(each.name, seen, base, drift) for each in sha.locations))
 
 
-def _filled(name: str, seen: Mapping[str, Location], base: Ground, drift: float) -> Location:
+def _filled(name: str, seen: Mapping[str, Location], base: Basis, drift: float) -> Location:
     if name in seen:
         return seen[name]
     if None in contexts(base.alphabet)[name]:
@@ -112,25 +95,30 @@ def _filled(name: str, seen: Mapping[str, Location], base: Ground, drift: float)
     return Location(name, lender.flow, widened)
 
 
-def lender_of(name: str, base: Ground) -> str:
+def lender_of(name: str, base: Basis) -> str:
     """The seen location whose parameters an unseen one borrows."""
     known = contexts(base.alphabet)
     return name_of(nearest(known[name], [known[each] for each in base.seen], base.alphabet), base.alphabet)
 
 
-def source_of(name: str, base: Ground) -> str:
+def source_of(name: str, base: Basis) -> str:
     """`fitted`, `borrowed from X` or `unknown`."""
     if name in base.seen:
         return "fitted"
     return "unknown" if None in contexts(base.alphabet)[name] else f"borrowed from {lender_of(name, base)}"
 
 
-def location_fits(sha: SHA, shape: Shape, fit: Fit, runs: Runs, base: Ground) -> tuple[LocationFit, ...]:
+def location_fits(sha: SHA, shape: FitShape, fit: FreeRunFit, runs: FreeRuns, base: Basis) -> tuple[LocationFit, ...]:
     """The table of locations, in the automaton's order."""
-    return tuple(_location_fit(location, place, shape, fit, runs, base) for place, location in enumerate(sha.locations))
+    return tuple(
+        _location_fit(location, place, shape=shape, fit=fit, runs=runs, base=base)
+        for place, location in enumerate(sha.locations)
+    )
 
 
-def _location_fit(location: Location, place: int, shape: Shape, fit: Fit, runs: Runs, base: Ground) -> LocationFit:
+def _location_fit(
+    location: Location, place: int, *, shape: FitShape, fit: FreeRunFit, runs: FreeRuns, base: Basis
+) -> LocationFit:
     rows = (runs.place == place) & ~runs.first
     law = location.distribution.params if location.distribution is not None else {}
     target, rate = int(shape.target[place]), int(shape.rate[place])
@@ -153,7 +141,7 @@ def _location_fit(location: Location, place: int, shape: Shape, fit: Fit, runs: 
 
 
 def stay_values(
-    runs: Runs, sha: SHA, shape: Shape, fit: Fit, noise: Noise, base: Ground
+    runs: FreeRuns, sha: SHA, *, shape: FitShape, fit: FreeRunFit, noise: NoiseLevels, base: Basis
 ) -> dict[str, tuple[float, ...]]:
     """The m of each stay by least squares (its temperature at the start free), by location: the histogram's values.
 
@@ -165,12 +153,14 @@ def stay_values(
         law = location.distribution
         if location.name not in base.seen or law is None:
             continue
-        told = (place == number) & (error <= 2.0 * law.params["sigma"])
-        found[location.name] = tuple(value[told].tolist()) or (law.params["mu"],)
+        known = (place == number) & (error <= 2.0 * law.params["sigma"])
+        found[location.name] = tuple(value[known].tolist()) or (law.params["mu"],)
     return found
 
 
-def _stay_parameters(runs: Runs, shape: Shape, fit: Fit, noise: Noise, group: Indices) -> tuple[Array, Array, Array]:
+def _stay_parameters(
+    runs: FreeRuns, shape: FitShape, fit: FreeRunFit, noise: NoiseLevels, group: Indices
+) -> tuple[Array, Array, Array]:
     """(m, its standard error, location) of each stay: X = decayed start + pulled m + pushed inputs, two unknowns."""
     decay, pull = steps(runs, shape, np.log(fit.rates))
     begins = (np.diff(runs.stay, prepend=-1) != 0) | runs.first
@@ -194,8 +184,8 @@ def _stay_parameters(runs: Runs, shape: Shape, fit: Fit, noise: Noise, group: In
     )
     seconds = np.add.reduceat(runs.dt, np.flatnonzero(begins))
     with np.errstate(divide="ignore", invalid="ignore"):
-        told = mm - sm**2 / ss
-        value = (my - sm * sy / ss) / told
-        error = np.sqrt((noise.sensor**2 + noise.process[group[begins]] ** 2 * seconds) / told)
-    good = np.isfinite(value) & (told > 1e-9 * mm)
+        information = mm - sm**2 / ss
+        value = (my - sm * sy / ss) / information
+        error = np.sqrt((noise.sensor**2 + noise.process[group[begins]] ** 2 * seconds) / information)
+    good = np.isfinite(value) & (information > 1e-9 * mm)
     return value, np.where(good, error, np.inf), runs.place[begins]

@@ -4,20 +4,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import Course, HeldOut, NamedEffect, Place, Shift, Verdict
+from sim.discrepancy.diagnosis import DiagnosisCourse, HeatPlace, HeldOutProof, NamedEffect, Shift, Verdict
 from sim.discrepancy.fitting.fit import Fitted
 from sim.discrepancy.fitting.record import Record
 from sim.discrepancy.heat import HOUR, implied_heat, since_switch
-from sim.discrepancy.held_out import Trial
+from sim.discrepancy.held_out import HeldOutRun
 from sim.sha.trace import Array
 
 
 def sentence_of(
     verdict: Verdict,
     effects: Sequence[NamedEffect],
-    unexplained: Sequence[Place],
+    *,
+    unexplained: Sequence[HeatPlace],
     shifts: Sequence[Shift],
-    held: HeldOut | None,
+    held: HeldOutProof | None,
     cycles: int,
 ) -> str:
     """The verdict in one or two sentences."""
@@ -46,7 +47,7 @@ def sentence_of(
     return "Something is missing that has no honest name: " + _described(unexplained) + moved
 
 
-def _described(unexplained: Sequence[Place]) -> str:
+def _described(unexplained: Sequence[HeatPlace]) -> str:
     if not unexplained:
         return "the free run is further off than noise allows, in no particular place."
     place = unexplained[0]
@@ -63,7 +64,7 @@ def _seconds(span: tuple[float, float]) -> str:
     return f"{low:.0f}-{high:.0f} s" if np.isfinite(high) else f"more than {low:.0f} s"
 
 
-def course_of(base: Fitted, after: Fitted, before_trial: Trial, after_trial: Trial) -> Course:
+def course_of(base: Fitted, after: Fitted, before_trial: HeldOutRun, after_trial: HeldOutRun) -> DiagnosisCourse:
     """Readings and free runs over the fitted and the held-out windows, with the heat that each model leaves."""
     record, later = base.frame.record, before_trial.record
     names = [location.name for location in record.model.sha.locations]
@@ -74,7 +75,7 @@ def course_of(base: Fitted, after: Fitted, before_trial: Trial, after_trial: Tri
     heat_before, heat_after = (
         np.concatenate([implied_heat(one) * HOUR, np.full(later.times.size, np.nan)]) for one in (base, after)
     )
-    return Course(
+    return DiagnosisCourse(
         times=both(record.times, later.times),
         reading=both(record.reading, later.reading),
         before=both(record.windowed(base.state.mean), later.windowed(before_trial.state.mean)),
