@@ -1,9 +1,10 @@
 """All benchmarks one after another, each in a process of its own: one table of figures, and the machine they are from.
 
-`python -m benchmarks.run [--json] [--thorough]`: three minutes on two quiet cores, a quarter of an hour with `--thorough`,
-which repeats more and goes to greater sizes. Each benchmark's figures are shown as soon as it has them. What is no matter
-of speed has a command of its own: `python -m benchmarks.fault_matrix`, `benchmarks.canopen_rig` (the same over
-CANopen), `benchmarks.commissioning` (the engineer's hour) and `benchmarks.discrepancy` (hidden effects).
+`python -m benchmarks.run [--json] [--thorough]` takes three minutes on two quiet cores; `--thorough` repeats more, goes
+to greater sizes, and takes a quarter of an hour. A benchmark's figures are shown as soon as it has them. What is no
+matter of speed has a command of its own: `python -m benchmarks.fault_matrix`, `benchmarks.canopen_rig` (the same over
+CANopen), `benchmarks.commissioning` (the engineer's hour), `benchmarks.discrepancy` (hidden effects) and
+`benchmarks.house` (the code itself).
 """
 
 import json

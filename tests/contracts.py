@@ -1,4 +1,4 @@
-"""Import contracts of this house that import-linter does not bring: packages are entered by their doors, in one direction."""
+"""Import contracts that import-linter does not bring: packages are entered by their doors, and in one direction."""
 
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
