@@ -23,7 +23,7 @@ test: lint types contracts unit
 
 # The inner loop: everything that needs neither processes of its own nor ten seconds.
 check: lint types contracts
-	$(BIN)/pytest -n 2 --dist worksteal -m "not process and not slow"
+	$(BIN)/pytest -n 2 --dist worksteal --without-processes
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
