@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo test lint types contracts unit lock bench clean
+.PHONY: setup demo test check lint types contracts unit lock bench clean
 
 setup: $(STAMP)
 
@@ -20,6 +20,10 @@ demo: $(STAMP)
 	$(BIN)/decanter demo
 
 test: lint types contracts unit
+
+# The inner loop: everything that needs neither processes of its own nor ten seconds.
+check: lint types contracts
+	$(BIN)/pytest -n 2 --dist worksteal --without-processes
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

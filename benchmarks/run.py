@@ -1,8 +1,10 @@
 """All benchmarks one after another, each in a process of its own: one table of figures, and the machine they are from.
 
-`python -m benchmarks.run [--json] [--quick]`: a quarter of an hour on two quiet cores, less with `--quick`. What is no
+`python -m benchmarks.run [--json] [--thorough]` takes three minutes on two quiet cores; `--thorough` repeats more, goes
+to greater sizes, and takes a quarter of an hour. A benchmark's figures are shown as soon as it has them. What is no
 matter of speed has a command of its own: `python -m benchmarks.fault_matrix`, `benchmarks.canopen_rig` (the same over
-CANopen), `benchmarks.commissioning` (the engineer's hour) and `benchmarks.discrepancy` (hidden effects).
+CANopen), `benchmarks.commissioning` (the engineer's hour), `benchmarks.discrepancy` (hidden effects) and
+`benchmarks.house` (the code itself).
 """
 
 import json
@@ -93,24 +95,26 @@ def as_text(here: Machine) -> str:
 
 @click.command(help=__doc__)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
-@click.option("--quick", is_flag=True, help="Less of everything: whether it works, not how fast it is.")
+@click.option("--thorough", is_flag=True, help="More runs and greater sizes: figures to be quoted.")
 @click.option("--only", multiple=True, type=click.Choice(BENCHMARKS), help="Only this one; may be given again.")
-def main(as_json: bool, quick: bool, only: Sequence[str]) -> None:
+def main(as_json: bool, thorough: bool, only: Sequence[str]) -> None:
     here, found, failed = machine(), {}, []
     with tempfile.TemporaryDirectory(prefix="decanter-bench-") as folder:
         for name in only or BENCHMARKS:
             click.echo(f"{name} ...", err=True)
-            options = ["--quick"] if quick else []
+            options = [] if thorough else ["--quick"]
             options += ["--model-folder", folder] if name in WITH_MODEL else []
             try:
                 found[name] = figures_of(name, options)
             except subprocess.SubprocessError:
                 failed.append(name)
+            else:
+                if not as_json:
+                    show(name, found[name])
     if as_json:
         plain = {name: [figure.plain() for figure in figures] for name, figures in found.items()}
-        click.echo(json.dumps({"machine": asdict(here), "quick": quick, "figures": plain, "failed": failed}))
+        click.echo(json.dumps({"machine": asdict(here), "thorough": thorough, "figures": plain, "failed": failed}))
     else:
-        show("benchmarks", [figure for figures in found.values() for figure in figures])
         click.echo(as_text(here))
     if failed:
         raise click.ClickException(f"without figures: {', '.join(failed)}; what they said is above")

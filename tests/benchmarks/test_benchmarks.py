@@ -72,7 +72,7 @@ def test_a_benchmark_prints_its_figures_as_json(name: str, options: Sequence[str
 
 
 def test_run_gives_the_figures_of_all_and_the_machine() -> None:
-    told = said("run", "--quick", "--only", "startup")
+    told = said("run", "--only", "startup")
     assert by_name(told["figures"]["startup"]) and told["failed"] == []
     assert {"cores", "python", "libraries", "load"} <= set(told["machine"])
 
