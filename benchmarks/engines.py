@@ -16,12 +16,12 @@ from time import process_time
 
 import click
 import numpy as np
-from sim.checking.smc.estimates import prepared
 
 from benchmarks import belief as belief_benchmark
 from benchmarks.figures import Figure, give
 from benchmarks.simulation import EVENTS, ROWS, SECONDS, SYMBOLS, plant
 from benchmarks.smc import question, speed_start
+from sim.checking.smc.answer import prepared
 from sim.checking.smc.runs import LARGEST, sampler
 from sim.engine.belief import Belief, Tracker, compile_model, observe, on_event, start, with_inputs
 from sim.engine.moments import moments

@@ -101,7 +101,7 @@ def measure(folder: Path, switches: int, standby: str = "rtu-tcp") -> Outcome:
             for number in range(switches):
                 _suffer(FAULTS[number % len(FAULTS)], plc, gateway)
             time.sleep(EDGE_S)
-            driver = gateway.plant.status["driver"]
+            driver = gateway.status["driver"]
             code, _ = gateway.stop()
             assert code == 0, gateway.words()
         plc.order("stop")
@@ -149,7 +149,7 @@ def _suffer(fault: Mapping[str, Any], plc: Plc, gateway: Gateway) -> None:
 
     A connection that goes deaf is ordered again where a block was what met it: the new one may serve all readings.
     """
-    before = gateway.plant.status["driver"]["switch_overs"]
+    before = gateway.status["driver"]["switch_overs"]
     for patience_s in (AGAIN_S, AGAIN_S, PATIENCE_S):
         plc.order("fault", fault={**fault, "face": "tcp"})
         try:

@@ -35,7 +35,17 @@ def test_a_number_that_the_plc_encodes_is_the_number_that_the_driver_reads(
 @given(st.integers(0, 15), st.sampled_from(list(Order)), st.booleans())
 def test_a_bit_lies_where_the_driver_looks_for_it(bit: int, order: Order, value: bool) -> None:
     tag = Tag("t", "holding:0", DType.BOOL, order, bit=bit)
-    registers = RegisterMap(Path("m"), "d", 1, 125, 0, None, {"t": tag}, {"t": Place("holding", 0)}, None)
+    registers = RegisterMap(
+        path=Path("m"),
+        device="d",
+        unit=1,
+        max_registers=125,
+        max_gap=0,
+        heartbeat=None,
+        tags={"t": tag},
+        places={"t": Place("holding", 0)},
+        block=None,
+    )
     plc = Plc(registers, EmulatorClock(0.0, 0.0))
     plc.begin(0.0)
     plc.force("t", value)

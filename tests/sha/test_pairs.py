@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.stats import ks_2samp
 
 from sim.checking.query.parse import parse_query
-from sim.checking.smc.answer import Settings, answer, initial
+from sim.checking.smc.answer import QuerySettings, answer, initial
 from sim.engine.belief import Belief, advance, compile_model, observe, on_event, start, with_inputs
 from sim.engine.moments import moments
 from sim.engine.schedule import Schedule, schedule
@@ -141,7 +141,7 @@ def test_runs_of_a_query_along_known_events_have_the_same_law() -> None:
     found = []
     for sha in (model.sha, with_nothing(model.sha)):
         query, begin = parse_query("Pr[<=600](<> Temp >= 62)", sha), initial(replace(model, sha=sha), trace)
-        found.append(answer(query, begin, Settings(seed=5, rule="fixed", runs=20_000)))
+        found.append(answer(query, begin, QuerySettings(seed=5, rule="fixed", runs=20_000)))
     plain, other = (one.numbers for one in found)
     assert 0.1 < plain["probability"] < 0.9
     assert plain["low"] - 0.01 < other["probability"] < plain["high"] + 0.01
