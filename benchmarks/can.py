@@ -18,7 +18,7 @@ import can
 import click
 
 from benchmarks.figures import Figure, give, shares
-from drivers.can.bus import open_bus
+from drivers.can.bus.access import open_bus
 from drivers.can.driver import open_can
 from drivers.can.protection import Protection, protected
 from drivers.tag import DType, Tag
@@ -60,7 +60,7 @@ for message in bus:
 def hub(folder: Path) -> Iterator[str]:
     """A hub as a process; gives its path."""
     path = str(folder / "bus")
-    command = [sys.executable, "-m", "drivers.can.hub", path, "--queue", "1000000"]
+    command = [sys.executable, "-m", "drivers.can.bus.hub", path, "--queue", "1000000"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         process.stdout.readline()

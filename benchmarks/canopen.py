@@ -39,7 +39,7 @@ from benchmarks.can import hub
 from benchmarks.canopen_rig import DEVICE, NODE, canopen_rig, face
 from benchmarks.figures import Figure, give, shares
 from benchmarks.rig import CURRENT, ROOT, RUNNING, TEMPERATURE, Plc, make_rig, restless_trace
-from drivers.can.hub_bus import HubBus
+from drivers.can.bus.hub_bus import HubBus
 from drivers.canopen.driver import open_canopen
 from drivers.driver import open_driver
 from drivers.tag import Sample
@@ -59,7 +59,7 @@ TRANSPORT_S = 0.05
 
 SENDER = """
 import sys, time, can
-from drivers.can.hub_bus import HubBus
+from drivers.can.bus.hub_bus import HubBus
 bus = HubBus(sys.argv[1])
 count = int(sys.argv[2])
 def send(number, data):

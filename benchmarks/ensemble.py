@@ -25,7 +25,7 @@ from sim.engine.tracker import Tracker, compile_model
 from sim.forecast.calibration import Calibration, calibrate, factors
 from sim.forecast.calibration import issue as issue_bands
 from sim.forecast.calibration import settle as settle_bands
-from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue, mixture, settle, thinned, weights
+from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue_pool, mixture, settle_pool, thinned, weights
 from sim.forecast.forecast import LEVELS, Forecast, forecast
 from sim.learning.bins.learn import learn_bins
 from sim.plant.decanter import DecanterPlant
@@ -120,7 +120,7 @@ def follow(case: Case, runs: int, seed: int) -> tuple[list[Scheme], Array]:
             one.bands = settle_bands(one.bands, time, value)
         for way in ways:
             for horizon, kept in way.evidence.items():
-                way.evidence[horizon] = settle(kept, horizon, time, value, case.every / 2)
+                way.evidence[horizon] = settle_pool(kept, horizon, time, value, case.every / 2)
         if time >= due and all(one.belief.seen for one in followers):
             due = time + case.every
             outcome = [_outcome(known, time + horizon, case.models[0].alphabet.gap) for horizon in case.horizons]
@@ -155,7 +155,7 @@ def _mix(ways: Sequence[Scheme], made: Sequence[Forecast], context: Mapping[str,
         shares = [weights(kept.pool, here) for kept in way.evidence.values()]
         way.fans.append(mixture(made, shares, LEVELS).quantiles)
         for horizon, kept in way.evidence.items():
-            way.evidence[horizon] = issue(kept, horizon, here, made)
+            way.evidence[horizon] = issue_pool(kept, horizon, here, made)
 
 
 def _outcome(known: tuple[Array, Array], due: float, gap: float) -> float:

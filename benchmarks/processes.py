@@ -15,7 +15,7 @@ from typing import Any
 import click
 
 from benchmarks.bare import TEST_REGISTERS, WRITTEN
-from sim.artefacts.write_model import write_model_directory
+from sim.artefacts.formats.write_model import write_model_directory
 from sim.learning.bins.learn import learn_bins
 from sim.plant.scenarios import scenario
 from sim.sha.events import DECANTER

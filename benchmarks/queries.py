@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.figures import Figure, best, give
+from sim.checking.language.parse import parse_query
 from sim.checking.proof.symbolic import decide
-from sim.checking.query.parse import parse_query
 from sim.checking.query.tree import Symbolic
 from sim.checking.smc.rules.estimation import Draw, mixture_interval, one_or_two_sided, to_half_width
 from sim.checking.smc.rules.paired import compare

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from sim.artefacts.find import find_model
+from sim.artefacts.formats.find import find_model
 from sim.checking.proof.bounds import Bounds
 from sim.checking.proof.envelope import Envelope, envelopes
 from sim.checking.proof.structure import moves

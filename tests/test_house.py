@@ -10,7 +10,7 @@ import click
 import pytest
 
 from gateway.cli.main import main
-from gateway.console.lazy import LazyGroup
+from gateway.entry.lazy import LazyGroup
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for room in ("drivers", "sim", "gateway") for path in (ROOT / room).rglob("*.py"))

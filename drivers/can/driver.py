@@ -10,14 +10,14 @@ from typing import Any
 
 import can
 
-from drivers.can.bus import open_bus
+from drivers.can.bus.access import open_bus
+from drivers.can.bus.load import BusLoad
+from drivers.can.bus.pump import Pump
 from drivers.can.errors_on_bus import BusErrors, ControllerState
 from drivers.can.exchange import Exchange, put
 from drivers.can.fields import EXTENDED, frame_key, frame_name, layout_name, value_of
 from drivers.can.frame import CanFrame
-from drivers.can.load import BusLoad
 from drivers.can.notations import is_message_tag, message_decoder
-from drivers.can.pump import Pump
 from drivers.can.reception import Channel, Reception, Slot
 from drivers.can.settings import CanSettings
 from drivers.can.signals import SignalMap, SignalPlace, describe

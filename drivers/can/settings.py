@@ -52,8 +52,8 @@ class CanSettings(Reconnecting, DecodingSettings, PollingSettings):
     """Seconds unless named otherwise.
 
     `interface`, `channel`, `bitrate` (bit/s), `fd` and `options` (passed on): how python-can opens the bus; "hub" is
-    the bus between processes of `drivers.can.hub`. `only_mapped`: the interface passes on the frames of tags that were
-    asked for and no others, which the bus load then leaves out.
+    the bus between processes of `drivers.can.bus.hub`. `only_mapped`: the interface passes on the frames of tags
+    that were asked for and no others, which the bus load then leaves out.
 
     `echo`: a table of frames that are written, and of the frames by which the device says what it has stored. `pad`:
     the bytes that a plain frame is filled up to. `timeout`: the deadline of an echo.

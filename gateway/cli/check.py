@@ -10,9 +10,9 @@ from drivers.driver import Cautions, Explains
 from drivers.errors import DriverError
 from drivers.tag import Sample, Tag
 from gateway.cli.plant_file import config_option, load
-from gateway.console.exits import Exit, exit_code, fail, sentences
 from gateway.console.options import json_option
 from gateway.console.output import emit, table
+from gateway.entry.exits import Exit, exit_code, fail, sentences
 from gateway.machine.model.loading import load_model
 from gateway.machine.reading.clock import plant_clock
 from gateway.plant.device import link_driver, make_driver

@@ -2,8 +2,8 @@
 
 import click
 
-from gateway.console.lazy import LazyGroup, Table
 from gateway.console.threads import one_thread
+from gateway.entry.lazy import LazyGroup, Table
 
 COMMANDS: Table = {
     "demo": (

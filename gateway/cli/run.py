@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from gateway.cli.plant_file import config_option, load
-from gateway.console.exits import Exit, fail, sentences
+from gateway.entry.exits import Exit, fail, sentences
 from gateway.machine.reading.clock import PlantClock
 from gateway.plant.app import serve
 

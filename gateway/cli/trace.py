@@ -2,7 +2,7 @@
 
 import click
 
-from gateway.console.lazy import LazyGroup, Table
+from gateway.entry.lazy import LazyGroup, Table
 
 COMMANDS: Table = {
     "can": (

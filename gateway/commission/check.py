@@ -17,7 +17,7 @@ from gateway.commission.session.perform import perform
 from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
 from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
 from gateway.commission.writeback.write import problems_of
-from gateway.console.exits import Exit
+from gateway.entry.exits import Exit
 from gateway.machine.model.loading import load_model
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})

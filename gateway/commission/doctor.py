@@ -21,7 +21,7 @@ from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
 from gateway.commission.session.target import Target, make_target
 from gateway.commission.survey.network import addresses_of, local_end
-from gateway.console.exits import sentences
+from gateway.entry.exits import sentences
 
 LEAST_FREE_MB = 500
 OLDEST = 1_735_689_600.0

@@ -24,8 +24,8 @@ from gateway.commission.session.records import check_writable, read_records
 from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.session.target import make_target
 from gateway.commission.survey.addresses import LAST, Register, parse_register
-from gateway.console.exits import Exit, sentences
 from gateway.console.output import table
+from gateway.entry.exits import Exit, sentences
 
 BEFORE, AFTER = 2, 5
 """Registers read besides the one that was given: twice off by one, and a value of four registers."""

@@ -19,8 +19,8 @@ from gateway.commission.session.perform import perform
 from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.survey.addresses import AddressTextError, parse_stretch, reference_of
 from gateway.commission.survey.bus_probe import SDO_S
-from gateway.console.exits import Exit
 from gateway.console.output import table
+from gateway.entry.exits import Exit
 
 FIRST_WAIT_S = 3.0
 _LOOK_S = 0.02

@@ -20,8 +20,8 @@ from gateway.commission.session.perform import perform
 from gateway.commission.session.records import check_writable
 from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.session.target import Target
-from gateway.console.exits import sentences
 from gateway.console.output import progress, table
+from gateway.entry.exits import sentences
 from gateway.machine.pipeline import Machine
 from gateway.machine.reading.quality import QualityRules
 from gateway.machine.reading.scan import scans

@@ -12,8 +12,8 @@ from gateway.commission.acceptance.files import verify, write
 from gateway.commission.session.audit_log import audit_option, audit_path
 from gateway.commission.session.options import SharedOptions, record_options
 from gateway.commission.session.perform import login
-from gateway.console.exits import Exit, fail, sentences
 from gateway.console.output import emit, table
+from gateway.entry.exits import Exit, fail, sentences
 from gateway.store.audit import AuditEntry, open_audit
 
 

@@ -13,8 +13,8 @@ from gateway.commission.survey.addresses import parse_stretch
 from gateway.commission.survey.bus_frames import scan_can
 from gateway.commission.survey.registers import scan_registers
 from gateway.commission.survey.units import scan_nodes, scan_units
-from gateway.console.exits import sentences
 from gateway.console.output import progress, table
+from gateway.entry.exits import sentences
 
 Progress = Callable[[str, float], None]
 

@@ -25,8 +25,8 @@ from gateway.commission.session.options import SharedOptions, link_options
 from gateway.commission.session.perform import perform
 from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.survey.addresses import reference_of
-from gateway.console.exits import Exit
 from gateway.console.output import table
+from gateway.entry.exits import Exit
 
 WIDTH = 48
 """Readings in a sparkline."""

@@ -29,7 +29,7 @@ def can_hub(folder: Path) -> Iterator[Path]:
     path, log = hub_path(folder), folder / "can_hub.log"
     with log.open("w", encoding="utf-8") as words:
         process = subprocess.Popen(
-            [sys.executable, "-m", "drivers.can.hub", str(path), "--stdin"],
+            [sys.executable, "-m", "drivers.can.bus.hub", str(path), "--stdin"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=words,

@@ -11,7 +11,6 @@ import click
 import numpy as np
 from rich.console import Console
 
-from gateway.console.exits import Exit, fail, sentences
 from gateway.console.options import finite, map_option, seed_option
 from gateway.console.output import emit, progress, table
 from gateway.console.places import config_dir, shipped
@@ -22,6 +21,7 @@ from gateway.demo.links import DEFAULT_LINK, LINKS
 from gateway.demo.play import play
 from gateway.demo.prepare import DemoRun, limit_for, pace, split, suits, write_device
 from gateway.demo.summary import draw_result, findings, result
+from gateway.entry.exits import Exit, fail, sentences
 from gateway.lab.learn import learn_from, write
 from gateway.lab.traces.load import load
 from sim.plant.scenarios import history_and_day

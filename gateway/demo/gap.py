@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
-from gateway.console.exits import Exit, fail, sentences
 from gateway.console.output import emit, make_folder, progress
 from gateway.console.places import shipped
 from gateway.demo.folder import held
+from gateway.entry.exits import Exit, fail, sentences
 from gateway.lab.diagnose import DiagnosisRequest, roles_of, run
 from gateway.lab.learn import learn_from, write
 from sim.discrepancy.output.document import document

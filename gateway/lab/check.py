@@ -9,14 +9,14 @@ from typing import Any
 
 import click
 
-from gateway.console.exits import Exit, sentences
 from gateway.console.options import finite, json_option, map_option
 from gateway.console.output import emit, progress, table
+from gateway.entry.exits import Exit, sentences
 from gateway.lab.answer_picture import draw_answer
 from gateway.lab.traces.load import load
 from gateway.store.history import reading, to_trace
-from sim.artefacts.find import find_model
-from sim.checking.query.parse import parse_query
+from sim.artefacts.formats.find import find_model
+from sim.checking.language.parse import parse_query
 from sim.checking.query.tree import Simulation, Symbolic
 from sim.checking.smc.answer import Answer, QuerySettings, Rule, Start, answer, believed, decided, initial
 from sim.sha.events import Alphabet, encode

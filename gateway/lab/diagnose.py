@@ -10,13 +10,13 @@ from typing import Any
 
 import click
 
-from gateway.console.exits import sentences
 from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, table
 from gateway.console.places import shipped
+from gateway.entry.exits import sentences
 from gateway.lab.traces.load import load
 from gateway.store.history import recent
-from sim.artefacts.find import find_model
+from sim.artefacts.formats.find import find_model
 from sim.artefacts.model_json import model_hash
 from sim.checking.proof.verify import verify
 from sim.discrepancy.augment import augmented

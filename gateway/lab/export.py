@@ -9,12 +9,12 @@ from typing import Any
 import click
 import numpy as np
 
-from gateway.console.exits import Exit, fail, sentences
 from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, table
+from gateway.entry.exits import Exit, fail, sentences
 from gateway.lab.traces.load import load
-from sim.artefacts.find import FoundModel, find_model
 from sim.artefacts.formats.bundle import file_names, write_artefacts
+from sim.artefacts.formats.find import FoundModel, find_model
 from sim.artefacts.formats.from_model import to_artefacts
 from sim.engine.open_loop import Start
 from sim.engine.schedule import Policy

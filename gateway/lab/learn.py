@@ -7,12 +7,12 @@ from typing import Any
 
 import click
 
-from gateway.console.exits import sentences
 from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, table
+from gateway.entry.exits import sentences
 from gateway.lab.show import show_model, summary
 from gateway.lab.traces.load import load
-from sim.artefacts.write_model import write_model_directory
+from sim.artefacts.formats.write_model import write_model_directory
 from sim.learning.bins.learn import Learned, learn_bins
 from sim.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.learning.lsha.report import report_document, report_text

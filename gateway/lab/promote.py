@@ -5,13 +5,13 @@ from pathlib import Path
 
 import click
 
-from gateway.console.exits import sentences
 from gateway.console.options import json_option
 from gateway.console.output import emit
-from sim.artefacts.find import find_model
+from gateway.entry.exits import sentences
+from sim.artefacts.formats.find import find_model
+from sim.artefacts.formats.write_model import save
 from sim.artefacts.store import Force, forced
 from sim.artefacts.store import promote as promote_version
-from sim.artefacts.write_model import save
 
 
 @click.command(short_help="Make a version of a store current, if its model verifies.")

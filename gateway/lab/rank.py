@@ -9,11 +9,11 @@ from typing import Any
 
 import click
 
-from gateway.console.exits import Exit, fail, sentences
-from gateway.console.interrupt import interruptible
 from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, table
 from gateway.console.places import shipped
+from gateway.entry.exits import Exit, fail, sentences
+from gateway.entry.interrupt import interruptible
 from sim.checking.proof.verify import verify
 from sim.ranking.fitness import Facts, Seen, limits_of, seen_traces
 from sim.ranking.ranking import Ranking, Weights, entrants

@@ -6,10 +6,10 @@ from typing import Any
 
 import click
 
-from gateway.console.exits import sentences
 from gateway.console.options import json_option
 from gateway.console.output import emit, table
-from sim.artefacts.find import FoundModel, find_model
+from gateway.entry.exits import sentences
+from sim.artefacts.formats.find import FoundModel, find_model
 from sim.artefacts.model_json import model_hash
 from sim.effects.kinds import effect_summary
 from sim.sha import distributions

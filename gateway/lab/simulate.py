@@ -7,13 +7,13 @@ from typing import Any
 import click
 import numpy as np
 
-from gateway.console.exits import fail, sentences
 from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, table
+from gateway.entry.exits import fail, sentences
 from gateway.lab.traces.load import load
 from gateway.lab.traces.picture import picture_option
 from gateway.lab.word import replay_word
-from sim.artefacts.find import find_model
+from sim.artefacts.formats.find import find_model
 from sim.engine.open_loop import Start, errors, measured, open_loop, open_loop_schedule, start_law
 from sim.engine.schedule import Policy
 from sim.engine.simulate import simulate as sample_runs

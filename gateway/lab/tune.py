@@ -7,12 +7,12 @@ from typing import Any
 
 import click
 
-from gateway.console.exits import Exit, sentences
-from gateway.console.interrupt import interruptible
 from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, table
+from gateway.entry.exits import Exit, sentences
+from gateway.entry.interrupt import interruptible
 from gateway.lab.traces.load import load
-from sim.artefacts.write_model import write_model_directory
+from sim.artefacts.formats.write_model import write_model_directory
 from sim.ranking.tuning import Objective, StudyPlan, Tuning, final_model
 from sim.ranking.tuning import tune as searched
 from sim.traces.cycles import split_cycles

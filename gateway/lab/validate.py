@@ -13,12 +13,12 @@ from typing import Any
 
 import click
 
-from gateway.console.exits import Exit, fail, sentences
-from gateway.console.interrupt import interruptible
 from gateway.console.options import json_option, map_option, seed_option
 from gateway.console.output import emit, progress, table
 from gateway.console.places import shipped
-from sim.artefacts.write_model import write_model_directory
+from gateway.entry.exits import Exit, fail, sentences
+from gateway.entry.interrupt import interruptible
+from sim.artefacts.formats.write_model import write_model_directory
 from sim.engine.schedule import Policy
 from sim.ranking.tuning_methods import METHODS, Task
 from sim.sha.trace import Trace

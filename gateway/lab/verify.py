@@ -9,12 +9,12 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from gateway.console.exits import Exit, sentences
 from gateway.console.options import finite, json_option, map_option
 from gateway.console.output import emit, table
 from gateway.console.places import shipped
+from gateway.entry.exits import Exit, sentences
 from gateway.lab.traces.load import load
-from sim.artefacts.find import FoundModel, find_model
+from sim.artefacts.formats.find import FoundModel, find_model
 from sim.checking.proof.envelope import DAY, Assumptions, Sojourn
 from sim.checking.proof.verify import Check, Verification
 from sim.checking.proof.verify import verify as check

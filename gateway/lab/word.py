@@ -4,9 +4,9 @@ from pathlib import Path
 
 import click
 
-from gateway.console.exits import sentences
 from gateway.console.output import emit, table
-from sim.artefacts.find import find_model
+from gateway.entry.exits import sentences
+from sim.artefacts.formats.find import find_model
 from sim.checking.proof.word import parse_word
 from sim.checking.proof.word_replay import WordReplay, replay
 from sim.effects.correction import in_sensor_scale

@@ -143,7 +143,7 @@ class PoolEvidence:
     pending: tuple[Awaited, ...] = ()
 
 
-def issue(evidence: PoolEvidence, horizon: float, context: str, made: Sequence[Forecast | None]) -> PoolEvidence:
+def issue_pool(evidence: PoolEvidence, horizon: float, context: str, made: Sequence[Forecast | None]) -> PoolEvidence:
     """The evidence with the members' forecasts for `horizon` (s) waiting; a single one teaches nothing."""
     present = [one for one in made if one is not None]
     if evidence.pool.fixed is not None or len(present) < 2:
@@ -158,7 +158,9 @@ def _fan(made: Forecast, column: int) -> tuple[float, ...]:
     return tuple(float(made.quantiles[made.levels.index(level), column]) for level in LEVELS)
 
 
-def settle(evidence: PoolEvidence, horizon: float, time: float, temperature: float, tolerance: float) -> PoolEvidence:
+def settle_pool(
+    evidence: PoolEvidence, horizon: float, time: float, temperature: float, tolerance: float
+) -> PoolEvidence:
     """The evidence after a reading (degC) at `time`: what is due is learned from, what is overdue is dropped.
 
     Forecasts that overlap err together: one is worth the part of its horizon by which it is newer than the one before.

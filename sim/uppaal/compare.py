@@ -8,8 +8,8 @@ from math import nan, sqrt
 import numpy as np
 from scipy import stats
 
+from sim.checking.language.parse import QueryError, parse_query
 from sim.checking.query import tree as q
-from sim.checking.query.parse import QueryError, parse_query
 from sim.checking.smc.answer import QuerySettings, Start, initial
 from sim.checking.smc.answer import answer as native_answer
 from sim.engine.moments import Prediction, moments

@@ -3,8 +3,8 @@
 import re
 from collections.abc import Sequence
 
-from sim.checking.query.parse import QueryError, parse_query
-from sim.checking.query.printing import query_text, uppaal_refusal
+from sim.checking.language.parse import QueryError, parse_query
+from sim.checking.language.printing import query_text, uppaal_refusal
 from sim.checking.query.tree import Symbolic
 from sim.sha.model import Model
 from sim.uppaal.document import ExportedQuery, number

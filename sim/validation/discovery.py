@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 
-from sim.artefacts.find import artefact_base
 from sim.artefacts.formats.bundle import SUFFIXES, Artefacts, file_names, read_artefacts
+from sim.artefacts.formats.find import artefact_base
 from sim.artefacts.formats.from_model import to_artefacts
 from sim.artefacts.formats.histogram import PRINTED, evidence, fit
 from sim.artefacts.model_directory import MANIFEST, MODEL_FILE

@@ -7,7 +7,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
-from sim.artefacts.find import FoundModel, find_model
+from sim.artefacts.formats.find import FoundModel, find_model
 from sim.effects.check import check_sha
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Location, transitions

@@ -8,13 +8,13 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli.main import main
-from sim.artefacts.find import find_model
 from sim.artefacts.formats.bundle import texts
 from sim.artefacts.formats.convert import to_sha
+from sim.artefacts.formats.find import find_model
 from sim.artefacts.formats.from_model import to_artefacts
 from sim.artefacts.formats.report import parse_report
+from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_json import model_document, model_hash, model_text, parse_model
-from sim.artefacts.write_model import write_model_directory
 from sim.files import ArtefactError
 from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch

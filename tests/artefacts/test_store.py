@@ -14,6 +14,7 @@ import pytest
 
 from sim import files
 from sim.artefacts.formats.bundle import read_artefacts
+from sim.artefacts.formats.write_model import save, write_model_directory
 from sim.artefacts.model_directory import MANIFEST, MODEL_FILE
 from sim.artefacts.store import (
     CURRENT,
@@ -26,7 +27,6 @@ from sim.artefacts.store import (
     version_directory,
     versions,
 )
-from sim.artefacts.write_model import save, write_model_directory
 from sim.files import ArtefactError
 from sim.sha.model import Model
 from tests.artefacts.models import decanter_model
@@ -108,7 +108,7 @@ WRITER = """
 import sys
 from pathlib import Path
 from sim.artefacts.store import promote
-from sim.artefacts.write_model import save
+from sim.artefacts.formats.write_model import save
 from tests.artefacts.test_store import FORCE, numbered
 store = Path(sys.argv[1])
 number = 0

@@ -21,7 +21,7 @@ from benchmarks.discrepancy.seal import committed, index, opened
 from benchmarks.discrepancy.strata import Spec
 from benchmarks.discrepancy.visible import Family
 from gateway.lab.traces.load import load
-from sim.artefacts.write_model import write_model_directory
+from sim.artefacts.formats.write_model import write_model_directory
 from sim.learning.bins.candidates import BinsCandidate
 from sim.learning.bins.learn import learn_bins
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.checking.query.parse import parse_query
+from sim.checking.language.parse import parse_query
 from sim.checking.smc.answer import QuerySettings, answer, believed, initial
 from sim.engine.belief import advance, filter_trace
 from sim.engine.open_loop import open_loop

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.artefacts.find import find_model
+from sim.artefacts.formats.find import find_model
 from sim.checking.proof.envelope import quantiles
 from sim.checking.proof.structure import accept, components, dead_ends, missing, moves, symbols_of, traps, unreachable
 from sim.checking.proof.verify import verify

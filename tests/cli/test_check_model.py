@@ -80,8 +80,8 @@ def test_equal_seeds_give_equal_answers_and_other_seeds_other_ones(place: Path) 
 
 def test_more_runs_begin_with_the_same_runs(place: Path) -> None:
     """The first 1000 of 3000 runs are the 1000 runs: their courses' goals come at the same moments."""
-    from sim.artefacts.find import find_model
-    from sim.checking.query.parse import parse_query
+    from sim.artefacts.formats.find import find_model
+    from sim.checking.language.parse import parse_query
     from sim.checking.smc.answer import QuerySettings, answer, initial
 
     found = find_model(place / "model").runnable()

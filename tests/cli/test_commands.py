@@ -25,8 +25,8 @@ from drivers.settings import ConfigError
 from gateway.cli.main import COMMANDS, main
 from gateway.cli.model import COMMANDS as MODEL_COMMANDS
 from gateway.cli.trace import trace
-from gateway.console.exits import Exit, exit_code, sentence, sentences
-from gateway.console.lazy import LazyGroup
+from gateway.entry.exits import Exit, exit_code, sentence, sentences
+from gateway.entry.lazy import LazyGroup
 from gateway.store.historian import HistorianError
 from sim.files import ArtefactError
 from sim.strict_json import json_text

@@ -12,7 +12,7 @@ from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
 from gateway.store.historian import open_historian
 from gateway.store.history import recent
-from sim.artefacts.find import find_model
+from sim.artefacts.formats.find import find_model
 from sim.discrepancy.workflow import diagnose
 from sim.effects.kinds import ROLES
 from sim.plant.cooled import EPOCH, CooledPlant, cooled_days

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.console.interrupt import interruptible
-from sim.artefacts.find import find_model
+from gateway.entry.interrupt import interruptible
+from sim.artefacts.formats.find import find_model
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from click.testing import Result
 
-from sim.artefacts.find import find_model
+from sim.artefacts.formats.find import find_model
 from sim.validation.discovery import artefacts_beside, discover, own_check
 from sim.validation.output_folder import read_results
 from tests.cli.artefact_set import EDGES, FLOWS, HISTOGRAM, REPORT, THESIS, files, source, written

@@ -7,8 +7,8 @@ import pytest
 
 from drivers.settings import ConfigError
 from gateway.machine.model.loading import load_model
+from sim.artefacts.formats.write_model import save, write_model_directory
 from sim.artefacts.store import Force, current, forced, load, promote
-from sim.artefacts.write_model import save, write_model_directory
 from sim.files import ArtefactError
 from sim.sha.model import Model
 from tests.checking.verify_models import thesis

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.can.hub import Hub
+from drivers.can.bus.hub import Hub
 from drivers.tap import TapFrame
 from gateway.commission.session.evidence import Exchanges, FrameEvidence
 from gateway.commission.session.pcap import checksum

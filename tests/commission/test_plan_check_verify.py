@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.rig import known_model, restless_trace
-from drivers.can.hub import Hub
+from drivers.can.bus.hub import Hub
 from gateway.commission.files.recording import read_recording
 from gateway.commission.soak import recommended
 from sim.artefacts.model_json import model_text

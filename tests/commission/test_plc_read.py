@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.can.hub import Hub
+from drivers.can.bus.hub import Hub
 from drivers.survey import Raw
 from drivers.tag import Quality, Sample, Tag
 from gateway.commission.survey.addresses import AddressTextError, parse_register, parse_stretch

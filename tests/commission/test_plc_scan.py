@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.can.hub import Hub
+from drivers.can.bus.hub import Hub
 from drivers.errors import ReplyTimeout
 from drivers.modbus.settings import read_settings
 from drivers.modbus.survey import ModbusSurvey

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import can
 
-from drivers.can.bus import open_bus
-from drivers.can.hub import Hub
-from drivers.can.pump import Pump
+from drivers.can.bus.access import open_bus
+from drivers.can.bus.hub import Hub
+from drivers.can.bus.pump import Pump
 from drivers.driver import open_driver
 from tests.drivers.benches import FLAG, LEVEL, MODE, SETPOINT, STATE, Bench, Tags
 

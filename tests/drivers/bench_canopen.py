@@ -6,7 +6,7 @@ import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-from drivers.can.hub import Hub
+from drivers.can.bus.hub import Hub
 from drivers.driver import open_driver
 from drivers.tag import DType, Tag
 from tests.drivers.benches import Bench, Tags

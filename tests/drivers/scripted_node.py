@@ -9,7 +9,7 @@ import can
 from canopen import LocalNode, Network
 from canopen.objectdictionary.eds import import_eds
 
-from drivers.can.hub_bus import HubBus
+from drivers.can.bus.hub_bus import HubBus
 
 NODE = 5
 HEARTBEAT = 0.05

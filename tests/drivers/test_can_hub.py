@@ -13,9 +13,9 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.can.bus import open_bus
-from drivers.can.hub import Hub
-from drivers.can.hub_bus import pack, unpack
+from drivers.can.bus.access import open_bus
+from drivers.can.bus.hub import Hub
+from drivers.can.bus.hub_bus import pack, unpack
 from drivers.errors import DriverError, LinkDown
 
 FOREIGN = """
@@ -129,7 +129,7 @@ def test_a_hub_that_ends_is_an_interface_that_is_down(path: Path) -> None:
 
 
 def test_a_path_left_behind_is_taken_over_and_a_living_hubs_is_not(path: Path) -> None:
-    dead = subprocess.Popen([sys.executable, "-m", "drivers.can.hub", str(path)], stdout=subprocess.PIPE)
+    dead = subprocess.Popen([sys.executable, "-m", "drivers.can.bus.hub", str(path)], stdout=subprocess.PIPE)
     assert dead.stdout is not None
     dead.stdout.readline()
     dead.kill()
@@ -209,7 +209,7 @@ def test_any_python_can_program_can_join(hub: Hub, path: Path) -> None:
 
 
 def test_the_hub_as_a_process_says_when_it_is_ready_and_what_it_has_carried(path: Path) -> None:
-    command = [sys.executable, "-m", "drivers.can.hub", str(path)]
+    command = [sys.executable, "-m", "drivers.can.bus.hub", str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert json.loads(process.stdout.readline()) == {"event": "ready", "path": str(path)}
@@ -226,7 +226,7 @@ def test_the_hub_as_a_process_says_when_it_is_ready_and_what_it_has_carried(path
 
 def test_a_place_where_no_socket_can_be_is_one_sentence(tmp_path: Path) -> None:
     for place in (tmp_path / "nowhere" / "bus", tmp_path / ("x" * 120)):
-        command = [sys.executable, "-m", "drivers.can.hub", str(place)]
+        command = [sys.executable, "-m", "drivers.can.bus.hub", str(place)]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20)
         assert done.returncode == 1
         assert done.stderr.startswith(f"no CAN hub at {place}")

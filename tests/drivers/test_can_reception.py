@@ -4,10 +4,10 @@ import random
 
 import pytest
 
+from drivers.can.bus.load import BusLoad, frame_bits
 from drivers.can.errors_on_bus import BusErrors, ControllerState
 from drivers.can.fields import Bits, LayoutCondition
 from drivers.can.frame import CanFrame
-from drivers.can.load import BusLoad, frame_bits
 from drivers.can.protection import Count, Protection, checked, crc, protected
 from drivers.can.reception import Channel, MessageRules, Reception, Slot
 from drivers.tag import Quality

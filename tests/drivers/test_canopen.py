@@ -11,8 +11,8 @@ from typing import Any
 import can
 import pytest
 
-from drivers.can.hub import Hub
-from drivers.can.hub_bus import HubBus
+from drivers.can.bus.hub import Hub
+from drivers.can.bus.hub_bus import HubBus
 from drivers.canopen.driver import CanopenDriver, open_canopen
 from drivers.errors import AddressError, DriverError, LinkDown, WriteForbidden, WriteUnverified
 from drivers.tag import DType, Quality, Sample, Tag

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.canopen import BenchmarkError, garbage, latency
 from benchmarks.canopen_rig import FAULTS, PERIOD, TOLERATED, canopen_rig, measure, outside, repeated
 from benchmarks.rig import restless_trace
-from drivers.can.hub_bus import HubBus
+from drivers.can.bus.hub_bus import HubBus
 from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.recording import read_recording

@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.rig import ROOT, TARGETS, Gateway, Rig, known_model, make_rig, restless_trace
 from gateway.store.history import reading
+from sim.artefacts.formats.write_model import save, write_model_directory
 from sim.artefacts.store import CURRENT
-from sim.artefacts.write_model import save, write_model_directory
 from sim.plc.record.recording import read_recording
 from sim.sha.automaton import Distribution, Effect, Flow
 from sim.sha.model import Model, Stay

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import read_model
-from sim.artefacts.write_model import write_model_directory
 from sim.engine.open_loop import errors, open_loop
 from sim.learning.bins.learn import learn_bins
 from sim.learning.correction import corrected_model, learn_correction

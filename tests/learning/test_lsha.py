@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from benchmarks.known_automata import found_again as known_again
 from benchmarks.known_automata import random_automaton, traces_of
 from sim.artefacts.formats.bundle import read_artefacts
+from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_directory import read_model_directory
 from sim.artefacts.model_json import model_hash
-from sim.artefacts.write_model import write_model_directory
 from sim.effects.check import check_sha
 from sim.engine.open_loop import measured, open_loop
 from sim.learning.lsha.flow_hypotheses import choose_flow

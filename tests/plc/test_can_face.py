@@ -10,9 +10,9 @@ import cantools
 import pytest
 from cantools.database.can import Database
 
-from drivers.can.bus import open_bus
+from drivers.can.bus.access import open_bus
+from drivers.can.bus.hub import Hub
 from drivers.can.driver import CanDriver, open_can
-from drivers.can.hub import Hub
 from drivers.errors import WriteUnverified
 from drivers.tag import Quality, Sample, Tag
 from gateway.settings.devices import DeviceMap, load_device

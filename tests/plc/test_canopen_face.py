@@ -9,8 +9,8 @@ from pathlib import Path
 import canopen
 import pytest
 
-from drivers.can.hub import Hub
-from drivers.can.hub_bus import HubBus
+from drivers.can.bus.hub import Hub
+from drivers.can.bus.hub_bus import HubBus
 from drivers.canopen.driver import CanopenDriver, open_canopen
 from drivers.tag import Quality
 from gateway.settings.devices import load_device

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from drivers.can.bus import open_bus
+from drivers.can.bus.access import open_bus
 from drivers.driver import Writes, open_driver
 from drivers.errors import DriverError
 from drivers.settings import ConfigError

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import ks_2samp
 
-from sim.checking.query.parse import parse_query
+from sim.checking.language.parse import parse_query
 from sim.checking.smc.answer import QuerySettings, answer, initial
 from sim.engine.belief import Belief, advance, compile_model, observe, on_event, start, with_inputs
 from sim.engine.moments import moments

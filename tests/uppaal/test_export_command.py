@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sim.artefacts.find import find_model
-from sim.artefacts.write_model import write_model_directory
+from sim.artefacts.formats.find import find_model
+from sim.artefacts.formats.write_model import write_model_directory
 from sim.uppaal.rules import check_rules
 from tests.cli.support import decanter, misused, refused
 from tests.uppaal.support import learned

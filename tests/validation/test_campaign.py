@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.artefacts.find import FoundModel
+from sim.artefacts.formats.find import FoundModel
 from sim.sha.trace import Trace
 from sim.traces.load_report import FileReport, LoadReport
 from sim.validation import campaign

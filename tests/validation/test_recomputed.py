@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.artefacts.find import FoundModel
+from sim.artefacts.formats.find import FoundModel
 from sim.ranking.ranking import rank
 from sim.sha.trace import Array, Trace
 from sim.validation.campaign import outcomes_by_model, run_here

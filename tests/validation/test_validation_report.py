@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.artefacts.find import FoundModel
+from sim.artefacts.formats.find import FoundModel
 from sim.sha.model import Provenance
 from sim.sha.trace import Trace
 from sim.validation.campaign import jobs_of

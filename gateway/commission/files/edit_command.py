@@ -13,9 +13,9 @@ from gateway.commission.session.perform import perform
 from gateway.commission.session.records import check_writable
 from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.session.target import Target
-from gateway.console.exits import sentences
 from gateway.console.output import table
 from gateway.console.places import shipped
+from gateway.entry.exits import sentences
 
 
 def pairs(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:

@@ -14,7 +14,7 @@ from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.session.target import Target
 from gateway.commission.survey.addresses import Register, parse_register
 from gateway.commission.survey.register_map import ReadableMap, Stretch, search
-from gateway.console.exits import Exit
+from gateway.entry.exits import Exit
 
 Progress = Callable[[str, float], None]
 MOST_REGISTERS, MOST_BITS = 125, 2000

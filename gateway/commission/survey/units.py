@@ -12,7 +12,7 @@ from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.survey.addresses import Register
 from gateway.commission.survey.bus_probe import HEARTBEAT, STATES, identity_of
 from gateway.commission.survey.registers import first_register
-from gateway.console.exits import Exit
+from gateway.entry.exits import Exit
 
 Progress = Callable[[str, float], None]
 UNIT_S = 0.25

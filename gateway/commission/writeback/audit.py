@@ -9,8 +9,8 @@ import click
 
 from gateway.commission.session.audit_log import at, audit_option, audit_path
 from gateway.commission.session.options import SharedOptions, record_options
-from gateway.console.exits import Exit, fail, sentences
 from gateway.console.output import emit, table
+from gateway.entry.exits import Exit, fail, sentences
 from gateway.store.audit import read, verify
 
 

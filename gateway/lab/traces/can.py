@@ -10,10 +10,10 @@ import click
 
 from drivers.driver import Recorded, open_recording
 from drivers.tag import Sample, Tag
-from gateway.console.exits import sentences
 from gateway.console.options import json_option
 from gateway.console.output import emit, make_folder, progress, table
 from gateway.console.places import shipped
+from gateway.entry.exits import sentences
 from gateway.settings.devices import load_device
 
 COLUMNS = ("time_s", "signal", "value", "quality")

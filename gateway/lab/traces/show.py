@@ -6,10 +6,10 @@ from pathlib import Path
 import click
 import numpy as np
 
-from gateway.console.exits import sentences
 from gateway.console.options import json_option, map_option
 from gateway.console.output import emit
 from gateway.console.places import shipped
+from gateway.entry.exits import sentences
 from gateway.lab.traces.picture import picture_option
 from gateway.lab.traces.summary import show_summaries, summary_of
 from sim.sha.trace import Trace

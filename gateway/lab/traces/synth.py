@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from gateway.console.exits import sentences
 from gateway.console.options import json_option, seed_option
 from gateway.console.output import emit, make_folder, progress
+from gateway.entry.exits import sentences
 from gateway.lab.traces.summary import show_summaries, summary_of
 from sim.plant.scenarios import SCENARIOS, production, scenario
 from sim.sha.events import DECANTER, encode

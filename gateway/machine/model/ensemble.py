@@ -19,7 +19,7 @@ from sim.engine.tracker import Tracker
 from sim.forecast.calibration import Calibration, calibrate, factors
 from sim.forecast.calibration import issue as issue_bands
 from sim.forecast.calibration import settle as settle_bands
-from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue, mixture, settle, thinned, weights
+from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue_pool, mixture, settle_pool, thinned, weights
 from sim.forecast.forecast import LEVELS, Forecast, forecast
 from sim.sha.events import Switch
 from sim.sha.model import Model
@@ -169,7 +169,7 @@ class Ensemble:
             self._step(member, scan)
             member.calibration = settle_bands(member.calibration, scan.time, reading)
         for horizon, one in self.evidence.items():
-            self.evidence[horizon] = settle(one, horizon, scan.time, reading, self.tolerance)
+            self.evidence[horizon] = settle_pool(one, horizon, scan.time, reading, self.tolerance)
 
     def _step(self, member: Member, scan: Scan) -> None:
         if member.failure:
@@ -206,7 +206,7 @@ class Ensemble:
                 member.calibration = issue_bands(member.calibration, thinned(one, LEVELS))
         forecasts = [entry if isinstance(entry, Forecast) else None for entry in made.members]
         for horizon, state in self.evidence.items():
-            self.evidence[horizon] = issue(state, horizon, made.context, forecasts)
+            self.evidence[horizon] = issue_pool(state, horizon, made.context, forecasts)
 
     def plain(self) -> dict[str, Any]:
         """Members, their weights by horizon in the present context, and who has failed, as plain values."""

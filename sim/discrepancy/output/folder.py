@@ -6,7 +6,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from sim.artefacts.write_model import write_model_directory
+from sim.artefacts.formats.write_model import write_model_directory
 from sim.discrepancy.diagnosis import Diagnosis
 from sim.discrepancy.output.document import FORMAT, document_text
 from sim.discrepancy.output.pictures import FILES, draw

@@ -5,8 +5,8 @@ from random import Random
 
 import can
 
-from drivers.can.bus import open_bus
-from drivers.can.pump import Pump
+from drivers.can.bus.access import open_bus
+from drivers.can.bus.pump import Pump
 from drivers.errors import DriverError
 from sim.plc.program.disturbance import BusDisturbance
 from sim.plc.program.plc import Plc

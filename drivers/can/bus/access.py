@@ -5,8 +5,8 @@ from typing import Any
 
 import can
 
-from drivers.can.hub_bus import HubBus
-from drivers.can.tapped import TappedBus
+from drivers.can.bus.hub_bus import HubBus
+from drivers.can.bus.tapped import TappedBus
 from drivers.errors import DriverError, LinkDown
 from drivers.tap import current
 

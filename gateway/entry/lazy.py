@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from gateway.console.exits import Exit, fail
+from gateway.entry.exits import Exit, fail
 
 Table = Mapping[str, tuple[str, str]]
 """Command name -> ("module:attribute", its line in the help text)."""

@@ -15,8 +15,8 @@ from typing import Literal, cast
 
 from lark import Token, Tree
 
+from sim.checking.language.grammar import QueryError, at, shown, syntax
 from sim.checking.query import tree as q
-from sim.checking.query.grammar import QueryError, at, shown, syntax
 from sim.checking.query.names import PROCESS, QUANTITIES, QuantityKind, identifiers
 from sim.sha.automaton import SHA
 from sim.sha.model import Model

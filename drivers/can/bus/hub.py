@@ -6,7 +6,7 @@ behind only as long as its queue has room; then its newest frames are dropped an
 frame ("receive buffer overflow", as a controller tells), while all the others go on. What a wire does and a hub does
 not: priorities, bit timing, collisions.
 
-    python -m drivers.can.hub PATH [--queue FRAMES] [--stdin]
+    python -m drivers.can.bus.hub PATH [--queue FRAMES] [--stdin]
 """
 
 import argparse
@@ -184,7 +184,7 @@ def _listen(path: Path) -> socket.socket:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a hub until SIGINT or SIGTERM; say on the first line that it is ready, on the last what it has carried."""
-    parser = argparse.ArgumentParser(prog="python -m drivers.can.hub", description="A CAN bus between processes.")
+    parser = argparse.ArgumentParser(prog="python -m drivers.can.bus.hub", description="A CAN bus between processes.")
     parser.add_argument("path", help="Unix socket; python-can programs join with interface='hub', channel=PATH")
     parser.add_argument("--queue", type=int, default=QUEUE, help=f"frames kept for a client behind ({QUEUE})")
     parser.add_argument("--stdin", action="store_true", help="end when standard input ends")
