@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import betaincinv, gammaincc, ndtr
 
-from sim.sha.trace import Array
+from sim.sha import Array
 
 MOST_SURPRISING = 99.0
 """Where `surprise` ends: a p-value of 1e-99."""

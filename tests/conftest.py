@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 # Before numpy is imported anywhere: matrices as small as a model's take longer with two threads than with one, and the
-# processes that tests start inherit it. `gateway.console.threads` does the same for the product's commands.
+# processes that tests start inherit it. `gateway.entry.threads` does the same for the product's commands.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 

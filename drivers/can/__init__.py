@@ -1,1 +1,36 @@
 """Raw CAN: any python-can interface, signals by DBC or by plain bit fields, and a bus between processes."""
+
+from drivers.can.dbc import PREFIX, Dbc, bits_of, conditions_of
+from drivers.can.fields import EXTENDED, Bits, Field, LayoutCondition, frame_key, frame_name, value_of
+from drivers.can.frame import CanFrame, FrameListener, TagReading
+from drivers.can.notations import Send, is_message_tag
+from drivers.can.reception import Channel, MessageRules, Reception, Slot
+from drivers.can.settings import CanSettings, DecodingSettings, PollingSettings
+from drivers.can.signals import SignalMap
+
+__all__ = [
+    "EXTENDED",
+    "PREFIX",
+    "Bits",
+    "CanFrame",
+    "CanSettings",
+    "Channel",
+    "Dbc",
+    "DecodingSettings",
+    "Field",
+    "FrameListener",
+    "LayoutCondition",
+    "MessageRules",
+    "PollingSettings",
+    "Reception",
+    "Send",
+    "SignalMap",
+    "Slot",
+    "TagReading",
+    "bits_of",
+    "conditions_of",
+    "frame_key",
+    "frame_name",
+    "is_message_tag",
+    "value_of",
+]

@@ -10,9 +10,7 @@ from typing import Any
 
 import can
 
-from drivers.can.bus.access import open_bus
-from drivers.can.bus.load import BusLoad
-from drivers.can.bus.pump import Pump
+from drivers.can.bus import BusLoad, Pump, open_bus
 from drivers.can.errors_on_bus import BusErrors, ControllerState
 from drivers.can.exchange import Exchange, put
 from drivers.can.fields import EXTENDED, frame_key, frame_name, layout_name, value_of

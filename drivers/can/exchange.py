@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import can
 
-from drivers.can.bus.pump import Pump
+from drivers.can.bus import Pump
 from drivers.can.fields import frame_key, frame_name
 from drivers.can.reception import Reception, Slot
 from drivers.can.writing import Outgoing, WriteMap

@@ -7,7 +7,7 @@ from typing import Any
 
 import can
 
-from drivers.can.bus.access import open_bus
+from drivers.can.bus import open_bus
 from drivers.canopen.asking import SdoAnswer, ask
 from drivers.canopen.eds import DataSheet, Where, load_sheet, locate
 from drivers.canopen.listeners import PdoListener

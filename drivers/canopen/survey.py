@@ -9,8 +9,7 @@ from typing import Any
 
 import can
 
-from drivers.can.bus.access import open_bus
-from drivers.can.bus.pump import Pump
+from drivers.can.bus import Pump, open_bus
 from drivers.canopen.asking import quality_of
 from drivers.canopen.channel import SdoChannel
 from drivers.canopen.place import ObjectPlace, from_bytes, parse_place

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.can.settings import CanSettings
+from drivers.can import CanSettings
 from drivers.errors import AddressError
 from drivers.settings import check_settings
 from drivers.tag import Sample, Tag

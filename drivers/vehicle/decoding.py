@@ -3,13 +3,19 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from drivers.can.dbc import Dbc
-from drivers.can.fields import Field, frame_key, value_of
-from drivers.can.frame import CanFrame, FrameListener, TagReading
-from drivers.can.notations import is_message_tag
-from drivers.can.reception import Reception
-from drivers.can.settings import DecodingSettings
-from drivers.can.signals import SignalMap
+from drivers.can import (
+    CanFrame,
+    Dbc,
+    DecodingSettings,
+    Field,
+    FrameListener,
+    Reception,
+    SignalMap,
+    TagReading,
+    frame_key,
+    is_message_tag,
+    value_of,
+)
 from drivers.errors import AddressError, DriverError
 from drivers.tag import Tag
 from drivers.vehicle import j1939, obd

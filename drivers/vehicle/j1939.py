@@ -9,9 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from drivers.can.dbc import PREFIX, Dbc
-from drivers.can.fields import EXTENDED, Bits
-from drivers.can.frame import CanFrame, TagReading
+from drivers.can import EXTENDED, PREFIX, Bits, CanFrame, Dbc, TagReading
 from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import DType, Quality, Tag

@@ -4,10 +4,7 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
-from drivers.can.frame import CanFrame
-from drivers.can.notations import Send
-from drivers.can.reception import Channel, MessageRules, Reception, Slot
-from drivers.can.settings import CanSettings
+from drivers.can import CanFrame, CanSettings, Channel, MessageRules, Reception, Send, Slot
 from drivers.codec import Reading
 from drivers.driver import PlanKind, PlanLine
 from drivers.errors import AddressError, DriverError

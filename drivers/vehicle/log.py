@@ -20,7 +20,7 @@ from typing import BinaryIO, TextIO, cast
 import can
 from can.io.blf import OBJ_HEADER_BASE_STRUCT, BLFParseError
 
-from drivers.can.frame import CanFrame
+from drivers.can import CanFrame
 from drivers.errors import RecordingError
 
 _LONGEST_LINE = 4096

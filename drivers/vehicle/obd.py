@@ -7,7 +7,7 @@ it can be read to its last byte. Requests are watched too, as a refusal (0x7F) d
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.can.frame import CanFrame, TagReading
+from drivers.can import CanFrame, TagReading
 from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import Quality, Tag

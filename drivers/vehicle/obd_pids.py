@@ -15,8 +15,7 @@ from typing import cast
 import cantools
 from cantools.database.can import Database, Signal
 
-from drivers.can.dbc import bits_of, conditions_of
-from drivers.can.fields import Bits, LayoutCondition
+from drivers.can import Bits, LayoutCondition, bits_of, conditions_of
 
 FILE = Path(__file__).with_name("obd.dbc")
 ANSWER_TO_CURRENT = 0x41

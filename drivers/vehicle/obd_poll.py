@@ -9,9 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
-from drivers.can.frame import CanFrame
-from drivers.can.notations import Send
-from drivers.can.settings import PollingSettings
+from drivers.can import CanFrame, PollingSettings, Send
 from drivers.vehicle.isotp import CONSECUTIVE, FIRST
 from drivers.vehicle.obd import ANSWER, CURRENT, ENGINE, REFUSAL, RESPONSE_PENDING, VEHICLE, ObdTag
 

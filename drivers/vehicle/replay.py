@@ -8,8 +8,7 @@ from typing import Any
 
 from pydantic import Field
 
-from drivers.can.frame import CanFrame
-from drivers.can.settings import DecodingSettings
+from drivers.can import CanFrame, DecodingSettings
 from drivers.codec import Reading
 from drivers.driver import Clock, PlanKind, PlanLine
 from drivers.errors import LinkDown

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from gateway.certificates import make_all
-from gateway.entry.exits import sentences
+from gateway.entry import sentences
 
 
 @click.command(short_help="Make certificates and keys for Modbus/TCP Security.")

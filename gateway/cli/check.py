@@ -10,14 +10,12 @@ from drivers.driver import Cautions, Explains
 from drivers.errors import DriverError
 from drivers.tag import Sample, Tag
 from gateway.cli.plant_file import config_option, load
-from gateway.console.options import json_option
-from gateway.console.output import emit, table
-from gateway.entry.exits import Exit, exit_code, fail, sentences
-from gateway.machine.model.loading import load_model
-from gateway.machine.reading.clock import plant_clock
-from gateway.plant.device import link_driver, make_driver
-from gateway.settings.config import Config
-from gateway.settings.links import DeviceLink
+from gateway.console import emit, json_option, table
+from gateway.entry import Exit, exit_code, fail, sentences
+from gateway.machine.model import load_model
+from gateway.machine.reading import plant_clock
+from gateway.plant import link_driver, make_driver
+from gateway.settings import Config, DeviceLink
 
 
 @click.command()

@@ -2,8 +2,7 @@
 
 import click
 
-from gateway.console.threads import one_thread
-from gateway.entry.lazy import LazyGroup, Table
+from gateway.entry import LazyGroup, Table, one_thread
 
 COMMANDS: Table = {
     "demo": (

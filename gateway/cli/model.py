@@ -2,7 +2,7 @@
 
 import click
 
-from gateway.entry.lazy import LazyGroup, Table
+from gateway.entry import LazyGroup, Table
 
 COMMANDS: Table = {
     "learn": ("gateway.lab.learn:learn", "Learn a model from traces and write its directory."),

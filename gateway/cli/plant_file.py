@@ -5,8 +5,8 @@ from typing import Any
 
 import click
 
-from gateway.console.places import config_dir
-from gateway.settings.config import Config, load_config
+from gateway.console import config_dir
+from gateway.settings import Config, load_config
 
 
 def config_option(command: Any) -> Any:

@@ -10,9 +10,9 @@ from pathlib import Path
 import click
 
 from gateway.cli.plant_file import config_option, load
-from gateway.entry.exits import Exit, fail, sentences
-from gateway.machine.reading.clock import PlantClock
-from gateway.plant.app import serve
+from gateway.entry import Exit, fail, sentences
+from gateway.machine.reading import PlantClock
+from gateway.plant import serve
 
 
 @click.command(short_help="Run the gateway with a configuration file.")

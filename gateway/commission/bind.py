@@ -8,15 +8,24 @@ import click
 
 from drivers.driver import capabilities
 from drivers.settings import ConfigError
-from gateway.commission.files.change import Binding, BlockPlace, FileChange, carry_out
-from gateway.commission.files.device_file import ENCODING
-from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit_files, pairs, template
-from gateway.commission.files.plan_files import Files, settings_of
+from gateway.commission.files import (
+    DRY_RUN,
+    ENCODING,
+    HEARTBEAT,
+    KEEP,
+    Binding,
+    BlockPlace,
+    FileChange,
+    Files,
+    carry_out,
+    edit_files,
+    pairs,
+    settings_of,
+    template,
+)
 from gateway.commission.read import ORDERS, TYPES
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.records import read_records
-from gateway.commission.session.site import CommandResult
-from gateway.commission.survey.addresses import parse_register
+from gateway.commission.session import CommandResult, SharedOptions, link_options, read_records
+from gateway.commission.survey import parse_register
 
 
 @click.command(short_help="Bind a place in the device to a tag's name; TOML edits keep comments.")

@@ -12,13 +12,25 @@ from drivers.errors import DriverError
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.commission.read import read_raw
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
-from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
+from gateway.commission.session import (
+    CheckStep,
+    CommandResult,
+    SharedOptions,
+    Site,
+    device_of,
+    failed,
+    link_options,
+    ok,
+    perform,
+    period_of,
+    show_steps,
+    verdict,
+    warning,
+    words_of,
+)
 from gateway.commission.writeback.write import problems_of
-from gateway.entry.exits import Exit
-from gateway.machine.model.loading import load_model
+from gateway.entry import Exit
+from gateway.machine.model import load_model
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})
 _DEAD = frozenset({Quality.NOT_CONNECTED, Quality.COMMUNICATION_ERROR, Quality.NO_COMMUNICATION, Quality.TIMEOUT})

@@ -13,15 +13,28 @@ from serial.tools.list_ports import comports
 
 from drivers.driver import Cautions
 from drivers.errors import LinkDown
-from gateway.commission.session.gateway_line import running_gateway
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.records import RecordsError, broken_at, check_writable, versions
-from gateway.commission.session.site import CommandResult, Site
-from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
-from gateway.commission.session.target import Target, make_target
-from gateway.commission.survey.network import addresses_of, local_end
-from gateway.entry.exits import sentences
+from gateway.commission.session import (
+    CheckStep,
+    CommandResult,
+    RecordsError,
+    SharedOptions,
+    Site,
+    Target,
+    broken_at,
+    check_writable,
+    failed,
+    link_options,
+    make_target,
+    ok,
+    perform,
+    running_gateway,
+    show_steps,
+    verdict,
+    versions,
+    warning,
+)
+from gateway.commission.survey import addresses_of, local_end
+from gateway.entry import sentences
 
 LEAST_FREE_MB = 500
 OLDEST = 1_735_689_600.0

@@ -14,18 +14,22 @@ import click
 from drivers.errors import DeviceException, LinkDown
 from drivers.survey import AsksRegisters, open_registers
 from drivers.tag import DType, Tag
-from gateway.commission.encodings.advice import advise
-from gateway.commission.encodings.reading import ShownNumber, parse_shown
-from gateway.commission.encodings.scoring import EncodingCandidate, Observation, rank
-from gateway.commission.session.gateway_line import read_through, running_gateway
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.records import check_writable, read_records
-from gateway.commission.session.site import CommandResult, Site
-from gateway.commission.session.target import make_target
-from gateway.commission.survey.addresses import LAST, Register, parse_register
-from gateway.console.output import table
-from gateway.entry.exits import Exit, sentences
+from gateway.commission.encodings import EncodingCandidate, Observation, ShownNumber, advise, parse_shown, rank
+from gateway.commission.session import (
+    CommandResult,
+    SharedOptions,
+    Site,
+    check_writable,
+    link_options,
+    make_target,
+    perform,
+    read_records,
+    read_through,
+    running_gateway,
+)
+from gateway.commission.survey import LAST, Register, parse_register
+from gateway.console import table
+from gateway.entry import Exit, sentences
 
 BEFORE, AFTER = 2, 5
 """Registers read besides the one that was given: twice off by one, and a value of four registers."""

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.tag import DType, Tag, Value
-from gateway.commission.encodings.reading import ReadingError, parse_shown
-from gateway.commission.files.cells import ListError, ListSheet, key_of, read_sheet
-from gateway.commission.files.io_words import COLUMNS, flag_of
+from gateway.commission.encodings import ReadingError, parse_shown
+from gateway.commission.files import COLUMNS, ListError, ListSheet, flag_of, key_of, read_sheet
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "name": COLUMNS["name"],

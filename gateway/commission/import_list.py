@@ -7,13 +7,24 @@ from typing import Any
 import click
 
 from drivers.driver import capabilities
-from gateway.commission.files.change import Binding, FileChange, carry_out
-from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit_files, pairs, template
-from gateway.commission.files.io_list import IoList, Reading, read_io_list
-from gateway.commission.files.plan_files import Files, settings_of
+from gateway.commission.files import (
+    DRY_RUN,
+    HEARTBEAT,
+    KEEP,
+    Binding,
+    FileChange,
+    Files,
+    IoList,
+    Reading,
+    carry_out,
+    edit_files,
+    pairs,
+    read_io_list,
+    settings_of,
+    template,
+)
 from gateway.commission.read import ORDERS
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.site import CommandResult
+from gateway.commission.session import CommandResult, SharedOptions, link_options
 
 
 @click.command("import", short_help="Take the tags of an I/O list (CSV, XLSX) into the device file.")

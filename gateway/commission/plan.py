@@ -9,12 +9,19 @@ import click
 
 from drivers.driver import Explains, PlanKind
 from drivers.survey import ReadPlan, read_plan
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
-from gateway.commission.survey.addresses import parse_register, reference_of
-from gateway.console.output import table
-from gateway.settings.devices import DeviceMap
+from gateway.commission.session import (
+    CommandResult,
+    SharedOptions,
+    Site,
+    device_of,
+    link_options,
+    perform,
+    period_of,
+    words_of,
+)
+from gateway.commission.survey import parse_register, reference_of
+from gateway.console import table
+from gateway.settings import DeviceMap
 
 
 async def plan_scan(site: Site, given_period: float | None) -> CommandResult:

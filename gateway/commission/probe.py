@@ -11,23 +11,33 @@ import click
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, open_registers
-from gateway.commission.session.gateway_line import mention_gateway
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.site import CommandResult, Site
-from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
-from gateway.commission.session.target import CONNECT_S, Target
-from gateway.commission.survey.addresses import Register
-from gateway.commission.survey.bus_probe import probe_bus
-from gateway.commission.survey.network import (
+from gateway.commission.session import (
+    CONNECT_S,
+    CheckStep,
+    CommandResult,
+    SharedOptions,
+    Site,
+    Target,
+    failed,
+    link_options,
+    mention_gateway,
+    ok,
+    perform,
+    show_steps,
+    verdict,
+    warning,
+)
+from gateway.commission.survey import (
+    Register,
     addresses_of,
     connect_sentence,
+    first_register,
     greeting_of,
     local_end,
     looks_like,
     not_modbus,
+    probe_bus,
 )
-from gateway.commission.survey.registers import first_register
 
 ROUND_TRIPS = 10
 OTHER_UNITS = (1, 255, 0, 2, 247)

@@ -13,14 +13,18 @@ from drivers.codec import registers_needed
 from drivers.driver import Explains, PlanKind
 from drivers.survey import Raw, open_bus_survey, open_registers
 from drivers.tag import DType, Order, Quality, Tag
-from gateway.commission.session.gateway_line import read_through, running_gateway
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.site import CommandResult, Site
-from gateway.commission.survey.addresses import AddressTextError, parse_stretch, reference_of
-from gateway.commission.survey.bus_probe import SDO_S
-from gateway.console.output import table
-from gateway.entry.exits import Exit
+from gateway.commission.session import (
+    CommandResult,
+    SharedOptions,
+    Site,
+    link_options,
+    perform,
+    read_through,
+    running_gateway,
+)
+from gateway.commission.survey import SDO_S, AddressTextError, parse_stretch, reference_of
+from gateway.console import table
+from gateway.entry import Exit
 
 FIRST_WAIT_S = 3.0
 _LOOK_S = 0.02

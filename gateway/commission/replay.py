@@ -14,20 +14,15 @@ from typing import Any
 import click
 
 from drivers.driver import Driver, open_driver
-from gateway.commission.files.recording import SiteRecording, read_recording
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.records import check_writable
-from gateway.commission.session.site import CommandResult, Site
-from gateway.commission.session.target import Target
-from gateway.console.output import progress, table
-from gateway.entry.exits import sentences
-from gateway.machine.pipeline import Machine
-from gateway.machine.reading.quality import QualityRules
-from gateway.machine.reading.scan import scans
-from gateway.plant.log import open_log
-from gateway.settings.config import Config, HistorianSection, WritebackSection, load_config
-from gateway.store.score import scorecard
+from gateway.commission.files import SiteRecording, read_recording
+from gateway.commission.session import CommandResult, SharedOptions, Site, Target, check_writable, link_options, perform
+from gateway.console import progress, table
+from gateway.entry import sentences
+from gateway.machine import Machine
+from gateway.machine.reading import QualityRules, scans
+from gateway.plant import open_log
+from gateway.settings import Config, HistorianSection, WritebackSection, load_config
+from gateway.store import scorecard
 
 Progress = Callable[[str, float], None]
 GAP_S = 60.0

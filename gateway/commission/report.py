@@ -7,14 +7,11 @@ from typing import Any
 
 import click
 
-from gateway.commission.acceptance.data import gather
-from gateway.commission.acceptance.files import verify, write
-from gateway.commission.session.audit_log import audit_option, audit_path
-from gateway.commission.session.options import SharedOptions, record_options
-from gateway.commission.session.perform import login
-from gateway.console.output import emit, table
-from gateway.entry.exits import Exit, fail, sentences
-from gateway.store.audit import AuditEntry, open_audit
+from gateway.commission.acceptance import gather, verify, write
+from gateway.commission.session import SharedOptions, audit_option, audit_path, login, record_options
+from gateway.console import emit, table
+from gateway.entry import Exit, fail, sentences
+from gateway.store import AuditEntry, open_audit
 
 
 @click.command(short_help="Make or verify the site acceptance report: page, paper, JSON.")

@@ -5,16 +5,10 @@ from typing import Any
 
 import click
 
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.site import CommandResult, Site
-from gateway.commission.session.target import make_target
-from gateway.commission.survey.addresses import parse_stretch
-from gateway.commission.survey.bus_frames import scan_can
-from gateway.commission.survey.registers import scan_registers
-from gateway.commission.survey.units import scan_nodes, scan_units
-from gateway.console.output import progress, table
-from gateway.entry.exits import sentences
+from gateway.commission.session import CommandResult, SharedOptions, Site, link_options, make_target, perform
+from gateway.commission.survey import parse_stretch, scan_can, scan_nodes, scan_registers, scan_units
+from gateway.console import progress, table
+from gateway.entry import sentences
 
 Progress = Callable[[str, float], None]
 

@@ -16,13 +16,20 @@ from drivers.driver import Complains, Driver
 from drivers.errors import DriverError, LinkDown
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
-from gateway.commission.files.recording import ScanRecorder
-from gateway.commission.session.gateway_line import running_for
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
-from gateway.console.output import progress, table
-from gateway.store.score import percentile
+from gateway.commission.files import ScanRecorder
+from gateway.commission.session import (
+    CommandResult,
+    SharedOptions,
+    Site,
+    device_of,
+    link_options,
+    perform,
+    period_of,
+    running_for,
+    words_of,
+)
+from gateway.console import progress, table
+from gateway.store import percentile
 
 Progress = Callable[[str, float], None]
 PERIODS_S = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)

@@ -11,17 +11,21 @@ from typing import Any
 import click
 
 from drivers.tag import Tag, Value
-from gateway.commission.files.cells import ListError
-from gateway.commission.files.recording import SiteRecording, read_recording
+from gateway.commission.files import ListError, SiteRecording, read_recording
 from gateway.commission.hmi import HmiReading, Point, compare, left_to_do, points_of, read_hmi_list
 from gateway.commission.read import read_raw
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.records import read_records
-from gateway.commission.session.site import CommandResult, Site, device_of
+from gateway.commission.session import (
+    CommandResult,
+    SharedOptions,
+    Site,
+    device_of,
+    link_options,
+    perform,
+    read_records,
+)
 from gateway.commission.writeback.block_writer import ACCOUNT_TAGS
-from gateway.console.output import table
-from gateway.machine.pipeline import ORDERS
+from gateway.console import table
+from gateway.machine import ORDERS
 
 LOOK_S = 0.3
 _HOUR = 3600.0

@@ -20,13 +20,18 @@ from rich.text import Text
 from drivers.survey import Raw, open_registers
 from drivers.tag import Sample, Tag, Value
 from gateway.commission.read import How, shown_value, tags_of
-from gateway.commission.session.gateway_line import read_through, running_gateway
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.site import CommandResult, Site
-from gateway.commission.survey.addresses import reference_of
-from gateway.console.output import table
-from gateway.entry.exits import Exit
+from gateway.commission.session import (
+    CommandResult,
+    SharedOptions,
+    Site,
+    link_options,
+    perform,
+    read_through,
+    running_gateway,
+)
+from gateway.commission.survey import reference_of
+from gateway.console import table
+from gateway.entry import Exit
 
 WIDTH = 48
 """Readings in a sparkline."""

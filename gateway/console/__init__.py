@@ -1,0 +1,18 @@
+"""What commands show and take: tables, JSON, progress, options that several share."""
+
+from gateway.console.options import finite, json_option, map_option, seed_option
+from gateway.console.output import emit, make_folder, progress, table
+from gateway.console.places import config_dir, shipped
+
+__all__ = [
+    "config_dir",
+    "emit",
+    "finite",
+    "json_option",
+    "make_folder",
+    "map_option",
+    "progress",
+    "seed_option",
+    "shipped",
+    "table",
+]

@@ -11,9 +11,7 @@ import click
 import numpy as np
 from rich.console import Console
 
-from gateway.console.options import finite, map_option, seed_option
-from gateway.console.output import emit, progress, table
-from gateway.console.places import config_dir, shipped
+from gateway.console import config_dir, emit, finite, map_option, progress, seed_option, shipped, table
 from gateway.demo.child import DemoError
 from gateway.demo.folder import clear, held
 from gateway.demo.gap import demonstrate
@@ -21,14 +19,12 @@ from gateway.demo.links import DEFAULT_LINK, LINKS
 from gateway.demo.play import play
 from gateway.demo.prepare import DemoRun, limit_for, pace, split, suits, write_device
 from gateway.demo.summary import draw_result, findings, result
-from gateway.entry.exits import Exit, fail, sentences
+from gateway.entry import Exit, fail, sentences
 from gateway.lab.learn import learn_from, write
 from gateway.lab.traces.load import load
-from sim.plant.scenarios import history_and_day
-from sim.sha.events import encode
-from sim.sha.trace import Trace
-from sim.traces.column_map import ColumnMap, load_map
-from sim.traces.trace_file import write_trace
+from sim.plant import history_and_day
+from sim.sha import Trace, encode
+from sim.traces import ColumnMap, load_map, write_trace
 
 
 @click.command(short_help="Run the main job end to end on this machine: PLC, gateway, outage, summary, picture.")

@@ -8,19 +8,15 @@ from typing import Any
 
 import click
 
-from gateway.console.output import emit, make_folder, progress
-from gateway.console.places import shipped
+from gateway.console import emit, make_folder, progress, shipped
 from gateway.demo.folder import held
-from gateway.entry.exits import Exit, fail, sentences
+from gateway.entry import Exit, fail, sentences
 from gateway.lab.diagnose import DiagnosisRequest, roles_of, run
 from gateway.lab.learn import learn_from, write
-from sim.discrepancy.output.document import document
-from sim.discrepancy.output.folder import check_folder
-from sim.plant.cooled import CooledPlant, cooled_days
-from sim.sha.events import Alphabet, encode
-from sim.sha.trace import Trace
-from sim.traces.column_map import load_map
-from sim.traces.trace_file import write_trace
+from sim.discrepancy.output import check_folder, document
+from sim.plant import CooledPlant, cooled_days
+from sim.sha import Alphabet, Trace, encode
+from sim.traces import load_map, write_trace
 
 HIDDEN = "pump-cooling"
 COOLING = 7e-5

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.certificates import make_all
-from gateway.console.places import config_dir
+from gateway.console import config_dir
 from gateway.demo.can_bus import can_hub, hub_path
 
 Ready = Mapping[str, Any]

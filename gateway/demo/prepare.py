@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.settings.devices import load_device
-from sim.sha.events import Alphabet, Switch
-from sim.sha.model import Model
-from sim.sha.trace import Trace
+from gateway.settings import load_device
+from sim.sha import Alphabet, Model, Switch, Trace
 
 LEARN_SHARE = 0.6
 """Of a recorded trace, the share that the model is learned from; the PLC replays the rest."""

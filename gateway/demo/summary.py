@@ -13,12 +13,11 @@ import numpy as np
 from drivers.tag import Quality
 from gateway.demo.child import DemoError
 from gateway.demo.prepare import DemoRun
-from gateway.machine.reading.quality import STALE_PERIODS
-from gateway.settings.devices import load_device
-from gateway.store.history import events, history, matured, samples, to_trace
-from gateway.store.score import Scorecard, scorecard
-from sim.sha.trace import Array, Mask
-from sim.validation.plots import Curve, Picture, draw
+from gateway.machine.reading import STALE_PERIODS
+from gateway.settings import load_device
+from gateway.store import Scorecard, events, history, matured, samples, scorecard, to_trace
+from sim.sha import Array, Mask
+from sim.validation import Curve, Picture, draw
 
 AHEAD_S = 300.0
 """The horizon (s) that the picture shows."""

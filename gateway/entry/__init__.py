@@ -1,0 +1,18 @@
+"""How a command is entered and left: loaded when it is called, exit codes, Control-C."""
+
+from gateway.entry.exits import Exit, exit_code, fail, sentence, sentences
+from gateway.entry.interrupt import interruptible
+from gateway.entry.lazy import LazyGroup, Table
+from gateway.entry.threads import one_thread
+
+__all__ = [
+    "Exit",
+    "LazyGroup",
+    "Table",
+    "exit_code",
+    "fail",
+    "interruptible",
+    "one_thread",
+    "sentence",
+    "sentences",
+]

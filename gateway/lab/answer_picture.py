@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from sim.checking.query.tree import Always, Expression, Hypothesis, Indicator, Probability, Quantity, Simulation
-from sim.checking.smc.answer import Answer
-from sim.checking.smc.rules.estimation import one_or_two_sided
+from sim.checking.query import Always, Expression, Hypothesis, Indicator, Probability, Quantity, Simulation
+from sim.checking.smc import Answer
+from sim.checking.smc.rules import one_or_two_sided
 
 MOST_DRAWN = 100
 """Courses in one picture; more are a black surface."""

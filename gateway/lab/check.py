@@ -9,20 +9,17 @@ from typing import Any
 
 import click
 
-from gateway.console.options import finite, json_option, map_option
-from gateway.console.output import emit, progress, table
-from gateway.entry.exits import Exit, sentences
+from gateway.console import emit, finite, json_option, map_option, progress, table
+from gateway.entry import Exit, sentences
 from gateway.lab.answer_picture import draw_answer
 from gateway.lab.traces.load import load
-from gateway.store.history import reading, to_trace
-from sim.artefacts.formats.find import find_model
-from sim.checking.language.parse import parse_query
-from sim.checking.query.tree import Simulation, Symbolic
-from sim.checking.smc.answer import Answer, QuerySettings, Rule, Start, answer, believed, decided, initial
-from sim.sha.events import Alphabet, encode
-from sim.sha.model import Model
-from sim.sha.trace import Trace
-from sim.validation.plots import ENDINGS
+from gateway.store import reading, to_trace
+from sim.artefacts.formats import find_model
+from sim.checking.language import parse_query
+from sim.checking.query import Simulation, Symbolic
+from sim.checking.smc import Answer, QuerySettings, Rule, Start, answer, believed, decided, initial
+from sim.sha import Alphabet, Model, Trace, encode
+from sim.validation import ENDINGS
 
 HISTORY = 24 * 3600.0
 """Seconds of a historian that are filtered to know what is believed at its end; a stay is seldom longer."""

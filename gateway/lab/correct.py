@@ -8,18 +8,23 @@ from typing import Any
 
 import click
 
-from gateway.console.options import json_option, map_option
-from gateway.console.output import emit, progress, table
-from gateway.entry.exits import Exit, fail, sentences
+from gateway.console import emit, json_option, map_option, progress, table
+from gateway.entry import Exit, fail, sentences
 from gateway.lab.traces.load import load
-from sim.artefacts.formats.find import find_model
-from sim.artefacts.formats.write_model import save, write_model_directory
-from sim.artefacts.model_json import model_hash
-from sim.artefacts.store import STORE_FILE
-from sim.learning.correction import FORMS, LearnedCorrection, corrected_model, learn_correction
-from sim.learning.max_rate import Bite, MaxRate, bite, learn_max_rate, with_max_rate
-from sim.sha.events import encode
-from sim.sha.trace import joint_hash
+from sim.artefacts import STORE_FILE, model_hash
+from sim.artefacts.formats import find_model, save, write_model_directory
+from sim.learning import (
+    FORMS,
+    Bite,
+    LearnedCorrection,
+    MaxRate,
+    bite,
+    corrected_model,
+    learn_correction,
+    learn_max_rate,
+    with_max_rate,
+)
+from sim.sha import encode, joint_hash
 
 
 @click.command(short_help="Learn T' = k T + b from traces and write the corrected model.")

@@ -10,28 +10,20 @@ from typing import Any
 
 import click
 
-from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import emit, progress, table
-from gateway.console.places import shipped
-from gateway.entry.exits import sentences
+from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
+from gateway.entry import sentences
 from gateway.lab.traces.load import load
-from gateway.store.history import recent
-from sim.artefacts.formats.find import find_model
-from sim.artefacts.model_json import model_hash
-from sim.checking.proof.verify import verify
-from sim.discrepancy.augment import augmented
-from sim.discrepancy.diagnosis import Diagnosis
-from sim.discrepancy.fitting.record import overlapping
-from sim.discrepancy.heat_map import span
-from sim.discrepancy.output.document import document
-from sim.discrepancy.output.folder import MODEL, check_folder, write_diagnosis
-from sim.discrepancy.output.report import Occasion
-from sim.discrepancy.workflow import DiagnosisOutcome
-from sim.discrepancy.workflow import diagnose as diagnose_model
-from sim.effects.kinds import ROLES
-from sim.sha.model import Model
-from sim.sha.trace import Trace, joint_hash
-from sim.traces.column_map import ColumnMap, load_map
+from gateway.store import recent
+from sim.artefacts import model_hash
+from sim.artefacts.formats import find_model
+from sim.checking.proof import verify
+from sim.discrepancy import Diagnosis, DiagnosisOutcome, augmented, span
+from sim.discrepancy import diagnose as diagnose_model
+from sim.discrepancy.fitting import overlapping
+from sim.discrepancy.output import MODEL, Occasion, check_folder, document, write_diagnosis
+from sim.effects import ROLES
+from sim.sha import Model, Trace, joint_hash
+from sim.traces import ColumnMap, load_map
 
 Progress = Callable[[str, float], None]
 

@@ -9,22 +9,15 @@ from typing import Any
 import click
 import numpy as np
 
-from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import emit, progress, table
-from gateway.entry.exits import Exit, fail, sentences
+from gateway.console import emit, json_option, map_option, progress, seed_option, table
+from gateway.entry import Exit, fail, sentences
 from gateway.lab.traces.load import load
-from sim.artefacts.formats.bundle import file_names, write_artefacts
-from sim.artefacts.formats.find import FoundModel, find_model
-from sim.artefacts.formats.from_model import to_artefacts
-from sim.engine.open_loop import Start
-from sim.engine.schedule import Policy
-from sim.sha.model import Model
-from sim.sha.trace import Trace
-from sim.traces.column_map import ColumnMap
-from sim.uppaal.compare import compare, native_runs
-from sim.uppaal.export import base_name, write
-from sim.uppaal.export import export as export_trace
-from sim.uppaal.verifyta import EngineError, find_engine, run_engine
+from sim.artefacts.formats import FoundModel, file_names, find_model, to_artefacts, write_artefacts
+from sim.engine import Policy, Start
+from sim.sha import Model, Trace
+from sim.traces import ColumnMap
+from sim.uppaal import EngineError, base_name, compare, find_engine, native_runs, run_engine, write
+from sim.uppaal import export as export_trace
 
 
 @dataclass(frozen=True, slots=True)

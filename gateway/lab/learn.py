@@ -7,19 +7,16 @@ from typing import Any
 
 import click
 
-from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import emit, progress, table
-from gateway.entry.exits import sentences
+from gateway.console import emit, json_option, map_option, progress, seed_option, table
+from gateway.entry import sentences
 from gateway.lab.show import show_model, summary
 from gateway.lab.traces.load import load
-from sim.artefacts.formats.write_model import write_model_directory
-from sim.learning.bins.learn import Learned, learn_bins
-from sim.learning.lsha.learn import LearnedLsha, learn_lsha
-from sim.learning.lsha.report import report_document, report_text
-from sim.learning.lsha.settings import LshaSettings
-from sim.sha.trace import Trace
+from sim.artefacts.formats import write_model_directory
+from sim.learning.bins import Learned, learn_bins
+from sim.learning.lsha import LearnedLsha, LshaSettings, learn_lsha, report_document, report_text
+from sim.sha import Trace
 from sim.strict_json import json_text
-from sim.traces.column_map import ColumnMap
+from sim.traces import ColumnMap
 
 FLOWS = ("constant", "linear", "logarithmic", "exponential", "driven")
 REPORT = "learning_report"

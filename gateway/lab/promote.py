@@ -5,13 +5,11 @@ from pathlib import Path
 
 import click
 
-from gateway.console.options import json_option
-from gateway.console.output import emit
-from gateway.entry.exits import sentences
-from sim.artefacts.formats.find import find_model
-from sim.artefacts.formats.write_model import save
-from sim.artefacts.store import Force, forced
-from sim.artefacts.store import promote as promote_version
+from gateway.console import emit, json_option
+from gateway.entry import sentences
+from sim.artefacts import Force, forced
+from sim.artefacts import promote as promote_version
+from sim.artefacts.formats import find_model, save
 
 
 @click.command(short_help="Make a version of a store current, if its model verifies.")

@@ -9,25 +9,39 @@ from typing import Any
 
 import click
 
-from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import emit, progress, table
-from gateway.console.places import shipped
-from gateway.entry.exits import Exit, fail, sentences
-from gateway.entry.interrupt import interruptible
-from sim.checking.proof.verify import verify
-from sim.ranking.fitness import Facts, Seen, limits_of, seen_traces
-from sim.ranking.ranking import Ranking, Weights, entrants
-from sim.ranking.ranking import rank as ranked
-from sim.ranking.report import as_plain, check_picture, draw_ranking, write_page
-from sim.sha.model import Model
-from sim.sha.trace import Trace
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
-from sim.validation.campaign import Progress, outcomes_by_model, run_here, unread
-from sim.validation.output_folder import CAMPAIGN, read_results
-from sim.validation.results import TraceResult
-from sim.validation.stages import Prepared, Wanted, prepare, relabelled
-from sim.validation.trace_run import TraceRunSettings
+from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
+from gateway.entry import Exit, fail, interruptible, sentences
+from sim.checking.proof import verify
+from sim.ranking import (
+    Facts,
+    Ranking,
+    Seen,
+    Weights,
+    as_plain,
+    check_picture,
+    draw_ranking,
+    entrants,
+    limits_of,
+    seen_traces,
+    write_page,
+)
+from sim.ranking import rank as ranked
+from sim.sha import Model, Trace
+from sim.traces import load_map, load_traces
+from sim.validation import (
+    CAMPAIGN,
+    Prepared,
+    Progress,
+    TraceResult,
+    TraceRunSettings,
+    Wanted,
+    outcomes_by_model,
+    prepare,
+    read_results,
+    relabelled,
+    run_here,
+    unread,
+)
 
 GENERATION = "04_model_generation.json"
 

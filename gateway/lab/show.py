@@ -6,15 +6,12 @@ from typing import Any
 
 import click
 
-from gateway.console.options import json_option
-from gateway.console.output import emit, table
-from gateway.entry.exits import sentences
-from sim.artefacts.formats.find import FoundModel, find_model
-from sim.artefacts.model_json import model_hash
-from sim.effects.kinds import effect_summary
-from sim.sha import distributions
-from sim.sha.automaton import SHA
-from sim.sha.model import Model, Stay
+from gateway.console import emit, json_option, table
+from gateway.entry import sentences
+from sim.artefacts import model_hash
+from sim.artefacts.formats import FoundModel, find_model
+from sim.effects import effect_summary
+from sim.sha import SHA, Model, Stay, distributions
 
 
 @click.command(short_help="Show a model and where it comes from.")

@@ -7,20 +7,17 @@ from typing import Any
 import click
 import numpy as np
 
-from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import emit, progress, table
-from gateway.entry.exits import fail, sentences
+from gateway.console import emit, json_option, map_option, progress, seed_option, table
+from gateway.entry import fail, sentences
 from gateway.lab.traces.load import load
 from gateway.lab.traces.picture import picture_option
 from gateway.lab.word import replay_word
-from sim.artefacts.formats.find import find_model
-from sim.engine.open_loop import Start, errors, measured, open_loop, open_loop_schedule, start_law
-from sim.engine.schedule import Policy
-from sim.engine.simulate import simulate as sample_runs
-from sim.forecast.review import beyond, standardised
-from sim.sha.model import Model
-from sim.sha.trace import Array, Trace
-from sim.validation.plots import Curve, Picture, draw
+from sim.artefacts.formats import find_model
+from sim.engine import Policy, Start, errors, measured, open_loop, open_loop_schedule, start_law
+from sim.engine import simulate as sample_runs
+from sim.forecast import beyond, standardised
+from sim.sha import Array, Model, Trace
+from sim.validation import Curve, Picture, draw
 
 BAND = (0.05, 0.95)
 

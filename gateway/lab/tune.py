@@ -7,15 +7,13 @@ from typing import Any
 
 import click
 
-from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import emit, progress, table
-from gateway.entry.exits import Exit, sentences
-from gateway.entry.interrupt import interruptible
+from gateway.console import emit, json_option, map_option, progress, seed_option, table
+from gateway.entry import Exit, interruptible, sentences
 from gateway.lab.traces.load import load
-from sim.artefacts.formats.write_model import write_model_directory
-from sim.ranking.tuning import Objective, StudyPlan, Tuning, final_model
-from sim.ranking.tuning import tune as searched
-from sim.traces.cycles import split_cycles
+from sim.artefacts.formats import write_model_directory
+from sim.ranking import Objective, StudyPlan, Tuning, final_model
+from sim.ranking import tune as searched
+from sim.traces import split_cycles
 
 SHOWN = 10
 

@@ -13,26 +13,37 @@ from typing import Any
 
 import click
 
-from gateway.console.options import json_option, map_option, seed_option
-from gateway.console.output import emit, progress, table
-from gateway.console.places import shipped
-from gateway.entry.exits import Exit, fail, sentences
-from gateway.entry.interrupt import interruptible
-from sim.artefacts.formats.write_model import write_model_directory
-from sim.engine.schedule import Policy
-from sim.ranking.tuning_methods import METHODS, Task
-from sim.sha.trace import Trace
-from sim.traces.column_map import ColumnMap, load_map
-from sim.traces.traces import load_traces, units
-from sim.validation.campaign import Progress, cluster, run_here, unread
-from sim.validation.conduct import CampaignPlan, conduct
-from sim.validation.output_folder import LEARNED, check_folder, claim_folder, held
-from sim.validation.report import CampaignSummary, natural
-from sim.validation.results import TraceResult
-from sim.validation.stage_records import load_stage
-from sim.validation.stages import Prepared, Wanted, prepare, relabelled
-from sim.validation.trace_run import TraceRunSettings
-from sim.validation.verdicts import gain, summaries, verdict
+from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
+from gateway.entry import Exit, fail, interruptible, sentences
+from sim.artefacts.formats import write_model_directory
+from sim.engine import Policy
+from sim.ranking import METHODS, Task
+from sim.sha import Trace
+from sim.traces import ColumnMap, load_map, load_traces, units
+from sim.validation import (
+    LEARNED,
+    CampaignPlan,
+    CampaignSummary,
+    Prepared,
+    Progress,
+    TraceResult,
+    TraceRunSettings,
+    Wanted,
+    check_folder,
+    claim_folder,
+    cluster,
+    conduct,
+    gain,
+    held,
+    load_stage,
+    natural,
+    prepare,
+    relabelled,
+    run_here,
+    summaries,
+    unread,
+    verdict,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

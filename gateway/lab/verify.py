@@ -9,18 +9,14 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from gateway.console.options import finite, json_option, map_option
-from gateway.console.output import emit, table
-from gateway.console.places import shipped
-from gateway.entry.exits import Exit, sentences
+from gateway.console import emit, finite, json_option, map_option, shipped, table
+from gateway.entry import Exit, sentences
 from gateway.lab.traces.load import load
-from sim.artefacts.formats.find import FoundModel, find_model
-from sim.checking.proof.envelope import DAY, Assumptions, Sojourn
-from sim.checking.proof.verify import Check, Verification
-from sim.checking.proof.verify import verify as check
-from sim.checking.proof.word import TimedWord, word_text
-from sim.engine.schedule import Policy
-from sim.traces.column_map import ColumnMap, load_map
+from sim.artefacts.formats import FoundModel, find_model
+from sim.checking.proof import DAY, Assumptions, Check, Sojourn, TimedWord, Verification, word_text
+from sim.checking.proof import verify as check
+from sim.engine import Policy
+from sim.traces import ColumnMap, load_map
 
 GROWS = "A flow that relaxes cannot grow: learn with --method bins, or with --method lsha --default-flow exponential."
 STAYS, CASES, WIDTH = 12, 4, 150

@@ -4,13 +4,12 @@ from pathlib import Path
 
 import click
 
-from gateway.console.output import emit, table
-from gateway.entry.exits import sentences
-from sim.artefacts.formats.find import find_model
-from sim.checking.proof.word import parse_word
-from sim.checking.proof.word_replay import WordReplay, replay
-from sim.effects.correction import in_sensor_scale
-from sim.engine.schedule import Policy
+from gateway.console import emit, table
+from gateway.entry import sentences
+from sim.artefacts.formats import find_model
+from sim.checking.proof import WordReplay, parse_word, replay
+from sim.effects import in_sensor_scale
+from sim.engine import Policy
 
 COLUMNS = ("time", "symbol", "location", "seconds", "m", "offset", "entered", "left", "clamped")
 

@@ -9,21 +9,13 @@ from dataclasses import dataclass, field
 from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Complains, Driver
-from gateway.machine.alarms.board import AlarmBoard
-from gateway.machine.alarms.conditions import DEVICE, make_conditions
-from gateway.machine.model.loading import load_members, load_model
-from gateway.machine.model.predict import ScanPrediction
-from gateway.machine.model.unit import ModelUnit
-from gateway.machine.reading.clock import Clock
-from gateway.machine.reading.link_health import LinkHealth
-from gateway.machine.reading.redundant import Redundant, SwitchOver
-from gateway.machine.reading.scan import Scan
+from gateway.machine.alarms import DEVICE, AlarmBoard, make_conditions
+from gateway.machine.model import ModelUnit, ScanPrediction, load_members, load_model
+from gateway.machine.reading import Clock, LinkHealth, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
-from gateway.machine.writing.arming import ArmingError
-from gateway.machine.writing.block_stage import BlockStage
-from gateway.machine.writing.writeback import Arming
-from gateway.settings.config import Config
-from gateway.store.historian import open_historian
+from gateway.machine.writing import Arming, ArmingError, BlockStage
+from gateway.settings import Config
+from gateway.store import open_historian
 
 SAVE_SECONDS = 10.0
 ORDERS = ("WritePermit", "AcknowledgeBits")

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.tag import Sample, Tag
-from gateway.machine.model.outlook import FinishedForecast
-from gateway.machine.model.predict import ScanPrediction
-from gateway.machine.reading.scan import Scan
-from gateway.store.historian import Historian, Row
+from gateway.machine.model import FinishedForecast, ScanPrediction
+from gateway.machine.reading import Scan
+from gateway.store import Historian, Row
 from sim.strict_json import json_text
 
 

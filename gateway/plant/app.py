@@ -11,15 +11,13 @@ from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Cautions, Driver
 from drivers.errors import DriverError
-from gateway.machine.pipeline import Machine
-from gateway.machine.reading.clock import Clock, PlantClock, plant_clock
-from gateway.machine.reading.quality import QualityRules
-from gateway.machine.reading.scan import Scan, scans
+from gateway.machine import Machine
+from gateway.machine.reading import Clock, PlantClock, QualityRules, Scan, plant_clock, scans
 from gateway.plant.control import Control
 from gateway.plant.device import make_driver, scans_on_change
 from gateway.plant.log import open_log
 from gateway.plant.status import snapshot, write_status
-from gateway.settings.config import Config
+from gateway.settings import Config
 
 STATUS_SECONDS = 0.25
 RESTART_SECONDS = 1.0

@@ -18,9 +18,9 @@ from typing import Any
 from drivers import json_lines
 from drivers.json_lines import NoObject
 from drivers.tag import DType, Order, Sample, Tag
-from gateway.machine.pipeline import Machine
-from gateway.machine.reading.redundant import Redundant
-from gateway.machine.writing.arming import ArmingError
+from gateway.machine import Machine
+from gateway.machine.reading import Redundant
+from gateway.machine.writing import ArmingError
 from sim.strict_json import strict
 
 MODE = 0o600

@@ -4,10 +4,8 @@ from drivers.driver import Driver, capabilities, open_driver
 from drivers.errors import AddressError, DriverError
 from drivers.settings import ConfigError
 from drivers.tag import Tag
-from gateway.machine.reading.clock import Clock
-from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath
-from gateway.settings.config import Config
-from gateway.settings.links import DeviceLink
+from gateway.machine.reading import Clock, RedundancyRules, Redundant, RedundantPath
+from gateway.settings import Config, DeviceLink
 
 
 def make_driver(config: Config, clock: Clock) -> Driver:

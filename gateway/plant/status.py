@@ -6,10 +6,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gateway.machine.model.outlook import block_values
-from gateway.machine.pipeline import Machine
-from gateway.machine.reading.redundant import Redundant
-from gateway.store.score import percentile
+from gateway.machine import Machine
+from gateway.machine.model import block_values
+from gateway.machine.reading import Redundant
+from gateway.store import percentile
 from sim.strict_json import json_text
 
 

@@ -1,1 +1,30 @@
 """What may stand in the plant file and in a device file, checked whole before anything starts."""
+
+from gateway.settings.config import (
+    LEAST_BLOCKS,
+    MAX_ARMED_MINUTES,
+    Config,
+    EnsembleSection,
+    ForecastSection,
+    HistorianSection,
+    WritebackSection,
+    load_config,
+)
+from gateway.settings.devices import BLOCK_FIELDS, DeviceMap, WritebackLayout, load_device
+from gateway.settings.links import DeviceLink
+
+__all__ = [
+    "BLOCK_FIELDS",
+    "LEAST_BLOCKS",
+    "MAX_ARMED_MINUTES",
+    "Config",
+    "DeviceLink",
+    "DeviceMap",
+    "EnsembleSection",
+    "ForecastSection",
+    "HistorianSection",
+    "WritebackLayout",
+    "WritebackSection",
+    "load_config",
+    "load_device",
+]

@@ -1,0 +1,51 @@
+"""What stays: historian, audit log, chains of hashes, and reading them back."""
+
+from gateway.store.audit import (
+    ARMED,
+    DISARMED,
+    EXPIRED,
+    Audit,
+    AuditEntry,
+    AuditRow,
+    head,
+    last_arming,
+    open_audit,
+    read,
+    standing,
+    verify,
+)
+from gateway.store.chain import first_break, hash_of
+from gateway.store.historian import Historian, Row, open_historian, saved_state
+from gateway.store.history import events, history, matured, reading, recent, samples, to_trace
+from gateway.store.score import Scorecard, percentile, scorecard
+
+__all__ = [
+    "ARMED",
+    "DISARMED",
+    "EXPIRED",
+    "Audit",
+    "AuditEntry",
+    "AuditRow",
+    "Historian",
+    "Row",
+    "Scorecard",
+    "events",
+    "first_break",
+    "hash_of",
+    "head",
+    "history",
+    "last_arming",
+    "matured",
+    "open_audit",
+    "open_historian",
+    "percentile",
+    "read",
+    "reading",
+    "recent",
+    "samples",
+    "saved_state",
+    "scorecard",
+    "standing",
+    "to_trace",
+    "verify",
+]

@@ -15,7 +15,7 @@ import numpy as np
 from drivers.tag import Quality, Sample
 from gateway.store.historian import HistorianError
 from gateway.store.schema import APPLICATION_ID
-from sim.sha.trace import Array, Event, Mask, Trace
+from sim.sha import Array, Event, Mask, Trace
 
 SPANS = {"d": 86_400.0, "h": 3600.0, "m": 60.0, "s": 1.0}
 """Seconds of a span's unit."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from gateway.store.history import Aligned, Matured, history, matured, reading
 from sim.scores import coverage, crps_quantiles
-from sim.sha.trace import Array
+from sim.sha import Array
 
 
 @dataclass(frozen=True, slots=True)

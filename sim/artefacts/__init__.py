@@ -1,0 +1,45 @@
+"""A model on disk: one JSON form, a directory, a store of versions."""
+
+from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
+from sim.artefacts.model_json import model_hash, model_text
+from sim.artefacts.store import (
+    STORE_FILE,
+    VERSIONS,
+    Force,
+    check_store,
+    current,
+    forced,
+    is_store,
+    load,
+    locked,
+    number_of,
+    promote,
+    promotion,
+    read_model,
+    version_directory,
+    versions,
+)
+
+__all__ = [
+    "MANIFEST",
+    "MODEL_FILE",
+    "STORE_FILE",
+    "VERSIONS",
+    "Force",
+    "check_store",
+    "current",
+    "forced",
+    "is_store",
+    "listed",
+    "load",
+    "locked",
+    "model_hash",
+    "model_text",
+    "number_of",
+    "promote",
+    "promotion",
+    "read_model",
+    "sha256",
+    "version_directory",
+    "versions",
+]

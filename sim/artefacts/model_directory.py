@@ -10,7 +10,7 @@ from pathlib import Path
 from sim.artefacts.json_node import JsonNode, parse_json
 from sim.artefacts.model_json import parse_model
 from sim.files import at, read_text
-from sim.sha.model import Model
+from sim.sha import Model
 
 MODEL_FILE = "model.json"
 MANIFEST = "manifest.json"

@@ -13,13 +13,27 @@ from pathlib import Path
 from typing import Any
 
 from sim.artefacts.json_node import JsonNode, parse_json, written_number
-from sim.effects.check import check_effect, check_sha
-from sim.effects.correction import in_sensor_scale
+from sim.effects import check_effect, check_sha, in_sensor_scale
 from sim.files import ArtefactError, read_text
-from sim.sha.automaton import SHA, Distribution, Edge, Effect, Entry, Flow, Input, Location
-from sim.sha.distributions import check_distribution
-from sim.sha.events import Alphabet, Bins, Switch, check_alphabet
-from sim.sha.model import Correction, Model, Provenance, Stay
+from sim.sha import (
+    SHA,
+    Alphabet,
+    Bins,
+    Correction,
+    Distribution,
+    Edge,
+    Effect,
+    Entry,
+    Flow,
+    Input,
+    Location,
+    Model,
+    Provenance,
+    Stay,
+    Switch,
+    check_alphabet,
+    check_distribution,
+)
 
 FORMAT = "decanter-sha-model"
 VERSION = 1

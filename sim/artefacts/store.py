@@ -27,9 +27,9 @@ from sim.artefacts.model_directory import (
     read_model_directory,
 )
 from sim.artefacts.model_json import read_model_file
-from sim.checking.proof.verify import verify
+from sim.checking.proof import verify
 from sim.files import at, read_text, refused, replace_durably
-from sim.sha.model import Model
+from sim.sha import Model
 
 STORE_FILE = "store.json"
 CURRENT = "current"

@@ -1,0 +1,22 @@
+"""The gap workflow: from traces to a diagnosis, and the model with what was missing."""
+
+from sim.discrepancy.augment import augmented
+from sim.discrepancy.diagnosis import Diagnosis, DiagnosisCourse, EffectCandidate, HeatPlace, HeldOutProof, NamedEffect
+from sim.discrepancy.heat_map import LONGEST, HeatMap, heat_map, span
+from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
+
+__all__ = [
+    "LONGEST",
+    "Diagnosis",
+    "DiagnosisCourse",
+    "DiagnosisOutcome",
+    "EffectCandidate",
+    "HeatMap",
+    "HeatPlace",
+    "HeldOutProof",
+    "NamedEffect",
+    "augmented",
+    "diagnose",
+    "heat_map",
+    "span",
+]

@@ -5,14 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.named import effects_of
-from sim.learning.free_run import RATES
-from sim.learning.semi_markov import with_inputs
-from sim.sha import distributions
-from sim.sha.automaton import SHA, Distribution, Flow, Input, Location
-from sim.sha.model import Model, Provenance
-from sim.sha.trace import Trace
+from sim.discrepancy.fitting import Fitted, effects_of
+from sim.learning import RATES, with_inputs
+from sim.sha import SHA, Distribution, Flow, Input, Location, Model, Provenance, Trace, distributions
 
 
 def augmented(

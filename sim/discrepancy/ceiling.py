@@ -10,11 +10,10 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from sim.discrepancy.diagnosis import Ceiling
-from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.record import Record
+from sim.discrepancy.fitting import Fitted, Record
 from sim.discrepancy.heat import Blocks, blocks_of, flips
-from sim.learning.runs import Indices
-from sim.sha.trace import Array
+from sim.learning import Indices
+from sim.sha import Array
 
 FOLDS, DRAWS = 5, 4000
 LEAST_CYCLES, LEAST_BLOCKS = 4, 60

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from sim.sha.trace import Array
+from sim.sha import Array
 
 Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 

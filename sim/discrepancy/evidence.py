@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim.discrepancy.diagnosis import EffectCandidate, NamedEffect
-from sim.discrepancy.fitting.fit import Fitted
+from sim.discrepancy.fitting import Fitted
 from sim.discrepancy.naming import INVISIBLE, NEAR, SAME, EffectEvidence, NamingStep
 
 

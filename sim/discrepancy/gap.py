@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.augment import process_noise
-from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.record import Record
+from sim.discrepancy.fitting import Fitted, Record
 from sim.discrepancy.held_out import by_cycles, let_run
-from sim.engine.open_loop import open_loop
-from sim.sha.model import Model
-from sim.sha.trace import Trace
+from sim.engine import open_loop
+from sim.sha import Model, Trace
 
 WIDE, MOSTLY, SHARE = 1.5, 1.2, 0.2
 """A gap: the median cycle is so many times as far off as the model's own noise allows, and all but this share of the

@@ -4,13 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.discrepancy.fitting.course import as_read
-from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.noise import Whitener, decay_and_pull
-from sim.discrepancy.fitting.record import Record
+from sim.discrepancy.fitting import Fitted, Record, Whitener, as_read, decay_and_pull
 from sim.discrepancy.screen import Projector
-from sim.learning.runs import Indices, first_switch
-from sim.sha.trace import Array, Mask
+from sim.learning import Indices, first_switch
+from sim.sha import Array, Mask
 
 BLOCK = 600.0
 """Seconds over which the heat is averaged: shorter, the sensor's noise hides it."""

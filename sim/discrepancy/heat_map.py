@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.discrepancy.diagnosis import DiagnosisCourse
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Mask
 
 EDGES = (0.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
 """Seconds since the last start or stop at which columns begin; the last one has no end."""

@@ -9,14 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.diagnosis import HeldOutProof
-from sim.discrepancy.fitting.baseline import on
-from sim.discrepancy.fitting.course import State, at, grid_at
-from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.noise import Whitener
-from sim.discrepancy.fitting.record import Record
-from sim.engine.recursion import linear_recursion
-from sim.learning.runs import Indices
-from sim.sha.trace import Array
+from sim.discrepancy.fitting import Fitted, Record, State, Whitener, at, grid_at, on
+from sim.engine import linear_recursion
+from sim.learning import Indices
+from sim.sha import Array
 
 DRAWS, RESAMPLES, TRIFLE = 200, 2000, 0.02
 STARTS = 3

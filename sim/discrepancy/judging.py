@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.discrepancy.diagnosis import Ceiling, HeldOutProof, Verdict
-from sim.discrepancy.fitting.catalogue import catalogue
-from sim.discrepancy.fitting.fit import Fitted
+from sim.discrepancy.fitting import Fitted, catalogue
 from sim.discrepancy.gap import Excess
 from sim.discrepancy.held_out import HeldOutRun
 from sim.discrepancy.naming import MARGIN, NEAR, NamingStep

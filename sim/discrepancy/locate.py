@@ -11,10 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from sim.discrepancy.diagnosis import HeatPlace
-from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.record import Record
+from sim.discrepancy.fitting import Fitted, Record
 from sim.discrepancy.heat import Blocks, blocks_of, event_names, flips
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Mask
 
 PHASES = (0.0, 240.0, 900.0, 3600.0, np.inf)
 """Seconds since a start or a stop at which cells are cut."""

@@ -3,9 +3,9 @@
 import numpy as np
 
 from sim.discrepancy.diagnosis import Shift
-from sim.discrepancy.fitting.fit import Fitted
-from sim.learning.free_run import RATES
-from sim.sha.trace import Array
+from sim.discrepancy.fitting import Fitted
+from sim.learning import RATES
+from sim.sha import Array
 
 SIGMAS, LEAST_CHANGE = 4.0, 0.01
 """A move is told from so many standard errors on, and from so large a change."""

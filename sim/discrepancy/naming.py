@@ -6,9 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from sim.discrepancy.fitting.catalogue import CatalogueEntry, catalogue
-from sim.discrepancy.fitting.fit import Fitted, fit
-from sim.discrepancy.fitting.named import Named
+from sim.discrepancy.fitting import CatalogueEntry, Fitted, Named, catalogue, fit
 from sim.discrepancy.screen import (
     Projector,
     Screen,
@@ -20,7 +18,7 @@ from sim.discrepancy.screen import (
     screen,
     smooth_course,
 )
-from sim.sha.trace import Array
+from sim.sha import Array
 
 CONFIRMED, WORTH = 4, 1.0
 """Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""

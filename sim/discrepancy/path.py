@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from sim.discrepancy.fitting.fit import Fitted, fit
+from sim.discrepancy.fitting import Fitted, fit
 from sim.discrepancy.judging import OVERWHELMING, NamingResult, dubious, insignificant
 from sim.discrepancy.naming import MARGIN, NamingStep, entries_besides, step
 

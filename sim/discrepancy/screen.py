@@ -13,14 +13,22 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from sim.discrepancy.fitting.catalogue import CatalogueEntry, signals_of
-from sim.discrepancy.fitting.course import as_read, filtered
-from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, on_sensor
-from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.named import Named, effects_of
-from sim.discrepancy.fitting.noise import Whitener
-from sim.effects.kind import MachineLog
-from sim.sha.trace import Array
+from sim.discrepancy.fitting import (
+    CatalogueEntry,
+    Fitted,
+    Named,
+    Whitener,
+    as_read,
+    as_sensed,
+    effects_of,
+    filtered,
+    heat_and_loss,
+    held,
+    on_sensor,
+    signals_of,
+)
+from sim.effects import MachineLog
+from sim.sha import Array
 
 DRAWS = 20_000
 SIMPLEX = 60

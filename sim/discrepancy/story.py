@@ -5,11 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim.discrepancy.diagnosis import DiagnosisCourse, HeatPlace, HeldOutProof, NamedEffect, Shift, Verdict
-from sim.discrepancy.fitting.fit import Fitted
-from sim.discrepancy.fitting.record import Record
+from sim.discrepancy.fitting import Fitted, Record
 from sim.discrepancy.heat import HOUR, implied_heat, since_switch
 from sim.discrepancy.held_out import HeldOutRun
-from sim.sha.trace import Array
+from sim.sha import Array
 
 
 def sentence_of(

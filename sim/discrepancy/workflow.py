@@ -12,10 +12,7 @@ import numpy as np
 from sim.discrepancy.ceiling import ceiling
 from sim.discrepancy.diagnosis import Diagnosis
 from sim.discrepancy.evidence import candidates_of, effect_of
-from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.fit import Fitted, fit
-from sim.discrepancy.fitting.named import Named, named_of
-from sim.discrepancy.fitting.record import in_order, patiently, record_of
+from sim.discrepancy.fitting import Fitted, Named, fit, frame_of, in_order, named_of, on, patiently, record_of
 from sim.discrepancy.gap import excess, spread_of
 from sim.discrepancy.held_out import by_cycles, compared
 from sim.discrepancy.judging import doubts, left_over, systematic, untested, verdict_of
@@ -23,10 +20,8 @@ from sim.discrepancy.locate import places
 from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.story import course_of, sentence_of
-from sim.effects.correction import in_sensor_scale
-from sim.effects.kinds import ROLES
-from sim.sha.model import Model
-from sim.sha.trace import Trace
+from sim.effects import ROLES, in_sensor_scale
+from sim.sha import Model, Trace
 
 HELD_OUT = 0.3
 LEAST_CYCLES = 4

@@ -2,9 +2,7 @@
 
 from sim.effects.kind import EffectKind, Structural
 from sim.effects.kinds import kind_of
-from sim.sha.automaton import SHA, Effect, Location
-from sim.sha.distributions import check_distribution
-from sim.sha.flows import FIXED, check_flow
+from sim.sha import FIXED, SHA, Effect, Location, check_distribution, check_flow
 
 
 def check_sha(sha: SHA) -> None:

@@ -13,9 +13,7 @@ from dataclasses import replace
 from math import log
 
 from sim.effects.kinds import kind_of
-from sim.sha.automaton import SHA, Distribution, Effect, Flow, Input, Location
-from sim.sha.flows import FIXED, RELAXING
-from sim.sha.model import Correction, Model
+from sim.sha import FIXED, RELAXING, SHA, Correction, Distribution, Effect, Flow, Input, Location, Model
 
 
 def in_sensor_scale(model: Model) -> Model:

@@ -21,8 +21,7 @@ from sim.effects.kind import (
     TextWriter,
 )
 from sim.effects.roles import AMBIENT, FEED, PUMP, SINK, TO_SCALE_OF_X
-from sim.sha.automaton import Effect
-from sim.sha.trace import Array
+from sim.sha import Array, Effect
 
 ABSOLUTE_ZERO = -273.15
 """degC."""

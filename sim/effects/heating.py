@@ -19,8 +19,7 @@ from sim.effects.kind import (
     TextWriter,
 )
 from sim.effects.roles import AMBIENT, CURRENT, SPEED, TORQUE, VIBRATION
-from sim.sha.automaton import Effect
-from sim.sha.trace import Array
+from sim.sha import Array, Effect
 
 REFERENCE = Parameter(unit="of the signal", rescaled="stays")
 

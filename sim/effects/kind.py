@@ -11,8 +11,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from sim.sha.automaton import Effect
-from sim.sha.trace import Array
+from sim.sha import Array, Effect
 
 Signals = Mapping[str, Array]
 """signal -> its held values; NaN before the first reading."""

@@ -10,8 +10,7 @@ from sim.effects.heating import HEATING
 from sim.effects.kind import EffectKind, Feature, Structural, VaryingBound
 from sim.effects.sensing import SENSING
 from sim.effects.varying import VARYING
-from sim.sha.automaton import SHA, Effect
-from sim.sha.trace import Array
+from sim.sha import SHA, Array, Effect
 
 EFFECTS: dict[str, EffectKind] = {
     kind.name: kind for kind in (*HEATING, *FLOWING, HOUSING, *VARYING, *SENSING, *BENDING)

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from sim.effects.kind import ABSOLUTE_SECONDS, EffectCandidate, EffectKind, Parameter, Params, Roles, Structural
-from sim.sha.trace import Array
+from sim.sha import Array
 
 BLURRED = 2
 """First-order lags that a blurred delay is followed by."""

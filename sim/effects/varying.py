@@ -15,8 +15,7 @@ from sim.effects.kind import (
     VaryingBound,
     VaryingLaw,
 )
-from sim.sha.automaton import Effect
-from sim.sha.trace import Array
+from sim.sha import Array, Effect
 
 _EXPONENTS = np.array(
     [0.05, 0.15, 0.3, 0.5, 0.75, 1, 1.3, 1.7, 2.1, 2.6, 3.2, 3.9, 4.7, 5.7, 7, 8.5, 10.5, 13, 16.5, 21]

@@ -22,14 +22,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sim.effects.kinds import dead_time
+from sim.effects import dead_time
 from sim.engine import state_estimate
 from sim.engine.belief_state import Belief, Delayed, Hidden, Innovation, belief_of
 from sim.engine.tracker import Mode, Tracker, compile_model, compiled, next_location
 from sim.scores import surprise
-from sim.sha import distributions
-from sim.sha.model import Model
-from sim.sha.trace import UNKNOWN, Array, Event, Trace
+from sim.sha import UNKNOWN, Array, Event, Model, Trace, distributions
 
 __all__ = [
     "Belief",

@@ -9,13 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.effects.exchange import ABSOLUTE_ZERO
-from sim.effects.kind import VaryingLaw, unknown
-from sim.effects.kinds import kind_of, parameter
+from sim.effects import ABSOLUTE_ZERO, VaryingLaw, kind_of, parameter, unknown
 from sim.engine.plant import Acting, Indices, Plant
 from sim.engine.terms import held
-from sim.sha.automaton import Effect
-from sim.sha.trace import Array
+from sim.sha import Array, Effect
 
 _FALL = 1.25
 """By how much t0 + age grows from one cut of a logarithmic drive to the next."""

@@ -9,11 +9,11 @@ from math import inf
 
 import numpy as np
 
-from sim.effects.kinds import parameter
+from sim.effects import parameter
 from sim.engine.plant import Indices, Plant
 from sim.engine.response import respond
 from sim.engine.tables import Half, Tables
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Mask
 
 Rows = int | slice
 

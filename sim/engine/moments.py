@@ -5,17 +5,13 @@ from math import isfinite, nan
 
 import numpy as np
 
-from sim.effects.check import check_sha
-from sim.effects.kinds import sensor_offset, sensor_offsets
+from sim.effects import check_sha, sensor_offset, sensor_offsets
 from sim.engine.moments_augmented import DrawnMoments, MeanCourse, covariance, mean_course, start_state
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import linear_recursion
 from sim.engine.schedule import Indices, Schedule, step_coefficients
 from sim.engine.terms import Segments
-from sim.sha import distributions, flows
-from sim.sha.automaton import Location
-from sim.sha.entry import drawn_temperature, mode_parameter
-from sim.sha.trace import Array
+from sim.sha import Array, Location, distributions, drawn_temperature, flows, mode_parameter
 
 
 @dataclass(frozen=True, slots=True)

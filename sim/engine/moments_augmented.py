@@ -17,7 +17,7 @@ from sim.engine.recursion import matrix_recursion
 from sim.engine.tables import Half, Tables, chosen, tables
 from sim.engine.terms import Segments
 from sim.engine.valve import Valve, follow, rows_of
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Mask
 
 AGREED = 1e-5
 """degC by which the course about which radiation is linearised may differ from the course that follows."""

@@ -8,10 +8,7 @@ import numpy as np
 
 from sim.engine.moments import Prediction, moments
 from sim.engine.schedule import Policy, Schedule, schedule
-from sim.sha import distributions
-from sim.sha.automaton import Distribution
-from sim.sha.model import Model
-from sim.sha.trace import Array, Trace
+from sim.sha import Array, Distribution, Model, Trace, distributions
 
 Start = Literal["measured", "law"]
 """Where an open-loop run starts: at the first measured temperature, or at the model's initial law."""

@@ -20,10 +20,7 @@ import numpy as np
 
 from sim.engine.belief import Belief
 from sim.engine.tracker import Tracker
-from sim.sha import flows
-from sim.sha.automaton import SHA
-from sim.sha.semi_markov import Indices, Paths
-from sim.sha.trace import Array, Mask
+from sim.sha import SHA, Array, Indices, Mask, Paths, flows
 
 _LEAST_DECAY = exp(-1.0)
 

@@ -13,7 +13,7 @@ from math import inf
 
 import numpy as np
 
-from sim.effects.kinds import dead_time, sensor_offsets
+from sim.effects import dead_time, sensor_offsets
 from sim.engine.belief_state import Belief, Hidden
 from sim.engine.kernel import move
 from sim.engine.particles import PathRuns, Steps, drawn_temperatures, merge
@@ -22,9 +22,7 @@ from sim.engine.simulate_augmented import root
 from sim.engine.tables import tables
 from sim.engine.terms import Segments
 from sim.engine.tracker import Tracker, next_location
-from sim.sha.automaton import SHA
-from sim.sha.semi_markov import Paths
-from sim.sha.trace import UNKNOWN, Array, Event, Mask
+from sim.sha import SHA, UNKNOWN, Array, Event, Mask, Paths
 
 
 def acting_stays(tracker: Tracker, belief: Belief, events: Sequence[Event]) -> list[tuple[float, str]]:

@@ -14,11 +14,8 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.effects.kind import FEATURES, Feature, HeldLaw, Structural, VaryingLaw, unknown
-from sim.effects.kinds import acts_in, kind_of
-from sim.sha.automaton import SHA, Effect, Flow
-from sim.sha.flows import RELAXING
-from sim.sha.trace import Array, Mask
+from sim.effects import FEATURES, Feature, HeldLaw, Structural, VaryingLaw, acts_in, kind_of, unknown
+from sim.sha import RELAXING, SHA, Array, Effect, Flow, Mask
 
 Indices = NDArray[np.intp]
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dtbtrs
 
-from sim.sha.trace import Array
+from sim.sha import Array
 
 
 def linear_recursion(a: ArrayLike, b: ArrayLike, x0: ArrayLike) -> Array:

@@ -10,7 +10,7 @@ from math import factorial, inf
 import numpy as np
 
 from sim.engine.plant import Plant
-from sim.sha.trace import Array
+from sim.sha import Array
 
 _TERMS = 14
 """Terms of the Taylor series, of matrices whose norm is at most 1/2: the remainder is below 1e-16."""

@@ -8,17 +8,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.effects.check import check_effects
-from sim.effects.correction import in_sensor_scale
-from sim.effects.kinds import dead_time, refuse, signals_of
+from sim.effects import check_effects, dead_time, in_sensor_scale, refuse, signals_of
 from sim.engine.cuts import Stays, cuts
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.terms import Segments
-from sim.sha import flows
-from sim.sha.automaton import SHA, Flow, transitions
-from sim.sha.flows import Coefficients
-from sim.sha.model import Model
-from sim.sha.trace import UNKNOWN, Array, Event, Mask, Trace
+from sim.sha import SHA, UNKNOWN, Array, Coefficients, Event, Flow, Mask, Model, Trace, flows, transitions
 
 Policy = Literal["reject", "ignore", "resync"]
 """What an event without an edge does: ValueError; nothing; a jump to where its symbol leads most often."""

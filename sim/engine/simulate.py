@@ -21,10 +21,7 @@ from sim.engine.moments import AffineSteps, affine_steps, free_mean, run_flags
 from sim.engine.recursion import linear_recursion
 from sim.engine.schedule import Indices, Schedule
 from sim.engine.simulate_augmented import augmented_plan, augmented_runs
-from sim.sha import distributions, flows
-from sim.sha.automaton import Distribution, Flow
-from sim.sha.entry import drawn_parameter, drawn_temperature
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Distribution, Flow, Mask, distributions, drawn_parameter, drawn_temperature, flows
 
 CHUNK = 8192
 """Runs that go through the steps together: few enough that their working rows stay in the cache."""

@@ -9,17 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.effects.kinds import sensor_offset, sensor_offsets
+from sim.effects import sensor_offset, sensor_offsets
 from sim.engine.kernel import move
 from sim.engine.moments import augmented_course
 from sim.engine.moments_augmented import start_state
 from sim.engine.plant import Indices, Plant
 from sim.engine.schedule import Schedule
 from sim.engine.tables import Half, Tables
-from sim.sha import distributions
-from sim.sha.automaton import Distribution
-from sim.sha.entry import drawn_parameter, drawn_temperature
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Distribution, Mask, distributions, drawn_parameter, drawn_temperature
 
 
 @dataclass(frozen=True, slots=True)

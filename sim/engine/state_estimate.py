@@ -10,7 +10,7 @@ from math import inf
 
 import numpy as np
 
-from sim.effects.kinds import sensor_offset, signals_of
+from sim.effects import sensor_offset, signals_of
 from sim.engine.belief_state import Belief, Hidden
 from sim.engine.cuts import Stays, cuts
 from sim.engine.moments_augmented import DrawnMoments, MeanCourse, mean_course
@@ -18,7 +18,7 @@ from sim.engine.plant import Plant
 from sim.engine.tables import chosen
 from sim.engine.terms import Segments
 from sim.engine.tracker import Mode
-from sim.sha.trace import Array
+from sim.sha import Array
 
 
 def at_reading(plant: Plant, belief: Belief) -> Belief:

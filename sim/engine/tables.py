@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.effects.exchange import in_scale_of_x, radiation_tangent
-from sim.effects.kinds import parameter
+from sim.effects import in_scale_of_x, parameter, radiation_tangent
 from sim.engine.plant import Acting, Plant
 from sim.engine.response import respond
 from sim.engine.terms import Segments, Terms, terms
-from sim.sha.trace import Array
+from sim.sha import Array
 
 
 @dataclass(frozen=True, slots=True)

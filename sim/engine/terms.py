@@ -10,11 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.effects.kind import HeldLaw, VaryingLaw, unknown
-from sim.effects.kinds import kind_of
+from sim.effects import HeldLaw, VaryingLaw, kind_of, unknown
 from sim.engine.plant import Indices, Plant
-from sim.sha.automaton import Effect
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Effect, Mask
 
 GAUSS = 0.5 + np.array([-1.0, 0.0, 1.0]) * np.sqrt(0.15)
 """The three Gauss points of a segment, as parts of its length."""

@@ -9,17 +9,10 @@ from dataclasses import dataclass
 from math import expm1, isfinite, log1p
 from typing import Literal
 
-from sim.effects.check import check_sha
-from sim.effects.correction import in_sensor_scale
-from sim.effects.kinds import signals_of
+from sim.effects import check_sha, in_sensor_scale, signals_of
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.schedule import resync_targets
-from sim.sha import distributions
-from sim.sha.automaton import Location, transitions
-from sim.sha.entry import drawn_temperature, mode_parameter
-from sim.sha.flows import mean_step
-from sim.sha.model import Model
-from sim.sha.trace import UNKNOWN
+from sim.sha import UNKNOWN, Location, Model, distributions, drawn_temperature, mean_step, mode_parameter, transitions
 
 OnlinePolicy = Literal["ignore", "resync"]
 """What an event without an edge does, as in `sim.engine.schedule`;

@@ -10,8 +10,7 @@ from math import exp, inf, log
 import numpy as np
 
 from sim.engine.tables import Half, Tables
-from sim.sha.automaton import SHA, Effect
-from sim.sha.trace import Array, Mask
+from sim.sha import SHA, Array, Effect, Mask
 
 _MOST_SWITCHES = 8
 

@@ -1,0 +1,35 @@
+"""What the temperature may do next, and what keeps that honest."""
+
+from sim.forecast.calibration import Calibration, Horizon, PendingForecast, calibrate, factors, issue, settle
+from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue_pool, mixture, settle_pool, thinned, weights
+from sim.forecast.forecast import LEVELS, Forecast, forecast
+from sim.forecast.review import FORECASTS, ONE_STEP, Review, beyond, follow, follow_forecasts, share, standardised
+
+__all__ = [
+    "DENSE",
+    "FORECASTS",
+    "LEVELS",
+    "ONE_STEP",
+    "Calibration",
+    "Forecast",
+    "Horizon",
+    "PendingForecast",
+    "Pool",
+    "PoolEvidence",
+    "Review",
+    "beyond",
+    "calibrate",
+    "factors",
+    "follow",
+    "follow_forecasts",
+    "forecast",
+    "issue",
+    "issue_pool",
+    "mixture",
+    "settle",
+    "settle_pool",
+    "share",
+    "standardised",
+    "thinned",
+    "weights",
+]

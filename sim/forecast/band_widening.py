@@ -9,7 +9,7 @@ from math import inf
 
 import numpy as np
 
-from sim.sha.trace import Array
+from sim.sha import Array
 
 
 def factors_at(calibration: Mapping[float, float], horizons: Array) -> Array:

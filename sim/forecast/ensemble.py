@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from sim.forecast.forecast import LEVELS, Forecast
 from sim.scores import Estimate
-from sim.sha.trace import Array
+from sim.sha import Array
 
 DENSE = tuple(round(0.01 * percent, 2) for percent in range(1, 100))
 """Levels of a member's fan in a mixture: a band of 90 % of the whole may lie in one member's tail."""

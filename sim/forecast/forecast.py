@@ -13,19 +13,28 @@ from math import ceil, inf, isfinite, sqrt
 import numpy as np
 from scipy.special import ndtri
 
-from sim.effects.kind import VaryingLaw
-from sim.effects.kinds import kind_of
-from sim.engine.belief import Belief, advance, on_event
-from sim.engine.cuts import fastest as relaxation
-from sim.engine.particles import PathRuns, Steps, lay_out, run, survival
-from sim.engine.particles_augmented import acting_paths, acting_stays, augmented_path_runs, real_age
-from sim.engine.tracker import Tracker, compiled, next_location
+from sim.effects import VaryingLaw, kind_of
+from sim.engine import (
+    Belief,
+    PathRuns,
+    Steps,
+    Tracker,
+    acting_paths,
+    acting_stays,
+    advance,
+    augmented_path_runs,
+    compiled,
+    lay_out,
+    next_location,
+    on_event,
+    real_age,
+    run,
+    survival,
+)
+from sim.engine import fastest as relaxation
 from sim.forecast.band_widening import factors_at, widened_fan, widened_runs
 from sim.scores import Estimate, clopper_pearson
-from sim.sha.flows import RELAXING
-from sim.sha.model import Model
-from sim.sha.semi_markov import Indices, compile_chain, draw_paths, input_moments, known_paths
-from sim.sha.trace import Array, Event
+from sim.sha import RELAXING, Array, Event, Indices, Model, compile_chain, draw_paths, input_moments, known_paths
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """The levels of a fan's quantiles: median, 50 % and 90 % band."""

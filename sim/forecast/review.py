@@ -10,11 +10,9 @@ from math import exp, isfinite
 
 import numpy as np
 
-from sim.engine.moments import Prediction
-from sim.engine.open_loop import measured
+from sim.engine import Prediction, measured
 from sim.forecast.calibration import Calibration, deviation, matured
-from sim.sha.model import Model
-from sim.sha.trace import Array, Trace
+from sim.sha import Array, Model, Trace
 
 SIGMAS = 3.0
 RAISE, CLEAR = 0.05, 0.01

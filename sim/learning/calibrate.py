@@ -6,12 +6,10 @@ from math import exp, inf, log
 
 import numpy as np
 
-from sim.engine.belief import Belief, observe, on_event, start, with_inputs
-from sim.engine.tracker import Tracker, compiled
-from sim.forecast.forecast import LEVELS, forecast
+from sim.engine import Belief, Tracker, compiled, observe, on_event, start, with_inputs
+from sim.forecast import LEVELS, forecast
 from sim.learning.data import resolution, without_spikes
-from sim.sha.model import Model
-from sim.sha.trace import UNKNOWN, Array, Event, Trace
+from sim.sha import UNKNOWN, Array, Event, Model, Trace
 
 HORIZONS = (60.0, 300.0, 900.0)
 ORIGINS = 100

@@ -17,14 +17,12 @@ from typing import Literal
 
 import numpy as np
 
-from sim.engine.moments import moments
-from sim.engine.open_loop import errors, measured, open_loop, open_loop_schedule
+from sim.engine import errors, measured, moments, open_loop, open_loop_schedule
 from sim.learning.data import resolution, without_spikes
 from sim.learning.free_run import HUBER
 from sim.learning.held_out import huber_scale
 from sim.learning.structure import LearningError
-from sim.sha.model import Correction, Model
-from sim.sha.trace import Array, Trace
+from sim.sha import Array, Correction, Model, Trace
 
 Form = Literal["gain", "affine"]
 FORMS: tuple[Form, ...] = ("gain", "affine")

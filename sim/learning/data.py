@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
-from sim.sha.trace import Array, Trace, content_hash, joint_hash
+from sim.sha import Array, Trace, content_hash, joint_hash
 
 SPIKE_WINDOW = 5
 SPIKE_LIMIT = 6.0

@@ -20,11 +20,9 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares
 
-from sim.engine.recursion import linear_recursion
+from sim.engine import linear_recursion
 from sim.learning.runs import FreeRuns, Indices
-from sim.sha.automaton import Flow
-from sim.sha.flows import FLOWS, coefficients
-from sim.sha.trace import Array, Mask
+from sim.sha import FLOWS, Array, Flow, Mask, coefficients
 
 HUBER = 1.345
 ROUNDS, SETTLED = 12, 0.02

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sim.learning.free_run import HUBER, FitShape, FreeRunFit, fit_at_rates, fit_free_run, predict
 from sim.learning.runs import FreeRuns, pieces
-from sim.sha.trace import Array
+from sim.sha import Array
 
 FOLDS = 5
 PIECES = 10

@@ -12,11 +12,10 @@ from math import inf, sqrt
 
 import numpy as np
 
-from sim.engine.open_loop import errors, open_loop
+from sim.engine import errors, open_loop
 from sim.learning.data import resolution, without_spikes
 from sim.learning.structure import LearningError
-from sim.sha.model import Model
-from sim.sha.trace import Array, Trace
+from sim.sha import Array, Model, Trace
 
 WINDOW_SECONDS, WINDOW_READINGS = 30.0, 10
 """A window lasts this long and has so many readings, whichever is longer."""

@@ -16,9 +16,7 @@ from scipy.optimize import minimize
 from sim.learning.data import resolution
 from sim.learning.free_run import RATES, FitShape, FreeRunFit, loads
 from sim.learning.runs import FreeRuns, Indices, sampled
-from sim.sha.automaton import Flow
-from sim.sha.flows import FLOWS, coefficients
-from sim.sha.trace import Array, Mask
+from sim.sha import FLOWS, Array, Flow, Mask, coefficients
 
 HORIZONS = (60.0, 300.0, 900.0)
 CHUNK = 150

@@ -7,9 +7,7 @@ import numpy as np
 
 from sim.learning.runs import FreeRuns
 from sim.learning.structure import LearningError
-from sim.sha.automaton import SHA, Distribution
-from sim.sha.events import Alphabet, encode
-from sim.sha.trace import Trace
+from sim.sha import SHA, Alphabet, Distribution, Trace, encode
 
 LEAST_READINGS = 10
 LEAST_SHARE = 0.1

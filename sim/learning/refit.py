@@ -9,8 +9,7 @@ from sim.learning.free_run import FitShape, FreeRunFit, Loss, fit_free_run
 from sim.learning.runs import FreeRuns, free_runs, sampled
 from sim.learning.shape import ParameterNames, Prior, shape_of, with_parameters
 from sim.learning.structure import LearningError
-from sim.sha.automaton import SHA
-from sim.sha.trace import Trace
+from sim.sha import SHA, Trace
 
 BUDGET = 40_000
 SPREAD = 40.0

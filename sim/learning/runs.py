@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 
 from sim.learning.data import resolution, without_spikes
 from sim.learning.structure import LearningError
-from sim.sha.automaton import SHA, transitions
-from sim.sha.events import Alphabet, Switch
-from sim.sha.trace import UNKNOWN, Array, Mask, Trace
+from sim.sha import SHA, UNKNOWN, Alphabet, Array, Mask, Switch, Trace, transitions
 
 Indices = NDArray[np.intp]
 

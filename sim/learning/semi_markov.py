@@ -14,11 +14,9 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import log_ndtr
 
-from sim.effects.kinds import signals_of
-from sim.engine.tracker import Tracker, compiled, next_location
-from sim.sha.automaton import SHA, Distribution
-from sim.sha.model import Model, Stay
-from sim.sha.trace import UNKNOWN, Array, Mask, Trace
+from sim.effects import signals_of
+from sim.engine import Tracker, compiled, next_location
+from sim.sha import SHA, UNKNOWN, Array, Distribution, Mask, Model, Stay, Trace
 
 LEAST_ENDED = 12
 """Ended stays below which a location's sojourn law is exponential: two parameters are not to be had from so few."""

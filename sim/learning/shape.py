@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.learning.free_run import RATES, FitShape, FreeRunFit
-from sim.sha import distributions
-from sim.sha.automaton import SHA, Distribution, Flow, Input, Location
-from sim.sha.trace import Array
+from sim.sha import SHA, Array, Distribution, Flow, Input, Location, distributions
 
 
 @dataclass(frozen=True, slots=True)

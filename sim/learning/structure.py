@@ -11,9 +11,7 @@ from functools import lru_cache
 from itertools import pairwise, product
 from types import MappingProxyType
 
-from sim.sha.automaton import SHA, Edge, Flow, Location
-from sim.sha.events import Alphabet, Bins, Switch
-from sim.sha.trace import UNKNOWN
+from sim.sha import SHA, UNKNOWN, Alphabet, Bins, Edge, Flow, Location, Switch
 
 Context = tuple[int | None, ...]
 """What is known of each channel: the index of its value among `labels`, or None."""

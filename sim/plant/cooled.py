@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.sha.trace import Array, Trace
+from sim.sha import Array, Trace
 
 EPOCH = 1_738_540_800.0
 """2025-02-03 00:00:00 UTC, a Monday."""

@@ -12,7 +12,7 @@ from math import cos, exp, pi, sqrt
 
 import numpy as np
 
-from sim.sha.trace import Array, Trace
+from sim.sha import Array, Trace
 
 SIGNALS = (
     "MarciaDecanter",

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from sim.plant.decanter import DecanterPlant, Phase, Weather, simulate_decanter
-from sim.sha.trace import Trace
+from sim.sha import Trace
 
 EPOCH = 1_736_499_600.0
 """2025-01-10 09:00:00 UTC: scenario cdN starts N hours later, so that no two overlap."""

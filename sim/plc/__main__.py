@@ -16,15 +16,25 @@ import click
 from sim.plc.control import describe as commands_table
 from sim.plc.control import listen_on_loopback, listen_to_stdin, say
 from sim.plc.faces import Face, face_options, make_faces, with_faces
-from sim.plc.modbus.server import ModbusServer
-from sim.plc.program.checks import InputError, read_text, read_toml
-from sim.plc.program.clock import EmulatorClock
-from sim.plc.program.faults import OrderedFault, parse_fault
-from sim.plc.program.faults import describe as faults_table
-from sim.plc.program.plc import Plc, PlcSettings, record_nothing
-from sim.plc.program.registers import Place, parse_address, read_map
-from sim.plc.program.replay import TraceReplay, read_trace
-from sim.plc.record.recorder import PlcRecorder
+from sim.plc.modbus import ModbusServer
+from sim.plc.program import (
+    EmulatorClock,
+    InputError,
+    OrderedFault,
+    Place,
+    Plc,
+    PlcSettings,
+    TraceReplay,
+    parse_address,
+    parse_fault,
+    read_map,
+    read_text,
+    read_toml,
+    read_trace,
+    record_nothing,
+)
+from sim.plc.program import describe as faults_table
+from sim.plc.record import PlcRecorder
 
 UNUSABLE_INPUT = 2
 CANNOT_LISTEN = 3

@@ -15,10 +15,7 @@ from collections.abc import Callable, Mapping
 
 from drivers import json_lines
 from drivers.json_lines import NoObject
-from sim.plc.program.checks import InputError, checked_arguments, listed, signature_of
-from sim.plc.program.faults import parse_fault
-from sim.plc.program.plc import Plc
-from sim.plc.program.replay import TraceReplay
+from sim.plc.program import InputError, Plc, TraceReplay, checked_arguments, listed, parse_fault, signature_of
 
 Outcome = dict[str, object]
 _LONGEST = 65536

@@ -13,8 +13,7 @@ from typing import Any, Protocol
 
 import click
 
-from sim.plc.program.plc import Plc
-from sim.plc.program.schedule import CycleFaults
+from sim.plc.program import CycleFaults, Plc
 
 Complain = Callable[[str], None]
 _FILE = click.Path(path_type=Path)

@@ -5,12 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.engine.open_loop import measured, open_loop
-from sim.learning.data import in_order
+from sim.engine import measured, open_loop
+from sim.learning import in_order
 from sim.scores import crps_gaussian, log_score_gaussian
-from sim.sha.events import encode
-from sim.sha.model import Model
-from sim.sha.trace import Array, Trace
+from sim.sha import Array, Model, Trace, encode
 
 LEAST_READINGS = 3
 LEAST_SIGMA = 1e-6

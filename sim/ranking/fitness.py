@@ -5,9 +5,8 @@ from dataclasses import dataclass, field, fields
 from math import isfinite, nan
 from typing import Literal
 
-from sim.sha.model import Model
-from sim.sha.trace import Trace, joint_hash
-from sim.validation.results import TraceResult
+from sim.sha import Model, Trace, joint_hash
+from sim.validation import TraceResult
 
 Verdict = Literal["fit", "unfit", "open"]
 Seen = Literal["content", "name"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from sim.ranking.fitness import Facts, Finding, FitnessLimits, Seen, Verdict, judge, verdict
 from sim.ranking.paired import Paired, holm, paired
-from sim.validation.results import TraceResult
+from sim.validation import TraceResult
 
 LEVEL = 0.05
 

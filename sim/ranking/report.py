@@ -14,10 +14,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sim.ranking.ranking import Ranking, entrants
-from sim.sha.trace import Array
-from sim.validation.metrics import QUANTILES
-from sim.validation.plots import ENDINGS, MEASURED
-from sim.validation.results import TraceResult
+from sim.sha import Array
+from sim.validation import ENDINGS, MEASURED, QUANTILES, TraceResult
 
 COLOURS: Mapping[str, str] = {"fit": "#2a8c6a", "open": "#b08a2e", "unfit": "#b3261e"}
 SHOWN = (0.05, 0.25, 0.5, 0.75, 0.95)

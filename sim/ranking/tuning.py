@@ -14,10 +14,8 @@ from sim.ranking.cross_validation import HeldOutFold, folds, held_out, usable
 from sim.ranking.paired import Paired, paired
 from sim.ranking.study import REASON, Facts, ask, finished_trials, interrupt, opened, unbroken
 from sim.ranking.tuning_methods import Method, Settings, Task, Taught, method_of
-from sim.sha.events import Alphabet
-from sim.sha.trace import Trace
-from sim.validation.campaign import parallel
-from sim.validation.trace_run import TROUBLE
+from sim.sha import Alphabet, Trace
+from sim.validation import TROUBLE, parallel
 
 if TYPE_CHECKING:
     from optuna.study import Study

@@ -5,13 +5,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
-from sim.learning.bins.candidates import CANDIDATES
-from sim.learning.bins.learn import learn_bins
-from sim.learning.lsha.learn import learn_lsha
-from sim.learning.lsha.settings import LshaSettings
-from sim.sha.events import Alphabet, Bins, Switch
-from sim.sha.model import Model
-from sim.sha.trace import Trace
+from sim.learning.bins import CANDIDATES, learn_bins
+from sim.learning.lsha import LshaSettings, learn_lsha
+from sim.sha import Alphabet, Bins, Model, Switch, Trace
 
 Value = str | float | int | bool
 Settings = Mapping[str, Value]

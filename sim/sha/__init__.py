@@ -1,0 +1,76 @@
+"""The stochastic hybrid automaton as a description: locations, flows, laws, events, traces. No current state."""
+
+from sim.sha.automaton import SHA, Distribution, Edge, Effect, Entry, Flow, Input, Location, nondeterminism, transitions
+from sim.sha.distributions import LAWS, check_distribution, mean, variance
+from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
+from sim.sha.events import (
+    DECANTER,
+    Alphabet,
+    Bins,
+    Encoder,
+    EncoderState,
+    Switch,
+    alphabet_symbols,
+    check_alphabet,
+    encode,
+)
+from sim.sha.flows import FIXED, FLOWS, RELAXING, Coefficients, check_flow, coefficients, mean_step, offset
+from sim.sha.model import Correction, Model, Provenance, Stay
+from sim.sha.semi_markov import MOST_STAYS, Chain, Indices, Paths, compile_chain, draw_paths, input_moments, known_paths
+from sim.sha.trace import UNKNOWN, Array, Event, Mask, Trace, content_hash, joint_hash
+
+__all__ = [
+    "DECANTER",
+    "FIXED",
+    "FLOWS",
+    "LAWS",
+    "MOST_STAYS",
+    "RELAXING",
+    "SHA",
+    "UNKNOWN",
+    "Alphabet",
+    "Array",
+    "Bins",
+    "Chain",
+    "Coefficients",
+    "Correction",
+    "Distribution",
+    "Edge",
+    "Effect",
+    "Encoder",
+    "EncoderState",
+    "Entry",
+    "Event",
+    "Flow",
+    "Indices",
+    "Input",
+    "Location",
+    "Mask",
+    "Model",
+    "Paths",
+    "Provenance",
+    "Stay",
+    "Switch",
+    "Trace",
+    "alphabet_symbols",
+    "check_alphabet",
+    "check_distribution",
+    "check_flow",
+    "coefficients",
+    "compile_chain",
+    "content_hash",
+    "draw_paths",
+    "drawn_parameter",
+    "drawn_temperature",
+    "encode",
+    "input_moments",
+    "joint_hash",
+    "known_paths",
+    "mean",
+    "mean_step",
+    "mode_parameter",
+    "nondeterminism",
+    "offset",
+    "transitions",
+    "variance",
+]

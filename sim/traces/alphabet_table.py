@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.settings import sentences
-from sim.sha.events import DECANTER, Alphabet, Bins, Switch, check_alphabet
+from sim.sha import DECANTER, Alphabet, Bins, Switch, check_alphabet
 
 
 class _AlphabetPart(BaseModel):

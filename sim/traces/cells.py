@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Mask
 
 Decimal = Literal["auto", ".", ","]
 

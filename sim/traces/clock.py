@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Mask
 from sim.traces.cells import Decimal, numbers
 from sim.traces.column_map import ClockColumns, Names, TimeOfDay
 

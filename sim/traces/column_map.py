@@ -8,7 +8,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from drivers.settings import sentences
-from sim.sha.events import DECANTER, Alphabet
+from sim.sha import DECANTER, Alphabet
 from sim.traces.alphabet_table import alphabet_from_table
 
 

@@ -8,8 +8,7 @@ from math import inf
 
 import numpy as np
 
-from sim.sha.events import DECANTER, Alphabet, Switch
-from sim.sha.trace import UNKNOWN, Event, Trace
+from sim.sha import DECANTER, UNKNOWN, Alphabet, Event, Switch, Trace
 
 
 def split_cycles(trace: Trace, alphabet: Alphabet = DECANTER, gap: float = inf, lead: bool = False) -> list[Trace]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Mask
 from sim.traces.cells import booleans, numbers
 from sim.traces.clock import clock_columns, read_clock, to_utc
 from sim.traces.column_map import ColumnMap, Long, Names, SignalColumn

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.sha.trace import Array, Mask, Trace
+from sim.sha import Array, Mask, Trace
 from sim.traces.traces import SYNTHETIC
 
 

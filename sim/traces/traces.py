@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.sha.events import encode
-from sim.sha.trace import Array, Mask, Trace
+from sim.sha import Array, Mask, Trace, encode
 from sim.traces.clock import longest_rising, unroll_midnight
 from sim.traces.column_map import ColumnMap, Derived
 from sim.traces.load_report import FileReport, LoadReport, TraceError

@@ -8,16 +8,12 @@ from math import nan, sqrt
 import numpy as np
 from scipy import stats
 
-from sim.checking.language.parse import QueryError, parse_query
+from sim.checking.language import QueryError, parse_query
 from sim.checking.query import tree as q
-from sim.checking.smc.answer import QuerySettings, Start, initial
-from sim.checking.smc.answer import answer as native_answer
-from sim.engine.moments import Prediction, moments
-from sim.engine.schedule import Policy, Schedule, schedule
-from sim.engine.simulate import SimulatedRuns, simulate
-from sim.sha import distributions
-from sim.sha.model import Model
-from sim.sha.trace import Array, Trace
+from sim.checking.smc import QuerySettings, Start, initial
+from sim.checking.smc import answer as native_answer
+from sim.engine import Policy, Prediction, Schedule, SimulatedRuns, moments, schedule, simulate
+from sim.sha import Array, Model, Trace, distributions
 from sim.uppaal.document import ExportedQuery
 from sim.uppaal.output import PrintedCourse, VerifytaAnswer
 from sim.uppaal.queries import compatibility

@@ -7,10 +7,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.effects.kind import EffectRefusal, Structural, TextLaw, unknown
-from sim.effects.kinds import acts_in, kind_of, of_feature, parameter
-from sim.engine.plant import Plant, compile_plant
-from sim.sha.automaton import SHA, Effect
+from sim.effects import EffectRefusal, Structural, TextLaw, acts_in, kind_of, of_feature, parameter, unknown
+from sim.engine import Plant, compile_plant
+from sim.sha import SHA, Effect
 from sim.uppaal.document import Arrow, number
 from sim.uppaal.players import array
 from sim.uppaal.replay import Clocks

@@ -7,17 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.effects.check import check_sha
-from sim.effects.correction import in_sensor_scale
-from sim.effects.kinds import signals_of
-from sim.engine.open_loop import Start, open_loop
-from sim.engine.schedule import Policy
+from sim.effects import check_sha, in_sensor_scale, signals_of
+from sim.engine import Policy, Start, open_loop
 from sim.files import refused, replace_durably
-from sim.sha import distributions
-from sim.sha.automaton import SHA, transitions
-from sim.sha.events import alphabet_symbols
-from sim.sha.model import Model
-from sim.sha.trace import UNKNOWN, Trace
+from sim.sha import SHA, UNKNOWN, Model, Trace, alphabet_symbols, distributions, transitions
 from sim.uppaal.document import ExportedQuery, System, comment_text, number, xml_text
 from sim.uppaal.effects import augmented
 from sim.uppaal.effects import refused as refused_effects

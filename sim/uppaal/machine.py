@@ -4,9 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
-from sim.sha.automaton import SHA, Distribution, Flow, Location
-from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
-from sim.sha.flows import RELAXING
+from sim.sha import RELAXING, SHA, Distribution, Flow, Location, drawn_parameter, drawn_temperature, mode_parameter
 from sim.uppaal.document import Arrow, Template, TemplateLocation, comment_text, number
 from sim.uppaal.effects import EffectTexts
 from sim.uppaal.words import FreshNames, spelled

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from sim.sha.trace import Array
+from sim.sha import Array
 from sim.uppaal.document import Arrow, Template, TemplateLocation, number
 from sim.uppaal.replay import InputReadings
 from sim.uppaal.words import FreshNames

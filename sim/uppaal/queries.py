@@ -3,10 +3,9 @@
 import re
 from collections.abc import Sequence
 
-from sim.checking.language.parse import QueryError, parse_query
-from sim.checking.language.printing import query_text, uppaal_refusal
-from sim.checking.query.tree import Symbolic
-from sim.sha.model import Model
+from sim.checking.language import QueryError, parse_query, query_text, uppaal_refusal
+from sim.checking.query import Symbolic
+from sim.sha import Model
 from sim.uppaal.document import ExportedQuery, number
 from sim.uppaal.replay import TraceReplay
 

@@ -6,12 +6,9 @@ from math import ceil
 
 import numpy as np
 
-from sim.effects.kinds import dead_time, signals_of
-from sim.engine.open_loop import Start, open_loop_schedule, start_law
-from sim.engine.schedule import Policy, resync_targets
-from sim.sha.automaton import SHA, Distribution, transitions
-from sim.sha.model import Model
-from sim.sha.trace import UNKNOWN, Array, Event, Trace
+from sim.effects import dead_time, signals_of
+from sim.engine import Policy, Start, open_loop_schedule, resync_targets, start_law
+from sim.sha import SHA, UNKNOWN, Array, Distribution, Event, Model, Trace, transitions
 
 DIGITS = 6
 """Decimals of exported times (microseconds): a trace's clock, in seconds since 1970, has no more in a double."""

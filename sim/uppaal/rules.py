@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from xml.etree.ElementTree import Element, ParseError, XMLParser
 
-from sim.checking.query.names import FUNCTIONS, KEYWORDS
+from sim.checking.query import FUNCTIONS, KEYWORDS
 
 _DOCTYPE = re.compile(
     r"<!DOCTYPE nta PUBLIC '-//Uppaal Team//DTD Flat System 1\.(\d)//EN' "

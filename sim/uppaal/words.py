@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 
-from sim.checking.query.names import RESERVED, identifiers
+from sim.checking.query import RESERVED, identifiers
 
 OWN = frozenset(
     [

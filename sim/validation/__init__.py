@@ -1,0 +1,49 @@
+"""The nine stages of validation, their campaign and their report."""
+
+from sim.validation.campaign import Progress, cluster, outcomes_by_model, parallel, run_here, unread
+from sim.validation.conduct import CampaignPlan, conduct
+from sim.validation.metrics import QUANTILES
+from sim.validation.output_folder import CAMPAIGN, LEARNED, check_folder, claim_folder, held, read_results
+from sim.validation.plots import ENDINGS, MEASURED, Curve, Picture, draw
+from sim.validation.report import CampaignSummary, natural
+from sim.validation.results import TraceResult
+from sim.validation.stage_records import load_stage
+from sim.validation.stages import Prepared, Wanted, prepare, relabelled
+from sim.validation.trace_run import TROUBLE, TraceRunSettings
+from sim.validation.verdicts import gain, summaries, verdict
+
+__all__ = [
+    "CAMPAIGN",
+    "ENDINGS",
+    "LEARNED",
+    "MEASURED",
+    "QUANTILES",
+    "TROUBLE",
+    "CampaignPlan",
+    "CampaignSummary",
+    "Curve",
+    "Picture",
+    "Prepared",
+    "Progress",
+    "TraceResult",
+    "TraceRunSettings",
+    "Wanted",
+    "check_folder",
+    "claim_folder",
+    "cluster",
+    "conduct",
+    "draw",
+    "gain",
+    "held",
+    "load_stage",
+    "natural",
+    "outcomes_by_model",
+    "parallel",
+    "prepare",
+    "read_results",
+    "relabelled",
+    "run_here",
+    "summaries",
+    "unread",
+    "verdict",
+]

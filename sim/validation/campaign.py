@@ -17,10 +17,9 @@ from warnings import catch_warnings, simplefilter
 
 from joblib import Parallel, delayed
 
-from sim.effects.kinds import signals_of
-from sim.sha.model import Model
-from sim.sha.trace import Trace
-from sim.traces.load_report import LoadReport
+from sim.effects import signals_of
+from sim.sha import Model, Trace
+from sim.traces import LoadReport
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared
 from sim.validation.trace_run import TraceJob, TraceOutcome, TraceRunSettings, run_job

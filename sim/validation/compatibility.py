@@ -4,9 +4,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.engine.schedule import Policy, resync_targets
-from sim.sha.automaton import SHA, transitions
-from sim.sha.trace import UNKNOWN, Event
+from sim.engine import Policy, resync_targets
+from sim.sha import SHA, UNKNOWN, Event, transitions
 
 NAMED = 50
 """So many events without an edge are kept one by one; the rest are only counted."""

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.sha.trace import Trace
+from sim.sha import Trace
 from sim.validation.campaign import Progress, Runner, Unread, outcomes_by_model, parallel
 from sim.validation.output_folder import COMPLETE, RESULTS, Folder, results_csv, results_json
 from sim.validation.pictures import draw_one, drawings

@@ -6,14 +6,20 @@ from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 
-from sim.artefacts.formats.bundle import SUFFIXES, Artefacts, file_names, read_artefacts
-from sim.artefacts.formats.find import artefact_base
-from sim.artefacts.formats.from_model import to_artefacts
-from sim.artefacts.formats.histogram import PRINTED, evidence, fit
-from sim.artefacts.model_directory import MANIFEST, MODEL_FILE
-from sim.artefacts.store import STORE_FILE, version_directory
+from sim.artefacts import MANIFEST, MODEL_FILE, STORE_FILE, version_directory
+from sim.artefacts.formats import (
+    PRINTED,
+    SUFFIXES,
+    Artefacts,
+    artefact_base,
+    evidence,
+    file_names,
+    fit,
+    read_artefacts,
+    to_artefacts,
+)
 from sim.files import at
-from sim.sha.model import Model
+from sim.sha import Model
 
 OPTIONAL = ("histogram", "flows")
 """Artefacts that a set may lack. What cannot be done without them is said where it would be done."""

@@ -6,7 +6,7 @@ from math import ceil, floor, log10, nan, sqrt
 import numpy as np
 
 from sim.scores import block_bootstrap, crps_ordered
-from sim.sha.trace import Array
+from sim.sha import Array
 from sim.validation.results import Interval
 
 BAND = (0.05, 0.95)

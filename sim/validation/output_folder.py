@@ -13,7 +13,7 @@ from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
-from sim.engine.open_loop import Score
+from sim.engine import Score
 from sim.files import replace_durably
 from sim.strict_json import json_text
 from sim.validation.results import Interval, TraceResult

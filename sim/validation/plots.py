@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from sim.sha.trace import UNKNOWN, Array, Event
+from sim.sha import UNKNOWN, Array, Event
 
 ENDINGS = (".png", ".pdf", ".svg")
 MEASURED, PREDICTED, OPEN_LOOP, AHEAD, ALARM = "#555555", "#1f6fb4", "#c65d1e", "#2a8c6a", "#b3261e"

@@ -10,7 +10,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from sim.sha.automaton import Location
+from sim.sha import Location
 from sim.validation.metrics import QUANTILES
 from sim.validation.results import Interval, TraceResult
 from sim.validation.stages import Prepared, Stage, location_row

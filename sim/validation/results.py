@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from math import nan
 
-from sim.engine.open_loop import Score
+from sim.engine import Score
 
 NO_SCORE = Score(nan, nan, nan, 0)
 

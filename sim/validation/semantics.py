@@ -13,17 +13,27 @@ from typing import Literal
 
 import numpy as np
 
-from sim.effects.correction import in_sensor_scale
-from sim.engine.open_loop import measured
-from sim.engine.schedule import schedule
-from sim.sha import distributions, flows
-from sim.sha.automaton import SHA, Distribution, Flow, Location
-from sim.sha.entry import mode_parameter
-from sim.sha.events import encode
-from sim.sha.flows import FIXED, RELAXING
-from sim.sha.model import Model
-from sim.sha.semi_markov import Chain, compile_chain, draw_paths, input_moments
-from sim.sha.trace import Array, Trace
+from sim.effects import in_sensor_scale
+from sim.engine import measured, schedule
+from sim.sha import (
+    FIXED,
+    RELAXING,
+    SHA,
+    Array,
+    Chain,
+    Distribution,
+    Flow,
+    Location,
+    Model,
+    Trace,
+    compile_chain,
+    distributions,
+    draw_paths,
+    encode,
+    flows,
+    input_moments,
+    mode_parameter,
+)
 
 Semantics = Literal["own", "thesis"]
 OWN: Semantics = "own"

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sim.traces.load_report import LoadReport, listed
+from sim.traces import LoadReport, listed
 from sim.validation.results import TraceResult
 from sim.validation.stages import Stage
 from sim.validation.trace_run import TraceOutcome

@@ -7,13 +7,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
-from sim.artefacts.formats.find import FoundModel, find_model
-from sim.effects.check import check_sha
-from sim.sha import distributions
-from sim.sha.automaton import SHA, Location, transitions
-from sim.sha.events import Alphabet, alphabet_symbols
-from sim.sha.model import Model, Provenance
-from sim.sha.trace import Trace
+from sim.artefacts.formats import FoundModel, find_model
+from sim.effects import check_sha
+from sim.sha import SHA, Alphabet, Location, Model, Provenance, Trace, alphabet_symbols, distributions, transitions
 from sim.validation.discovery import CrossCheck, Discovery, artefacts_beside, cross_check, discover, own_check
 from sim.validation.semantics import semantics_of, side_by_side
 

@@ -10,14 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from sim.engine.moments import Prediction, moments
-from sim.engine.open_loop import Score, errors, measured, open_loop_schedule, score, start_law
-from sim.engine.schedule import Indices, Policy, schedule
-from sim.engine.simulate import simulate
-from sim.sha import distributions
-from sim.sha.events import encode
-from sim.sha.model import Model
-from sim.sha.trace import Array, Event, Trace
+from sim.engine import (
+    Indices,
+    Policy,
+    Prediction,
+    Score,
+    errors,
+    measured,
+    moments,
+    open_loop_schedule,
+    schedule,
+    score,
+    simulate,
+    start_law,
+)
+from sim.sha import Array, Event, Model, Trace, distributions, encode
 from sim.validation.compatibility import Compatibility, compatibility, dense_events, symbols_of
 from sim.validation.metrics import Band, Covered, error_quantiles, judge_band, mae_interval, rmse_interval
 from sim.validation.results import TraceResult

@@ -1,0 +1,6 @@
+"""The site acceptance report: its data, its page, its paper, and the hashes that seal them."""
+
+from gateway.commission.acceptance.data import gather
+from gateway.commission.acceptance.files import verify, write
+
+__all__ = ["gather", "verify", "write"]

@@ -7,9 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.commission.session.records import CommandRecord, broken_at, read_records, versions
-from gateway.store.audit import ARMED, DISARMED, EXPIRED, read, standing, verify
-from gateway.store.chain import hash_of
+from gateway.commission.session import CommandRecord, broken_at, read_records, versions
+from gateway.store import ARMED, DISARMED, EXPIRED, hash_of, read, standing, verify
 
 FORMAT = 1
 PASSED, OPEN, INCOMPLETE, FAILED = "passed", "passed with open points", "not complete", "failed"

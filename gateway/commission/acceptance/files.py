@@ -14,7 +14,7 @@ from typing import Any
 from gateway.commission.acceptance.blocks import blocks
 from gateway.commission.acceptance.page import page
 from gateway.commission.acceptance.paper import paper
-from gateway.store.chain import hash_of
+from gateway.store import hash_of
 from sim.strict_json import json_text
 
 JSON, HTML, PDF, RECORDS, LIST = "report.json", "report.html", "report.pdf", "records.jsonl", "report.sha256"

@@ -1,1 +1,7 @@
 """Guessing how a value lies in registers from what the HMI shows."""
+
+from gateway.commission.encodings.advice import advise
+from gateway.commission.encodings.reading import ReadingError, ShownNumber, parse_shown
+from gateway.commission.encodings.scoring import EncodingCandidate, Observation, rank
+
+__all__ = ["EncodingCandidate", "Observation", "ReadingError", "ShownNumber", "advise", "parse_shown", "rank"]

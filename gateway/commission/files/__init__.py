@@ -1,0 +1,38 @@
+"""The files that commissioning reads and changes: I/O lists, device files, plant files."""
+
+from gateway.commission.files.cells import ListError, ListSheet, key_of, read_sheet
+from gateway.commission.files.change import Binding, BlockPlace, FileChange, carry_out
+from gateway.commission.files.device_file import ENCODING
+from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit_files, pairs, template
+from gateway.commission.files.io_list import IoList, Reading, read_io_list
+from gateway.commission.files.io_words import COLUMNS, flag_of
+from gateway.commission.files.plan_files import Files, settings_of
+from gateway.commission.files.recording import ScanRecorder, SiteRecording, read_recording
+
+__all__ = [
+    "COLUMNS",
+    "DRY_RUN",
+    "ENCODING",
+    "HEARTBEAT",
+    "KEEP",
+    "Binding",
+    "BlockPlace",
+    "FileChange",
+    "Files",
+    "IoList",
+    "ListError",
+    "ListSheet",
+    "Reading",
+    "ScanRecorder",
+    "SiteRecording",
+    "carry_out",
+    "edit_files",
+    "flag_of",
+    "key_of",
+    "pairs",
+    "read_io_list",
+    "read_recording",
+    "read_sheet",
+    "settings_of",
+    "template",
+]

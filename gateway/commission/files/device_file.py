@@ -12,7 +12,7 @@ from drivers.driver import capabilities
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.toml_edit import put
 from gateway.commission.writeback.fields import described
-from gateway.settings.devices import BLOCK_FIELDS
+from gateway.settings import BLOCK_FIELDS
 
 PLACE_KEYS = (
     *("transport", "host", "port", "timeout", "certificates", "tls_name", "serial", "baud", "parity", "stopbits"),

@@ -8,14 +8,9 @@ from typing import Any
 import click
 
 from gateway.commission.files.plan_files import Files, find_files
-from gateway.commission.session.options import SharedOptions
-from gateway.commission.session.perform import perform
-from gateway.commission.session.records import check_writable
-from gateway.commission.session.site import CommandResult, Site
-from gateway.commission.session.target import Target
-from gateway.console.output import table
-from gateway.console.places import shipped
-from gateway.entry.exits import sentences
+from gateway.commission.session import CommandResult, SharedOptions, Site, Target, check_writable, perform
+from gateway.console import shipped, table
+from gateway.entry import sentences
 
 
 def pairs(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:

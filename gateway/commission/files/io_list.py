@@ -8,7 +8,7 @@ from typing import Any
 
 from gateway.commission.files.cells import ListError, ListRow, ListSheet, key_of, number_of, read_sheet
 from gateway.commission.files.io_words import COLUMNS, FUNCTIONS, KNOWN_TYPES, ORDERS, TABLES, type_of
-from gateway.commission.survey.addresses import AddressTextError, Register, parse_register
+from gateway.commission.survey import AddressTextError, Register, parse_register
 
 _BIT = re.compile(r"(.+?)[.:/](?:bit\s*)?(\d{1,2})")
 _SHORT = re.compile(r"([0134])x0*(\d{1,5})")

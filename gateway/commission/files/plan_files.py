@@ -11,9 +11,8 @@ from drivers.driver import DRIVERS, capabilities
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.device_file import PLACE_KEYS, set_device, starter
 from gateway.commission.files.toml_edit import Edit, commit, edited, put
-from gateway.commission.session.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
-from gateway.settings.config import load_config
-from gateway.settings.devices import load_device
+from gateway.commission.session import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
+from gateway.settings import load_config, load_device
 
 _PLANT = """\
 # The gateway's configuration. Relative paths are relative to this file. `decanter check` says what is wrong with it.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from drivers.tag import Sample, Tag
 from gateway.commission.files.cells import ListError
-from gateway.store.history import to_trace
+from gateway.store import to_trace
 
 _SQLITE = b"SQLite format 3\0"
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}

@@ -1,0 +1,55 @@
+"""What all commissioning commands share: device, evidence, steps, records, the way through a running gateway."""
+
+from gateway.commission.session.audit_log import at, audit_option, audit_path, questions
+from gateway.commission.session.gateway_line import mention_gateway, read_through, running_for, running_gateway
+from gateway.commission.session.options import SharedOptions, link_options, record_options
+from gateway.commission.session.perform import login, perform
+from gateway.commission.session.records import (
+    CommandRecord,
+    RecordsError,
+    broken_at,
+    check_writable,
+    read_records,
+    versions,
+)
+from gateway.commission.session.site import CommandResult, Site, device_of, period_of, words_of
+from gateway.commission.session.steps import CheckStep, failed, ok, show_steps, verdict, warning
+from gateway.commission.session.target import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
+
+__all__ = [
+    "CONNECT_S",
+    "DEFAULT_DRIVER",
+    "CheckStep",
+    "CommandRecord",
+    "CommandResult",
+    "RecordsError",
+    "SharedOptions",
+    "Site",
+    "Target",
+    "TargetError",
+    "at",
+    "audit_option",
+    "audit_path",
+    "broken_at",
+    "check_writable",
+    "device_of",
+    "failed",
+    "link_options",
+    "login",
+    "make_target",
+    "mention_gateway",
+    "ok",
+    "perform",
+    "period_of",
+    "questions",
+    "read_records",
+    "read_through",
+    "record_options",
+    "running_for",
+    "running_gateway",
+    "show_steps",
+    "verdict",
+    "versions",
+    "warning",
+    "words_of",
+]

@@ -9,7 +9,7 @@ import click
 
 from gateway.commission.session.options import SharedOptions
 from gateway.commission.session.target import Target
-from gateway.settings.config import load_config
+from gateway.settings import load_config
 
 AUDIT = "audit.sqlite"
 

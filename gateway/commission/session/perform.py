@@ -18,7 +18,7 @@ from gateway.commission.session.options import SharedOptions
 from gateway.commission.session.records import CommandRecord, append, check_writable, file_hashes, versions
 from gateway.commission.session.site import CommandResult, Site
 from gateway.commission.session.target import Target, make_target
-from gateway.entry.exits import Exit, exit_code, fail, sentence, sentences
+from gateway.entry import Exit, exit_code, fail, sentence, sentences
 from sim.strict_json import json_text
 
 Work = Callable[[Site], Awaitable[CommandResult]]

@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from gateway.store.chain import first_break, hash_of
+from gateway.store import first_break, hash_of
 from sim.strict_json import json_text
 
 LIBRARIES = ("decanter-gateway", "pymodbus", "python-can", "canopen", "cantools", "pyserial")

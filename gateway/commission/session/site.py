@@ -7,7 +7,7 @@ from typing import Any
 from drivers.tag import Tag
 from gateway.commission.session.evidence import Exchanges, FrameEvidence
 from gateway.commission.session.target import Target
-from gateway.settings.devices import DeviceMap
+from gateway.settings import DeviceMap
 
 
 @dataclass(slots=True)

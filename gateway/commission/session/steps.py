@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from gateway.entry.exits import Exit, exit_code
+from gateway.entry import Exit, exit_code
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,7 @@ from drivers.capabilities import Capabilities
 from drivers.driver import LINKS, Driver, capabilities, link_of, open_driver
 from drivers.tag import Tag
 from drivers.tap import Medium
-from gateway.settings.config import Config, load_config
-from gateway.settings.devices import DeviceMap, load_device
-from gateway.settings.links import DeviceLink
+from gateway.settings import Config, DeviceLink, DeviceMap, load_config, load_device
 
 OPTION_OF: dict[str, str] = {"certificates": "--tls"}
 """Where a setting is given by an option of another name."""

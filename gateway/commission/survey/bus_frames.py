@@ -7,13 +7,12 @@ from pathlib import Path
 from statistics import mean, pstdev
 from typing import Any
 
-from drivers.can.bus.load import frame_bits
-from drivers.can.dbc import Dbc
-from drivers.can.fields import frame_key, frame_name
+from drivers.can import Dbc, frame_key, frame_name
+from drivers.can.bus import frame_bits
 from drivers.errors import ReplyTimeout
 from drivers.survey import BusFrame, open_bus_survey
-from gateway.commission.session.site import CommandResult, Site
-from gateway.entry.exits import exit_code
+from gateway.commission.session import CommandResult, Site
+from gateway.entry import exit_code
 
 _CANOPEN: tuple[tuple[int, str], ...] = (
     (0x080, "EMCY of node {node}"),

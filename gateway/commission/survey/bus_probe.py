@@ -5,8 +5,7 @@ from typing import Any
 
 from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.survey import BusFrame, ListensToBus, open_bus_survey
-from gateway.commission.session.site import Site
-from gateway.commission.session.steps import CheckStep, failed, ok, warning
+from gateway.commission.session import CheckStep, Site, failed, ok, warning
 
 LISTEN_S = 1.5
 SDO_S = 0.3

@@ -9,12 +9,10 @@ from typing import Any
 
 from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, open_registers
-from gateway.commission.session.gateway_line import mention_gateway
-from gateway.commission.session.site import CommandResult, Site
-from gateway.commission.session.target import Target
+from gateway.commission.session import CommandResult, Site, Target, mention_gateway
 from gateway.commission.survey.addresses import Register, parse_register
 from gateway.commission.survey.register_map import ReadableMap, Stretch, search
-from gateway.entry.exits import Exit
+from gateway.entry import Exit
 
 Progress = Callable[[str, float], None]
 MOST_REGISTERS, MOST_BITS = 125, 2000

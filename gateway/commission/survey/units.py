@@ -7,12 +7,11 @@ from typing import Any
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters, ListensToBus, open_bus_survey, open_registers
-from gateway.commission.session.gateway_line import mention_gateway
-from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session import CommandResult, Site, mention_gateway
 from gateway.commission.survey.addresses import Register
 from gateway.commission.survey.bus_probe import HEARTBEAT, STATES, identity_of
 from gateway.commission.survey.registers import first_register
-from gateway.entry.exits import Exit
+from gateway.entry import Exit
 
 Progress = Callable[[str, float], None]
 UNIT_S = 0.25

@@ -8,14 +8,21 @@ from typing import Any
 import click
 
 from drivers.errors import DriverError
-from gateway.commission.session.audit_log import at, audit_option, audit_path
-from gateway.commission.session.gateway_line import running_gateway
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import login, perform
-from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session import (
+    CommandResult,
+    SharedOptions,
+    Site,
+    at,
+    audit_option,
+    audit_path,
+    link_options,
+    login,
+    perform,
+    running_gateway,
+)
 from gateway.commission.writeback.block_writer import gateway_runs, layout_of, open_block_writer
-from gateway.machine.writing.arming import ArmingError, arm_in_log, disarm_in_log, signed
-from gateway.store.audit import head
+from gateway.machine.writing import ArmingError, arm_in_log, disarm_in_log, signed
+from gateway.store import head
 
 
 async def start_arming(site: Site, audit_path: Path, by: str, reason: str, minutes: float) -> CommandResult:

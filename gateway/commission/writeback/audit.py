@@ -7,11 +7,10 @@ from typing import Any
 
 import click
 
-from gateway.commission.session.audit_log import at, audit_option, audit_path
-from gateway.commission.session.options import SharedOptions, record_options
-from gateway.console.output import emit, table
-from gateway.entry.exits import Exit, fail, sentences
-from gateway.store.audit import read, verify
+from gateway.commission.session import SharedOptions, at, audit_option, audit_path, record_options
+from gateway.console import emit, table
+from gateway.entry import Exit, fail, sentences
+from gateway.store import read, verify
 
 
 @click.command(short_help="Show and verify the audit log.")

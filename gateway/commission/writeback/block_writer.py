@@ -14,16 +14,12 @@ import click
 from drivers.driver import Driver, Writes, capabilities
 from drivers.errors import DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Sample
-from gateway.commission.session.audit_log import audit_path, questions
-from gateway.commission.session.options import SharedOptions
-from gateway.commission.session.site import CommandResult, Site
+from gateway.commission.session import CommandResult, SharedOptions, Site, audit_path, questions
 from gateway.commission.writeback.suite import Account, Unable
-from gateway.console.output import progress
-from gateway.machine.writing.arming import arming_of
-from gateway.machine.writing.block import Validity, build, next_heartbeat
-from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
-from gateway.settings.devices import DeviceMap, WritebackLayout
-from gateway.store.audit import Audit, AuditEntry, open_audit, standing
+from gateway.console import progress
+from gateway.machine.writing import FAILED, REFUSED, WRITE, Arming, Validity, arming_of, build, next_heartbeat
+from gateway.settings import DeviceMap, WritebackLayout
+from gateway.store import Audit, AuditEntry, open_audit, standing
 
 SETTLE_S = 3.0
 """The longest wait for the PLC's program to have looked at what was written."""

@@ -7,10 +7,9 @@ import click
 
 from gateway.commission.writeback.structured_text import Program, generate, refusal_codes
 from gateway.commission.writeback.vectors import plain, vectors
-from gateway.console.output import emit
-from gateway.console.places import config_dir
-from gateway.entry.exits import sentences
-from gateway.settings.devices import load_device
+from gateway.console import config_dir, emit
+from gateway.entry import sentences
+from gateway.settings import load_device
 
 
 @click.command(short_help="Generate the PLC's side of the write-back as Structured Text.")

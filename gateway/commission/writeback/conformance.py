@@ -7,15 +7,12 @@ from typing import Any
 
 import click
 
-from gateway.commission.session.audit_log import audit_option
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.site import CommandResult
+from gateway.commission.session import CommandResult, SharedOptions, audit_option, link_options, perform
 from gateway.commission.writeback.block_writer import ASK, BlockWriter, with_block_writer
 from gateway.commission.writeback.structured_text import refusal_codes
 from gateway.commission.writeback.suite import put_through
 from gateway.commission.writeback.vectors import SuiteStep, vectors
-from gateway.console.output import table
+from gateway.console import table
 
 
 async def conform(

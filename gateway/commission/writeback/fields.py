@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 from drivers.device_file import BlockField
-from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE
-from gateway.settings.devices import WritebackLayout
+from gateway.machine.writing import NO_NUMBER, NO_TEMPERATURE
+from gateway.settings import WritebackLayout
 
 MEANINGS: Mapping[str, tuple[str, str]] = {
     "layout_version": ("", "the layout of this block"),

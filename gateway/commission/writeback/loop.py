@@ -11,16 +11,13 @@ from typing import Any
 import click
 
 from drivers.errors import WriteUnverified
-from gateway.commission.session.audit_log import audit_option
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.site import CommandResult
+from gateway.commission.session import CommandResult, SharedOptions, audit_option, link_options, perform
 from gateway.commission.writeback.block_writer import ASK, NOTHING, SETTLE_S, BlockWriter, with_block_writer
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS
 from gateway.commission.writeback.structured_text import refusal_codes
 from gateway.commission.writeback.suite import Account
-from gateway.console.output import table
-from gateway.machine.writing.block import Validity
+from gateway.console import table
+from gateway.machine.writing import Validity
 
 Progress = Callable[[str, float], None]
 BLOCKS = 5

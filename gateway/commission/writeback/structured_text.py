@@ -15,7 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from drivers.device_file import BlockField
 from drivers.tag import DType, Order, Tag
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, FRAME, described, unknown_word
-from gateway.settings.devices import DeviceMap, WritebackLayout
+from gateway.settings import DeviceMap, WritebackLayout
 
 REFUSALS: Mapping[str, int] = {
     "none": 0,

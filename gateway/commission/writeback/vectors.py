@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass
 from random import Random
 from typing import Any
 
-from gateway.machine.writing.block import Validity, build, crc
-from gateway.settings.devices import WritebackLayout
+from gateway.machine.writing import Validity, build, crc
+from gateway.settings import WritebackLayout
 
 FORMAT = 1
 FLIPS = 24

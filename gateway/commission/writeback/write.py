@@ -9,17 +9,22 @@ import click
 
 from drivers.driver import Writes
 from drivers.errors import DriverError
-from gateway.commission.session.audit_log import at, audit_option, audit_path
-from gateway.commission.session.options import SharedOptions, link_options
-from gateway.commission.session.perform import perform
-from gateway.commission.session.site import CommandResult, Site
-from gateway.commission.survey.addresses import reference_of
+from gateway.commission.session import (
+    CommandResult,
+    SharedOptions,
+    Site,
+    at,
+    audit_option,
+    audit_path,
+    link_options,
+    perform,
+)
+from gateway.commission.survey import reference_of
 from gateway.commission.writeback.block_writer import ACCOUNT_TAGS, layout_of
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
-from gateway.console.output import table
-from gateway.settings.config import LEAST_BLOCKS
-from gateway.settings.devices import DeviceMap, WritebackLayout
-from gateway.store.audit import standing
+from gateway.console import table
+from gateway.settings import LEAST_BLOCKS, DeviceMap, WritebackLayout
+from gateway.store import standing
 
 LEAST_BLOCKS_IN_TIMER = 3.0
 """So many blocks have to fit in the PLC's timer, so that one that is lost does not make it run out."""

@@ -10,11 +10,9 @@ import click
 
 from drivers.driver import Recorded, open_recording
 from drivers.tag import Sample, Tag
-from gateway.console.options import json_option
-from gateway.console.output import emit, make_folder, progress, table
-from gateway.console.places import shipped
-from gateway.entry.exits import sentences
-from gateway.settings.devices import load_device
+from gateway.console import emit, json_option, make_folder, progress, shipped, table
+from gateway.entry import sentences
+from gateway.settings import load_device
 
 COLUMNS = ("time_s", "signal", "value", "quality")
 _MOST_IDENTIFIERS = 60

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 
 import click
 
-from gateway.console.places import shipped
-from sim.sha.trace import Trace
-from sim.traces.column_map import ColumnMap, load_map
-from sim.traces.traces import load_traces
+from gateway.console import shipped
+from sim.sha import Trace
+from sim.traces import ColumnMap, load_map, load_traces
 
 
 def load(paths: Sequence[str], map_name: str) -> tuple[list[Trace], ColumnMap]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from sim.validation.plots import ENDINGS
+from sim.validation import ENDINGS
 
 
 def _drawable(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:

@@ -6,16 +6,13 @@ from pathlib import Path
 import click
 import numpy as np
 
-from gateway.console.options import json_option, map_option
-from gateway.console.output import emit
-from gateway.console.places import shipped
-from gateway.entry.exits import sentences
+from gateway.console import emit, json_option, map_option, shipped
+from gateway.entry import sentences
 from gateway.lab.traces.picture import picture_option
 from gateway.lab.traces.summary import show_summaries, summary_of
-from sim.sha.trace import Trace
-from sim.traces.column_map import load_map
-from sim.traces.traces import load_traces
-from sim.validation.plots import Curve, Picture, draw
+from sim.sha import Trace
+from sim.traces import load_map, load_traces
+from sim.validation import Curve, Picture, draw
 
 
 @click.command(short_help="Load traces; say what was used, what was refused and why.")

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from gateway.console.output import table
-from sim.sha.trace import Trace
+from gateway.console import table
+from sim.sha import Trace
 
 
 def summary_of(made: Trace, file: Path | None) -> dict[str, Any]:

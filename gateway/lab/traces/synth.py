@@ -6,13 +6,12 @@ from pathlib import Path
 
 import click
 
-from gateway.console.options import json_option, seed_option
-from gateway.console.output import emit, make_folder, progress
-from gateway.entry.exits import sentences
+from gateway.console import emit, json_option, make_folder, progress, seed_option
+from gateway.entry import sentences
 from gateway.lab.traces.summary import show_summaries, summary_of
-from sim.plant.scenarios import SCENARIOS, production, scenario
-from sim.sha.events import DECANTER, encode
-from sim.traces.trace_file import write_trace
+from sim.plant import SCENARIOS, production, scenario
+from sim.sha import DECANTER, encode
+from sim.traces import write_trace
 
 
 @click.command(short_help="Write SYNTHETIC traces as CSV.")

@@ -14,8 +14,8 @@ from gateway.machine.alarms.states import (
     to_plain,
     word,
 )
-from gateway.machine.reading.scan import Scan
-from gateway.store.historian import Historian, saved_state
+from gateway.machine.reading import Scan
+from gateway.store import Historian, saved_state
 
 
 class AlarmBoard:

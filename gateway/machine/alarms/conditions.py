@@ -3,8 +3,8 @@
 from shlex import join
 
 from gateway.machine.alarms.states import AlarmCondition
-from gateway.machine.reading.quality import STALE_PERIODS
-from gateway.settings.config import Config
+from gateway.machine.reading import STALE_PERIODS
+from gateway.settings import Config
 
 DEVICE = "device"
 """The alarm for what the device itself says is wrong with it."""

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from gateway.machine.model.predict import Z90, ScanPrediction
-from sim.sha.events import Switch
-from sim.sha.model import Model
+from sim.sha import Model, Switch
 
 LEAST = 20
 """Readings below which a cycle says nothing."""

@@ -12,18 +12,28 @@ from typing import Any
 import numpy as np
 
 from gateway.machine.model.predict import Predictor
-from gateway.machine.reading.scan import Scan
-from gateway.settings.config import EnsembleSection, ForecastSection
-from sim.engine.belief import Belief
-from sim.engine.tracker import Tracker
-from sim.forecast.calibration import Calibration, calibrate, factors
-from sim.forecast.calibration import issue as issue_bands
-from sim.forecast.calibration import settle as settle_bands
-from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue_pool, mixture, settle_pool, thinned, weights
-from sim.forecast.forecast import LEVELS, Forecast, forecast
-from sim.sha.events import Switch
-from sim.sha.model import Model
-from sim.sha.trace import Array
+from gateway.machine.reading import Scan
+from gateway.settings import EnsembleSection, ForecastSection
+from sim.engine import Belief, Tracker
+from sim.forecast import (
+    DENSE,
+    LEVELS,
+    Calibration,
+    Forecast,
+    Pool,
+    PoolEvidence,
+    calibrate,
+    factors,
+    forecast,
+    issue_pool,
+    mixture,
+    settle_pool,
+    thinned,
+    weights,
+)
+from sim.forecast import issue as issue_bands
+from sim.forecast import settle as settle_bands
+from sim.sha import Array, Model, Switch
 
 FAULTS = (ValueError, ArithmeticError, LookupError)
 """What following a model may raise that concerns this model alone; anything else is a defect of the program."""

@@ -6,10 +6,8 @@ from typing import Any
 
 from gateway.machine.model.drift import CycleDrift, follow_cycle, restored, rule_of
 from gateway.machine.model.predict import Z90, Predictor, ScanPrediction
-from sim.forecast.calibration import Calibration
-from sim.forecast.forecast import Forecast
-from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, share
-from sim.sha.model import Model
+from sim.forecast import FORECASTS, ONE_STEP, Calibration, Forecast, Review, follow, follow_forecasts, share
+from sim.sha import Model
 
 INNOVATIONS, DRIFT = "one step", "drift"
 

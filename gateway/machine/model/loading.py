@@ -5,11 +5,10 @@ from pathlib import Path
 
 from drivers.settings import ConfigError
 from gateway.machine.model.predict import Predictor
-from gateway.settings.config import Config
-from sim.artefacts.model_json import model_hash
-from sim.artefacts.store import current, forced, is_store, load, read_model
-from sim.checking.proof.verify import verify
-from sim.sha.model import Model
+from gateway.settings import Config
+from sim.artefacts import current, forced, is_store, load, model_hash, read_model
+from sim.checking.proof import verify
+from sim.sha import Model
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,9 @@ import numpy as np
 
 from gateway.machine.model.ensemble import Ensemble, ForecastJob, MixedForecast, bands, foresee, run_job
 from gateway.machine.model.predict import Predictor
-from gateway.machine.reading.scan import Scan
-from gateway.settings.config import ForecastSection
-from sim.forecast.calibration import Calibration, Horizon, PendingForecast, factors, issue, settle
-from sim.forecast.ensemble import thinned
-from sim.forecast.forecast import LEVELS, Forecast
+from gateway.machine.reading import Scan
+from gateway.settings import ForecastSection
+from sim.forecast import LEVELS, Calibration, Forecast, Horizon, PendingForecast, factors, issue, settle, thinned
 
 FRESH_PERIODS = 3.0
 """A forecast older than three of its periods is not used any more."""

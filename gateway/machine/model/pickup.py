@@ -17,9 +17,9 @@ from drivers.settings import ConfigError
 from gateway.machine.model.ensemble import FAULTS
 from gateway.machine.model.loading import LoadedModel, load_model
 from gateway.machine.model.predict import Predictor
-from gateway.machine.reading.scan import Scan
-from gateway.settings.config import Config
-from sim.artefacts.store import current, promotion
+from gateway.machine.reading import Scan
+from gateway.settings import Config
+from sim.artefacts import current, promotion
 from sim.files import ArtefactError
 
 POLL_SECONDS = 2.0

@@ -6,22 +6,20 @@ from math import sqrt
 from typing import Any, Literal
 
 from drivers.tag import Quality
-from gateway.machine.reading.scan import Scan
-from sim.engine.belief import (
+from gateway.machine.reading import Scan
+from sim.engine import (
     Belief,
     advance,
     anomaly,
     belief_of,
+    compile_model,
     observe,
     on_event,
     restarted,
     start,
     with_inputs,
 )
-from sim.engine.tracker import compile_model
-from sim.sha.events import Encoder, EncoderState, Switch
-from sim.sha.model import Model
-from sim.sha.trace import UNKNOWN, Event
+from sim.sha import UNKNOWN, Encoder, EncoderState, Event, Model, Switch
 
 Z90 = 1.6448536269514722
 """Half the width of a 90 % band in standard deviations."""

@@ -10,10 +10,10 @@ from gateway.machine.model.loading import LoadedModel
 from gateway.machine.model.outlook import FinishedForecast, Outlook, block_values
 from gateway.machine.model.pickup import Pickup, ReadyModel
 from gateway.machine.model.predict import Predictor, ScanPrediction
-from gateway.machine.reading.scan import Scan
-from gateway.settings.config import Config
-from gateway.store.historian import Historian, saved_state
-from sim.forecast.forecast import Forecast
+from gateway.machine.reading import Scan
+from gateway.settings import Config
+from gateway.store import Historian, saved_state
+from sim.forecast import Forecast
 
 
 class ModelUnit:

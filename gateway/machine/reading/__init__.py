@@ -1,1 +1,22 @@
 """How readings come in and what each is worth: the clock, the scan, several links, quality."""
+
+from gateway.machine.reading.clock import Clock, PlantClock, plant_clock
+from gateway.machine.reading.link_health import LinkHealth
+from gateway.machine.reading.quality import STALE_PERIODS, QualityRules
+from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath, SwitchOver
+from gateway.machine.reading.scan import Scan, scans
+
+__all__ = [
+    "STALE_PERIODS",
+    "Clock",
+    "LinkHealth",
+    "PlantClock",
+    "QualityRules",
+    "RedundancyRules",
+    "Redundant",
+    "RedundantPath",
+    "Scan",
+    "SwitchOver",
+    "plant_clock",
+    "scans",
+]

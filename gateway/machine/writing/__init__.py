@@ -1,1 +1,25 @@
 """What is written back to the PLC: the block, who may write it and when."""
+
+from gateway.machine.writing.arming import ArmingError, arm_in_log, arming_of, disarm_in_log, signed
+from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE, Validity, build, crc, next_heartbeat
+from gateway.machine.writing.block_stage import BlockStage
+from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
+
+__all__ = [
+    "FAILED",
+    "NO_NUMBER",
+    "NO_TEMPERATURE",
+    "REFUSED",
+    "WRITE",
+    "Arming",
+    "ArmingError",
+    "BlockStage",
+    "Validity",
+    "arm_in_log",
+    "arming_of",
+    "build",
+    "crc",
+    "disarm_in_log",
+    "next_heartbeat",
+    "signed",
+]

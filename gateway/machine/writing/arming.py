@@ -8,12 +8,21 @@ from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Driver, Writes
 from drivers.settings import ConfigError
-from gateway.machine.reading.clock import Clock
+from gateway.machine.reading import Clock
 from gateway.machine.writing.writeback import Arming, Pace, Writer
-from gateway.settings.config import MAX_ARMED_MINUTES, Config
-from gateway.settings.devices import WritebackLayout
-from gateway.store.audit import ARMED, DISARMED, Audit, AuditEntry, AuditRow, last_arming, open_audit, standing
-from gateway.store.historian import Historian, saved_state
+from gateway.settings import MAX_ARMED_MINUTES, Config, WritebackLayout
+from gateway.store import (
+    ARMED,
+    DISARMED,
+    Audit,
+    AuditEntry,
+    AuditRow,
+    Historian,
+    last_arming,
+    open_audit,
+    saved_state,
+    standing,
+)
 
 LONGEST = 200
 

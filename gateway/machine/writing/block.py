@@ -8,7 +8,7 @@ from math import isfinite
 from struct import pack
 
 from drivers.device_file import BlockField
-from gateway.settings.devices import WritebackLayout
+from gateway.settings import WritebackLayout
 
 NO_TEMPERATURE = 0x8000
 """The int16 word of a number that is not known (-32768): no real number saturates to it."""

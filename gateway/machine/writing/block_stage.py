@@ -7,18 +7,14 @@ from struct import pack
 from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Driver
-from gateway.machine.model.outlook import block_values
-from gateway.machine.model.predict import ZONES, ScanPrediction
-from gateway.machine.reading.clock import Clock
-from gateway.machine.reading.scan import Scan
+from gateway.machine.model import ZONES, ScanPrediction, block_values
+from gateway.machine.reading import Clock, Scan
 from gateway.machine.writing.arming import ArmingError, arm, open_writer
 from gateway.machine.writing.block import Validity, validity
 from gateway.machine.writing.writeback import Arming, Attempt
-from gateway.settings.config import Config
-from gateway.settings.devices import WritebackLayout
-from gateway.store.audit import open_audit
-from gateway.store.historian import Historian
-from sim.forecast.forecast import Forecast
+from gateway.settings import Config, WritebackLayout
+from gateway.store import Historian, open_audit
+from sim.forecast import Forecast
 
 LATENCIES = 10_000
 

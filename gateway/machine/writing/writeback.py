@@ -11,11 +11,10 @@ from typing import Any, Literal
 
 from drivers.driver import Writes
 from drivers.errors import DriverError
-from gateway.machine.reading.clock import Clock
-from gateway.machine.reading.scan import Scan
+from gateway.machine.reading import Clock, Scan
 from gateway.machine.writing.block import Validity, WritebackBlock, build, next_heartbeat
-from gateway.settings.devices import WritebackLayout
-from gateway.store.audit import DISARMED, EXPIRED, Audit, AuditEntry
+from gateway.settings import WritebackLayout
+from gateway.store import DISARMED, EXPIRED, Audit, AuditEntry
 
 Mode = Literal["off", "shadow", "armed"]
 Verdict = Literal["shadow", "written", "failed", "not permitted", "held back"]

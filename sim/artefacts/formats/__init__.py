@@ -1,0 +1,24 @@
+"""A model's other forms: the public learner's files, found, read, converted, written."""
+
+from sim.artefacts.formats.bundle import SUFFIXES, Artefacts, file_names, read_artefacts, write_artefacts
+from sim.artefacts.formats.find import FoundModel, artefact_base, find_model
+from sim.artefacts.formats.from_model import to_artefacts
+from sim.artefacts.formats.histogram import PRINTED, evidence, fit
+from sim.artefacts.formats.write_model import save, write_model_directory
+
+__all__ = [
+    "PRINTED",
+    "SUFFIXES",
+    "Artefacts",
+    "FoundModel",
+    "artefact_base",
+    "evidence",
+    "file_names",
+    "find_model",
+    "fit",
+    "read_artefacts",
+    "save",
+    "to_artefacts",
+    "write_artefacts",
+    "write_model_directory",
+]

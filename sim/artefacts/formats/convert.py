@@ -25,10 +25,9 @@ from sim.artefacts.formats.flow_file import FlowFile
 from sim.artefacts.formats.flow_kinds import flow_of, same_equation
 from sim.artefacts.formats.histogram import evidence, fit
 from sim.artefacts.formats.report import EFFECT, ReportedLaw, ReportedLocation
-from sim.effects.check import check_sha
+from sim.effects import check_sha
 from sim.files import ArtefactError
-from sim.sha.automaton import SHA, Distribution, Entry, Flow, Input, Location, nondeterminism
-from sim.sha.flows import FIXED, FLOWS, RELAXING
+from sim.sha import FIXED, FLOWS, RELAXING, SHA, Distribution, Entry, Flow, Input, Location, nondeterminism
 
 Parameter = Literal["rate", "target"]
 STILL = Flow("constant", {"noise": 0.0})

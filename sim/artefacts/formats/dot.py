@@ -19,7 +19,7 @@ from lark import Lark, Token, Tree
 
 from sim.artefacts.formats.grammar import parse_text, subtrees, trees
 from sim.files import ArtefactError, at, read_text
-from sim.sha.automaton import Edge
+from sim.sha import Edge
 
 INIT = "__init__"
 NAME_COLOUR, MODE_COLOUR, SYMBOL_COLOUR, GUARD_COLOUR = "black", "#ad0c00", "#0067b0", "#008c05"

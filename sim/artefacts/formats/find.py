@@ -3,14 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from sim.artefacts import MODEL_FILE, STORE_FILE, load, read_model
 from sim.artefacts.formats.bundle import SUFFIXES, Artefacts, read_artefacts
 from sim.artefacts.formats.convert import Parameter, structure, to_sha
-from sim.artefacts.model_directory import MODEL_FILE
-from sim.artefacts.store import STORE_FILE, load, read_model
 from sim.files import ArtefactError, at
-from sim.sha.automaton import SHA
-from sim.sha.events import Alphabet
-from sim.sha.model import Model, Provenance
+from sim.sha import SHA, Alphabet, Model, Provenance
 
 SOURCE = SUFFIXES["source"]
 OPTIONAL = ("report", "histogram", "flows")

@@ -6,8 +6,7 @@ from fractions import Fraction
 from sim.artefacts.formats.flow_file import FUNCTIONS, Equation, parse_equation
 from sim.artefacts.formats.polynomial import Monomial, Polynomial, scale, term_text
 from sim.files import ArtefactError
-from sim.sha.automaton import Flow, Input
-from sim.sha.flows import FLOWS
+from sim.sha import FLOWS, Flow, Input
 
 PARAMETER, AGE = "m", "u"
 LIBRARY = f"the flow library has {', '.join(FLOWS)}"

@@ -18,14 +18,10 @@ from sim.artefacts.formats.report import (
     ReportRow,
     Table,
 )
-from sim.effects.kinds import effect_summary
+from sim.effects import effect_summary
 from sim.files import ArtefactError
-from sim.learning.lsha.hypothesis import ObservationTable, TableRow
-from sim.sha import distributions
-from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
-from sim.sha.events import Alphabet, Bins
-from sim.sha.flows import FIXED
-from sim.sha.model import Model
+from sim.learning.lsha import ObservationTable, TableRow
+from sim.sha import FIXED, SHA, Alphabet, Bins, Distribution, Edge, Flow, Location, Model, distributions
 
 RawValues = Mapping[str, Sequence[float]]
 """The parameter values that the learner saw, by location."""

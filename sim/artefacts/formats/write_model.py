@@ -10,14 +10,25 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from sim.artefacts import (
+    MANIFEST,
+    MODEL_FILE,
+    STORE_FILE,
+    VERSIONS,
+    check_store,
+    listed,
+    locked,
+    model_hash,
+    model_text,
+    number_of,
+    sha256,
+    versions,
+)
 from sim.artefacts.formats.bundle import texts
 from sim.artefacts.formats.from_model import RawValues, to_artefacts
-from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
-from sim.artefacts.model_json import model_hash, model_text
-from sim.artefacts.store import STORE_FILE, VERSIONS, check_store, locked, number_of, versions
 from sim.files import at, refused, replace_durably, sync_directory, write_durably
-from sim.learning.lsha.hypothesis import ObservationTable
-from sim.sha.model import Model
+from sim.learning.lsha import ObservationTable
+from sim.sha import Model
 
 STORE_TEXT = json.dumps({"format": "decanter-model-store", "version": 1}) + "\n"
 

@@ -16,10 +16,9 @@ from typing import Literal, cast
 from lark import Token, Tree
 
 from sim.checking.language.grammar import QueryError, at, shown, syntax
+from sim.checking.query import PROCESS, QUANTITIES, QuantityKind, identifiers
 from sim.checking.query import tree as q
-from sim.checking.query.names import PROCESS, QUANTITIES, QuantityKind, identifiers
-from sim.sha.automaton import SHA
-from sim.sha.model import Model
+from sim.sha import SHA, Model
 
 __all__ = ["QueryError", "parse_query"]
 

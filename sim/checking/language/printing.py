@@ -2,10 +2,9 @@
 
 from collections.abc import Mapping
 
+from sim.checking.query import PROCESS, QUANTITIES, identifiers
 from sim.checking.query import tree as q
-from sim.checking.query.names import PROCESS, QUANTITIES, identifiers
-from sim.sha.automaton import SHA
-from sim.sha.model import Model
+from sim.sha import SHA, Model
 
 LARGEST_BOUND = 2**31 - 1
 """Seconds: UPPAAL's time bounds are 32-bit integers."""

@@ -1,0 +1,22 @@
+"""What is certain of a model: structure, bounds of its temperature, words that show what is wrong."""
+
+from sim.checking.proof.envelope import DAY, Assumptions, Sojourn
+from sim.checking.proof.symbolic import decide
+from sim.checking.proof.verify import Check, Verification, verify
+from sim.checking.proof.word import TimedWord, parse_word, word_text
+from sim.checking.proof.word_replay import WordReplay, replay
+
+__all__ = [
+    "DAY",
+    "Assumptions",
+    "Check",
+    "Sojourn",
+    "TimedWord",
+    "Verification",
+    "WordReplay",
+    "decide",
+    "parse_word",
+    "replay",
+    "verify",
+    "word_text",
+]

@@ -13,14 +13,8 @@ from sim.checking.proof.reach import Bound, Graph, Side, climb, intervals, make_
 from sim.checking.proof.structure import moves
 from sim.checking.proof.word import TimedWord, parse_word, word_text
 from sim.checking.proof.word_replay import offset_range, replay
-from sim.effects.correction import in_sensor_scale
-from sim.effects.kinds import dead_time, of_feature
-from sim.sha.automaton import Location
-from sim.sha.distributions import mean
-from sim.sha.entry import drawn_temperature, mode_parameter
-from sim.sha.events import alphabet_symbols
-from sim.sha.flows import RELAXING
-from sim.sha.model import Model
+from sim.effects import dead_time, in_sensor_scale, of_feature
+from sim.sha import RELAXING, Location, Model, alphabet_symbols, drawn_temperature, mean, mode_parameter
 
 Verdict = Literal["proven", "refuted", "not decided"]
 

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from sim.checking.proof.envelope import DAY, Envelope
 from sim.checking.proof.reach import Graph, Side, best_moves
 from sim.checking.proof.word import TimedWord, WordStep
-from sim.effects.kinds import growing_from, offset_times
-from sim.sha.flows import RELAXING
-from sim.sha.model import Model
+from sim.effects import growing_from, offset_times
+from sim.sha import RELAXING, Model
 
 MOST_STAYS = 5_000
 """Stays of a counterexample at most."""

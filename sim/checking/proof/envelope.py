@@ -12,14 +12,21 @@ from scipy.special import log_ndtr
 from sim.checking.proof.drift import DriftBound
 from sim.checking.proof.forcing import Forcing, drift_of, forcing_of
 from sim.checking.proof.structure import Move
-from sim.effects.kinds import dead_time, signals_of
-from sim.engine.schedule import Policy
-from sim.sha.automaton import Distribution, Flow, Location
-from sim.sha.distributions import LAWS
-from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
-from sim.sha.events import Bins, Switch
-from sim.sha.model import Model
-from sim.sha.trace import UNKNOWN
+from sim.effects import dead_time, signals_of
+from sim.engine import Policy
+from sim.sha import (
+    LAWS,
+    UNKNOWN,
+    Bins,
+    Distribution,
+    Flow,
+    Location,
+    Model,
+    Switch,
+    drawn_parameter,
+    drawn_temperature,
+    mode_parameter,
+)
 
 Range = tuple[float, float]
 Sojourn = Literal["any", "law"] | Range

@@ -11,12 +11,20 @@ from itertools import pairwise
 import numpy as np
 
 from sim.checking.proof.drift import DriftBound, Pair, added
-from sim.effects.kind import EffectRefusal, Feature, HeatBound, LossBound, Structural, VaryingBound, unknown
-from sim.effects.kinds import acts_in, kind_of, parameter
-from sim.engine.terms import held
-from sim.sha.automaton import SHA, Effect, Flow, Location
-from sim.sha.flows import RELAXING
-from sim.sha.trace import Array
+from sim.effects import (
+    EffectRefusal,
+    Feature,
+    HeatBound,
+    LossBound,
+    Structural,
+    VaryingBound,
+    acts_in,
+    kind_of,
+    parameter,
+    unknown,
+)
+from sim.engine import held
+from sim.sha import RELAXING, SHA, Array, Effect, Flow, Location
 
 Range = tuple[float, float]
 Reader = Callable[[Array], Array]

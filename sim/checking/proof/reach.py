@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from sim.checking.proof.drift import DriftBound
 from sim.checking.proof.envelope import Envelope, Range
 from sim.checking.proof.structure import Move
-from sim.sha.flows import RELAXING, mean_step
-from sim.sha.trace import Array
+from sim.sha import RELAXING, Array, mean_step
 
 Indices = NDArray[np.intp]
 

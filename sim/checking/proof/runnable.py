@@ -4,13 +4,18 @@ from collections.abc import Iterator
 from math import isfinite
 
 from sim.checking.proof.structure import guarded
-from sim.effects.check import check_sha
-from sim.effects.correction import in_sensor_scale
-from sim.sha.automaton import SHA, Location
-from sim.sha.distributions import check_distribution, mean, variance
-from sim.sha.events import alphabet_symbols, check_alphabet
-from sim.sha.model import Model
-from sim.sha.semi_markov import compile_chain
+from sim.effects import check_sha, in_sensor_scale
+from sim.sha import (
+    SHA,
+    Location,
+    Model,
+    alphabet_symbols,
+    check_alphabet,
+    check_distribution,
+    compile_chain,
+    mean,
+    variance,
+)
 
 
 def faults(model: Model) -> tuple[str, ...]:

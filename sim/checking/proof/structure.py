@@ -7,9 +7,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from sim.engine.schedule import Policy, resync_targets
-from sim.sha.automaton import SHA
-from sim.sha.trace import UNKNOWN, Event
+from sim.engine import Policy, resync_targets
+from sim.sha import SHA, UNKNOWN, Event
 
 Move = tuple[str, str, str]
 """(source, symbol, target)."""

@@ -22,7 +22,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from sim.checking.query import tree as q
-from sim.sha.automaton import SHA
+from sim.sha import SHA
 
 Places = frozenset[str]
 

@@ -18,13 +18,8 @@ from sim.checking.proof.forcing import UnboundedEffect
 from sim.checking.proof.runnable import announced, faults, unexecuted
 from sim.checking.proof.wear import worn
 from sim.checking.proof.word import TimedWord
-from sim.effects.correction import corrected, in_sensor_scale
-from sim.effects.kinds import growing_from, signals_of
-from sim.sha.automaton import SHA, nondeterminism
-from sim.sha.events import alphabet_symbols
-from sim.sha.flows import RELAXING
-from sim.sha.model import Model
-from sim.sha.trace import Trace
+from sim.effects import corrected, growing_from, in_sensor_scale, signals_of
+from sim.sha import RELAXING, SHA, Model, Trace, alphabet_symbols, nondeterminism
 
 SLACK = 0.1
 """Share of the range's width by which the mean course of a deployable model may pass a border."""

@@ -2,8 +2,8 @@
 
 from datetime import UTC, datetime
 
-from sim.effects.kinds import growing_from
-from sim.sha.automaton import SHA
+from sim.effects import growing_from
+from sim.sha import SHA
 
 DAY = 86_400.0
 _FIRST_CLOCK, _LAST_CLOCK = 3.0e7, 2.5e11

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from math import isfinite, nan
 
-from sim.sha.trace import Event
+from sim.sha import Event
 
 TEMPERATURE, MODE, CLOCK = "T", "m", "t"
 _ITEM = re.compile(r"(?P<symbol>.*)@(?P<time>[^@,]+)(?P<rest>(?:,[^,=]+=[^,=]+)*)", re.DOTALL)

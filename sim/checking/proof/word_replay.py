@@ -11,19 +11,21 @@ from math import inf, nan
 import numpy as np
 
 from sim.checking.proof.word import TimedWord, WordStep
-from sim.effects.check import check_sha
-from sim.effects.correction import in_sensor_scale
-from sim.effects.kinds import of_feature, offset_times, sensor_offset, sensor_offsets, signals_of
-from sim.engine.cuts import longest
-from sim.engine.moments import mean_readings, stay_draws
-from sim.engine.plant import compile_plant
-from sim.engine.schedule import Policy, Schedule, resync_targets, schedule
-from sim.sha import distributions
-from sim.sha.automaton import SHA, Location, transitions
-from sim.sha.entry import drawn_temperature, mode_parameter
-from sim.sha.flows import offset
-from sim.sha.model import Model
-from sim.sha.trace import UNKNOWN, Event, Trace
+from sim.effects import check_sha, in_sensor_scale, of_feature, offset_times, sensor_offset, sensor_offsets, signals_of
+from sim.engine import Policy, Schedule, compile_plant, longest, mean_readings, resync_targets, schedule, stay_draws
+from sim.sha import (
+    SHA,
+    UNKNOWN,
+    Event,
+    Location,
+    Model,
+    Trace,
+    distributions,
+    drawn_temperature,
+    mode_parameter,
+    offset,
+    transitions,
+)
 
 POINTS = 32
 """Looks into each stay: with effects its highest temperature need not be at an end."""

@@ -12,17 +12,14 @@ from typing import Literal
 import numpy as np
 from scipy.special import stdtrit
 
-from sim.checking.proof.symbolic import decide
+from sim.checking.proof import decide
 from sim.checking.query import tree as q
-from sim.checking.smc.monitors.monitor import Totals
-from sim.checking.smc.monitors.path import PreparedPath, approximations, cuts, prepare_path
-from sim.checking.smc.rules import paired, sprt
-from sim.checking.smc.rules.estimation import Draw, Progress, RuleOutcome, anytime, fixed, to_half_width
+from sim.checking.smc.monitors import PreparedPath, Totals, approximations, cuts, prepare_path
+from sim.checking.smc.rules import Draw, Progress, RuleOutcome, anytime, fixed, paired, sprt, to_half_width
 from sim.checking.smc.runs import Sampler, Trajectory, engine, extremes, sampler, trajectories
-from sim.checking.smc.splitting.estimator import PilotFailed, refusal, split
+from sim.checking.smc.splitting import PilotFailed, refusal, split
 from sim.checking.smc.start import Start, believed, initial
-from sim.sha.automaton import SHA
-from sim.sha.trace import Array
+from sim.sha import SHA, Array
 
 __all__ = ["Answer", "QuerySettings", "Rule", "Start", "answer", "believed", "decided", "initial"]
 

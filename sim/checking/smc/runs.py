@@ -7,16 +7,21 @@ from math import inf
 
 import numpy as np
 
-from sim.checking.query.tree import Expression
-from sim.checking.smc.monitors.formula import affine, linear_in_temperature
-from sim.checking.smc.monitors.monitor import ExtremeMonitor, ResponseMonitor, Totals, TrajectoryMonitor, follow
-from sim.checking.smc.monitors.path import PreparedPath, cuts
-from sim.checking.smc.paths.effects import augmented
-from sim.checking.smc.paths.known import Cuts, known
-from sim.checking.smc.paths.plan import LONGEST, Engine, World
-from sim.checking.smc.paths.semi_markov import semi_markov
-from sim.checking.smc.rules.estimation import Progress
-from sim.sha.trace import Array, Mask
+from sim.checking.query import Expression
+from sim.checking.smc.monitors import (
+    ExtremeMonitor,
+    PreparedPath,
+    ResponseMonitor,
+    Totals,
+    TrajectoryMonitor,
+    affine,
+    cuts,
+    follow,
+    linear_in_temperature,
+)
+from sim.checking.smc.paths import LONGEST, Cuts, Engine, World, augmented, known, semi_markov
+from sim.checking.smc.rules import Progress
+from sim.sha import Array, Mask
 
 SMALLEST, LARGEST = 64, 16384
 """Runs of the first chunk, and of the large ones: each is twice the one before it. A chunk's rows fit the cache."""

@@ -3,14 +3,9 @@
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from sim.checking.smc.paths.plan import World
-from sim.engine.belief import Belief, advance, filter_trace
-from sim.engine.open_loop import measured
-from sim.engine.tracker import Tracker, compiled
-from sim.sha.automaton import Distribution
-from sim.sha.entry import drawn_temperature
-from sim.sha.model import Model
-from sim.sha.trace import Trace
+from sim.checking.smc.paths import World
+from sim.engine import Belief, Tracker, advance, compiled, filter_trace, measured
+from sim.sha import Distribution, Model, Trace, drawn_temperature
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.fitting.record import Record
-from sim.learning.free_run import RATES, FitShape, loads
-from sim.learning.shape import ParameterNames, Prior, shape_of
-from sim.sha.entry import mode_parameter
-from sim.sha.model import Model
-from sim.sha.trace import Array
+from sim.learning import RATES, FitShape, ParameterNames, Prior, loads, shape_of
+from sim.sha import Array, Model, mode_parameter
 
 TARGET_SPREAD, DRIFT_SPREAD, FACTOR_SPREAD, LOG_RATE_SPREAD, GAIN_SPREAD = 40.0, 0.02, 10.0, 1.5, 1.0
 """How far the plant's parameters are believed to lie from the given ones: degC, degC/s, degC, 1, shares of a gain."""

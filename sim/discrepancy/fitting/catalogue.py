@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.effects.kind import EffectCandidate, EffectKind
-from sim.effects.kinds import EFFECTS
+from sim.effects import EFFECTS, EffectCandidate, EffectKind
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,10 +14,9 @@ from sim.discrepancy.fitting.baseline import Frame
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, on_sensor
 from sim.discrepancy.fitting.named import Named, effects_of
 from sim.discrepancy.fitting.noise import Grid, decay_and_pull
-from sim.engine.recursion import linear_recursion
-from sim.learning.free_run import RATES, steps
-from sim.sha.automaton import Effect
-from sim.sha.trace import Array
+from sim.engine import linear_recursion
+from sim.learning import RATES, steps
+from sim.sha import Array, Effect
 
 ITERATIONS, STILL = 60, 1e-6
 """Passes at most, and the change (degC) below which a course stands still."""

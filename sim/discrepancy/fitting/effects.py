@@ -10,12 +10,19 @@ from itertools import pairwise
 import numpy as np
 
 from sim.discrepancy.fitting.record import Record
-from sim.effects.exchange import in_scale_of_x, radiation_tangent
-from sim.effects.kind import HeldLaw, Structural, VaryingLaw, unknown
-from sim.effects.kinds import acts_in, kind_of, parameter
-from sim.engine.recursion import linear_recursion
-from sim.sha.automaton import Effect
-from sim.sha.trace import Array, Mask
+from sim.effects import (
+    HeldLaw,
+    Structural,
+    VaryingLaw,
+    acts_in,
+    in_scale_of_x,
+    kind_of,
+    parameter,
+    radiation_tangent,
+    unknown,
+)
+from sim.engine import linear_recursion
+from sim.sha import Array, Effect, Mask
 
 ON_SENSOR = ("dead time", "sensor lag", "sensor offset")
 """Features that act between the temperature and its reading."""

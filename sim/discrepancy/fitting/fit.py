@@ -17,8 +17,7 @@ from sim.discrepancy.fitting.course import State, at, grid_at, sensitivity
 from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.noise import Grid, NoiseModel, Whitener, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
-from sim.sha.model import Model
-from sim.sha.trace import Array
+from sim.sha import Array, Model
 
 ROUNDS, NEWTON = 4, 8
 LARGEST_TARGET, LARGEST_SHARE = 15.0, 0.7

@@ -4,12 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from sim.discrepancy.fitting.catalogue import CatalogueEntry, entry_of
-from sim.effects.kinds import kind_of
-from sim.learning.runs import first_switch
-from sim.learning.structure import contexts
-from sim.sha.automaton import Effect
-from sim.sha.model import Model
-from sim.sha.trace import UNKNOWN
+from sim.effects import kind_of
+from sim.learning import contexts, first_switch
+from sim.sha import UNKNOWN, Effect, Model
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.linalg import cho_solve, cho_solve_banded, cholesky, cholesky_banded
 from scipy.optimize import minimize
 
-from sim.learning.runs import Indices
-from sim.sha.trace import Array, Mask
+from sim.learning import Indices
+from sim.sha import Array, Mask
 
 DIFFUSE = 1e4
 """Variance (degC^2) of a run's first deviation: its start temperature is not believed in."""

@@ -11,12 +11,8 @@ from itertools import pairwise
 import numpy as np
 
 from sim.discrepancy.fitting.noise import Grid
-from sim.learning.preparation import encoded
-from sim.learning.runs import FreeRuns, Indices, first_switch, free_runs, thinned
-from sim.learning.structure import LearningError
-from sim.sha.events import Alphabet, Switch, encode
-from sim.sha.model import Model
-from sim.sha.trace import UNKNOWN, Array, Mask, Trace
+from sim.learning import FreeRuns, Indices, LearningError, encoded, first_switch, free_runs, thinned
+from sim.sha import UNKNOWN, Alphabet, Array, Mask, Model, Switch, Trace, encode
 
 KNOTS, WINDOWS = 250_000, 4_000
 """Fine knots and windows at most: what lies closer together is merged."""

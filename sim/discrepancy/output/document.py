@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import Diagnosis, DiagnosisCourse, EffectCandidate, HeatPlace, HeldOutProof, NamedEffect
-from sim.discrepancy.heat_map import LONGEST
+from sim.discrepancy import LONGEST, Diagnosis, DiagnosisCourse, EffectCandidate, HeatPlace, HeldOutProof, NamedEffect
 from sim.strict_json import json_text, strict
 
 FORMAT, VERSION = "decanter-diagnosis", 1

@@ -6,13 +6,13 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from sim.artefacts.formats.write_model import write_model_directory
-from sim.discrepancy.diagnosis import Diagnosis
+from sim.artefacts.formats import write_model_directory
+from sim.discrepancy import Diagnosis
 from sim.discrepancy.output.document import FORMAT, document_text
 from sim.discrepancy.output.pictures import FILES, draw
 from sim.discrepancy.output.report import Occasion, report_html
 from sim.files import replace_durably, sync_directory
-from sim.sha.model import Model
+from sim.sha import Model
 
 DOCUMENT, REPORT, MODEL = "diagnosis.json", "report.html", "model"
 

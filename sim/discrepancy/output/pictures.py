@@ -13,9 +13,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Rectangle
 
-from sim.discrepancy.diagnosis import Diagnosis, DiagnosisCourse, HeldOutProof
-from sim.discrepancy.heat_map import HeatMap, heat_map
-from sim.sha.trace import Array, Mask
+from sim.discrepancy import Diagnosis, DiagnosisCourse, HeatMap, HeldOutProof, heat_map
+from sim.sha import Array, Mask
 
 WHERE, CYCLES, ERRORS, SHEET = "where.png", "held_out_cycles.png", "held_out_errors.png", "diagnosis.png"
 FILES = (WHERE, CYCLES, ERRORS, SHEET)

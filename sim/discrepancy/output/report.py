@@ -9,8 +9,7 @@ from shlex import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from sim.discrepancy.diagnosis import Diagnosis, EffectCandidate, HeatPlace, NamedEffect
-from sim.discrepancy.heat_map import span
+from sim.discrepancy import Diagnosis, EffectCandidate, HeatPlace, NamedEffect, span
 from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE
 
 MEANINGS: Mapping[str, str] = {

@@ -5,15 +5,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.engine.recursion import linear_recursion
+from sim.engine import linear_recursion
+from sim.learning import (
+    FitShape,
+    FreeRunFit,
+    FreeRuns,
+    Indices,
+    NoiseLevels,
+    contexts,
+    drift_noise,
+    loads,
+    name_of,
+    nearest,
+    steps,
+    with_parameters,
+)
 from sim.learning.bins.candidates import Basis, process_groups
-from sim.learning.free_run import FitShape, FreeRunFit, loads, steps
-from sim.learning.noise import NoiseLevels, drift_noise
-from sim.learning.runs import FreeRuns, Indices
-from sim.learning.shape import with_parameters
-from sim.learning.structure import contexts, name_of, nearest
-from sim.sha.automaton import SHA, Distribution, Flow, Location
-from sim.sha.trace import Array
+from sim.sha import SHA, Array, Distribution, Flow, Location
 
 LEAST_DOUBT = 5.0
 """degC added (in quadrature) to the sigma of a target that is borrowed, at least."""

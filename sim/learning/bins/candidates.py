@@ -6,14 +6,22 @@ from typing import Literal
 
 import numpy as np
 
-from sim.learning.free_run import FitShape
-from sim.learning.preparation import LEAST_SHARE
-from sim.learning.runs import FreeRuns, Indices
-from sim.learning.shape import ParameterNames, Prior, shape_of
-from sim.learning.structure import LearningError, contexts, labels, level_signals, product_sha, reference
-from sim.sha.automaton import SHA, Flow, Input, Location
-from sim.sha.events import Alphabet, Switch
-from sim.sha.trace import Mask
+from sim.learning import (
+    LEAST_SHARE,
+    FitShape,
+    FreeRuns,
+    Indices,
+    LearningError,
+    ParameterNames,
+    Prior,
+    contexts,
+    labels,
+    level_signals,
+    product_sha,
+    reference,
+    shape_of,
+)
+from sim.sha import SHA, Alphabet, Flow, Input, Location, Mask, Switch
 
 Sharing = Literal["shared", "switch", "location"]
 LEAST_SWING = 0.05

@@ -11,6 +11,36 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim.learning import (
+    LEAST_READINGS,
+    Coverage,
+    FreeRunFit,
+    FreeRuns,
+    HeldOutErrors,
+    LearningError,
+    NoiseLevels,
+    Scored,
+    bare_sha,
+    check_data,
+    choose,
+    coverage_of,
+    cross_validate,
+    encoded,
+    first_switch,
+    fit_free_run,
+    fit_noise,
+    fit_stays,
+    folds,
+    free_runs,
+    in_order,
+    initial_law,
+    level_signals,
+    sampled,
+    score_forecasts,
+    splits,
+    training_errors,
+    with_range,
+)
 from sim.learning.bins.assemble import LocationFit, learned_sha, location_fits, stay_values, well_seen
 from sim.learning.bins.candidates import (
     CANDIDATES,
@@ -22,18 +52,7 @@ from sim.learning.bins.candidates import (
     modelled_places,
     process_groups,
 )
-from sim.learning.calibrate import Coverage, Scored, coverage_of, score_forecasts
-from sim.learning.data import in_order
-from sim.learning.free_run import FreeRunFit, fit_free_run
-from sim.learning.held_out import HeldOutErrors, choose, cross_validate, folds, training_errors
-from sim.learning.noise import NoiseLevels, fit_noise
-from sim.learning.preparation import LEAST_READINGS, check_data, encoded, initial_law, splits, with_range
-from sim.learning.runs import FreeRuns, first_switch, free_runs, sampled
-from sim.learning.semi_markov import fit_stays
-from sim.learning.structure import LearningError, bare_sha, level_signals
-from sim.sha.events import Alphabet, check_alphabet
-from sim.sha.model import Model, Provenance
-from sim.sha.trace import Array, Trace
+from sim.sha import Alphabet, Array, Model, Provenance, Trace, check_alphabet
 
 CHOICE_BUDGET, FIT_BUDGET, PART_BUDGET = 3_000, 40_000, 6_000
 """Knots to which the runs are sampled for cross-validation, for the last fit and for the fits of the calibration."""

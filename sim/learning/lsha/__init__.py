@@ -1,0 +1,16 @@
+"""Method `lsha`: L*_SHA, a learner with an observation table and a teacher who answers from traces."""
+
+from sim.learning.lsha.hypothesis import ObservationTable, TableRow
+from sim.learning.lsha.learn import LearnedLsha, learn_lsha
+from sim.learning.lsha.report import report_document, report_text
+from sim.learning.lsha.settings import LshaSettings
+
+__all__ = [
+    "LearnedLsha",
+    "LshaSettings",
+    "ObservationTable",
+    "TableRow",
+    "learn_lsha",
+    "report_document",
+    "report_text",
+]

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtr
 
+from sim.learning import Indices
 from sim.learning.lsha.segments import TraceSegments
-from sim.learning.runs import Indices
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Mask
 
 MEDIAN_CHI_SQUARE = 0.454936
 """The median of a chi-square with one degree of freedom."""

@@ -10,9 +10,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.calibrate import Coverage, Scored, coverage_of, score_forecasts
-from sim.learning.free_run import RATES, FitShape, FreeRunFit, fit_free_run
-from sim.learning.held_out import choose, cross_validate, folds
+from sim.learning import (
+    RATES,
+    Coverage,
+    FitShape,
+    FreeRunFit,
+    FreeRuns,
+    Indices,
+    Scored,
+    choose,
+    coverage_of,
+    cross_validate,
+    drift_noise,
+    fit_free_run,
+    fit_noise,
+    fit_stays,
+    folds,
+    initial_law,
+    sampled,
+    score_forecasts,
+    splits,
+    with_parameters,
+    with_range,
+)
 from sim.learning.lsha.evidence import SegmentSample, between, sample_of
 from sim.learning.lsha.flow_hypotheses import BUDGET, Flowing, flow_of, flow_shape, flows_of, positions
 from sim.learning.lsha.hypothesis import HypothesisAutomaton
@@ -22,14 +42,7 @@ from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import Structure
 from sim.learning.lsha.teacher import Teacher, alike, placed
 from sim.learning.lsha.words import described
-from sim.learning.noise import drift_noise, fit_noise
-from sim.learning.preparation import initial_law, splits, with_range
-from sim.learning.runs import FreeRuns, Indices, sampled
-from sim.learning.semi_markov import fit_stays
-from sim.learning.shape import with_parameters
-from sim.sha.automaton import SHA, Distribution, Entry, Flow, Input, Location
-from sim.sha.model import Model
-from sim.sha.trace import Mask, Trace
+from sim.sha import SHA, Distribution, Entry, Flow, Input, Location, Mask, Model, Trace
 
 FIRST_SCATTER = 1.0
 """degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""

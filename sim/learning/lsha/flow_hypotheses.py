@@ -5,8 +5,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.free_run import FitShape, LinearFit, fit_at_rates, predict, steps
-from sim.learning.held_out import FOLDS, HeldOutErrors, choose, cross_validate, folds
+from sim.learning import (
+    FOLDS,
+    FitShape,
+    FreeRuns,
+    HeldOutErrors,
+    Indices,
+    LearningError,
+    LinearFit,
+    choose,
+    cross_validate,
+    distance,
+    fit_at_rates,
+    folds,
+    labels,
+    predict,
+    sampled,
+    shape_of,
+    steps,
+)
 from sim.learning.lsha.evidence import SegmentSample, sample_of
 from sim.learning.lsha.identify import rate_alone
 from sim.learning.lsha.merging import Partition, learn_partition
@@ -14,12 +31,7 @@ from sim.learning.lsha.segments import Motion, levels, parameters, stays_after
 from sim.learning.lsha.settings import Memory
 from sim.learning.lsha.teacher import Teacher, alike, placed
 from sim.learning.lsha.words import Classes, WordHistory, classes_of
-from sim.learning.runs import FreeRuns, Indices, sampled
-from sim.learning.shape import shape_of
-from sim.learning.structure import LearningError, distance, labels
-from sim.sha.automaton import SHA, Entry, Flow, Input, Location
-from sim.sha.events import Switch
-from sim.sha.trace import Array, Mask
+from sim.sha import SHA, Array, Entry, Flow, Input, Location, Mask, Switch
 
 COARSE = 12
 """Contexts that the flow hypotheses are compared on; the others count as the nearest of these."""

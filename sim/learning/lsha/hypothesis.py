@@ -12,13 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim.learning import Indices
 from sim.learning.lsha.structures import Structure
 from sim.learning.lsha.teacher import Teacher
 from sim.learning.lsha.words import Classes, Word, apart, described, remembered
-from sim.learning.runs import Indices
-from sim.sha.automaton import Edge
-from sim.sha.events import alphabet_symbols
-from sim.sha.trace import UNKNOWN, Array, Trace
+from sim.sha import UNKNOWN, Array, Edge, Trace, alphabet_symbols
 
 
 @dataclass(frozen=True, slots=True)

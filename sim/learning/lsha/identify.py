@@ -12,12 +12,9 @@ from math import sqrt
 import numpy as np
 from scipy.special import stdtr
 
-from sim.learning.free_run import RATES
+from sim.learning import RATES, FreeRuns, Indices
 from sim.learning.lsha.segments import Motion, stay_fits
-from sim.learning.runs import FreeRuns, Indices
-from sim.sha.automaton import Flow
-from sim.sha.flows import coefficients
-from sim.sha.trace import Array
+from sim.sha import Array, Flow, coefficients
 
 TAUS, ROUGH = (1.0, 1e5), 16
 """Time constants (s) between which a rate is looked for, and half the number of the first ones tried."""

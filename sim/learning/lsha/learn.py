@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.calibrate import Coverage
-from sim.learning.data import in_order
+from sim.learning import Coverage, LearningError, check_data, encoded, in_order, with_range
 from sim.learning.lsha.fitting import LshaLocationFit, bands, fit, fitted_model, plan_of
 from sim.learning.lsha.flow_hypotheses import Rival, choose_flow
 from sim.learning.lsha.hypothesis import (
@@ -35,11 +34,7 @@ from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import Structure, choose_structure
 from sim.learning.lsha.teacher import CYCLE, Teacher, teacher_of
 from sim.learning.lsha.words import Word, described, spelled
-from sim.learning.preparation import check_data, encoded, with_range
-from sim.learning.structure import LearningError
-from sim.sha.events import Alphabet, check_alphabet
-from sim.sha.model import Model, Provenance
-from sim.sha.trace import Trace
+from sim.sha import Alphabet, Model, Provenance, Trace, check_alphabet
 
 BUDGET, PART_BUDGET = 20_000, 5_000
 """Knots to which the runs are sampled for the last fit, and for the fits of the bands."""

@@ -17,10 +17,10 @@ from typing import Literal
 
 import numpy as np
 
+from sim.learning import Indices
 from sim.learning.lsha.evidence import PooledEvidence, WelchTest, same_distribution
 from sim.learning.lsha.words import Classes
-from sim.learning.runs import Indices
-from sim.sha.trace import Mask
+from sim.sha import Mask
 
 TRIED = 6
 """Locations with which a merge is tried, the best first, before a row becomes a location of its own."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.engine.recursion import linear_recursion
-from sim.learning.runs import FreeRuns, Indices
-from sim.sha.trace import Array, Mask
+from sim.engine import linear_recursion
+from sim.learning import FreeRuns, Indices
+from sim.sha import Array, Mask
 
 LEAST_INFORMATION = 1e-9
 """A segment tells m if x0 leaves this share of m's information."""

@@ -10,16 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning.held_out import LEAST, HeldOutErrors, choose
+from sim.learning import LEAST, HeldOutErrors, Indices, LearningError, choose
 from sim.learning.lsha.evidence import SegmentSample
 from sim.learning.lsha.flow_hypotheses import DELTA, Rival, merged, row
 from sim.learning.lsha.merging import Partition
 from sim.learning.lsha.settings import DELTAS, MEMORIES, LshaSettings, Memory
 from sim.learning.lsha.teacher import Teacher
 from sim.learning.lsha.words import MOST_EVENTS, Classes, classes_of
-from sim.learning.runs import Indices
-from sim.learning.structure import LearningError
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Mask
 
 
 @dataclass(frozen=True, slots=True)

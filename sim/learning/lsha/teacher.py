@@ -5,13 +5,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim.learning import (
+    LEAST_READINGS,
+    LEAST_SHARE,
+    FreeRuns,
+    Indices,
+    LearningError,
+    Prior,
+    first_switch,
+    free_runs,
+    level_signals,
+    pieces,
+)
 from sim.learning.lsha.words import TraceWords, classes_of, words_of
-from sim.learning.preparation import LEAST_READINGS, LEAST_SHARE
-from sim.learning.runs import FreeRuns, Indices, first_switch, free_runs, pieces
-from sim.learning.shape import Prior
-from sim.learning.structure import LearningError, level_signals
-from sim.sha.events import Alphabet
-from sim.sha.trace import Array, Mask, Trace
+from sim.sha import Alphabet, Array, Mask, Trace
 
 CYCLE = 3600.0
 """Seconds that a free run lasts at least before the next start-up begins a new one."""

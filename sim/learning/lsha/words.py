@@ -18,12 +18,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sim.learning import SWITCH_STEPS, Context, Indices, LearningError, announcements, labels, name_of
 from sim.learning.lsha.settings import Memory
-from sim.learning.runs import Indices
-from sim.learning.structure import SWITCH_STEPS, Context, LearningError, announcements, labels, name_of
-from sim.sha.automaton import SHA, Edge, Flow, Location
-from sim.sha.events import Alphabet, Switch
-from sim.sha.trace import UNKNOWN, Array, Trace
+from sim.sha import SHA, UNKNOWN, Alphabet, Array, Edge, Flow, Location, Switch, Trace
 
 Word = tuple[str, ...]
 

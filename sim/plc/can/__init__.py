@@ -1,0 +1,5 @@
+"""The raw-frame CAN face of the software PLC."""
+
+from sim.plc.can.station import Station, record
+
+__all__ = ["Station", "record"]

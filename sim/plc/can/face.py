@@ -10,12 +10,17 @@ import can
 
 from sim.plc.can.messages import BlockMemory, Messages, Sender, protected, read_messages
 from sim.plc.can.station import Station, record
-from sim.plc.program.disturbance import BusDisturbance, disturbed
-from sim.plc.program.faults import merged, shown_at
-from sim.plc.program.image import Undefined
-from sim.plc.program.pdu import ModbusReply, ModbusRequest
-from sim.plc.program.plc import Plc
-from sim.plc.program.schedule import CycleFaults
+from sim.plc.program import (
+    BusDisturbance,
+    CycleFaults,
+    ModbusReply,
+    ModbusRequest,
+    Plc,
+    Undefined,
+    disturbed,
+    merged,
+    shown_at,
+)
 
 _LAST_FIELD = "sequence_copy"
 

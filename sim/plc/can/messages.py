@@ -15,7 +15,7 @@ from cantools.database.can import Database, Message, Signal
 from pydantic import ConfigDict, Field
 
 from drivers.tag import Value
-from sim.plc.program.checks import FileTable, InputError, listed, read_toml, validated
+from sim.plc.program import FileTable, InputError, listed, read_toml, validated
 
 _PREFIX = "dbc:"
 _HEADER = 3  # of E2E profile 5: two bytes of CRC, one of counter

@@ -5,11 +5,9 @@ from random import Random
 
 import can
 
-from drivers.can.bus.access import open_bus
-from drivers.can.bus.pump import Pump
+from drivers.can.bus import Pump, open_bus
 from drivers.errors import DriverError
-from sim.plc.program.disturbance import BusDisturbance
-from sim.plc.program.plc import Plc
+from sim.plc.program import BusDisturbance, Plc
 
 _REOPEN_S = 0.1
 _BUS_OFF_EVERY_S = 0.05

@@ -8,7 +8,7 @@ from configparser import RawConfigParser
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.plc.program.checks import InputError, read_text
+from sim.plc.program import InputError, read_text
 
 Address = tuple[int, int]
 _OBJECT = re.compile(r"([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?")

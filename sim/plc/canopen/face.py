@@ -8,16 +8,25 @@ from typing import Any
 
 import can
 
-from sim.plc.can.station import Station, record
+from sim.plc.can import Station, record
 from sim.plc.canopen.node import SDO_ANSWER, SDO_REQUEST, CanopenNode, Out
 from sim.plc.canopen.objects import NodeLayout, read_layout
 from sim.plc.canopen.pdo import TPDO
 from sim.plc.canopen.sdo import GENERAL, abort_frame
-from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance, disturbed, together
-from sim.plc.program.faults import FaultEffect, merged, shown_at
-from sim.plc.program.pdu import ModbusReply, ModbusRequest
-from sim.plc.program.plc import Plc
-from sim.plc.program.schedule import CycleFaults, Scheduled
+from sim.plc.program import (
+    BusDisturbance,
+    CycleFaults,
+    FaultEffect,
+    ModbusReply,
+    ModbusRequest,
+    NodeDisturbance,
+    Plc,
+    Scheduled,
+    disturbed,
+    merged,
+    shown_at,
+    together,
+)
 
 FIRST_REQUESTS, WRITES = (1, 2, 5, 6), (1, 6)
 ABORTED = 0x80

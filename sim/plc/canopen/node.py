@@ -11,8 +11,7 @@ from sim.plc.canopen.eds import Address
 from sim.plc.canopen.objects import NodeLayout, Objects
 from sim.plc.canopen.pdo import RPDO, TPDO, ActivePdo
 from sim.plc.canopen.sdo import Abort, SdoServer
-from sim.plc.program.disturbance import NodeDisturbance
-from sim.plc.program.plc import Plc
+from sim.plc.program import NodeDisturbance, Plc
 
 Out = tuple[int, bytes]
 STOPPED, OPERATIONAL, PRE_OPERATIONAL = 4, 5, 127

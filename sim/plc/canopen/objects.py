@@ -11,9 +11,17 @@ from drivers.tag import DType, Tag
 from sim.plc.canopen import pdo, sdo
 from sim.plc.canopen.eds import Address, EdsObject, read_eds
 from sim.plc.canopen.sdo import Abort
-from sim.plc.program.checks import FileTable, InputError, read_toml, validated
-from sim.plc.program.encode import Unrepresentable, encode, encode_absent, is_bool
-from sim.plc.program.plc import Plc
+from sim.plc.program import (
+    FileTable,
+    InputError,
+    Plc,
+    Unrepresentable,
+    encode,
+    encode_absent,
+    is_bool,
+    read_toml,
+    validated,
+)
 
 ERROR_REGISTER, ERRORS, STORE_EDS = (0x1001, 0), 0x1003, (0x1021, 0)
 ACCEPTED_SEQUENCE, WHOLE_BLOCK = (0x2101, 1), (0x2102, 0)

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-from sim.plc.program.pdu import HEADER, MAX_PDU, crc
+from sim.plc.program import HEADER, MAX_PDU, crc
 
 GAP_S = 0.05
 """A pause in the middle of an RTU request that ends it. A serial line's own 3.5 characters are far less, but bytes come

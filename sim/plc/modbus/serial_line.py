@@ -15,10 +15,7 @@ from typing import Any
 import serial
 
 from sim.plc.modbus.framing import RTU
-from sim.plc.program.checks import InputError
-from sim.plc.program.pdu import ModbusReply, ModbusRequest
-from sim.plc.program.plc import Plc
-from sim.plc.program.schedule import CycleFaults
+from sim.plc.program import CycleFaults, InputError, ModbusReply, ModbusRequest, Plc
 
 OWN_PAIR = "pty"
 _LARGEST = 4096

@@ -13,9 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sim.plc.modbus.framing import HEADED, RTU, Framing
-from sim.plc.program.pdu import ModbusReply, ModbusRequest
-from sim.plc.program.plc import Plc
-from sim.plc.program.schedule import CycleFaults
+from sim.plc.program import CycleFaults, ModbusReply, ModbusRequest, Plc
 
 _RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # SO_LINGER on, 0 s: close sends RST
 _PAUSE_S = 0.002  # between the pieces of a split reply, so that each is a segment of its own

@@ -13,9 +13,7 @@ from typing import Any
 from cryptography import x509
 
 from sim.plc.modbus.server import ModbusServer, Security
-from sim.plc.program.checks import InputError
-from sim.plc.program.pdu import ILLEGAL_FUNCTION
-from sim.plc.program.plc import Plc
+from sim.plc.program import ILLEGAL_FUNCTION, InputError, Plc
 
 ROLE = x509.ObjectIdentifier("1.3.6.1.4.1.50316.802.1")
 DEFAULT_ROLES = ("Gateway=write", "Viewer=read")

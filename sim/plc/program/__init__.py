@@ -1,1 +1,65 @@
 """The PLC's program behind all faces: its image, its cycle, its side of the contract, and the faults that strike it."""
+
+from sim.plc.program.checks import (
+    FileTable,
+    InputError,
+    checked_arguments,
+    listed,
+    read_text,
+    read_toml,
+    signature_of,
+    validated,
+)
+from sim.plc.program.clock import EmulatorClock
+from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance, disturbed, together
+from sim.plc.program.encode import Unrepresentable, encode, encode_absent, is_bool
+from sim.plc.program.faults import FaultEffect, OrderedFault, describe, merged, parse_fault, shown_at
+from sim.plc.program.image import Undefined
+from sim.plc.program.pdu import HEADER, ILLEGAL_FUNCTION, MAX_PDU, ModbusReply, ModbusRequest, crc
+from sim.plc.program.plc import Plc, PlcSettings, record_nothing
+from sim.plc.program.registers import Place, parse_address, read_map
+from sim.plc.program.replay import TraceReplay, read_trace
+from sim.plc.program.schedule import CycleFaults, Scheduled
+
+__all__ = [
+    "HEADER",
+    "ILLEGAL_FUNCTION",
+    "MAX_PDU",
+    "BusDisturbance",
+    "CycleFaults",
+    "EmulatorClock",
+    "FaultEffect",
+    "FileTable",
+    "InputError",
+    "ModbusReply",
+    "ModbusRequest",
+    "NodeDisturbance",
+    "OrderedFault",
+    "Place",
+    "Plc",
+    "PlcSettings",
+    "Scheduled",
+    "TraceReplay",
+    "Undefined",
+    "Unrepresentable",
+    "checked_arguments",
+    "crc",
+    "describe",
+    "disturbed",
+    "encode",
+    "encode_absent",
+    "is_bool",
+    "listed",
+    "merged",
+    "parse_address",
+    "parse_fault",
+    "read_map",
+    "read_text",
+    "read_toml",
+    "read_trace",
+    "record_nothing",
+    "shown_at",
+    "signature_of",
+    "together",
+    "validated",
+]

@@ -18,7 +18,7 @@ import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from sim.plc.program.checks import InputError
+from sim.plc.program import InputError
 
 Row = Mapping[str, object]
 _encode = json.JSONEncoder(separators=(",", ":")).encode

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.tag import Value
-from sim.plc.program.checks import InputError, read_text
-from sim.plc.program.clock import EmulatorClock
+from sim.plc.program import EmulatorClock, InputError, read_text
 
 _KINDS = ("run", "truth", "request", "block", "frame", "event")
 

@@ -15,7 +15,7 @@ from typing import Any
 import click
 
 from drivers.tag import Quality, Sample
-from sim.plc.program.checks import InputError, read_text
+from sim.plc.program import InputError, read_text
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import PlcRecording, read_recording
 

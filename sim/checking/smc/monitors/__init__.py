@@ -1,0 +1,22 @@
+"""What is noted of runs while they go by."""
+
+from sim.checking.smc.monitors.formula import CompiledFormulas, affine, exists, linear_in_temperature
+from sim.checking.smc.monitors.monitor import ExtremeMonitor, ResponseMonitor, Totals, TrajectoryMonitor, follow, inside
+from sim.checking.smc.monitors.path import PreparedPath, approximations, cuts, prepare_path
+
+__all__ = [
+    "CompiledFormulas",
+    "ExtremeMonitor",
+    "PreparedPath",
+    "ResponseMonitor",
+    "Totals",
+    "TrajectoryMonitor",
+    "affine",
+    "approximations",
+    "cuts",
+    "exists",
+    "follow",
+    "inside",
+    "linear_in_temperature",
+    "prepare_path",
+]

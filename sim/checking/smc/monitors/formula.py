@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim.checking.query.tree import (
+from sim.checking.query import (
     Arithmetic,
     At,
     Both,
@@ -30,8 +30,8 @@ from sim.checking.query.tree import (
     Operation,
     Quantity,
 )
-from sim.checking.smc.paths.plan import Indices, Piece
-from sim.sha.trace import Array, Mask
+from sim.checking.smc.paths import Indices, Piece
+from sim.sha import Array, Mask
 
 Value = float | Array
 ZERO = Number(0.0)

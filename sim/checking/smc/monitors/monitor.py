@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sim.checking.query.tree import Expression, Indicator, Operation
+from sim.checking.query import Expression, Indicator, Operation
 from sim.checking.smc.monitors.formula import (
     TINY,
     CompiledFormulas,
@@ -24,9 +24,8 @@ from sim.checking.smc.monitors.formula import (
     value,
     visited,
 )
-from sim.checking.smc.paths.plan import Engine, Indices, Piece, State, with_extremes
-from sim.sha.semi_markov import MOST_STAYS
-from sim.sha.trace import Array, Mask
+from sim.checking.smc.paths import Engine, Indices, Piece, State, with_extremes
+from sim.sha import MOST_STAYS, Array, Mask
 
 WatchedLines = tuple[list[tuple[Value, Value]], list[tuple[Value, Value]]]
 KEEP, EVERY = 0.75, 8

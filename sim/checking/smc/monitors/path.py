@@ -6,12 +6,11 @@ from math import inf, isfinite
 
 import numpy as np
 
-from sim.checking.query.tree import Always, BoundedResponse, Not, Operation, Path, Until
+from sim.checking.query import Always, BoundedResponse, Not, Operation, Path, Until
 from sim.checking.smc.monitors.formula import CompiledFormulas, affine, compile_formulas
 from sim.checking.smc.monitors.monitor import EventuallyMonitor, Monitor, ResponseMonitor, UntilMonitor
-from sim.checking.smc.paths.known import Affine, Cuts
-from sim.checking.smc.paths.plan import LONGEST
-from sim.sha.trace import Array, Mask
+from sim.checking.smc.paths import LONGEST, Affine, Cuts
+from sim.sha import Array, Mask
 
 
 @dataclass(frozen=True, slots=True)

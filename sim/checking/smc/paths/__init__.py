@@ -1,0 +1,27 @@
+"""How runs are laid out and drawn: known events, unknown ones, effects, tilted laws."""
+
+from sim.checking.smc.paths.effects import augmented
+from sim.checking.smc.paths.known import Affine, Cuts, known
+from sim.checking.smc.paths.plan import LONGEST, Engine, Indices, Piece, State, World, with_extremes
+from sim.checking.smc.paths.semi_markov import semi_markov
+from sim.checking.smc.paths.tilting import Tilts, balance, fitted, moved, neutral
+
+__all__ = [
+    "LONGEST",
+    "Affine",
+    "Cuts",
+    "Engine",
+    "Indices",
+    "Piece",
+    "State",
+    "Tilts",
+    "World",
+    "augmented",
+    "balance",
+    "fitted",
+    "known",
+    "moved",
+    "neutral",
+    "semi_markov",
+    "with_extremes",
+]

@@ -14,20 +14,20 @@ import numpy as np
 from sim.checking.smc.paths.known import MOST_ROWS, Cuts, crossings, notes_of
 from sim.checking.smc.paths.plan import FINE, LEAST_DECAY, LONGEST, Indices, Piece, State, World
 from sim.checking.smc.paths.tilting import Tilts
-from sim.effects.kind import ABSOLUTE_SECONDS, Structural
-from sim.effects.kinds import dead_time, kind_of, offset_times, sensor_offsets
-from sim.engine.belief_state import Hidden
-from sim.engine.cuts import fastest
-from sim.engine.kernel import move
-from sim.engine.moments_augmented import start_state
-from sim.engine.particles_augmented import draw_states
-from sim.engine.plant import compile_plant
-from sim.engine.schedule import Schedule, schedule
-from sim.engine.simulate_augmented import SamplingPlan, augmented_plan
-from sim.sha import distributions
-from sim.sha.automaton import SHA, Effect
-from sim.sha.entry import mode_parameter
-from sim.sha.trace import UNKNOWN, Array, Event
+from sim.effects import ABSOLUTE_SECONDS, Structural, dead_time, kind_of, offset_times, sensor_offsets
+from sim.engine import (
+    Hidden,
+    SamplingPlan,
+    Schedule,
+    augmented_plan,
+    compile_plant,
+    draw_states,
+    fastest,
+    move,
+    schedule,
+    start_state,
+)
+from sim.sha import SHA, UNKNOWN, Array, Effect, Event, distributions, mode_parameter
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,21 @@ import numpy as np
 
 from sim.checking.smc.paths.plan import LEAST_DECAY, Indices, Piece, State, World, clamp, draw_start, limit
 from sim.checking.smc.paths.tilting import Tilts, chosen, scored, start_at, start_tiltable, tiltable
-from sim.engine.schedule import Schedule, schedule, step_coefficients
-from sim.sha import distributions, flows
-from sim.sha.automaton import Distribution, Flow
-from sim.sha.entry import drawn_parameter, drawn_temperature, mode_parameter
-from sim.sha.trace import UNKNOWN, Array, Event, Mask, Trace
+from sim.engine import Schedule, schedule, step_coefficients
+from sim.sha import (
+    UNKNOWN,
+    Array,
+    Distribution,
+    Event,
+    Flow,
+    Mask,
+    Trace,
+    distributions,
+    drawn_parameter,
+    drawn_temperature,
+    flows,
+    mode_parameter,
+)
 
 MOST_ROWS = 200_000
 """Steps of one run; a query that needs more is refused."""

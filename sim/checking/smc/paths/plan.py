@@ -19,13 +19,19 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.engine.belief import Belief
-from sim.engine.tracker import Tracker
-from sim.sha import distributions
-from sim.sha.automaton import SHA, Distribution, Flow
-from sim.sha.entry import drawn_parameter, mode_parameter
-from sim.sha.flows import RELAXING
-from sim.sha.trace import Array, Mask, Trace
+from sim.engine import Belief, Tracker
+from sim.sha import (
+    RELAXING,
+    SHA,
+    Array,
+    Distribution,
+    Flow,
+    Mask,
+    Trace,
+    distributions,
+    drawn_parameter,
+    mode_parameter,
+)
 
 if TYPE_CHECKING:
     from sim.checking.smc.paths.tilting import Tilts

@@ -23,10 +23,17 @@ from sim.checking.smc.paths.plan import (
     limit,
 )
 from sim.checking.smc.paths.tilting import Tilts, start_at, start_tiltable
-from sim.sha import distributions, flows
-from sim.sha.entry import drawn_temperature
-from sim.sha.semi_markov import MOST_STAYS, Chain, compile_chain, input_moments
-from sim.sha.trace import Array, Mask
+from sim.sha import (
+    MOST_STAYS,
+    Array,
+    Chain,
+    Mask,
+    compile_chain,
+    distributions,
+    drawn_temperature,
+    flows,
+    input_moments,
+)
 
 ROWS = 64
 """Rows of the common grid at least: runs that are decided are left out from row to row."""

@@ -14,10 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from sim.checking.smc.paths.plan import World
-from sim.sha import distributions
-from sim.sha.automaton import Distribution
-from sim.sha.entry import drawn_parameter, mode_parameter
-from sim.sha.trace import Array
+from sim.sha import Array, Distribution, distributions, drawn_parameter, mode_parameter
 
 MOST = 6
 """Stays whose m is drawn so, at most: those on which m has the greatest effect."""

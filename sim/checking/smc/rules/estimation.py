@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import betaincinv, betaln, xlog1py, xlogy
 
 from sim.scores import Estimate, clopper_pearson
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Mask
 
 Draw = Callable[[int], Array]
 """n -> the outcomes (n,) of the next n runs."""

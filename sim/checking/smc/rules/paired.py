@@ -17,7 +17,7 @@ from scipy.special import betaln
 
 from sim.checking.smc.rules.estimation import BATCH, MOST_RUNS, Progress, checked, mixture_interval, show_progress
 from sim.scores import Estimate
-from sim.sha.trace import Array, Mask
+from sim.sha import Array, Mask
 
 DrawPairs = Callable[[int], tuple[Array, Array]]
 """n -> the outcomes of the next n pairs of runs, left and right, each (n,) of 0.0 and 1.0."""

@@ -19,7 +19,7 @@ from sim.checking.smc.rules.estimation import (
     show_progress,
 )
 from sim.scores import Estimate
-from sim.sha.trace import Array
+from sim.sha import Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,14 +21,14 @@ from math import inf, sqrt
 import numpy as np
 from scipy.special import stdtrit
 
-from sim.checking.query.tree import Always, Eventually
-from sim.checking.smc.monitors.path import PreparedPath
-from sim.checking.smc.paths.plan import Engine
-from sim.checking.smc.rules.estimation import Progress
+from sim.checking.query import Always, Eventually
+from sim.checking.smc.monitors import PreparedPath
+from sim.checking.smc.paths import Engine
+from sim.checking.smc.rules import Progress
 from sim.checking.smc.splitting.pilot import PilotFailed, SplittingPlan, find_plan
 from sim.checking.smc.splitting.stage import RareEvent, begin, nearest_line, resample, resampled, stage
 from sim.scores import Estimate
-from sim.sha.trace import Array
+from sim.sha import Array
 
 __all__ = ["PilotFailed", "SplitEstimate", "refusal", "split"]
 

@@ -5,11 +5,10 @@ from math import inf
 
 import numpy as np
 
-from sim.checking.smc.paths.plan import Indices
-from sim.checking.smc.paths.tilting import balance, fitted, moved, neutral
-from sim.checking.smc.rules.estimation import Progress
+from sim.checking.smc.paths import Indices, balance, fitted, moved, neutral
+from sim.checking.smc.rules import Progress
 from sim.checking.smc.splitting.stage import EntranceStates, RareEvent, begin, nearest_line, resample, resampled, stage
-from sim.sha.trace import Array
+from sim.sha import Array
 
 SHARE = 0.2
 """The share of the pilot's runs that reach the next level."""

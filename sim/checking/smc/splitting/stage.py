@@ -5,11 +5,9 @@ from math import inf
 
 import numpy as np
 
-from sim.checking.smc.monitors.formula import CompiledFormulas, exists
-from sim.checking.smc.monitors.monitor import inside
-from sim.checking.smc.paths.plan import Engine, Indices, Piece, State, with_extremes
-from sim.checking.smc.paths.tilting import Tilts
-from sim.sha.trace import Array, Mask
+from sim.checking.smc.monitors import CompiledFormulas, exists, inside
+from sim.checking.smc.paths import Engine, Indices, Piece, State, Tilts, with_extremes
+from sim.sha import Array, Mask
 
 
 @dataclass(slots=True)
