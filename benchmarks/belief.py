@@ -14,7 +14,7 @@ from benchmarks.figures import Figure, best, give
 from sim.engine.belief import observe, on_event, start, with_inputs
 from sim.engine.tracker import Tracker, compile_model
 from sim.forecast.calibration import calibrate, issue, settle
-from sim.forecast.forecast import forecast
+from sim.forecast.fan import forecast
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model, Stay

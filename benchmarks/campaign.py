@@ -25,8 +25,8 @@ import numpy as np
 from benchmarks.figures import Figure, best, give
 from benchmarks.processes import learned_model
 from sim.artefacts.formats.find import find_model
-from sim.engine.open_loop import open_loop_schedule, start_law
-from sim.engine.simulate import simulate
+from sim.engine.open_loop_run import open_loop_schedule, start_law
+from sim.engine.simulation import simulate
 from sim.plant.scenarios import SCENARIOS, scenario
 from sim.sha.automaton import Input, Location
 from sim.sha.events import encode

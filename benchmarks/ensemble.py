@@ -26,7 +26,7 @@ from sim.forecast.calibration import Calibration, calibrate, factors
 from sim.forecast.calibration import issue as issue_bands
 from sim.forecast.calibration import settle as settle_bands
 from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue_pool, mixture, settle_pool, thinned, weights
-from sim.forecast.forecast import LEVELS, Forecast, forecast
+from sim.forecast.fan import LEVELS, Forecast, forecast
 from sim.learning.bins.learn import learn_bins
 from sim.plant.decanter import DecanterPlant
 from sim.plant.scenarios import production

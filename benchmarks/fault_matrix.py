@@ -22,7 +22,7 @@ import click
 from benchmarks.rig import MAP, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
 from drivers.tag import Sample
 from gateway.machine.reading.quality import STALE_PERIODS
-from gateway.store.history import reading, samples
+from gateway.store.read_back import reading, samples
 from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.judge import wrong_good

@@ -51,7 +51,7 @@ from benchmarks.processes import (
     software_plc,
     until_usable,
 )
-from sim.plc.program.encode import encode
+from sim.plc.program.encoding import encode
 from sim.plc.program.registers import RegisterMap, read_map
 from sim.plc.record.recording import BlockRow, PlcRecording, RequestRow, TruthRow, read_recording
 

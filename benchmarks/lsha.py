@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.figures import Figure, best, give
 from benchmarks.known_automata import SCATTER, Family, found_again, query_p, random_automaton, traces_of
 from sim.artefacts.model_json import model_text
-from sim.engine.open_loop import measured, open_loop
+from sim.engine.open_loop_run import measured, open_loop
 from sim.learning.bins.learn import learn_bins
 from sim.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.plant.scenarios import SCENARIOS, scenario

@@ -23,8 +23,8 @@ import numpy as np
 from benchmarks.figures import Figure, give, percentile
 from benchmarks.rig import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
 from gateway.machine.reading.quality import STALE_PERIODS
-from gateway.store.history import events as recorded_events
-from gateway.store.history import reading, samples
+from gateway.store.read_back import events as recorded_events
+from gateway.store.read_back import reading, samples
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import PlcRecording, read_recording
 from sim.sha.events import DECANTER, encode

@@ -9,9 +9,9 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, best, give
-from sim.engine.moments import moments
-from sim.engine.schedule import Schedule, schedule
-from sim.engine.simulate import CHUNK, simulate
+from sim.engine.moment_equations import moments
+from sim.engine.schedules import Schedule, schedule
+from sim.engine.simulation import CHUNK, simulate
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.trace import Event
 

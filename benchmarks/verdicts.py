@@ -18,7 +18,7 @@ from sim.artefacts.formats.find import find_model
 from sim.checking.proof.bounds import Bounds
 from sim.checking.proof.envelope import Envelope, envelopes
 from sim.checking.proof.structure import moves
-from sim.checking.proof.verify import DEFAULT, Verification, verify
+from sim.checking.proof.verification import DEFAULT, Verification, verify
 from sim.checking.proof.word import TimedWord, WordStep, parse_word, word_text
 from sim.checking.proof.word_replay import replay
 from sim.effects.correction import in_sensor_scale

@@ -16,7 +16,7 @@ from gateway.store.audit import (
 )
 from gateway.store.chain import first_break, hash_of
 from gateway.store.historian import Historian, Row, open_historian, saved_state
-from gateway.store.history import events, history, matured, reading, recent, samples, to_trace
+from gateway.store.read_back import events, history, matured, reading, recent, samples, to_trace
 from gateway.store.score import Scorecard, percentile, scorecard
 
 __all__ = [

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.store.history import Aligned, Matured, history, matured, reading
+from gateway.store.read_back import Aligned, Matured, history, matured, reading
 from sim.scores import coverage, crps_quantiles
 from sim.sha import Array
 

@@ -2,7 +2,7 @@
 
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.diagnosis import Diagnosis, DiagnosisCourse, EffectCandidate, HeatPlace, HeldOutProof, NamedEffect
-from sim.discrepancy.heat_map import LONGEST, HeatMap, heat_map, span
+from sim.discrepancy.heat_maps import LONGEST, HeatMap, heat_map, span
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 
 __all__ = [

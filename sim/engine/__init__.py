@@ -4,16 +4,16 @@ from sim.engine.belief import advance, anomaly, filter_trace, observe, on_event,
 from sim.engine.belief_state import Belief, Hidden, belief_of
 from sim.engine.cuts import fastest, longest
 from sim.engine.kernel import move
-from sim.engine.moments import Prediction, mean_readings, moments, stay_draws
+from sim.engine.moment_equations import Prediction, mean_readings, moments, stay_draws
 from sim.engine.moments_augmented import start_state
-from sim.engine.open_loop import Score, Start, errors, measured, open_loop, open_loop_schedule, score, start_law
+from sim.engine.open_loop_run import Score, Start, errors, measured, open_loop, open_loop_schedule, score, start_law
 from sim.engine.particles import PathRuns, Steps, lay_out, run, survival
 from sim.engine.particles_augmented import acting_paths, acting_stays, augmented_path_runs, draw_states, real_age
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import linear_recursion
-from sim.engine.schedule import Indices, Policy, Schedule, resync_targets, schedule, step_coefficients
-from sim.engine.simulate import SimulatedRuns, simulate
-from sim.engine.simulate_augmented import SamplingPlan, augmented_plan
+from sim.engine.schedules import Indices, Policy, Schedule, resync_targets, schedule, step_coefficients
+from sim.engine.simulation import SimulatedRuns, simulate
+from sim.engine.simulation_augmented import SamplingPlan, augmented_plan
 from sim.engine.terms import held
 from sim.engine.tracker import Tracker, compile_model, compiled, next_location
 

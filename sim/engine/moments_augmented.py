@@ -1,4 +1,4 @@
-"""The mean course of an automaton with effects, and its covariance: what `sim.engine.moments` is for plain ones.
+"""The mean course of an automaton with effects, and its covariance; `sim.engine.moment_equations` has plain ones.
 
 The segments are known beforehand. Where no thermostat switches and nothing meets a limit, the course is one linear
 recursion. Each switch, clamp and limited step is found in it, done singly, and the recursion goes on from there.

@@ -18,7 +18,7 @@ from sim.engine.belief_state import Belief, Hidden
 from sim.engine.kernel import move
 from sim.engine.particles import PathRuns, Steps, drawn_temperatures, merge
 from sim.engine.plant import Indices, Plant
-from sim.engine.simulate_augmented import root
+from sim.engine.simulation_augmented import root
 from sim.engine.tables import tables
 from sim.engine.terms import Segments
 from sim.engine.tracker import Tracker, next_location

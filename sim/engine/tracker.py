@@ -11,11 +11,11 @@ from typing import Literal
 
 from sim.effects import check_sha, in_sensor_scale, signals_of
 from sim.engine.plant import Plant, compile_plant
-from sim.engine.schedule import resync_targets
+from sim.engine.schedules import resync_targets
 from sim.sha import UNKNOWN, Location, Model, distributions, drawn_temperature, mean_step, mode_parameter, transitions
 
 OnlinePolicy = Literal["ignore", "resync"]
-"""What an event without an edge does, as in `sim.engine.schedule`;
+"""What an event without an edge does, as in `sim.engine.schedules`;
 online nothing is refused, so there is no `reject`."""
 
 SENSOR_FLOOR = 1e-8

@@ -2,7 +2,7 @@
 
 from sim.forecast.calibration import Calibration, Horizon, PendingForecast, calibrate, factors, issue, settle
 from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue_pool, mixture, settle_pool, thinned, weights
-from sim.forecast.forecast import LEVELS, Forecast, forecast
+from sim.forecast.fan import LEVELS, Forecast, forecast
 from sim.forecast.review import FORECASTS, ONE_STEP, Review, beyond, follow, follow_forecasts, share, standardised
 
 __all__ = [

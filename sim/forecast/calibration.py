@@ -15,7 +15,7 @@ from math import exp, inf, isfinite, log, nan
 
 import numpy as np
 
-from sim.forecast.forecast import LEVELS, Forecast
+from sim.forecast.fan import LEVELS, Forecast
 
 LEAST_FACTOR, MOST_FACTOR = 0.2, 10.0
 """Bounds of a factor: beyond them the model is wrong, and no widening makes it right."""

@@ -15,7 +15,7 @@ from math import inf, isfinite, log
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sim.forecast.forecast import LEVELS, Forecast
+from sim.forecast.fan import LEVELS, Forecast
 from sim.scores import Estimate
 from sim.sha import Array
 

@@ -1,7 +1,7 @@
 """The nine stages of validation, their campaign and their report."""
 
 from sim.validation.campaign import Progress, cluster, outcomes_by_model, parallel, run_here, unread
-from sim.validation.conduct import CampaignPlan, conduct
+from sim.validation.campaign_run import CampaignPlan, conduct
 from sim.validation.metrics import QUANTILES
 from sim.validation.output_folder import CAMPAIGN, LEARNED, check_folder, claim_folder, held, read_results
 from sim.validation.plots import ENDINGS, MEASURED, Curve, Picture, draw

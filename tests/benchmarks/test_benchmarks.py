@@ -13,7 +13,7 @@ import pytest
 from benchmarks.figures import Figure, as_table
 from benchmarks.latency import Scan, follow
 from benchmarks.processes import CURRENT, MAP, ROOT, TEMPERATURE, learned_model
-from sim.plc.program.encode import encode
+from sim.plc.program.encoding import encode
 from sim.plc.program.registers import read_map
 from sim.plc.record.recording import BlockRow, RequestRow, TruthRow
 

@@ -21,8 +21,8 @@ from sim.checking.query.tree import (
     TimeSpan,
     Until,
 )
-from sim.checking.smc.answer import Answer, QuerySettings, Start, answer, believed, initial, prepared
-from sim.checking.smc.paths.known import Cuts
+from sim.checking.smc.answers import Answer, QuerySettings, Start, answer, believed, initial, prepared
+from sim.checking.smc.paths.known_events import Cuts
 from sim.checking.smc.runs import engine
 from sim.checking.smc.splitting.estimator import SplitEstimate, split
 from sim.effects.correction import in_sensor_scale

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sim.checking.language.parse import parse_query
-from sim.checking.smc.answer import QuerySettings, answer, believed, initial
+from sim.checking.smc.answers import QuerySettings, answer, believed, initial
 from sim.engine.belief import advance, filter_trace
-from sim.engine.open_loop import open_loop
+from sim.engine.open_loop_run import open_loop
 from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model

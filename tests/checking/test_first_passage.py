@@ -5,8 +5,8 @@ import pytest
 
 from benchmarks.smc import checked, contains, parameter_sets, question, start_of
 from sim.checking.query.tree import Expectation, Hypothesis
-from sim.checking.smc.answer import QuerySettings, Start, answer, initial, prepared
-from sim.checking.smc.paths import known as paths_known
+from sim.checking.smc.answers import QuerySettings, Start, answer, initial, prepared
+from sim.checking.smc.paths import known_events as paths_known
 from sim.checking.smc.paths import plan as paths
 from sim.checking.smc.runs import sampler
 from tests.checking.worlds import TEMP, along, compare, eventually, flow, model, normal

@@ -27,7 +27,7 @@ from sim.checking.query.tree import (
     TimeSpan,
     Until,
 )
-from sim.checking.smc.answer import QuerySettings, answer, initial, prepared
+from sim.checking.smc.answers import QuerySettings, answer, initial, prepared
 from sim.checking.smc.monitors.formula import compile_formulas
 from sim.checking.smc.runs import MOST_KEPT, sampler
 from sim.sha.automaton import Distribution

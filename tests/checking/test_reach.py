@@ -15,8 +15,8 @@ from sim.checking.proof.structure import Move, moves
 from sim.checking.proof.word import parse_word, word_text
 from sim.checking.proof.word_replay import replay
 from sim.effects.correction import in_sensor_scale
-from sim.engine.schedule import resync_targets, schedule
-from sim.engine.simulate import simulate
+from sim.engine.schedules import resync_targets, schedule
+from sim.engine.simulation import simulate
 from sim.sha.automaton import Distribution, Edge, Flow, Input, Location
 from sim.sha.events import Alphabet, Bins, alphabet_symbols
 from sim.sha.flows import mean_step

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sim.checking.query.tree import Always, At, Both, Either, Probability, TimeSpan, Until
-from sim.checking.smc.answer import QuerySettings, answer, initial, prepared
+from sim.checking.smc.answers import QuerySettings, answer, initial, prepared
 from sim.checking.smc.monitors.path import cuts
-from sim.checking.smc.paths.known import Cuts
+from sim.checking.smc.paths.known_events import Cuts
 from sim.checking.smc.runs import engine
 from sim.checking.smc.splitting.estimator import SplitEstimate, skewed_interval, split
 from tests.checking.worlds import along, compare, eventually, flow, model, normal

@@ -8,7 +8,7 @@ import pytest
 from scipy.special import ndtr
 
 from sim.checking.query.tree import At, Both, Comparison, Eventually, Probability, TimeSpan
-from sim.checking.smc.answer import QuerySettings, Start, answer, believed, initial
+from sim.checking.smc.answers import QuerySettings, Start, answer, believed, initial
 from sim.sha.automaton import Distribution, Effect
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sim.artefacts.formats.find import find_model
 from sim.checking.proof.envelope import quantiles
 from sim.checking.proof.structure import accept, components, dead_ends, missing, moves, symbols_of, traps, unreachable
-from sim.checking.proof.verify import verify
+from sim.checking.proof.verification import verify
 from sim.checking.proof.word import TimedWord, parse_word, word_text
 from sim.checking.proof.word_replay import replay
 from sim.engine.tracker import OnlinePolicy, compile_model, next_location

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.verdicts import MUTANTS, judged, left_out
 from sim.checking.proof.envelope import Assumptions
-from sim.checking.proof.verify import verify
+from sim.checking.proof.verification import verify
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Input
 from sim.sha.events import Alphabet
 from sim.sha.model import Correction, Model, Stay

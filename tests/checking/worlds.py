@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim.checking.query.tree import Compare, Comparison, Eventually, Formula, Number, Probability, Quantity, TimeSpan
-from sim.checking.smc.answer import Start, initial
+from sim.checking.smc.answers import Start, initial
 from sim.sha.automaton import SHA, Distribution, Edge, Entry, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model, Stay

@@ -82,7 +82,7 @@ def test_more_runs_begin_with_the_same_runs(place: Path) -> None:
     """The first 1000 of 3000 runs are the 1000 runs: their courses' goals come at the same moments."""
     from sim.artefacts.formats.find import find_model
     from sim.checking.language.parse import parse_query
-    from sim.checking.smc.answer import QuerySettings, answer, initial
+    from sim.checking.smc.answers import QuerySettings, answer, initial
 
     found = find_model(place / "model").runnable()
     start = initial(found, location="ON/100-200")

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from gateway.demo.summary import verdict
-from gateway.store.history import samples
+from gateway.store.read_back import samples
 from tests.cli.support import DATA, decanter, only_object, refused
 
 GATEWAY = (sys.executable, "-m", "gateway.cli.main")

@@ -11,7 +11,7 @@ from gateway.lab.diagnose import roles_of
 from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
 from gateway.store.historian import open_historian
-from gateway.store.history import recent
+from gateway.store.read_back import recent
 from sim.artefacts.formats.find import find_model
 from sim.discrepancy.workflow import diagnose
 from sim.effects.kinds import ROLES

@@ -377,7 +377,7 @@ def test_an_interrupted_campaign_is_seen_as_such_and_can_be_replaced(
 
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr("sim.validation.conduct.index_html", killed)
+        patch.setattr("sim.validation.campaign_run.index_html", killed)
         decanter_result = validate(model, traces, out)
     assert decanter_result.exit_code == 130
     assert f"what was done lies in {out}" in decanter_result.stderr

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.rig import TARGETS, known_model
-from sim.checking.proof.verify import verify
-from sim.discrepancy.fitting.catalogue import catalogue
+from sim.checking.proof.verification import verify
+from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.named import Named, effect_of
 from sim.effects.kinds import EFFECTS
 from sim.learning.semi_markov import fit_stays, with_inputs

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim.discrepancy.fitting.baseline import Frame, frame_of
-from sim.discrepancy.fitting.catalogue import catalogue
+from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.course import State, at, grid_at, scattered, sensitivity
 from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.record import record_of

@@ -7,8 +7,8 @@ import pytest
 
 from sim.discrepancy.diagnosis import HeldOutProof
 from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.catalogue import catalogue
-from sim.discrepancy.fitting.fit import Fitted, fit
+from sim.discrepancy.fitting.candidates import catalogue
+from sim.discrepancy.fitting.free_run_fit import Fitted, fit
 from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.heat import REACH, implied_heat
 from sim.discrepancy.held_out import by_cycles, let_run

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from sim.discrepancy.fitting.baseline import frame_of, on
-from sim.discrepancy.fitting.catalogue import catalogue
-from sim.discrepancy.fitting.fit import fit
+from sim.discrepancy.fitting.candidates import catalogue
+from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.naming import confirm, step
 from sim.discrepancy.path import revised

@@ -8,7 +8,7 @@ import pytest
 from sim.discrepancy.augment import augmented
 from sim.discrepancy.fitting.named import named_of
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
-from sim.engine.open_loop import open_loop
+from sim.engine.open_loop_run import open_loop
 from sim.learning.structure import LearningError
 from tests.discrepancy.plants import model, plant
 

@@ -13,9 +13,9 @@ import pytest
 
 from sim.artefacts.model_directory import read_model_directory
 from sim.discrepancy.diagnosis import Diagnosis, Verdict
-from sim.discrepancy.heat_map import heat_map, span
+from sim.discrepancy.heat_maps import heat_map, span
 from sim.discrepancy.output import folder as output_folder
-from sim.discrepancy.output.document import document, document_text
+from sim.discrepancy.output.diagnosis_json import document, document_text
 from sim.discrepancy.output.folder import check_folder, write_diagnosis
 from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE, cycles_to_show, draw
 from sim.discrepancy.output.report import Occasion, place_sentence, report_html

@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 
 from sim.discrepancy.fitting.baseline import frame_of
-from sim.discrepancy.fitting.catalogue import entry_of
+from sim.discrepancy.fitting.candidates import entry_of
 from sim.discrepancy.fitting.course import at
 from sim.discrepancy.fitting.named import Named, effects_of
 from sim.discrepancy.fitting.record import record_of
 from sim.engine.belief import advance, compile_model, on_event, start, with_inputs
-from sim.engine.open_loop import open_loop
-from sim.engine.schedule import schedule
-from sim.engine.simulate import simulate
+from sim.engine.open_loop_run import open_loop
+from sim.engine.schedules import schedule
+from sim.engine.simulation import simulate
 from sim.learning.structure import contexts, product_sha
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet, Bins, Switch
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Array, Event, Trace
-from sim.uppaal.export import export
+from sim.uppaal.model_export import export
 from tests.uppaal.support import courses, middle
 
 ALPHABET = Alphabet((Switch("on", "W_ON", "W_OFF"), Bins("I", (120.0,), ("A_0", "A_1"))), gap=600.0)

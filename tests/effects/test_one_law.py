@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim.effects.kinds import EFFECTS
-from sim.engine.open_loop import open_loop
+from sim.engine.open_loop_run import open_loop
 from tests.effects.engines import (
     automaton,
     exported,

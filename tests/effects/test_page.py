@@ -9,8 +9,8 @@ import pytest
 
 from sim.effects import heating, kind
 from sim.effects.kinds import EFFECTS
-from sim.engine.moments import moments
-from sim.engine.schedule import schedule
+from sim.engine.moment_equations import moments
+from sim.engine.schedules import schedule
 from tests.effects.test_one_law import LEARNERS, test_all_engines_have_one_course
 from tests.sha import effect_reference
 

@@ -18,7 +18,7 @@ from gateway.machine.reading.scan import Scan
 from gateway.plant.app import run
 from gateway.settings.config import Config
 from gateway.store.historian import HistorianError, open_historian
-from gateway.store.history import history, to_trace
+from gateway.store.read_back import history, to_trace
 from sim.sha.events import encode
 from tests.gateway.support import (
     CURRENT,

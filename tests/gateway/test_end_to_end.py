@@ -17,7 +17,7 @@ import pytest
 from gateway.machine.reading.clock import PlantClock
 from gateway.plant.app import run
 from gateway.settings.config import Config
-from gateway.store.history import samples
+from gateway.store.read_back import samples
 from gateway.store.score import scorecard
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import read_recording

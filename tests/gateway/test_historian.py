@@ -18,7 +18,7 @@ from drivers.tag import Quality, Sample, Tag
 from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
 from gateway.store.historian import Historian, HistorianError, open_historian
-from gateway.store.history import history, reading, samples, to_trace
+from gateway.store.read_back import history, reading, samples, to_trace
 from tests.gateway.support import EPOCH, ROOT
 
 TAGS = (Tag("T", "holding:1", unit="degC"), Tag("A", "holding:2", deadband=0.5))

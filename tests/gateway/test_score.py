@@ -8,7 +8,7 @@ import pytest
 
 from drivers.tag import Tag
 from gateway.store.historian import open_historian
-from gateway.store.history import matured
+from gateway.store.read_back import matured
 from gateway.store.score import error, scorecard
 from tests.gateway.support import EPOCH
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.rig import CURRENT, RATES, RUNNING, TARGETS, TEMPERATURE, known_model, make_rig
-from gateway.store.history import events, to_trace
-from sim.engine.schedule import schedule
-from sim.engine.simulate import simulate
+from gateway.store.read_back import events, to_trace
+from sim.engine.schedules import schedule
+from sim.engine.simulation import simulate
 from sim.learning.bins.learn import Learned, learn_bins
 from sim.learning.structure import announcements
 from sim.sha.automaton import SHA, transitions

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.fault_matrix import TOLERANCE_S, outside
 from benchmarks.rig import Gateway, Plc, Rig, end, make_rig, restless_trace
-from gateway.store.history import samples
+from gateway.store.read_back import samples
 from sim.plc.program.writeback import STILL
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import PlcRecording, read_recording

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.rig import Gateway, Rig, end, make_rig, restless_trace
-from gateway.store.history import reading
+from gateway.store.read_back import reading
 from sim.plc.record.recording import read_recording
 
 PERIOD = 0.1

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.rig import ROOT, TARGETS, Gateway, Rig, known_model, make_rig, restless_trace
-from gateway.store.history import reading
+from gateway.store.read_back import reading
 from sim.artefacts.formats.write_model import save, write_model_directory
 from sim.artefacts.store import CURRENT
 from sim.plc.record.recording import read_recording

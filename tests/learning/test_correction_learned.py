@@ -9,7 +9,7 @@ import pytest
 from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import read_model
-from sim.engine.open_loop import errors, open_loop
+from sim.engine.open_loop_run import errors, open_loop
 from sim.learning.bins.learn import learn_bins
 from sim.learning.correction import corrected_model, learn_correction
 from sim.learning.max_rate import bite, learn_max_rate, with_max_rate

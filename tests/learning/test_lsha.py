@@ -17,7 +17,7 @@ from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_directory import read_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.effects.check import check_sha
-from sim.engine.open_loop import measured, open_loop
+from sim.engine.open_loop_run import measured, open_loop
 from sim.learning.lsha.flow_hypotheses import choose_flow
 from sim.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.learning.lsha.report import counterexamples, report_document, report_text

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.tag import DType, Order, Tag
-from sim.plc.program.encode import (
+from sim.plc.program.encoding import (
     Unrepresentable,
     decode,
     encode,

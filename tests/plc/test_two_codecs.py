@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from drivers import codec
 from drivers.tag import DType, Order, Quality, Tag
 from sim.plc.program.clock import EmulatorClock
-from sim.plc.program.encode import FLOATS, decode, encode, encode_absent, limits, value_at_rest, words_of_type
+from sim.plc.program.encoding import FLOATS, decode, encode, encode_absent, limits, value_at_rest, words_of_type
 from sim.plc.program.plc import Plc
 from sim.plc.program.registers import Place, RegisterMap
 

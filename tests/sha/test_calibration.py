@@ -14,7 +14,7 @@ from sim.forecast.calibration import (
     issue,
     settle,
 )
-from sim.forecast.forecast import LEVELS, Forecast
+from sim.forecast.fan import LEVELS, Forecast
 from sim.scores import Estimate
 
 HORIZON = 20.0

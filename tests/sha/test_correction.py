@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from sim.artefacts.model_json import model_document, model_hash, model_text, parse_model
 from sim.effects.correction import corrected, in_sensor_scale
 from sim.engine.belief import filter_trace, start
-from sim.engine.moments import moments
-from sim.engine.open_loop import open_loop
-from sim.engine.schedule import schedule
-from sim.engine.simulate import simulate
+from sim.engine.moment_equations import moments
+from sim.engine.open_loop_run import open_loop
+from sim.engine.schedules import schedule
+from sim.engine.simulation import simulate
 from sim.engine.tracker import compile_model
 from sim.files import ArtefactError
-from sim.forecast.forecast import forecast
+from sim.forecast.fan import forecast
 from sim.sha.automaton import SHA, Distribution, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Correction, Model

@@ -8,8 +8,8 @@ import pytest
 from sim.effects.check import check_effect, check_effects, check_sha
 from sim.effects.correction import in_sensor_scale
 from sim.effects.kinds import EFFECTS, effect_summary, refusal
-from sim.engine.moments import moments
-from sim.engine.schedule import schedule, step_coefficients
+from sim.engine.moment_equations import moments
+from sim.engine.schedules import schedule, step_coefficients
 from sim.sha.automaton import SHA, Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Correction, Model

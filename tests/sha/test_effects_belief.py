@@ -24,8 +24,8 @@ from sim.engine.belief import (
     start,
     with_inputs,
 )
-from sim.engine.moments import moments
-from sim.engine.schedule import schedule
+from sim.engine.moment_equations import moments
+from sim.engine.schedules import schedule
 from sim.engine.tracker import Tracker
 from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.engine.moments import moments
-from sim.engine.open_loop import open_loop
-from sim.engine.schedule import schedule
-from sim.engine.simulate import simulate
+from sim.engine.moment_equations import moments
+from sim.engine.open_loop_run import open_loop
+from sim.engine.schedules import schedule
+from sim.engine.simulation import simulate
 from sim.sha.automaton import SHA, Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.engine.schedule import schedule, step_coefficients
+from sim.engine.schedules import schedule, step_coefficients
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
 from tests.sha.effect_reference import EFFECTS, plant

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sim.engine.belief import compile_model, on_event, start, with_inputs
-from sim.engine.moments import moments
-from sim.engine.schedule import schedule
-from sim.engine.simulate import simulate
-from sim.forecast.forecast import forecast
+from sim.engine.moment_equations import moments
+from sim.engine.schedules import schedule
+from sim.engine.simulation import simulate
+from sim.forecast.fan import forecast
 from sim.sha.automaton import Distribution, Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model, Stay

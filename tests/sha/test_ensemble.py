@@ -22,7 +22,7 @@ from sim.forecast.ensemble import (
     thinned,
     weights,
 )
-from sim.forecast.forecast import LEVELS, Forecast
+from sim.forecast.fan import LEVELS, Forecast
 from sim.scores import Estimate
 
 HORIZONS = np.array([60.0, 300.0])

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import ndtr, ndtri
 
 from sim.engine.belief import advance, compile_model, filter_trace, on_event, start
-from sim.forecast.forecast import LEVELS, Forecast, forecast
+from sim.forecast.fan import LEVELS, Forecast, forecast
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model, Stay

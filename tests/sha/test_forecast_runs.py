@@ -6,7 +6,7 @@ from scipy.special import ndtr
 
 from sim.engine.belief import compile_model, start
 from sim.engine.particles import Steps, lay_out, survival
-from sim.forecast.forecast import forecast
+from sim.forecast.fan import forecast
 from sim.sha.semi_markov import Paths
 from sim.sha.trace import Event
 from tests.sha.plants import exponential_stays, two_states

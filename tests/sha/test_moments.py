@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim.engine.moments import moments
-from sim.engine.schedule import Schedule, schedule
+from sim.engine.moment_equations import moments
+from sim.engine.schedules import Schedule, schedule
 from sim.sha import flows
 from sim.sha.automaton import SHA, Edge, Flow, Location
 from sim.sha.entry import drawn_temperature, mode_parameter

@@ -5,9 +5,9 @@ from math import isnan
 import numpy as np
 import pytest
 
-from sim.engine.moments import moments
-from sim.engine.open_loop import errors, open_loop, open_loop_schedule, start_law
-from sim.engine.schedule import schedule
+from sim.engine.moment_equations import moments
+from sim.engine.open_loop_run import errors, open_loop, open_loop_schedule, start_law
+from sim.engine.schedules import schedule
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model

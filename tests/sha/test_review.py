@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sim.engine.belief import advance, filter_trace, observe, start
-from sim.engine.open_loop import open_loop
+from sim.engine.open_loop_run import open_loop
 from sim.forecast.calibration import calibrate, issue, settle
-from sim.forecast.forecast import forecast
+from sim.forecast.fan import forecast
 from sim.forecast.review import FORECASTS, ONE_STEP, Review, beyond, follow, follow_forecasts, share, standardised
 from sim.sha.automaton import Distribution
 from sim.sha.trace import Trace

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.engine.schedule import Schedule, resync_targets, schedule, step_coefficients
+from sim.engine.schedules import Schedule, resync_targets, schedule, step_coefficients
 from sim.sha.automaton import SHA, Edge, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sim.engine.moments import moments
-from sim.engine.schedule import Schedule, schedule
-from sim.engine.simulate import CHUNK, simulate
+from sim.engine.moment_equations import moments
+from sim.engine.schedules import Schedule, schedule
+from sim.engine.simulation import CHUNK, simulate
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.trace import Array, Event, Trace
 from tests.sha.models import EVERYWHERE, limited, normal

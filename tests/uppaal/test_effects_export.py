@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from sim.effects.kinds import EFFECTS as KINDS
-from sim.engine.open_loop import open_loop
+from sim.engine.open_loop_run import open_loop
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
-from sim.uppaal.export import Exported, ExportError, export
+from sim.uppaal.model_export import Exported, ExportError, export
 from tests.sha.effect_reference import EFFECTS, TOGETHER, course, plant
 from tests.uppaal.support import courses, middle
 

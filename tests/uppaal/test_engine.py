@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.uppaal.compare import ComparisonRow, compare, native_runs
-from sim.uppaal.export import Exported, export, write
+from sim.uppaal.comparison import ComparisonRow, compare, native_runs
+from sim.uppaal.model_export import Exported, export, write
 from sim.uppaal.output import Output, VerifytaAnswer, parse_output
 from sim.uppaal.verifyta import VARIABLE, EngineError, find_engine, run_engine
 from tests.uppaal.support import courses, replayed, two_locations

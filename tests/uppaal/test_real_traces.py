@@ -11,7 +11,7 @@ from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN
 from sim.traces.column_map import load_map
 from sim.traces.traces import load_traces
-from sim.uppaal.export import export
+from sim.uppaal.model_export import export
 from tests.uppaal.interpreter import Network
 from tests.uppaal.support import courses, middle
 

@@ -13,7 +13,7 @@ from sim.sha.events import Alphabet
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
 from sim.uppaal.document import comment_text, number
-from sim.uppaal.export import ExportError, export
+from sim.uppaal.model_export import ExportError, export
 from sim.uppaal.rules import RULES, check_rules
 from tests.uppaal.interpreter import parsed
 from tests.uppaal.support import FLOWS, cd, learned, replayed, spindle, two_locations

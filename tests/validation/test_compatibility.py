@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from sim.engine.schedule import Policy
+from sim.engine.schedules import Policy
 from sim.sha.automaton import Edge
 from sim.sha.events import encode
 from sim.sha.trace import UNKNOWN, Event

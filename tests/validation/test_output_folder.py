@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.engine.open_loop import Score
+from sim.engine.open_loop_run import Score
 from sim.validation.output_folder import (
     check_folder,
     claim_folder,

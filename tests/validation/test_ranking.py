@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.engine.open_loop import Score
+from sim.engine.open_loop_run import Score
 from sim.plant.scenarios import scenario
 from sim.ranking.fitness import CRITERIA, Facts, FitnessLimits, judge, limits_of, seen_traces, verdict
 from sim.ranking.paired import holm, paired

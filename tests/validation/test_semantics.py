@@ -6,9 +6,9 @@ from math import exp, sqrt
 import numpy as np
 import pytest
 
-from sim.engine.open_loop import errors, open_loop
-from sim.engine.schedule import schedule
-from sim.engine.simulate import simulate
+from sim.engine.open_loop_run import errors, open_loop
+from sim.engine.schedules import schedule
+from sim.engine.simulation import simulate
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Correction, Model, Stay

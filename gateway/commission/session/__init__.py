@@ -1,9 +1,9 @@
 """What all commissioning commands share: device, evidence, steps, records, the way through a running gateway."""
 
 from gateway.commission.session.audit_log import at, audit_option, audit_path, questions
+from gateway.commission.session.execution import login, perform
 from gateway.commission.session.gateway_line import mention_gateway, read_through, running_for, running_gateway
 from gateway.commission.session.options import SharedOptions, link_options, record_options
-from gateway.commission.session.perform import login, perform
 from gateway.commission.session.records import (
     CommandRecord,
     RecordsError,

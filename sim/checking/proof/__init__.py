@@ -2,7 +2,7 @@
 
 from sim.checking.proof.envelope import DAY, Assumptions, Sojourn
 from sim.checking.proof.symbolic import decide
-from sim.checking.proof.verify import Check, Verification, verify
+from sim.checking.proof.verification import Check, Verification, verify
 from sim.checking.proof.word import TimedWord, parse_word, word_text
 from sim.checking.proof.word_replay import WordReplay, replay
 

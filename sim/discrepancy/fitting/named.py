@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from sim.discrepancy.fitting.catalogue import CatalogueEntry, entry_of
+from sim.discrepancy.fitting.candidates import CatalogueEntry, entry_of
 from sim.effects import kind_of
 from sim.learning import contexts, first_switch
 from sim.sha import UNKNOWN, Effect, Model

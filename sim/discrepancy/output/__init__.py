@@ -1,6 +1,6 @@
 """A diagnosis written: document, report, pictures, the folder that holds them."""
 
-from sim.discrepancy.output.document import document
+from sim.discrepancy.output.diagnosis_json import document
 from sim.discrepancy.output.folder import MODEL, check_folder, write_diagnosis
 from sim.discrepancy.output.report import Occasion
 

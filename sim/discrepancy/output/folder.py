@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sim.artefacts.formats import write_model_directory
 from sim.discrepancy import Diagnosis
-from sim.discrepancy.output.document import FORMAT, document_text
+from sim.discrepancy.output.diagnosis_json import FORMAT, document_text
 from sim.discrepancy.output.pictures import FILES, draw
 from sim.discrepancy.output.report import Occasion, report_html
 from sim.files import replace_durably, sync_directory

@@ -12,7 +12,7 @@ from sim.plc.program.checks import (
 )
 from sim.plc.program.clock import EmulatorClock
 from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance, disturbed, together
-from sim.plc.program.encode import Unrepresentable, encode, encode_absent, is_bool
+from sim.plc.program.encoding import Unrepresentable, encode, encode_absent, is_bool
 from sim.plc.program.faults import FaultEffect, OrderedFault, describe, merged, parse_fault, shown_at
 from sim.plc.program.image import Undefined
 from sim.plc.program.pdu import HEADER, ILLEGAL_FUNCTION, MAX_PDU, ModbusReply, ModbusRequest, crc

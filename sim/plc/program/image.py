@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 
 from drivers.tag import Tag, Value
-from sim.plc.program.encode import Unrepresentable, decode, encode, encode_absent
+from sim.plc.program.encoding import Unrepresentable, decode, encode, encode_absent
 from sim.plc.program.registers import BIT_TABLES, WORD_TABLES, Place, RegisterMap
 
 Values = Mapping[str, Value | None]

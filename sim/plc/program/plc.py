@@ -14,7 +14,7 @@ from sim.plc.program import pdu as modbus
 from sim.plc.program import writeback
 from sim.plc.program.checks import InputError, listed
 from sim.plc.program.clock import EmulatorClock
-from sim.plc.program.encode import Unrepresentable, encode, is_bool, resolution, value_at_rest
+from sim.plc.program.encoding import Unrepresentable, encode, is_bool, resolution, value_at_rest
 from sim.plc.program.faults import ALL_TAGS, FaultEffect, OrderedFault, merged, refusal
 from sim.plc.program.image import ProcessImage, Undefined
 from sim.plc.program.pdu import ModbusRefusal, ModbusReply, ModbusRequest

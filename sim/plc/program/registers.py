@@ -10,7 +10,7 @@ from drivers.device_file import BlockField, BlockTable, read_device_file
 from drivers.settings import ConfigError
 from drivers.tag import DType, Tag
 from sim.plc.program.checks import FileTable, InputError, validated
-from sim.plc.program.encode import sentinel_fits, words_of_type
+from sim.plc.program.encoding import sentinel_fits, words_of_type
 
 WORD_TABLES = ("holding", "input")
 BIT_TABLES = ("coil", "discrete")

@@ -6,7 +6,7 @@ Measured then: its mean course ran to the clamp at 500 degC.
 from dataclasses import replace
 
 from sim.checking.proof.envelope import Assumptions
-from sim.checking.proof.verify import verify
+from sim.checking.proof.verification import verify
 from sim.effects.kind import EffectRefusal
 from tests.effects.engines import automaton, model_of, named, trace_of, with_effects
 from tests.effects.made_up import HUMIDITY_HEATING, known

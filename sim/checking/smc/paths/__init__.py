@@ -1,10 +1,10 @@
 """How runs are laid out and drawn: known events, unknown ones, effects, tilted laws."""
 
 from sim.checking.smc.paths.effects import augmented
-from sim.checking.smc.paths.known import Affine, Cuts, known
+from sim.checking.smc.paths.known_events import Affine, Cuts, known
 from sim.checking.smc.paths.plan import LONGEST, Engine, Indices, Piece, State, World, with_extremes
-from sim.checking.smc.paths.semi_markov import semi_markov
 from sim.checking.smc.paths.tilting import Tilts, balance, fitted, moved, neutral
+from sim.checking.smc.paths.unknown_events import semi_markov
 
 __all__ = [
     "LONGEST",

@@ -11,7 +11,7 @@ from math import inf, isfinite, nextafter
 
 import numpy as np
 
-from sim.checking.smc.paths.known import MOST_ROWS, Cuts, crossings, notes_of
+from sim.checking.smc.paths.known_events import MOST_ROWS, Cuts, crossings, notes_of
 from sim.checking.smc.paths.plan import FINE, LEAST_DECAY, LONGEST, Indices, Piece, State, World
 from sim.checking.smc.paths.tilting import Tilts
 from sim.effects import ABSOLUTE_SECONDS, Structural, dead_time, kind_of, offset_times, sensor_offsets

@@ -17,10 +17,10 @@ from math import inf, isfinite
 
 import numpy as np
 
-from sim.engine.moments import AffineSteps, affine_steps, free_mean, run_flags
+from sim.engine.moment_equations import AffineSteps, affine_steps, free_mean, run_flags
 from sim.engine.recursion import linear_recursion
-from sim.engine.schedule import Indices, Schedule
-from sim.engine.simulate_augmented import augmented_plan, augmented_runs
+from sim.engine.schedules import Indices, Schedule
+from sim.engine.simulation_augmented import augmented_plan, augmented_runs
 from sim.sha import Array, Distribution, Flow, Mask, distributions, drawn_parameter, drawn_temperature, flows
 
 CHUNK = 8192

@@ -10,7 +10,7 @@ from math import isfinite
 
 import numpy as np
 
-from sim.checking.smc.paths.known import MOST_ROWS, Cuts
+from sim.checking.smc.paths.known_events import MOST_ROWS, Cuts
 from sim.checking.smc.paths.plan import (
     LEAST_DECAY,
     Indices,

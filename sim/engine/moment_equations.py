@@ -9,7 +9,7 @@ from sim.effects import check_sha, sensor_offset, sensor_offsets
 from sim.engine.moments_augmented import DrawnMoments, MeanCourse, covariance, mean_course, start_state
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import linear_recursion
-from sim.engine.schedule import Indices, Schedule, step_coefficients
+from sim.engine.schedules import Indices, Schedule, step_coefficients
 from sim.engine.terms import Segments
 from sim.sha import Array, Location, distributions, drawn_temperature, flows, mode_parameter
 

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from sim.engine.moments import Prediction, moments
-from sim.engine.schedule import Policy, Schedule, schedule
+from sim.engine.moment_equations import Prediction, moments
+from sim.engine.schedules import Policy, Schedule, schedule
 from sim.sha import Array, Distribution, Model, Trace, distributions
 
 Start = Literal["measured", "law"]

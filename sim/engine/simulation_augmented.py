@@ -11,10 +11,10 @@ import numpy as np
 
 from sim.effects import sensor_offset, sensor_offsets
 from sim.engine.kernel import move
-from sim.engine.moments import augmented_course
+from sim.engine.moment_equations import augmented_course
 from sim.engine.moments_augmented import start_state
 from sim.engine.plant import Indices, Plant
-from sim.engine.schedule import Schedule
+from sim.engine.schedules import Schedule
 from sim.engine.tables import Half, Tables
 from sim.sha import Array, Distribution, Mask, distributions, drawn_parameter, drawn_temperature
 
