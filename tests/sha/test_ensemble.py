@@ -14,11 +14,11 @@ from sim.forecast.ensemble import (
     DENSE,
     Pool,
     PoolEvidence,
-    issue,
+    issue_pool,
     learn,
     log_density,
     mixture,
-    settle,
+    settle_pool,
     thinned,
     weights,
 )
@@ -175,17 +175,17 @@ def test_evidence_waits_for_the_reading_counts_overlap_once_and_drops_what_is_ov
     evidence = PoolEvidence(Pool(2, strength=1e-9, floor=0.0))
     for second in (0.0, 6.0, 200.0):
         at = [replace(one, time=second) for one in (good, bad)]
-        evidence = issue(evidence, 60.0, "on", at)
-    assert settle(evidence, 60.0, 59.0, 50.0, 5.0) is evidence
-    first = settle(evidence, 60.0, 61.0, 50.0, 5.0)
-    second = settle(first, 60.0, 66.0, 50.0, 5.0)
+        evidence = issue_pool(evidence, 60.0, "on", at)
+    assert settle_pool(evidence, 60.0, 59.0, 50.0, 5.0) is evidence
+    first = settle_pool(evidence, 60.0, 61.0, 50.0, 5.0)
+    second = settle_pool(first, 60.0, 66.0, 50.0, 5.0)
     assert sum(first.pool.overall) == pytest.approx(1.0)
     assert sum(second.pool.overall) == pytest.approx(1.1, abs=0.01), "six seconds newer: a tenth of a forecast"
     assert second.pool.contexts.keys() == {"on"}
-    late = settle(second, 60.0, 300.0, 50.0, 5.0)
+    late = settle_pool(second, 60.0, 300.0, 50.0, 5.0)
     assert late.pending == () and late.pool == second.pool
-    assert settle(second, 60.0, 260.0, float("nan"), 5.0).pending == second.pending
-    assert issue(evidence, 60.0, "on", [good, None]) is evidence
+    assert settle_pool(second, 60.0, 260.0, float("nan"), 5.0).pending == second.pending
+    assert issue_pool(evidence, 60.0, "on", [good, None]) is evidence
 
 
 def test_a_pool_is_plain_enough_for_json() -> None:
