@@ -23,7 +23,7 @@ test: lint types contracts unit
 
 # The inner loop: everything that needs neither processes of its own nor ten seconds.
 check: lint types contracts
-	$(BIN)/pytest -n 2 --dist worksteal --without-processes
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --without-processes
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -35,8 +35,9 @@ types: $(STAMP)
 contracts: $(STAMP)
 	$(BIN)/lint-imports
 
+# A file's tests stay in one process, so that what they share is made once. Three processes on two cores: many tests wait.
 unit: $(STAMP)
-	$(BIN)/pytest -n 2 --dist worksteal
+	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 # The locks are made anew by hand, when a dependency is raised on purpose.
 lock: $(STAMP)

@@ -23,12 +23,16 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Without processes, what runs for more than ten seconds is left out as well, before its fixtures begin."""
-    if not config.getoption("--without-processes"):
-        return
-    left_out = [item for item in items if item.get_closest_marker("slow") or INTEGRATION in item.path.parents]
-    config.hook.pytest_deselected(items=left_out)
-    items[:] = [item for item in items if item not in set(left_out)]
+    """Files with slow tests come first, so that no worker begins one of them when the others are nearly done.
+
+    Without processes, what runs for more than five seconds is left out, before its fixtures begin.
+    """
+    slow = {item.path for item in items if item.get_closest_marker("slow") or INTEGRATION in item.path.parents}
+    items.sort(key=lambda item: item.path not in slow)
+    if config.getoption("--without-processes"):
+        left_out = {item for item in items if item.get_closest_marker("slow") or INTEGRATION in item.path.parents}
+        config.hook.pytest_deselected(items=list(left_out))
+        items[:] = [item for item in items if item not in left_out]
 
 
 @pytest.fixture(scope="session", autouse=True)

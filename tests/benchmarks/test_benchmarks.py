@@ -42,6 +42,7 @@ def by_name(figures: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     return {one["name"]: one for one in figures}
 
 
+@pytest.mark.slow
 def test_latency_follows_every_change_to_its_block(model_folder: Path) -> None:
     options = ("--changes", "6", "--period", "0.2", "--model-folder", str(model_folder))
     figures = by_name(said("latency", *options)["figures"])
@@ -55,6 +56,7 @@ def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> N
     assert figures["peak resident size of the gateway"]["value"] > figures["peak resident size of the gateway"]["other"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options"),
     [

@@ -54,6 +54,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> tuple[Path,
     return folder, performed(folder, "--trace", traces / "cd17.csv", "--seconds", 8)
 
 
+@pytest.mark.slow
 def test_the_demo_ends_with_one_object_that_holds_together(shown: tuple[Path, dict[str, Any]]) -> None:
     _, data = shown
     sane(data)
@@ -87,6 +88,7 @@ def test_the_outage_is_in_the_historian_as_bad_quality(shown: tuple[Path, dict[s
     assert stored[-1].quality.is_good and stored[-1].time > bad[-1].time
 
 
+@pytest.mark.slow
 def test_a_second_demo_in_the_same_folder_begins_anew(shown: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     folder = tmp_path / "again"
     shutil.copytree(shown[0], folder)
@@ -130,6 +132,7 @@ def gone(folder: Path) -> bool:
     return alive(folder) == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="needs /proc")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda number: number.name)
 def test_however_a_demo_is_ended_neither_process_stays(number: signal.Signals, traces: Path, tmp_path: Path) -> None:
@@ -152,6 +155,7 @@ def test_however_a_demo_is_ended_neither_process_stays(number: signal.Signals, t
         assert demo.returncode == -number
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_the_demo_on_a_measured_pump_learns_and_foresees(tmp_path: Path) -> None:
     trace = DATA / "skab" / "anomaly-free.csv"

@@ -20,6 +20,7 @@ def test_the_demo_runs_the_main_job_over_can_frames(traces: Path, tmp_path: Path
     assert not hub_path(tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_demo_over_can_that_is_killed_leaves_no_process_behind(traces: Path, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     command = [*GATEWAY, "demo", "--json", "--link", "can", "--trace", traces / "cd17.csv", "--seconds", "60"]

@@ -85,6 +85,7 @@ async def test_garbage_on_the_bus_makes_no_wrong_value_good(own: bool, tmp_path:
     assert heap.wrong == 0 or believed > 0, heap.examples
 
 
+@pytest.mark.slow
 def test_a_change_reaches_the_plc_as_a_prediction_long_before_the_next_scan(tmp_path: Path) -> None:
     """The scan period is a second: each of the changes is followed to the block that it made, or this fails."""
     try:

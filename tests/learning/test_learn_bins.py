@@ -73,6 +73,7 @@ def test_a_known_automaton_is_learned_back(which: str, truth: Truth, request: py
     assert 0.5 * truth.sensor < learned.noise.sensor < 1.5 * truth.sensor
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("truth", "seeds", "least"), [(CONSTANT, 10, 7), (DRIVEN, 6, 6)], ids=["constant", "driven"])
 def test_the_right_flow_is_chosen(truth: Truth, seeds: int, least: int) -> None:
     # One standard error lets a needless gain pass in about one of ten cases (27 of the 30 seeds from 100 on are right):

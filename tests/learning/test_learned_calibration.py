@@ -50,6 +50,7 @@ def test_only_forecasts_after_the_given_moment_count() -> None:
     assert set(calibrate(model, [trace], np.random.default_rng(0))) == set(HORIZONS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("truth", [Truth(), Truth(gain=0.1, noise=0.02)], ids=["smooth", "driven and rough"])
 def test_ninety_per_cent_bands_cover_ninety_per_cent_of_unseen_cycles(truth: Truth) -> None:
     covered, worth = dict.fromkeys(HORIZONS, 0.0), dict.fromkeys(HORIZONS, 0.0)

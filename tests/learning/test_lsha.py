@@ -87,6 +87,7 @@ def found_again(seed: int) -> bool:
     return {frozenset(words) for words in members.values()} == FOUR and len(members) == 4
 
 
+@pytest.mark.slow
 def test_a_known_automaton_comes_back_for_nearly_every_seed() -> None:
     # alpha = 0.05 family-wise says that one in twenty may have a location too many; 37 of the 40 seeds from 100 on came
     # back. With that share fewer than 4 of 5 have a probability of 4 %; these five seeds are what they are.
@@ -135,6 +136,7 @@ def test_a_trace_without_a_known_location_leaves_no_fold_empty() -> None:
     assert_sound(learned(again, memory="context"), again)
 
 
+@pytest.mark.slow
 def test_targets_scatter_and_rate_of_a_known_automaton_are_right(known: LearnedLsha) -> None:
     assert_sound(known, random_traces(by_context, 3))
     assert known.model.provenance.settings["flow"] == "exponential"
@@ -149,6 +151,7 @@ def test_targets_scatter_and_rate_of_a_known_automaton_are_right(known: LearnedL
     assert 0.05 < known.model.sensor_sigma < 0.2
 
 
+@pytest.mark.slow
 def test_what_depends_on_the_direction_of_a_level_is_told_apart() -> None:
     result = learned(random_traces(by_direction, 4, count=16))
     assert result.model.provenance.settings["memory"] in ("direction", "previous")
@@ -181,6 +184,7 @@ def test_a_default_flow_that_is_given_is_taken(kind: str) -> None:
     assert result.model.provenance.settings["delta"] == 0.1
 
 
+@pytest.mark.slow
 def test_every_word_has_an_edge_and_what_was_never_seen_a_default_one() -> None:
     wide = Alphabet((PLANT.channels[0], Bins("Load", (1.0, 2.0, 3.0), ("L_0", "L_1", "L_2", "L_3"))), gap=60.0)
     traces = random_traces(by_context, 7, count=6)
@@ -196,6 +200,7 @@ def test_every_word_has_an_edge_and_what_was_never_seen_a_default_one() -> None:
     assert len(bare.model.sha.edges) == bare.report.observed_edges + len(bare.model.sha.locations)
 
 
+@pytest.mark.slow
 def test_the_order_of_the_traces_copies_and_names_of_copies_do_not_matter(known: LearnedLsha) -> None:
     traces = random_traces(by_context, 3)
     rng = np.random.default_rng(0)
@@ -237,6 +242,7 @@ def test_whatever_the_traces_the_automaton_is_deterministic_and_accepts_them_all
         assert_sound(result, traces)
 
 
+@pytest.mark.slow
 def test_the_observation_table_is_prefix_closed_closed_and_says_where_words_lead(known: LearnedLsha) -> None:
     table, moves = known.report.table, transitions(known.model.sha)
     words = {row.word for row in table.upper}
@@ -253,6 +259,7 @@ def test_the_observation_table_is_prefix_closed_closed_and_says_where_words_lead
     assert table.suffixes[0] == ()
 
 
+@pytest.mark.slow
 def test_the_report_says_why_every_location_is_one(known: LearnedLsha) -> None:
     report = known.report
     document = json.loads(json.dumps(report_document(report)))
@@ -350,6 +357,7 @@ def test_few_data_give_a_sound_model(alphabet: Alphabet, traces: list[Trace]) ->
     assert_sound(learned(again, alphabet), again)
 
 
+@pytest.mark.slow
 def test_a_symbol_seen_once_gets_no_location_of_its_own() -> None:
     traces = random_traces(by_context, 8)
     load = traces[0].signals["Load"].copy()

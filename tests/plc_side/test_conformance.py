@@ -138,6 +138,7 @@ def quick(folder: Path, name: str, seconds: float = 1.0) -> Path:
     return path
 
 
+@pytest.mark.slow
 async def test_the_emulator_passes_over_modbus_and_its_recorder_has_every_block(tmp_path: Path) -> None:
     path = quick(tmp_path, "decanter_plc.toml")
     with running("--record", tmp_path / "rec.jsonl", map_path=path) as plc:

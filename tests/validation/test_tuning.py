@@ -87,6 +87,7 @@ def test_a_study_that_is_gone_on_with_is_the_same_as_one_that_never_stopped(tmp_
     assert told(search(tmp_path / "other.db", 12, StudyPlan("bins", seed=1))) != told(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("known")
 def test_a_killed_search_goes_on_as_if_it_had_not_been_killed(tmp_path: Path) -> None:
     file = tmp_path / "killed.db"
