@@ -26,6 +26,7 @@ class Figures:
 
     modules: Counter[str] = field(default_factory=Counter)
     lines: Counter[str] = field(default_factory=Counter)
+    sentences: dict[str, str] = field(default_factory=dict)
     code: int = 0
     comments: int = 0
     lengths: list[int] = field(default_factory=list)
@@ -51,6 +52,8 @@ def _count(path: Path, place: str, figures: Figures) -> None:
     room = str(Path(place).parent)
     figures.modules[room] += 1
     figures.lines[room] += len(text.splitlines())
+    if Path(place).name == "__init__.py":
+        figures.sentences[room] = (ast.get_docstring(tree) or "").partition("\n")[0]
     tokens = list(tokenize.generate_tokens(io.StringIO(text).readline))
     figures.comments += sum(token.type == tokenize.COMMENT for token in tokens)
     # A line of code is one on which a token other than comments, strings standing alone and white space begins.
@@ -100,7 +103,7 @@ def table(figures: Figures, *, tree: bool) -> list[str]:
     ]
     if tree:
         rows += [
-            f"{figures.modules[room]:4d} modules {figures.lines[room]:6,d} lines  {room}"
+            f"{figures.modules[room]:4d} modules {figures.lines[room]:6,d} lines  {room:32} {figures.sentences.get(room)}"
             for room in sorted(figures.lines)
         ]
     return rows

@@ -1,0 +1,1 @@
+"""What the plant says: tags in, samples out."""

@@ -1,0 +1,1 @@
+"""A device without hardware; opened by its name in `drivers.driver.DRIVERS`."""

@@ -1,0 +1,1 @@
+"""Vehicles: OBD-II, J1939, and recorded CAN logs of them."""

@@ -1,1 +1,1 @@
-"""The engineer's hour at the plant: one module for the work of each `decanter plc` command."""
+"""The engineer's hour at the plant: one module a command of `decanter plc`, its work and its options."""

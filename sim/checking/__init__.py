@@ -1,0 +1,1 @@
+"""Models checked: a query and its text, what is proven, what runs say."""

@@ -1,0 +1,1 @@
+"""`decanter trace`: one module a command, and how commands load traces."""
