@@ -38,7 +38,6 @@ from canopen.objectdictionary.eds import import_eds
 from benchmarks.can import hub
 from benchmarks.canopen_rig import DEVICE, NODE, canopen_rig, face
 from benchmarks.figures import Figure, give, shares
-from benchmarks.rig import CURRENT, ROOT, RUNNING, TEMPERATURE, Plc, make_rig, restless_trace
 from drivers.can.bus.hub_bus import HubBus
 from drivers.canopen.driver import open_canopen
 from drivers.driver import open_driver
@@ -49,6 +48,7 @@ from gateway.settings.devices import load_device
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import BlockRow, PlcRecording, read_recording
 from sim.sha.trace import Trace
+from tests.rig.pair import CURRENT, ROOT, RUNNING, TEMPERATURE, Plc, make_rig, restless_trace
 
 CHANGES, PERIOD = 300, 1.0
 CURRENTS = (150.0, 250.0)

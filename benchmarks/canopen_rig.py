@@ -14,11 +14,11 @@ from typing import Any
 import click
 
 from benchmarks.fault_matrix import PERIOD, TOLERANCE_S, Matrix, suffered, table
-from benchmarks.rig import ROOT, Rig, make_rig, restless_trace
 from gateway.demo.can_bus import can_hub
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.recording import PlcRecording
 from sim.sha.trace import Trace
+from tests.rig.pair import ROOT, Rig, make_rig, restless_trace
 
 DEVICE = ROOT / "config/devices/decanter_canopen.toml"
 NODE = 1

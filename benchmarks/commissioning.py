@@ -22,8 +22,8 @@ import click
 
 from benchmarks.cast import Cast, show
 from benchmarks.figures import Figure, give
-from benchmarks.rig import ROOT, TEMPERATURE, Plc, end
 from benchmarks.unknown_plc import BLOCK, LATER, LIMIT, Person, Unknown, make_unknown, start
+from tests.rig.pair import ROOT, TEMPERATURE, Plc, end
 
 BOUND_S = 180.0
 """Machine time that the whole walk may take."""

@@ -19,7 +19,6 @@ from typing import Any
 
 import click
 
-from benchmarks.rig import MAP, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
 from drivers.tag import Sample
 from gateway.machine.reading.quality import STALE_PERIODS
 from gateway.store.read_back import reading, samples
@@ -27,6 +26,7 @@ from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import EventRow, PlcRecording, RequestRow, read_recording
+from tests.rig.pair import MAP, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
 
 PERIOD = 0.1
 TOLERANCE_S = STALE_PERIODS * PERIOD

@@ -103,8 +103,8 @@ def table(figures: Figures, *, tree: bool) -> list[str]:
     ]
     if tree:
         rows += [
-            f"{figures.modules[room]:4d} modules {figures.lines[room]:6,d} lines  {room:32} {figures.sentences.get(room)}"
-            for room in sorted(figures.lines)
+            f"{modules:4d} modules {figures.lines[room]:6,d} lines  {room:32} {figures.sentences.get(room, '')}"
+            for room, modules in sorted(figures.modules.items())
         ]
     return rows
 

@@ -21,7 +21,6 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give, percentile
-from benchmarks.rig import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
 from gateway.machine.reading.quality import STALE_PERIODS
 from gateway.store.read_back import events as recorded_events
 from gateway.store.read_back import reading, samples
@@ -29,6 +28,7 @@ from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import PlcRecording, read_recording
 from sim.sha.events import DECANTER, encode
 from sim.sha.trace import Array, Event, Trace
+from tests.rig.pair import CURRENT, MAP, PATIENCE_S, RUNNING, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
 
 PERIOD = 0.1
 SWITCH_AFTER_S = 0.1

@@ -14,10 +14,10 @@ from typing import Any
 
 import tomlkit
 
-from benchmarks.rig import CYCLE_S, MAP, Plc, known_model, plc_process, restless_trace
 from gateway.commission.files.device_file import fields_that_fit, set_block, set_device
 from sim.artefacts.model_json import model_text
 from sim.traces.trace_file import write_trace
+from tests.rig.pair import CYCLE_S, MAP, Plc, known_model, plc_process, restless_trace
 
 LIMIT = 16
 HOLE = 105

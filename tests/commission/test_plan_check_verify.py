@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.rig import known_model, restless_trace
 from drivers.can.bus.hub import Hub
 from gateway.commission.files.recording import read_recording
 from gateway.commission.soak import recommended
@@ -14,6 +13,7 @@ from sim.artefacts.model_json import model_text
 from sim.traces.trace_file import write_trace
 from tests.commission.bench import answer, at, free_port, plc
 from tests.plc.bench import DECANTER, ROOT, Process, running, wait_until
+from tests.rig.pair import known_model, restless_trace
 
 ANALOGUE = (
     *("Assorbimento", "Coppia", "Differenziale", "LivelloVibrazioni", "TCuscinettiRiduttore"),

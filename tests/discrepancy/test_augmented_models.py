@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.rig import TARGETS, known_model
 from sim.checking.proof.verification import verify
 from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.named import Named, effect_of
@@ -14,6 +13,7 @@ from sim.learning.semi_markov import fit_stays, with_inputs
 from sim.sha.automaton import Effect
 from sim.sha.model import Model
 from sim.sha.trace import Event, Trace
+from tests.rig.pair import TARGETS, known_model
 
 
 def named(kind: str) -> Named:

@@ -6,13 +6,13 @@ from collections.abc import AsyncIterator, Mapping, Sequence
 
 import pytest
 
-from benchmarks.rig import TEMPERATURE, known_model
 from drivers.soft.driver import SoftDriver, open_soft
 from drivers.tag import Quality, Sample, Tag, Value
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading.clock import plant_clock
 from gateway.machine.reading.quality import QualityRules
 from gateway.machine.reading.scan import Scan, scans
+from tests.rig.pair import TEMPERATURE, known_model
 
 LEVEL, COUNT = Tag("level", "x", scale=0.5), Tag("count", "y")
 TAGS = (LEVEL, COUNT)

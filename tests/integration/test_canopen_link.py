@@ -7,11 +7,11 @@ import pytest
 
 from benchmarks.canopen import BenchmarkError, garbage, latency
 from benchmarks.canopen_rig import FAULTS, PERIOD, TOLERATED, canopen_rig, measure, outside, repeated
-from benchmarks.rig import restless_trace
 from drivers.can.bus.hub_bus import HubBus
 from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.recording import read_recording
+from tests.rig.pair import restless_trace
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "node": ("missing heartbeat", "EMCY", "node reset", "restart", "node off the bus", "frozen image"),

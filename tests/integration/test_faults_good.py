@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fault_matrix import FAULTS, OUTAGES, TOLERATED, Matrix, Row, measure, outside, repeated
-from benchmarks.rig import MAP
 from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.recording import PlcRecording, RequestRow
+from tests.rig.pair import MAP
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "absence": ("refuse", "silent", "half_open", "restart", "reset in mid-frame", "frozen image", "illegal register"),

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.rig import CURRENT, RATES, RUNNING, TARGETS, TEMPERATURE, known_model, make_rig
 from gateway.store.read_back import events, to_trace
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
@@ -16,6 +15,7 @@ from sim.learning.structure import announcements
 from sim.sha.automaton import SHA, transitions
 from sim.sha.events import DECANTER, encode
 from sim.sha.trace import UNKNOWN, Event, Trace
+from tests.rig.pair import CURRENT, RATES, RUNNING, TARGETS, TEMPERATURE, known_model, make_rig
 
 SPEED = 80.0
 PERIOD = 3.2

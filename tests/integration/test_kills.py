@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fault_matrix import TOLERANCE_S, outside
-from benchmarks.rig import Gateway, Plc, Rig, end, make_rig, restless_trace
 from gateway.store.read_back import samples
 from sim.plc.program.writeback import STILL
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import PlcRecording, read_recording
+from tests.rig.pair import Gateway, Plc, Rig, end, make_rig, restless_trace
 
 KILLS, SEED, PERIOD = 50, 20, 0.1
 VICTIMS = ("plc", "gateway", "both")

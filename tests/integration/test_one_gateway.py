@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.rig import Gateway, Rig, end, make_rig, restless_trace
 from gateway.store.read_back import reading
 from sim.plc.record.recording import read_recording
+from tests.rig.pair import Gateway, Rig, end, make_rig, restless_trace
 
 PERIOD = 0.1
 FULL = 2 | 4 | 8 | 16

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.rig import ROOT, TARGETS, Gateway, Rig, known_model, make_rig, restless_trace
 from gateway.store.read_back import reading
 from sim.artefacts.formats.write_model import save, write_model_directory
 from sim.artefacts.store import CURRENT
 from sim.plc.record.recording import read_recording
 from sim.sha.automaton import Distribution, Effect, Flow
 from sim.sha.model import Model, Stay
+from tests.rig.pair import ROOT, TARGETS, Gateway, Rig, known_model, make_rig, restless_trace
 
 PERIOD = 0.1
 FULL = 2 | 4 | 8 | 16

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.rig import MAP, Plc, make_rig, restless_trace
 from drivers.driver import open_driver
 from drivers.tag import Quality, Sample
 from gateway.settings.devices import load_device
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import read_recording
+from tests.rig.pair import MAP, Plc, make_rig, restless_trace
 
 FAULTS = (
     {"kind": "late", "delay_s": 0.15, "probability": 0.4},

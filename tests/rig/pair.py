@@ -21,7 +21,7 @@ from sim.sha.model import Model
 from sim.sha.trace import Array, Trace
 from sim.traces.trace_file import write_trace
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 MAP = ROOT / "config/devices/decanter_plc.toml"
 TEMPERATURE, CURRENT, RUNNING = "TCuscinettiRiduttore", "Assorbimento", "MarciaDecanter"
 PATIENCE_S = 20.0
