@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
+from benchmarks.house import FLOORS, measure
 from gateway.cli.main import main
 from gateway.entry.lazy import LazyGroup
 
@@ -84,3 +85,19 @@ def test_the_tables_line_of_a_command_is_the_commands_own() -> None:
         if (own := command.get_short_help_str(limit=1000)) != line
     }
     assert different == {}
+
+
+def test_a_class_name_stands_for_one_class() -> None:
+    shared = {name: places for name, places in measure(ROOT, FLOORS).classes.items() if len(places) > 1}
+    assert shared == {}
+
+
+POSITIONAL = {
+    "gateway/commission/session/pcap.py": "struct.pack takes the fields of a header in their order",
+}
+"""Modules in which a call may have more than five positional arguments, each with its reason."""
+
+
+def test_no_call_has_more_than_five_positional_arguments() -> None:
+    places = [place for place in measure(ROOT, FLOORS).positional if place.partition(":")[0] not in POSITIONAL]
+    assert places == []
