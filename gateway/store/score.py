@@ -93,6 +93,7 @@ def scorecard(path: Path) -> Scorecard:
 def percentile(values: Sequence[float], share: float) -> float:
     """The value that `share` of the values do not exceed (nearest rank); NaN for none."""
     ordered = sorted(values)
+    # Limited to the last one: a share of 1 would lie one beyond it.
     return ordered[min(int(share * len(ordered)), len(ordered) - 1)] if ordered else nan
 
 
