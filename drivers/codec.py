@@ -64,9 +64,13 @@ def decode(tag: Tag, registers: Sequence[int]) -> Reading:
     needed = registers_needed(tag)
     if len(registers) != needed:
         return None, Quality.DECODING_ERROR, f"{len(registers)} registers for a {tag.dtype}, which has {needed}"
-    payload = _in_order(tag, registers)
+    # The registers' bytes, most significant first.
+    words = reversed(registers) if _swaps_words(tag) else registers
+    payload = struct.pack(f"{_endian(tag)}{needed}H", *words)
     if tag.dtype is DType.STRING:
-        return _text(payload[: tag.length]), Quality.GOOD, ""
+        # Devices end a text with NUL or fill it up with blanks, and after the NUL anything may stand.
+        text = payload[: tag.length].split(b"\0", 1)[0].decode("latin-1").rstrip(" ")
+        return text, Quality.GOOD, ""
     if tag.bit is not None or tag.dtype is DType.BOOL:
         return _boolean(tag, int.from_bytes(payload, "big"))
     return _number(tag, payload)
@@ -98,21 +102,11 @@ def encode(tag: Tag, value: Value) -> list[int]:
         payload = _boolean_bytes(tag, value)
     else:
         payload = _number_bytes(tag, value)
-    return _from_order(tag, payload)
+    words = struct.unpack(f"{_endian(tag)}{len(payload) // 2}H", payload)
+    return list(reversed(words)) if _swaps_words(tag) else list(words)
 
 
 # ---------------------------------------------------------------- order
-
-
-def _in_order(tag: Tag, registers: Sequence[int]) -> bytes:
-    """The registers' bytes, most significant first; text and single registers know no word order."""
-    words = reversed(registers) if _swaps_words(tag) else registers
-    return struct.pack(f"{_endian(tag)}{len(registers)}H", *words)
-
-
-def _from_order(tag: Tag, payload: bytes) -> list[int]:
-    words = struct.unpack(f"{_endian(tag)}{len(payload) // 2}H", payload)
-    return list(reversed(words)) if _swaps_words(tag) else list(words)
 
 
 def _endian(tag: Tag) -> str:
@@ -120,14 +114,11 @@ def _endian(tag: Tag) -> str:
 
 
 def _swaps_words(tag: Tag) -> bool:
+    # Text and single registers know no word order; of text only the bytes within a register are ever swapped.
     return tag.order in _SWAPPED_WORDS and tag.dtype is not DType.STRING
 
 
 # ---------------------------------------------------------------- text and bits
-
-
-def _text(payload: bytes) -> str:
-    return payload.split(b"\0", 1)[0].decode("latin-1").rstrip(" ")
 
 
 def _text_bytes(tag: Tag, value: Value) -> bytes:
@@ -174,7 +165,15 @@ def _number(tag: Tag, payload: bytes) -> Reading:
 
 
 def _number_bytes(tag: Tag, value: Value) -> bytes:
-    number = _plain_number(tag, value)
+    number: int | float
+    if isinstance(value, str) and value in tag.labels.values():
+        number = next(number for number, label in tag.labels.items() if label == value)
+    elif isinstance(value, bool | str):
+        raise EncodingError(f"{tag.name}: {value!r} is not a number, which a {tag.dtype} needs")
+    elif abs(value) <= _LARGEST:  # False for NaN as well, which compares with nothing
+        number = value
+    else:
+        raise EncodingError(f"{tag.name}: it must be a finite number, not {value!r}")
     if (limit := _broken_limit(tag, number)) is not None:
         raise EncodingError(f"{tag.name}: {number:.6g} {tag.unit}".rstrip() + f" is {limit}")
     if tag.labels and number not in tag.labels:
@@ -183,45 +182,31 @@ def _number_bytes(tag: Tag, value: Value) -> bytes:
     raw = number if plain else (number - tag.offset) / tag.scale
     if abs(raw) > _LARGEST:
         raise EncodingError(f"{tag.name}: {value!r} is beyond any number that a device holds")
-    payload = _float_bytes(tag, float(raw)) if tag.dtype in _FLOATS else _integer_bytes(tag, round(raw))
+    if tag.dtype in _FLOATS:
+        try:
+            payload = struct.pack(_FLOATS[tag.dtype], float(raw))
+        except OverflowError:
+            raise EncodingError(f"{tag.name}: {float(raw):.6g} is beyond a {tag.dtype}") from None
+    else:
+        count = round(raw)
+        if tag.dtype in _BCD_DIGITS:
+            low, high = 0, 10 ** _BCD_DIGITS[tag.dtype] - 1
+        else:
+            bits, signed = _INTEGERS[tag.dtype]
+            low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
+        if not low <= count <= high:
+            raise EncodingError(f"{tag.name}: it would be stored as {count}, and a {tag.dtype} holds {low} to {high}")
+        if tag.dtype in _BCD_DIGITS:
+            # Binary-coded decimal: the decimal digits, read as hexadecimal ones.
+            payload = int(str(count), 16).to_bytes(_BCD_DIGITS[tag.dtype] // 2, "big")
+        else:
+            # Modulo 2**bits is two's complement; an 8-bit number fills the low byte of one register.
+            payload = (count % (1 << bits)).to_bytes(max(2, bits // 8), "big")
+    # Read back as a device would: what was rounded may have become the very number that says "not available".
     stored, _ = _RAW[tag.dtype](tag, payload)
     if stored is not None and _is_sentinel(tag, stored):
         raise EncodingError(f'{tag.name}: {value!r} is stored as {tag.sentinel}, which says "not available"')
     return payload
-
-
-def _plain_number(tag: Tag, value: Value) -> int | float:
-    if isinstance(value, str) and value in tag.labels.values():
-        return next(number for number, label in tag.labels.items() if label == value)
-    if isinstance(value, bool | str):
-        raise EncodingError(f"{tag.name}: {value!r} is not a number, which a {tag.dtype} needs")
-    if abs(value) <= _LARGEST:
-        return value
-    raise EncodingError(f"{tag.name}: it must be a finite number, not {value!r}")
-
-
-def _float_bytes(tag: Tag, raw: float) -> bytes:
-    try:
-        return struct.pack(_FLOATS[tag.dtype], raw)
-    except OverflowError:
-        raise EncodingError(f"{tag.name}: {raw:.6g} is beyond a {tag.dtype}") from None
-
-
-def _integer_bytes(tag: Tag, raw: int) -> bytes:
-    low, high = _raw_range(tag.dtype)
-    if not low <= raw <= high:
-        raise EncodingError(f"{tag.name}: it would be stored as {raw}, and a {tag.dtype} holds {low} to {high}")
-    if tag.dtype in _BCD_DIGITS:
-        return int(str(raw), 16).to_bytes(_BCD_DIGITS[tag.dtype] // 2, "big")
-    bits, _ = _INTEGERS[tag.dtype]
-    return (raw % (1 << bits)).to_bytes(max(2, bits // 8), "big")
-
-
-def _raw_range(dtype: DType) -> tuple[int, int]:
-    if dtype in _BCD_DIGITS:
-        return 0, 10 ** _BCD_DIGITS[dtype] - 1
-    bits, signed = _INTEGERS[dtype]
-    return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
 
 
 def _raw_integer(tag: Tag, payload: bytes) -> tuple[int | float | None, str]:

@@ -29,6 +29,7 @@ class Backoff:
 
     def delay(self, failures: int, rng: random.Random) -> float:
         """The pause after `failures` (1..) failed attempts in a row."""
+        # The power is bounded: 2.0 ** 1024 is beyond any float, and a peer may be away for that many attempts.
         plain = min(self.cap, self.first * 2.0 ** min(failures - 1, 30))
         return plain * (1.0 + self.jitter * rng.uniform(-1.0, 1.0))
 
@@ -148,6 +149,7 @@ class Link(Generic[C]):
         self._failures += 1
         self._silence += waited
         rule = self._dead_peer
+        # A millisecond early: `patience` lets the last wait end with the silence, and a timer may end just before it.
         if self._failures >= rule.max_failures or self._silence >= rule.max_silence - 1e-3:
             self._counts["dead_peers"] += 1
             count = "1 exchange" if self._failures == 1 else f"{self._failures} exchanges in a row"

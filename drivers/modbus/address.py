@@ -57,7 +57,13 @@ def parse_address(text: str) -> tuple[Area, int]:
     """
     text = text.strip()
     if reference := _REFERENCE.fullmatch(text):
-        raise AddressError(_explain_reference(text, reference["digit"], int(reference["number"])))
+        # Manuals count from 1 (V1.1b3, 4.4) and put the table in front as a digit. It is refused and not translated, so
+        # that a file says the address that goes on the wire, and nobody has to guess who has subtracted the 1.
+        counted = int(reference["number"])
+        if not 1 <= counted <= 65536:
+            raise AddressError(f"{text!r} is not a Modbus address: {_REMEDY}")
+        meant = f"{_DIGITS[reference['digit']]}:{counted - 1}"
+        raise AddressError(f"{text!r} is a reference number that counts from 1: write the PDU address {meant}")
     match = _NOTATION.fullmatch(text)
     if match is None:
         raise AddressError(f"{text!r} is not a Modbus address: {_REMEDY}")
@@ -67,13 +73,6 @@ def parse_address(text: str) -> tuple[Area, int]:
     if number > 65535:
         raise AddressError(f"{text!r} is beyond the last address 65535: {_REMEDY}")
     return Area(match["area"]), number
-
-
-def _explain_reference(text: str, digit: str, number: int) -> str:
-    if not 1 <= number <= 65536:
-        return f"{text!r} is not a Modbus address: {_REMEDY}"
-    meant = f"{_DIGITS[digit]}:{number - 1}"
-    return f"{text!r} is a reference number that counts from 1: write the PDU address {meant}"
 
 
 def locate(tag: Tag) -> TagSpan:

@@ -25,7 +25,6 @@ from drivers.modbus.address import TagSpan, locate
 from drivers.modbus.plan import (
     AddressBlock,
     Quarantine,
-    RequestLimits,
     bisect,
     describe,
     fitting,
@@ -41,7 +40,7 @@ from drivers.tag import Quality, Sample, Tag, Value
 
 # A device exception that can be about one address of several. 5, 6, 10, 11 are about the moment or the way there.
 _ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
-_MAX_WRITE_BITS = 1968
+_MAX_WRITE_BITS = 1968  # 0x07B0 (MODBUS Application Protocol V1.1b3, 6.11)
 _LAYOUTS_KEPT = 64
 
 
@@ -197,7 +196,13 @@ class ModbusDriver:
                 stored = await self._read_back(block)
             except DriverError as error:
                 raise WriteUnverified(f"the device confirmed the write, but reading back failed: {error}") from error
-        _compare(block, words, stored)
+        wrong = []
+        for span in block.spans:
+            part = slice(span.start - block.start, span.stop - block.start)
+            if tuple(words[part]) != tuple(stored[part]):
+                wrong.append(f"{span.tag.name}: wrote {list(words[part])}, reads back {list(stored[part])}")
+        if wrong:
+            raise WriteUnverified("the device confirmed the write, but " + "; ".join(wrong))
 
     async def _once(self, request: ModbusPDU) -> None:
         """Send a write. One without an answer ends the connection, so that it cannot be delivered later."""
@@ -222,7 +227,13 @@ class ModbusDriver:
         """The one block of the write and its words, checked against the write map first."""
         pieces = sorted(((self._mapped(tag), value) for tag, value in values), key=lambda piece: piece[0].start)
         spans = tuple(span for span, _ in pieces)
-        block = _contiguous(spans)
+        for left, right in pairwise(spans):
+            if left.area is not right.area or left.stop != right.start:
+                raise AddressError(
+                    f"{left.tag.name} ({left.tag.address}) and {right.tag.name} ({right.tag.address}) are not "
+                    "neighbours: one write is one request, so its tags must follow one another without gap or overlap"
+                )
+        block = AddressBlock(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
         largest = _MAX_WRITE_BITS if block.area.is_bits else self._settings.max_write_registers
         if block.count > largest:
             raise AddressError(f"{block.count} words do not fit in one write request, which takes {largest}")
@@ -245,7 +256,17 @@ class ModbusDriver:
         if layout is None or layout.quarantine is not self._refused.quarantine:
             if len(self._layouts) >= _LAYOUTS_KEPT:
                 self._layouts.clear()
-            layout = self._layouts[key] = _lay_out(tags, self._limits, self._refused.quarantine)
+            spans: list[TagSpan] = []
+            misplaced: list[tuple[Tag, str]] = []
+            for tag in tags:
+                try:
+                    spans.append(fitting(locate(tag), self._limits))
+                except AddressError as error:
+                    misplaced.append((tag, str(error)))
+            quarantine = self._refused.quarantine
+            blocks = plan_spans(spans, self._limits, quarantine)
+            layout = _TagLayout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks)
+            self._layouts[key] = layout
         return layout
 
     async def _settled(self, block: AddressBlock) -> dict[int, Sample]:
@@ -295,7 +316,13 @@ class ModbusDriver:
     def _samples(self, block: AddressBlock, outcome: WireReply | Failure) -> dict[int, Sample]:
         if isinstance(outcome, Failure):
             return {id(span.tag): self._no(span.tag, outcome.quality, outcome.reason) for span in block.spans}
-        return {id(span.tag): _sample(span, block, outcome) for span in block.spans}
+        samples: dict[int, Sample] = {}
+        for span in block.spans:
+            first = span.start - block.start
+            value, quality, reason = decode(span.tag, outcome.words[first : first + span.count])
+            sample = Sample(span.tag.name, value, quality, outcome.received, sent=outcome.sent, reason=reason)
+            samples[id(span.tag)] = sample
+        return samples
 
     def _no(self, tag: Tag, quality: Quality, reason: str) -> Sample:
         return Sample(tag.name, None, quality, self._clock(), reason=reason)
@@ -382,24 +409,6 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def _lay_out(tags: Sequence[Tag], limits: RequestLimits, quarantine: Quarantine) -> _TagLayout:
-    spans: list[TagSpan] = []
-    misplaced: list[tuple[Tag, str]] = []
-    for tag in tags:
-        try:
-            spans.append(fitting(locate(tag), limits))
-        except AddressError as error:
-            misplaced.append((tag, str(error)))
-    blocks = plan_spans(spans, limits, quarantine)
-    return _TagLayout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks)
-
-
-def _sample(span: TagSpan, block: AddressBlock, reply: WireReply) -> Sample:
-    first = span.start - block.start
-    value, quality, reason = decode(span.tag, reply.words[first : first + span.count])
-    return Sample(span.tag.name, value, quality, reply.received, sent=reply.sent, reason=reason)
-
-
 def _writable(tag: Tag) -> TagSpan:
     """The tag's place, if the protocol can write it. Raises AddressError where it cannot."""
     span = locate(tag)
@@ -408,25 +417,3 @@ def _writable(tag: Tag) -> TagSpan:
     if tag.bit is not None:
         raise AddressError(f"{tag.name}: one bit of a register cannot be written without touching the other fifteen")
     return span
-
-
-def _contiguous(spans: tuple[TagSpan, ...]) -> AddressBlock:
-    """The block that the spans fill without gap or overlap. Raises AddressError if they do not."""
-    for left, right in pairwise(spans):
-        if left.area is not right.area or left.stop != right.start:
-            raise AddressError(
-                f"{left.tag.name} ({left.tag.address}) and {right.tag.name} ({right.tag.address}) are not neighbours: "
-                "one write is one request, so its tags must follow one another without gap or overlap"
-            )
-    return AddressBlock(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
-
-
-def _compare(block: AddressBlock, written: Sequence[int], read: Sequence[int]) -> None:
-    """Raise WriteUnverified, naming the tags, if the words read back are not those that were written."""
-    wrong = []
-    for span in block.spans:
-        part = slice(span.start - block.start, span.stop - block.start)
-        if tuple(written[part]) != tuple(read[part]):
-            wrong.append(f"{span.tag.name}: wrote {list(written[part])}, reads back {list(read[part])}")
-    if wrong:
-        raise WriteUnverified("the device confirmed the write, but " + "; ".join(wrong))

@@ -82,11 +82,20 @@ def plan_spans(
     free = [span for span in spans if refusal_of(span, quarantine) is None]
     blocks: list[AddressBlock] = []
     for span in sorted(free, key=lambda span: (span.area, span.start, span.stop)):
-        merged = _merged(blocks[-1], span, limits, quarantine) if blocks else None
-        if merged is None:
-            blocks.append(AddressBlock(span.area, span.start, span.count, (span,)))
+        block = blocks[-1] if blocks else None
+        # The last block grows if one request can still read it all, if what lies between is worth reading in vain, and
+        # if it would not become a request that the device has refused.
+        stop = max(block.stop, span.stop) if block is not None else span.stop
+        if (
+            block is not None
+            and block.area is span.area
+            and stop - block.start <= limits.largest(block.area)
+            and span.start - block.stop <= limits.max_gap
+            and not any(_lies_within(refusal, block.area, block.start, stop) for refusal in quarantine)
+        ):
+            blocks[-1] = replace(block, count=stop - block.start, spans=(*block.spans, span))
         else:
-            blocks[-1] = merged
+            blocks.append(AddressBlock(span.area, span.start, span.count, (span,)))
     return tuple(blocks)
 
 
@@ -98,18 +107,6 @@ def fitting(span: TagSpan, limits: RequestLimits) -> TagSpan:
             "a value is never put together from two replies"
         )
     return span
-
-
-def _merged(block: AddressBlock, span: TagSpan, limits: RequestLimits, quarantine: Quarantine) -> AddressBlock | None:
-    """The block grown to answer the tag as well, or None where that cannot be."""
-    stop = max(block.stop, span.stop)
-    if block.area is not span.area or stop - block.start > limits.largest(block.area):
-        return None
-    if span.start - block.stop > limits.max_gap:
-        return None
-    if any(_lies_within(refusal, block.area, block.start, stop) for refusal in quarantine):
-        return None
-    return replace(block, count=stop - block.start, spans=(*block.spans, span))
 
 
 def _lies_within(refusal: RefusedRange, area: Area, start: int, stop: int) -> bool:
@@ -204,20 +201,16 @@ def worst_cycle(blocks: Sequence[AddressBlock], limits: RequestLimits, deadline:
 
 def describe(blocks: Sequence[AddressBlock], limits: RequestLimits, deadline: float) -> tuple[str, ...]:
     """The plan in sentences: one line a request, then the worst-case cycle time."""
-    lines = [_describe_block(block) for block in blocks]
+    lines: list[str] = []
+    for block in blocks:
+        # Tags may overlap and the longest need not be the last, so a gap begins where the furthest of them ends.
+        gaps, reach = 0, block.start
+        for left, right in pairwise(block.spans):
+            reach = max(reach, left.stop)
+            gaps += max(0, right.start - reach)
+        vain = f", {gaps} of them in vain" if gaps else ""
+        names = ", ".join(span.tag.name for span in block.spans)
+        lines.append(f"{block.area}:{block.start} count {block.count}{vain}: {names}")
     registers = sum(block.count for block in blocks)
     worst = worst_cycle(blocks, limits, deadline)
     return (*lines, f"{len(blocks)} requests for {registers} addresses, worst case {worst:.3g} s a cycle")
-
-
-def _describe_block(block: AddressBlock) -> str:
-    gaps = sum(max(0, right.start - reach) for reach, right in _reaches(block))
-    vain = f", {gaps} of them in vain" if gaps else ""
-    return f"{block.area}:{block.start} count {block.count}{vain}: {', '.join(span.tag.name for span in block.spans)}"
-
-
-def _reaches(block: AddressBlock) -> Iterable[tuple[int, TagSpan]]:
-    reach = block.start
-    for left, right in pairwise(block.spans):
-        reach = max(reach, left.stop)
-        yield reach, right

@@ -27,7 +27,18 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
             spans.append(fitting(locate(tag), limits))
         except AddressError as error:
             problems.append(str(error))
-    requests = [_request(block, given) for block in plan_spans(spans, limits)]
+    requests = [
+        PlannedRequest(
+            kind="read",
+            place=f"{block.area}:{block.start}",
+            count=block.count,
+            # A set: addresses that two tags share are of use once.
+            vain=block.count - len({number for span in block.spans for number in range(span.start, span.stop)}),
+            tags=tuple(span.tag.name for span in block.spans),
+            seconds=_worst(block.count, block, given),
+        )
+        for block in plan_spans(spans, limits)
+    ]
     writes, refused = _writing(written, given, limits)
     seconds = sum(one.seconds for one in requests) + limits.pause * max(0, len(requests) - 1)
     return ReadPlan(
@@ -37,18 +48,6 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
         seconds=seconds,
         write_seconds=sum(one.seconds for one in writes),
         overlaps=_overlaps(spans),
-    )
-
-
-def _request(block: AddressBlock, given: ModbusSettings) -> PlannedRequest:
-    used = {number for span in block.spans for number in range(span.start, span.stop)}
-    return PlannedRequest(
-        kind="read",
-        place=f"{block.area}:{block.start}",
-        count=block.count,
-        vain=block.count - len(used),
-        tags=tuple(span.tag.name for span in block.spans),
-        seconds=_worst(block.count, block, given),
     )
 
 

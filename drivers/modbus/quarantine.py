@@ -46,6 +46,7 @@ class RefusedAddresses:
         for refusal in sorted(due, key=lambda refusal: refusal.retry_at):
             barred = [span for span in spans if refusal_of(span, (refusal,)) is not None]
             if barred:
+                # The narrowest tag: a wider one may be refused for a neighbour's address and not for its own.
                 least = min(barred, key=lambda span: span.count)
                 same = tuple(span for span in barred if (span.start, span.count) == (least.start, least.count))
                 return AddressBlock(least.area, least.start, least.count, same)

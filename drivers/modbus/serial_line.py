@@ -65,7 +65,11 @@ class LineWire:
         """Open the line; the caller sets the deadline by cancelling. Raises LinkDown with the system's own reason."""
         settings = self._settings
         try:
-            self._port = _SerialPort(settings, self) if settings.serial else await _dial(settings, self)
+            if settings.serial:
+                self._port = _SerialPort(settings, self)
+            else:
+                loop = asyncio.get_running_loop()
+                _, self._port = await loop.create_connection(lambda: _Dialled(self), settings.host, settings.port)
         except termios.error as error:
             reason = f"the port does not take these settings ({error.args[-1]}): check baud, parity and stopbits"
             raise LinkDown(f"{settings.place} cannot be opened: {reason}") from error
@@ -95,6 +99,7 @@ class LineWire:
         until = _now() + deadline + self._on_line(len(frame) + rtu.reply_octets(wanted))
         await self._settle(wanted, until)
         self._data = b""
+        # Noted before it is sent, and taken back by its reply: whatever goes wrong in between, the next request waits.
         self._quiet.until, self._quiet.after = _now() + self._settings.longest_reply, wanted
         sent = self._clock()
         self._live_port().send(frame)
@@ -305,12 +310,6 @@ class _Dialled(asyncio.Protocol):
         """Close at once; what was not sent yet is discarded."""
         if self._transport is not None:
             self._transport.abort()
-
-
-async def _dial(settings: ModbusSettings, wire: LineWire) -> _Dialled:
-    loop = asyncio.get_running_loop()
-    _, protocol = await loop.create_connection(lambda: _Dialled(wire), settings.host, settings.port)
-    return protocol
 
 
 def _now() -> float:

@@ -126,7 +126,14 @@ class ModbusSurvey:
             quality = Quality.TIMEOUT if isinstance(error, ReplyTimeout) else Quality.COMMUNICATION_ERROR
             quality = Quality.NOT_CONNECTED if isinstance(error, LinkDown) else quality
             return self._block_failed(block, quality, str(error))
-        return {id(span.tag): _raw(span, block, reply) for span in block.spans}
+        raws: dict[int, Raw] = {}
+        for span in block.spans:
+            first = span.start - block.start
+            words = reply.words[first : first + span.count]
+            value, quality, reason = decode(span.tag, words)
+            sample = Sample(span.tag.name, value, quality, reply.received, sent=reply.sent, reason=reason)
+            raws[id(span.tag)] = Raw(span.tag, sample, f"{span.area}:{span.start}", span.count, tuple(words))
+        return raws
 
     async def _patiently(self, block: AddressBlock) -> WireReply:
         """As often as the settings allow, as the driver would."""
@@ -199,14 +206,6 @@ class ModbusSurvey:
 
 def _now() -> float:
     return asyncio.get_running_loop().time()
-
-
-def _raw(span: TagSpan, block: AddressBlock, reply: WireReply) -> Raw:
-    first = span.start - block.start
-    words = reply.words[first : first + span.count]
-    value, quality, reason = decode(span.tag, words)
-    sample = Sample(span.tag.name, value, quality, reply.received, sent=reply.sent, reason=reason)
-    return Raw(span.tag, sample, f"{span.area}:{span.start}", span.count, tuple(words))
 
 
 def _identification(reply: bytes) -> tuple[dict[str, str], int]:

@@ -51,18 +51,12 @@ class ModbusTransport:
 
 def make_transport(settings: ModbusSettings, clock: Clock) -> ModbusTransport:
     """The transport of checked settings. Raises DriverError for certificates that cannot be used."""
-    if settings.transport == "tls":
-        return _tls(settings, clock)
     if settings.transport == "tcp":
-        return ModbusTransport(lambda on_lost: Wire(settings.host, settings.port, clock=clock, on_lost=on_lost), _none)
-    return _line(settings, clock)
-
-
-def _none() -> tuple[str, ...]:
-    return ()
-
-
-def _tls(settings: ModbusSettings, clock: Clock) -> ModbusTransport:
+        return ModbusTransport(lambda on_lost: Wire(settings.host, settings.port, clock=clock, on_lost=on_lost), tuple)
+    if settings.transport != "tls":
+        # One for all wires to come: what is still under way on the line outlives a reconnection.
+        quiet = Quiet()
+        return ModbusTransport(lambda on_lost: LineWire(settings, quiet, clock=clock, on_lost=on_lost), tuple)
     # Certificates cost 11 MB of memory, which a gateway over plain TCP does without.
     from drivers.modbus import tls
 
@@ -75,8 +69,3 @@ def _tls(settings: ModbusSettings, clock: Clock) -> ModbusTransport:
         lambda: tls.cautions(identity, dt.datetime.now(dt.UTC)),
         f"or {role} our certificate does not allow it",
     )
-
-
-def _line(settings: ModbusSettings, clock: Clock) -> ModbusTransport:
-    quiet = Quiet()
-    return ModbusTransport(lambda on_lost: LineWire(settings, quiet, clock=clock, on_lost=on_lost), _none)

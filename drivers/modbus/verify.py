@@ -82,42 +82,29 @@ def check_reply(request: Asked, reply: bytes) -> None:
     unit, function, body = reply[6], reply[7], reply[8:]
     if unit != request.unit:
         raise ReplyMismatch(f"{request}: the reply is from unit {unit} and unit {request.unit} was asked")
+    # An exception reply has the request's function with its highest bit set (section 7).
     if function == request.function | 0x80:
-        raise _refusal(request, body)
+        if len(body) != 1:
+            raise ReplyMismatch(f"{request}: an exception reply has 1 byte, not {len(body)}")
+        sentence, _ = EXCEPTIONS.get(body[0], ("a code that the standard does not know", Quality.BAD))
+        raise DeviceException(body[0], f"{request}: exception {body[0]}, {sentence}")
     if function != request.function:
         raise ReplyMismatch(f"{request}: the reply is of function {function} and {request.function} was asked")
     if function == IDENTIFY:
-        _check_identity(request, body)
+        if len(body) < 6 or body[0] != _MEI_IDENTITY:
+            raise ReplyMismatch(f"{request}: the reply holds no identification")
     elif function in _WRITES:
-        _check_echo(request, body)
+        # A write is confirmed by its own address and count (6.11, 6.12); the values are not repeated.
+        echo = struct.pack(">HH", request.address, request.count)
+        if body != echo:
+            raise ReplyMismatch(f"{request}: the device confirms {body.hex()} instead of {echo.hex()}")
     else:
-        _check_count(request, body)
-
-
-def _refusal(request: Asked, body: bytes) -> DeviceException | ReplyMismatch:
-    if len(body) != 1:
-        return ReplyMismatch(f"{request}: an exception reply has 1 byte, not {len(body)}")
-    sentence, _ = EXCEPTIONS.get(body[0], ("a code that the standard does not know", Quality.BAD))
-    return DeviceException(body[0], f"{request}: exception {body[0]}, {sentence}")
-
-
-def _check_count(request: Asked, body: bytes) -> None:
-    expected = 2 * request.count if request.function in _REGISTERS else (request.count + 7) // 8
-    if body[0] != expected or len(body) - 1 != expected:
-        raise ReplyMismatch(
-            f"{request}: {expected} bytes were asked, the reply announces {body[0]} and has {len(body) - 1}"
-        )
-
-
-def _check_echo(request: Asked, body: bytes) -> None:
-    expected = struct.pack(">HH", request.address, request.count)
-    if body != expected:
-        raise ReplyMismatch(f"{request}: the device confirms {body.hex()} instead of {expected.hex()}")
-
-
-def _check_identity(request: Asked, body: bytes) -> None:
-    if len(body) < 6 or body[0] != _MEI_IDENTITY:
-        raise ReplyMismatch(f"{request}: the reply holds no identification")
+        # The byte count must be what was asked, and be true: a reply that is longer or shorter belongs to other values.
+        expected = 2 * request.count if function in _REGISTERS else (request.count + 7) // 8
+        if body[0] != expected or len(body) - 1 != expected:
+            raise ReplyMismatch(
+                f"{request}: {expected} bytes were asked, the reply announces {body[0]} and has {len(body) - 1}"
+            )
 
 
 def quality_of(code: int) -> Quality:

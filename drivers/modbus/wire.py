@@ -129,7 +129,8 @@ class Wire:
             await self._client.ctx.call_create()
         except (OSError, ValueError) as error:  # ValueError: a host name that DNS or TLS cannot even be asked for
             self._client.close()
-            reason = self._secured.sentence(error) if self._secured else _reason(error)
+            plain = (error.strerror if isinstance(error, OSError) else None) or str(error)
+            reason = self._secured.sentence(error) if self._secured else plain
             raise LinkDown(
                 f"{parameters.host}:{parameters.port} does not connect: {reason}", fault=_fault_of(error)
             ) from error
@@ -148,6 +149,7 @@ class Wire:
         if isinstance(transport, asyncio.Transport):
             raw = transport.get_extra_info("socket")
             if self._request is not None and raw is not None:
+                # On, with no time to linger: closing throws the send buffer away and resets the connection (socket(7)).
                 raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             transport.abort()
         self._client.close()
@@ -165,6 +167,7 @@ class Wire:
         except ModbusException as error:
             raise LinkDown(f"the connection is closed ({error.string})") from error
         try:
+            # The library's reply or our own verdict: what is refused here never reaches the library, which waits on.
             await asyncio.wait({exchange, verdict}, timeout=deadline, return_when=asyncio.FIRST_COMPLETED)
             if verdict.done():
                 raise verdict.result()
@@ -243,14 +246,16 @@ class Wire:
 
     def _disconnected(self, exc: Exception | None) -> None:
         where = " in the middle of a reply" if self._stream else ""
-        said, self.fault = f"the peer closed the connection{where}", LinkFault.CLOSED
+        reason, self.fault = f"the peer closed the connection{where}", LinkFault.CLOSED
         if self._secured is not None and isinstance(exc, ssl.SSLError):
-            said, self.fault = self._secured.sentence(exc), LinkFault.OTHER
+            reason, self.fault = self._secured.sentence(exc), LinkFault.OTHER
         elif self._secured is not None and not self._received and not where:
-            said = "the peer closed the connection after the TLS handshake: it may not accept our certificate"
+            # In TLS 1.3 the client's handshake is over before the server has looked at its certificate (RFC 8446, 2):
+            # a refusal shows only as an end after it.
+            reason = "the peer closed the connection after the TLS handshake: it may not accept our certificate"
             self.fault = LinkFault.OTHER
-        self._fail(LinkDown(said, fault=self.fault))
-        self._on_lost(said)
+        self._fail(LinkDown(reason, fault=self.fault))
+        self._on_lost(reason)
 
     def _break(self, reason: str, fault: LinkFault = LinkFault.OTHER) -> None:
         self.abandon()
@@ -285,7 +290,3 @@ def _fault_of(error: Exception) -> LinkFault:
         numbers = [int(number) for number in _ERRNO.findall(str(error))]
     faults = [_FAULTS[number] for number in numbers if number in _FAULTS]
     return LinkFault.REFUSED if LinkFault.REFUSED in faults else faults[0] if faults else LinkFault.OTHER
-
-
-def _reason(error: Exception) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error)

@@ -24,6 +24,7 @@ RESTART_SECONDS = 1.0
 CLOCK_TOLERANCE = 5.0
 LAST_WORD_SECONDS = 0.1
 SWITCH_SECONDS = 0.0005
+"""How often the interpreter changes threads, a tenth of its own 5 ms (`sys.setswitchinterval`)."""
 
 
 async def run(
@@ -49,7 +50,12 @@ async def run(
         log = log or opened.enter_context(open_log(config.log.path, config.log.level))
         machine = Machine(config, driver=driver or make_driver(config, clock), clock=clock, log=log)
         reporter = asyncio.create_task(_report(machine, status_path), name="status")
-        control = await _opened_control(machine)
+        # The local socket is a convenience: a gateway that cannot have one runs without it, and says so.
+        control = Control(machine, config.control_socket, snapshot)
+        try:
+            await control.open()
+        except OSError as error:
+            machine.log.warning("other programs cannot ask this gateway", reason=error.strerror or str(error))
         try:
             await _supervised(machine, stop)
         finally:
@@ -63,19 +69,9 @@ async def run(
     return snapshot(machine)
 
 
-async def _opened_control(machine: Machine) -> Control:
-    """The local socket; a gateway that cannot have one runs without it, and says so."""
-    control = Control(machine, machine.config.control_socket, snapshot)
-    try:
-        await control.open()
-    except OSError as error:
-        machine.log.warning("other programs cannot ask this gateway", reason=error.strerror or str(error))
-    return control
-
-
 async def _supervised(machine: Machine, stop: asyncio.Event) -> None:
     """Scan until the stop; whatever fails is logged, made known to the PLC, and begun anew a second later."""
-    log = machine.log
+    config, clock, log = machine.config, machine.clock, machine.log
     for caution in machine.driver.cautions() if isinstance(machine.driver, Cautions) else ():
         log.warning("this works today and should not stay so", reason=caution)
     try:
@@ -84,23 +80,22 @@ async def _supervised(machine: Machine, stop: asyncio.Event) -> None:
         log.warning("the device does not answer yet; it is tried again all the time", reason=str(error))
     while not stop.is_set():
         try:
-            await _scanned(machine, stop)
+            rules = QualityRules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period * clock.speed)
+            machine.phase = "running"
+            urgent = machine.urgent if scans_on_change(config) else None
+            # Closed here and now, not when the collector comes by: the device must not be read by two streams of scans.
+            async with aclosing(
+                scans(machine.driver, config.map.tags, clock, rules, stop=stop, urgent=urgent)
+            ) as stream:
+                async for scan in stream:
+                    await machine.take(scan)
         except Exception as error:
             log.exception("a part of the gateway failed and is begun anew", reason=str(error))
             machine.counters.failures, machine.counters.last_failure = machine.counters.failures + 1, repr(error)
             machine.begin_anew()
+            # The PLC is told before the pause: for this second nobody stands behind what the last block said.
             await _withdrawn(machine, "failure")
-            await _pause(stop, RESTART_SECONDS)
-
-
-async def _scanned(machine: Machine, stop: asyncio.Event) -> None:
-    config, clock = machine.config, machine.clock
-    rules = QualityRules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period * clock.speed)
-    machine.phase = "running"
-    urgent = machine.urgent if scans_on_change(config) else None
-    async with aclosing(scans(machine.driver, config.map.tags, clock, rules, stop=stop, urgent=urgent)) as stream:
-        async for scan in stream:
-            await machine.take(scan)
+            await asyncio.wait([asyncio.ensure_future(stop.wait())], timeout=RESTART_SECONDS)
 
 
 async def _withdrawn(machine: Machine, why: str) -> None:
@@ -136,10 +131,6 @@ async def _stopped(machine: Machine) -> None:
     else:
         failure = machine.historian.failure or (machine.block.audit.failure if machine.block else "")
         machine.log.error("stopped, with records that could not be stored", reason=failure)
-
-
-async def _pause(stop: asyncio.Event, seconds: float) -> None:
-    await asyncio.wait([asyncio.ensure_future(stop.wait())], timeout=seconds)
 
 
 # -------------------------------------------------------------------- status

@@ -15,6 +15,7 @@ from sim.strict_json import json_text
 
 def write_status(path: Path, status: Mapping[str, Any]) -> None:
     """Replace the file by one JSON line, in one step. Raises OSError."""
+    # A draft beside it and then a rename, which POSIX does in one step: a reader has the old line or the new one.
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     draft.write_text(json_text(status) + "\n", encoding="utf-8")
     draft.replace(path)
@@ -23,6 +24,7 @@ def write_status(path: Path, status: Mapping[str, Any]) -> None:
 def snapshot(machine: Machine) -> dict[str, Any]:
     """Everything worth showing, as plain values; times are plant seconds UTC, what ends in _s real seconds."""
     speed, counters, link = machine.clock.speed, machine.counters, machine.link
+    prediction = machine.model.prediction if machine.model else None
     return {
         "time": machine.clock.now(),
         "phase": machine.phase,
@@ -40,8 +42,13 @@ def snapshot(machine: Machine) -> dict[str, Any]:
             "missed": counters.missed,
             "period": machine.config.scan.period,
         },
-        "values": _values(machine),
-        "prediction": _prediction(machine),
+        "values": {
+            name: {"value": s.value, "quality": s.quality.name, "time": s.time, "reason": s.reason}
+            for name, s in (machine.last.samples if machine.last else {}).items()
+        },
+        "prediction": None
+        if prediction is None
+        else {key: value for key, value in asdict(prediction).items() if key != "events"},
         "forecast": _forecast(machine),
         "model": machine.model.report() if machine.model else None,
         "guards": machine.model.guard_report() if machine.model else None,
@@ -65,21 +72,6 @@ def _links(machine: Machine) -> list[dict[str, Any]]:
         return [one | places[one["name"]] for one in driver.report()]
     alone = {"active": True, "connected": driver.connected, "well": machine.link.alive, "reason": ""}
     return [{"name": link.name, **alone, **places[link.name]} for link in links[:1]]
-
-
-def _values(machine: Machine) -> dict[str, Any]:
-    samples = machine.last.samples if machine.last else {}
-    return {
-        name: {"value": s.value, "quality": s.quality.name, "time": s.time, "reason": s.reason}
-        for name, s in samples.items()
-    }
-
-
-def _prediction(machine: Machine) -> Mapping[str, Any] | None:
-    p = machine.model.prediction if machine.model else None
-    if p is None:
-        return None
-    return {key: value for key, value in asdict(p).items() if key != "events"}
 
 
 def _forecast(machine: Machine) -> dict[str, Any] | None:

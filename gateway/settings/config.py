@@ -224,7 +224,13 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
     in the file are relative to the file, in overrides to the working directory. Raises ConfigError with all that is
     wrong, one sentence each: file, key, reason, what would be right.
     """
-    data = _overridden(read_toml(path), overrides or {})
+    # Overrides come before the check, so that they are held to the same rules as the file.
+    data = {key: dict(value) if isinstance(value, dict) else value for key, value in read_toml(path).items()}
+    for key, value in (overrides or {}).items():
+        section, _, name = key.partition(".")
+        table = data.setdefault(section, {})
+        if isinstance(table, dict):
+            table[name] = str(value.absolute()) if isinstance(value, Path) else value
     content = checked(_PlantFile, data, path)
     home = path.parent
     links = links_of(content.device, home)
@@ -255,18 +261,9 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
     )
 
 
-def _overridden(data: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    merged = {key: dict(value) if isinstance(value, dict) else value for key, value in data.items()}
-    for key, value in overrides.items():
-        section, _, name = key.partition(".")
-        table = merged.setdefault(section, {})
-        if isinstance(table, dict):
-            table[name] = str(value.absolute()) if isinstance(value, Path) else value
-    return merged
-
-
 def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) -> list[str]:
-    """What no single key shows: tags that the map lacks, a model that is not there, a speed for a real plant."""
+    """What no single key shows: tags that the map lacks, models that are not there or do not go together, a speed for a
+    real plant."""
     device = links[0].map
     tags = {tag.name for tag in device.tags}
     named = [("model.temperature", content.model.temperature), *(("alarms.tags", tag) for tag in content.alarms.tags)]
@@ -278,20 +275,8 @@ def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) ->
             f"model.path: there is nothing at {home / content.model.path}; give a model directory or JSON file, or "
             f"leave the key out to run without a model"
         )
-    problems += _ensemble_problems(content, home)
-    if content.writeback.mode != "off" and device.writeback is None:
-        problems.append(f"writeback.mode: {device.path} has no [writeback] table; add one or set mode to 'off'")
-    horizon = content.writeback.horizon
-    if horizon is not None and horizon not in content.forecast.horizons:
-        known = ", ".join(f"{value:g}" for value in content.forecast.horizons)
-        problems.append(f"writeback.horizon: {horizon:g} is not among forecast.horizons; give one of {known}")
-    return problems + link_problems(links, content.clock.speed)
-
-
-def _ensemble_problems(content: _PlantFile, home: Path) -> list[str]:
-    """Members that are not there or have no first model beside them, and weights that are not one a model."""
     ensemble, models = content.ensemble, 1 + len(content.ensemble.members)
-    problems = [
+    problems += [
         f"ensemble.members: there is nothing at {home / path}; give a model directory or JSON file"
         for path in ensemble.members
         if not (home / path).exists()
@@ -303,8 +288,15 @@ def _ensemble_problems(content: _PlantFile, home: Path) -> list[str]:
             f"ensemble.weights: has {len(ensemble.weights)} weights for {models} models (model.path and "
             f"{models - 1} members); give one for each, model.path's first"
         )
+    # The floor is every model's share at least: so many shares must leave something to be earned.
     if ensemble.floor * models >= 1:
         problems.append(
             f"ensemble.floor: {ensemble.floor:g} is too much for {models} models; give less than {1 / models:g}"
         )
-    return problems
+    if content.writeback.mode != "off" and device.writeback is None:
+        problems.append(f"writeback.mode: {device.path} has no [writeback] table; add one or set mode to 'off'")
+    horizon = content.writeback.horizon
+    if horizon is not None and horizon not in content.forecast.horizons:
+        known = ", ".join(f"{value:g}" for value in content.forecast.horizons)
+        problems.append(f"writeback.horizon: {horizon:g} is not among forecast.horizons; give one of {known}")
+    return problems + link_problems(links, content.clock.speed)

@@ -1,6 +1,6 @@
 """A device's register map as a file: its tags, what the driver must know, and the block that is written back."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -65,8 +65,19 @@ def complete_paths(driver: str, settings: Mapping[str, Any], home: Path) -> dict
 def load_device(path: Path) -> DeviceMap:
     """The register map in `path`. Raises ConfigError with one sentence for each thing that is wrong."""
     content = read_device_file(path)
-    if content.writeback is not None and (problems := _unfillable([row.name for row in content.writeback.fields])):
-        raise ConfigError([f"{path}: {problem}" for problem in problems])
+    if content.writeback is not None:
+        names = [row.name for row in content.writeback.fields]
+        problems = [
+            f"{path}: writeback.fields[{index}].name: {name!r} is nothing that the gateway fills; give one of "
+            f"{', '.join(BLOCK_FIELDS)}"
+            for index, name in enumerate(names)
+            if name not in BLOCK_FIELDS
+        ]
+        # The CRC is over the words before it, and the copy of the sequence shows that all of them have come.
+        if not problems and tuple(names[-2:]) != BLOCK_FIELDS[-2:]:
+            problems = [f"{path}: writeback.fields: the last two must be 'crc' and 'sequence_copy', in this order"]
+        if problems:
+            raise ConfigError(problems)
     return DeviceMap(
         path=path,
         name=content.device.name,
@@ -78,35 +89,20 @@ def load_device(path: Path) -> DeviceMap:
     )
 
 
-def _unfillable(names: Sequence[str]) -> list[str]:
-    """Why the gateway cannot fill a block of these fields, in sentences."""
-    problems = [
-        f"writeback.fields[{index}].name: {name!r} is nothing that the gateway fills; give one of "
-        f"{', '.join(BLOCK_FIELDS)}"
-        for index, name in enumerate(names)
-        if name not in BLOCK_FIELDS
-    ]
-    if not problems and tuple(names[-2:]) != BLOCK_FIELDS[-2:]:
-        problems.append("writeback.fields: the last two must be 'crc' and 'sequence_copy', in this order")
-    return problems
-
-
 def _layout(table: BlockTable) -> WritebackLayout:
+    # A pattern names each word; from any other address they are counted up: holding:400 -> holding:403,
+    # 0x2100:1 -> 0x2100:4 for the word of index 3.
+    addresses = [table.address.replace(_FIELD, row.name) for row in table.fields]
+    if _FIELD not in table.address:
+        space, _, first = table.address.rpartition(":")
+        addresses = [f"{space}:{int(first) + index}" for index in range(len(table.fields))]
     return WritebackLayout(
         version=table.layout_version,
         timeout=table.timeout_s,
         unknown=table.unknown,
         fields=tuple(row.field() for row in table.fields),
         words=tuple(
-            Tag(f"Writeback.{row.name}", _word_address(table.address, index, row.name), writable=True)
-            for index, row in enumerate(table.fields)
+            Tag(f"Writeback.{row.name}", address, writable=True)
+            for row, address in zip(table.fields, addresses, strict=True)
         ),
     )
-
-
-def _word_address(pattern: str, index: int, name: str) -> str:
-    """The address of the block's word `index`: `holding:400` -> `holding:403`, `0x2100:1` -> `0x2100:4` for index 3."""
-    if _FIELD in pattern:
-        return pattern.replace(_FIELD, name)
-    space, _, first = pattern.rpartition(":")
-    return f"{space}:{int(first) + index}"

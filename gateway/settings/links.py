@@ -70,7 +70,11 @@ def links_of(section: DeviceSection, home: Path) -> tuple[DeviceLink, ...]:
     """The links in their order, with their device files. Raises ConfigError for a file that cannot be used."""
     if section.file is not None:
         device = load_device(home / section.file)
-        return (DeviceLink(device.driver, device, dict(device.settings) | _addressed(section, device)),)
+        # The keys of [device] as settings: what is written there, and for a device on a network their defaults too.
+        networked = capabilities(device.driver).networked and "serial" not in device.settings
+        wanted = {"host", "timeout"} if networked else set()
+        given = section.model_dump(include={"host", "port", "timeout"} & (section.model_fields_set | wanted))
+        return (DeviceLink(device.driver, device, dict(device.settings) | given),)
     made = []
     for row in section.links:
         device = load_device(home / row.file)
@@ -80,14 +84,6 @@ def links_of(section: DeviceSection, home: Path) -> tuple[DeviceLink, ...]:
             )
         )
     return tuple(made)
-
-
-def _addressed(section: DeviceSection, device: DeviceMap) -> dict[str, Any]:
-    """The keys of [device] as settings: what is written there, and for a device on a network their defaults too."""
-    networked = capabilities(device.driver).networked and "serial" not in device.settings
-    wanted = {"host", "timeout"} if networked else set()
-    given = section.model_dump(include={"host", "port", "timeout"} & (section.model_fields_set | wanted))
-    return given
 
 
 def link_problems(links: Sequence[DeviceLink], speed: float) -> list[str]:

@@ -129,8 +129,14 @@ class Audit:
             with self._wake:
                 self._wake.wait_for(lambda: self._waiting or self._stopping)
                 batch, stopping = list(self._waiting), self._stopping
-            stored = self._stored(batch)
+            try:
+                append(self._connection, batch)
+                stored, self.failure = True, ""
+            except sqlite3.Error as error:
+                stored = False
+                self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
             with self._wake:
+                # What is stored leaves only now, so that `record` waits for the disk and a refused batch waits on.
                 for _ in batch if stored else ():
                     self._waiting.popleft()
                 self._wake.notify_all()
@@ -139,30 +145,47 @@ class Audit:
                 if not stored:
                     self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS)
 
-    def _stored(self, batch: Sequence[AuditEntry]) -> bool:
-        try:
-            append(self._connection, batch)
-        except sqlite3.Error as error:
-            self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
-            return False
-        self.failure = ""
-        return True
-
 
 def open_audit(path: Path) -> Audit:
     """The audit log at `path`, made if there is none. Raises AuditError."""
-    return Audit(path, _connected(path))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
+    except (OSError, sqlite3.Error) as error:
+        raise AuditError(f"{path}: cannot be made ({error}); give a path that this user may write") from None
+    try:
+        connection.execute("PRAGMA journal_mode = WAL").fetchone()
+        # FULL: with a WAL, NORMAL may lose the last transactions in a power cut (sqlite.org/pragma.html, synchronous).
+        connection.execute("PRAGMA synchronous = FULL")
+        # Looked at and made in one transaction: of two processes that begin together only one makes the tables.
+        connection.execute("BEGIN IMMEDIATE")
+        if not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+            for statement in _TABLES.split("|"):
+                connection.execute(statement)
+            connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+            connection.execute(f"PRAGMA user_version = {VERSION}")
+        connection.execute("COMMIT")
+        _check(connection, path)
+    except sqlite3.Error as error:
+        connection.close()
+        raise AuditError(f"{path}: cannot be used ({error}); give the path of an audit log or of a new file") from None
+    except AuditError:
+        connection.close()
+        raise
+    return Audit(path, connection)
 
 
 def append(connection: sqlite3.Connection, entries: Sequence[AuditEntry]) -> str:
     """Append the entries in one transaction; gives the newest hash. Raises sqlite3.Error, and then none is stored."""
     with connection:
+        # IMMEDIATE: the write lock is taken before the newest hash is read, so that no other process can append between
+        # the two and break the chain.
         connection.execute("BEGIN IMMEDIATE")
         last = connection.execute("SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
         number, before = (int(last[0]), bytes(last[1])) if last else (0, BEGIN)
         for entry in entries:
             number += 1
-            plain = (float(entry.time), entry.kind, entry.who, entry.reason, _detail(entry))
+            plain = (float(entry.time), entry.kind, entry.who, entry.reason, json_text(entry.detail, sort_keys=True))
             before = _hash(before, number, *plain)
             connection.execute(f"INSERT INTO audit ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?)", (number, *plain, before))  # noqa: S608
     return before.hex()
@@ -198,6 +221,7 @@ def verify(path: Path, head: str = "") -> ChainVerdict:
     count, before, seen = 0, BEGIN, not head
     with closing(_reader(path)) as connection:
         for row, stored in _rows(connection, path):
+            # A gap in the numbers is told before the hash: it says what has happened, the hash only that something has.
             if row.id != count + 1:
                 return ChainVerdict(count, before.hex(), f"row {count + 1} is missing")
             count, before = row.id, _hash(before, row.id, *stored)
@@ -219,10 +243,6 @@ def head(path: Path) -> str:
 # ---------------------------------------------------------------- the file
 
 
-def _detail(entry: AuditEntry) -> str:
-    return json_text(entry.detail, sort_keys=True)
-
-
 def _hash(before: bytes, *plain: object) -> bytes:
     return digest(before, json.dumps(plain, ensure_ascii=False, allow_nan=False).encode())
 
@@ -238,32 +258,6 @@ def _rows(connection: sqlite3.Connection, path: Path) -> Iterator[tuple[AuditRow
             yield _row(found), tuple(found[1:6])
     except (sqlite3.Error, ValueError, TypeError) as error:
         raise AuditError(f"{path}: cannot be read ({error}); it was changed by something else") from None
-
-
-def _connected(path: Path) -> sqlite3.Connection:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
-    except (OSError, sqlite3.Error) as error:
-        raise AuditError(f"{path}: cannot be made ({error}); give a path that this user may write") from None
-    try:
-        connection.execute("PRAGMA journal_mode = WAL").fetchone()
-        connection.execute("PRAGMA synchronous = FULL")
-        connection.execute("BEGIN IMMEDIATE")
-        if not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-            for statement in _TABLES.split("|"):
-                connection.execute(statement)
-            connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-            connection.execute(f"PRAGMA user_version = {VERSION}")
-        connection.execute("COMMIT")
-        _check(connection, path)
-    except sqlite3.Error as error:
-        connection.close()
-        raise AuditError(f"{path}: cannot be used ({error}); give the path of an audit log or of a new file") from None
-    except AuditError:
-        connection.close()
-        raise
-    return connection
 
 
 def _reader(path: Path) -> sqlite3.Connection:

@@ -119,9 +119,10 @@ class Historian:
             if not committed:
                 with self._wake:
                     self._wake.wait_for(lambda: self._stopping, BATCH_SECONDS)
-            elif moment is not None:
+            elif moment is not None:  # only on a disk that takes rows: to delete is to write as well
                 self._delete_before(moment)
                 with self._wake:
+                    # Another moment may have been given while the deletion ran; that one is still to be done.
                     self._forget = None if self._forget == moment else self._forget
 
     def _round(self) -> bool:
@@ -131,6 +132,7 @@ class Historian:
             batch = [*self._rows, *self._urgent]
         if not self._commit(batch, durable=durable > 0):
             return False
+        # Only now do they leave the queue: what a full disk has refused is tried again as it was.
         with self._wake:
             for _ in range(bulk):
                 self._rows.popleft()
@@ -145,6 +147,7 @@ class Historian:
     def _commit(self, batch: list[tuple[str, Row]], *, durable: bool) -> bool:
         if not batch:
             return True
+        # One durable row makes the whole batch wait for the disk: it is one transaction.
         connection = self._full if durable else self._normal
         by_table: dict[str, list[Row]] = {}
         for table, row in batch:
@@ -165,15 +168,14 @@ class Historian:
             tags = [row[0] for row in self._normal.execute("SELECT id FROM tags").fetchall()]
             for table, statement in DELETES.items():
                 for tag in tags if table == "samples" else [None]:
-                    self._delete(statement, {"tag": tag, "moment": moment, "rows": _CHUNK})
+                    values = {"tag": tag, "moment": moment, "rows": _CHUNK}
+                    while self._normal.execute(statement, values).rowcount > 0:
+                        if self._urgent:
+                            self._round()
+            # 4 MB of freed pages at most go back to the system at a time: each one moved is written again.
             self._normal.execute("PRAGMA incremental_vacuum(1000)").fetchall()
         except sqlite3.Error as error:
             self.failure = f"{self.path}: old rows cannot be deleted ({error}); make room or mend the disk"
-
-    def _delete(self, statement: str, values: Mapping[str, Any]) -> None:
-        while self._normal.execute(statement, values).rowcount > 0:
-            if self._urgent:
-                self._round()
 
 
 def open_historian(path: Path, tags: Iterable[Tag], *, max_mb: float = 4096.0) -> tuple[Historian, dict[str, int]]:
@@ -184,12 +186,23 @@ def open_historian(path: Path, tags: Iterable[Tag], *, max_mb: float = 4096.0) -
     """
     if path.is_dir():
         raise HistorianError(f"{path}: is a directory; give the path of a file for the historian")
+    lock_path = path.with_name(path.name + ".lock")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        lock = _locked(path.with_name(path.name + ".lock"))
+        # A lock on a file of its own, since SQLite locks the database itself: the system frees it when the process
+        # ends, however it ends, which a file that merely exists would not.
+        lock = os.open(lock_path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(lock)
+            raise HistorianError(
+                f"{lock_path}: another gateway is running on this historian; stop it, or give this one a historian of "
+                "its own"
+            ) from None
+    except HistorianError:
+        raise
     except OSError as error:
-        if isinstance(error, HistorianError):
-            raise
         raise HistorianError(
             f"{path}: cannot be made ({error.strerror}); give a path that this user may write"
         ) from None
@@ -206,26 +219,17 @@ def open_historian(path: Path, tags: Iterable[Tag], *, max_mb: float = 4096.0) -
     return Historian(path, (normal, full), lock), numbers
 
 
-def _locked(path: Path) -> int:
-    """The system frees the lock when the process ends, however it ends."""
-    descriptor = os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise HistorianError(
-            f"{path}: another gateway is running on this historian; stop it, or give this one a historian of its own"
-        ) from None
-    return descriptor
-
-
 def _connected(path: Path, synchronous: str, max_mb: float) -> sqlite3.Connection:
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
     try:
+        # Before anything else: a database takes up auto_vacuum only while it is empty (sqlite.org/pragma.html), and the
+        # journal mode writes its first page.
         connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
         connection.execute("PRAGMA journal_mode = WAL").fetchone()
         connection.execute(f"PRAGMA synchronous = {synchronous}")
+        # 64 MiB: a WAL that grew while a reader held it back is cut to this once it is checkpointed.
         connection.execute("PRAGMA journal_size_limit = 67108864").fetchone()
+        # The file's largest size: beyond it SQLite says that the disk is full, before the disk is.
         connection.execute(f"PRAGMA max_page_count = {int(max_mb * 1_000_000 / _PAGE)}").fetchone()
     except sqlite3.Error:
         connection.close()

@@ -102,30 +102,24 @@ def matured(path: Path, tolerance: float = 5.0) -> dict[float, Matured]:
     by_horizon: dict[float, list[tuple[float, str, str, float, float | None]]] = {}
     for horizon, *rest in rows:
         by_horizon.setdefault(float(horizon), []).append(tuple(rest))
-    return {horizon: _matured(horizon, given, times, values, tolerance) for horizon, given in by_horizon.items()}
-
-
-def _matured(
-    horizon: float,
-    rows: list[tuple[float, str, str, float, float | None]],
-    times: Array,
-    values: Array,
-    tolerance: float,
-) -> Matured:
-    made = np.array([row[0] for row in rows], dtype=float)
-    # The first reading at or after what the forecast spoke of; times are sums of floats, so a microsecond counts as at.
-    place = np.searchsorted(times, made + horizon - 1e-6)
-    later = np.append(times, np.inf)[place]
-    outcome = np.where(later <= made + horizon + tolerance, np.append(values, nan)[place], nan)
-    return Matured(
-        horizon=horizon,
-        times=made,
-        levels=tuple(json.loads(rows[0][1])),
-        quantiles=np.array([json.loads(row[2]) for row in rows], dtype=float),
-        p_limit=np.array([row[3] for row in rows], dtype=float),
-        persistence=np.array([nan if row[4] is None else row[4] for row in rows], dtype=float),
-        outcome=outcome,
-    )
+    matured: dict[float, Matured] = {}
+    for horizon, given in by_horizon.items():
+        made = np.array([row[0] for row in given], dtype=float)
+        # The first reading at or after what the forecast spoke of; times are sums of floats, so a microsecond counts as
+        # at. Behind the last reading there is one at infinity: it is too late for any tolerance, and no index ends.
+        place = np.searchsorted(times, made + horizon - 1e-6)
+        later = np.append(times, np.inf)[place]
+        outcome = np.where(later <= made + horizon + tolerance, np.append(values, nan)[place], nan)
+        matured[horizon] = Matured(
+            horizon=horizon,
+            times=made,
+            levels=tuple(json.loads(given[0][1])),
+            quantiles=np.array([json.loads(row[2]) for row in given], dtype=float),
+            p_limit=np.array([row[3] for row in given], dtype=float),
+            persistence=np.array([nan if row[4] is None else row[4] for row in given], dtype=float),
+            outcome=outcome,
+        )
+    return matured
 
 
 def events(path: Path) -> tuple[Event, ...]:
@@ -157,6 +151,8 @@ def to_trace(path: Path, name: str = "historian", start: float = -1e18, end: flo
         times = np.array([row[0] for row in clock], dtype=float)
         signals: dict[str, Array] = {}
         bad: dict[str, Mask] = {}
+        # A sample that did not change is kept every max_interval only: to know what stood at `start`, one has to look
+        # back as far as that, and by ten scans more for those that were late. An hour where no run is on record.
         reach = connection.execute("SELECT max(max_interval + 10 * period) FROM runs").fetchone()[0] or 3600.0
         for number, tag in connection.execute("SELECT id, name FROM tags ORDER BY id").fetchall():
             rows = connection.execute(
@@ -209,5 +205,5 @@ def _column(times: Array, rows: list[tuple[float, float | None, int]]) -> tuple[
     values = np.array([nan if row[1] is None else row[1] for row in rows], dtype=float)
     values = np.where(good, values, nan)
     place = np.searchsorted(kept, times, side="right") - 1
-    before = place < 0
+    before = place < 0  # -1 would be numpy's last sample: these rows are put right below
     return np.where(before, nan, values[place]), ~before & ~good[place]

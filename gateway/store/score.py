@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.store.read_back import Aligned, Matured, history, matured, reading
+from gateway.store.read_back import Matured, history, matured, reading
 from sim.scores import coverage, crps_quantiles
 from sim.sha import Array
 
@@ -75,14 +75,16 @@ def scorecard(path: Path) -> Scorecard:
         ]
         guards = _guards(connection)
     seen = history(path)
+    known = np.isfinite(seen.mean) & np.isfinite(seen.measured)
+    band90 = coverage(seen.low[known], seen.high[known], seen.measured[known]) if known.any() else nan
     return Scorecard(
         scans=counts["scans"],
         samples=counts["samples"],
         events=counts["events"],
         free_run=error(seen.free_run, seen.measured),
         one_step=error(seen.mean, seen.measured),
-        band90=_covered(seen),
-        forecasts=tuple(_horizon(one) for _, one in sorted(matured(path).items())),
+        band90=band90,
+        forecasts=tuple(_horizon_score(forecasts) for _, forecasts in sorted(matured(path).items())),
         writes=WriteScore(verdicts, percentile(latencies, 0.5), percentile(latencies, 0.99)),
         guards=guards,
     )
@@ -91,6 +93,7 @@ def scorecard(path: Path) -> Scorecard:
 def percentile(values: Sequence[float], share: float) -> float:
     """The value that `share` of the values do not exceed (nearest rank); NaN for none."""
     ordered = sorted(values)
+    # Limited to the last one: a share of 1 would lie one beyond it.
     return ordered[min(int(share * len(ordered)), len(ordered) - 1)] if ordered else nan
 
 
@@ -110,13 +113,9 @@ def error(predicted: Array, measured: Array) -> Error:
     return Error(float(np.sqrt(np.mean(gap**2))), float(np.mean(np.abs(gap))), int(gap.size))
 
 
-def _covered(seen: Aligned) -> float:
-    known = np.isfinite(seen.mean) & np.isfinite(seen.measured)
-    return coverage(seen.low[known], seen.high[known], seen.measured[known]) if known.any() else nan
-
-
-def _horizon(forecasts: Matured) -> HorizonScore:
+def _horizon_score(forecasts: Matured) -> HorizonScore:
     f = forecasts
+    # The same forecasts for both: those that began without a reading have no persistence to be held against.
     came = np.isfinite(f.outcome) & np.isfinite(f.persistence)
     if not came.any():
         return HorizonScore(horizon=f.horizon, mae=nan, persistence_mae=nan, crps=nan, coverage90=nan, count=0)

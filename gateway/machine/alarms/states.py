@@ -95,20 +95,17 @@ def moved(alarm: Alarm, change: Change, now: float, by: str = "") -> Alarm:
 
 def step(condition: AlarmCondition, alarm: Alarm, value: float | None, now: float) -> Alarm:
     """The alarm after reading `value` at `now`; None: not known, so nothing begins, nothing ends, no delay runs."""
-    wanted = None if value is None else _wanted(condition, alarm, value)
+    wanted: Change | None = None
+    if value is not None and not alarm.active and value > condition.limit:
+        wanted = Change.RAISE
+    elif value is not None and alarm.active and value <= condition.limit - condition.deadband:
+        wanted = Change.CLEAR
+    # Within the deadband nothing is wanted, and a delay that ran begins anew: it asks for an unbroken time.
     if wanted is None:
         return replace(alarm, pending=None) if alarm.pending is not None else alarm
     begun = now if alarm.pending is None else alarm.pending
     delay = condition.on_delay if wanted is Change.RAISE else condition.off_delay
     return moved(alarm, wanted, now) if now - begun >= delay else replace(alarm, pending=begun)
-
-
-def _wanted(condition: AlarmCondition, alarm: Alarm, value: float) -> Change | None:
-    if not alarm.active and value > condition.limit:
-        return Change.RAISE
-    if alarm.active and value <= condition.limit - condition.deadband:
-        return Change.CLEAR
-    return None
 
 
 def acknowledge(

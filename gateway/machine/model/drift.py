@@ -68,36 +68,40 @@ def follow_cycle(rule: DriftRule, drift: CycleDrift, prediction: ScanPrediction)
     """What is known after a scan: a start closes the cycle before it, a good reading counts to the present one."""
     for event in prediction.events:
         if event.symbol == rule.starts and drift.symbol != rule.starts:
-            drift = _closed(drift, event.time)
+            # The start ends the cycle before it. One with too few readings is forgotten and not judged, it neither
+            # counts nor breaks a run: a cycle that was begun by mistake must not clear the alarm.
+            running, error, limit = drift.running, drift.error, drift.limit
+            if drift.begun is not None and drift.readings >= LEAST:
+                error, limit = sqrt(drift.missed / drift.readings), sqrt(drift.allowed / drift.readings)
+                running = drift.running + 1 if error > limit else 0
+            drift = replace(
+                drift,
+                running=running,
+                error=error,
+                limit=limit,
+                begun=event.time,
+                readings=0,
+                missed=0.0,
+                allowed=0.0,
+            )
         if event.symbol in (rule.starts, rule.stops):
             drift = replace(drift, symbol=event.symbol)
     p = prediction
     if drift.begun is None or p.measured is None or p.free_run is None or p.free_sigma is None or not p.known:
         return drift
+    if rule.limit is not None:
+        allowed = rule.limit
+    else:
+        # The free run's age is the horizon of its forecast: the factor that the band needs there, held at the ends.
+        factor = float(np.interp(p.time - drift.begun, rule.horizons, rule.factors)) if rule.horizons else 1.0
+        allowed = Z90 * factor * p.free_sigma
+    # Squares are summed, so that a cycle is judged by its root mean square against that of its band.
     return replace(
         drift,
         readings=drift.readings + 1,
         missed=drift.missed + (p.measured - p.free_run) ** 2,
-        allowed=drift.allowed + _allowed(rule, p.time - drift.begun, p.free_sigma) ** 2,
+        allowed=drift.allowed + allowed**2,
     )
-
-
-def _allowed(rule: DriftRule, age: float, sigma: float) -> float:
-    """degC that a reading may be off."""
-    if rule.limit is not None:
-        return rule.limit
-    factor = float(np.interp(age, rule.horizons, rule.factors)) if rule.horizons else 1.0
-    return Z90 * factor * sigma
-
-
-def _closed(drift: CycleDrift, now: float) -> CycleDrift:
-    """The end of a cycle and the beginning of the next; one with too few readings neither counts nor breaks a run."""
-    # A cycle that was too short is forgotten and not judged: one that was begun by mistake must not clear the alarm.
-    fresh = replace(drift, begun=now, readings=0, missed=0.0, allowed=0.0)
-    if drift.begun is None or drift.readings < LEAST:
-        return fresh
-    error, limit = sqrt(drift.missed / drift.readings), sqrt(drift.allowed / drift.readings)
-    return replace(fresh, running=drift.running + 1 if error > limit else 0, error=error, limit=limit)
 
 
 def restored(saved: Mapping[str, Any]) -> CycleDrift:

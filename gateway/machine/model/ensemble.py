@@ -149,8 +149,15 @@ class Ensemble:
             Member(name, Predictor(model, first.temperature), bands(model, forecasts, scan_period))
             for name, model in zip(self.names[1:], models, strict=True)
         ]
-        pool = _pool(section, 1 + len(self.members))
+        count = 1 + len(self.members)
+        if isinstance(section.weights, tuple):
+            pool = Pool(count, fixed=section.weights)
+        elif section.weights == "equal":
+            pool = Pool(count, fixed=(1.0 / count,) * count)
+        else:
+            pool = Pool(count, half_life=section.half_life, floor=section.floor)
         self.evidence = {horizon: PoolEvidence(pool) for horizon in forecasts.horizons}
+        # A reading may come some scans after the moment that a forecast spoke of, and still counts as of that moment.
         self.tolerance = max(5.0, 3.0 * scan_period)
         self.complaints: list[tuple[str, str]] = []
 
@@ -170,27 +177,25 @@ class Ensemble:
 
     def shares(self, context: str) -> Array:
         """(H, members) the weights in a context, the first model's first."""
-        return np.array([weights(one.pool, context) for one in self.evidence.values()])
+        return np.array([weights(state.pool, context) for state in self.evidence.values()])
 
     def follow(self, scan: Scan, measured: float | None) -> None:
         """Move all members on by a scan, and learn from its reading what the forecasts that were due are worth."""
         reading = float("nan") if measured is None else measured
         for member in self.members:
-            self._step(member, scan)
+            # One that failed rests for a while, and then begins without a past: its state may be what made it fail.
+            if member.failure and scan.time - member.failed >= RETRY_SECONDS:
+                member.predictor, member.failure = Predictor(member.predictor.model, self.first.temperature), ""
+            if not member.failure:
+                try:
+                    prediction = member.predictor.step(scan)
+                    member.known = prediction.known and prediction.inputs_good
+                except FAULTS as error:
+                    self._fail(member, scan.time, repr(error))
+            # Its bands learn all the same: forecasts that it made while it was well are still due.
             member.calibration = settle_bands(member.calibration, scan.time, reading)
-        for horizon, one in self.evidence.items():
-            self.evidence[horizon] = settle_pool(one, horizon, scan.time, reading, self.tolerance)
-
-    def _step(self, member: Member, scan: Scan) -> None:
-        if member.failure:
-            if scan.time - member.failed < RETRY_SECONDS:
-                return
-            member.predictor, member.failure = Predictor(member.predictor.model, self.first.temperature), ""
-        try:
-            prediction = member.predictor.step(scan)
-            member.known = prediction.known and prediction.inputs_good
-        except FAULTS as error:
-            self._fail(member, scan.time, repr(error))
+        for horizon, state in self.evidence.items():
+            self.evidence[horizon] = settle_pool(state, horizon, scan.time, reading, self.tolerance)
 
     def _fail(self, member: Member, now: float, reason: str) -> None:
         member.known, member.failure, member.failed = False, reason, now
@@ -198,14 +203,17 @@ class Ensemble:
 
     def jobs(self) -> list[ForecastJob | None]:
         """What each member has to do for a forecast; None where its state is not known."""
-        return [self._job(place, member) for place, member in enumerate(self.members, start=1)]
-
-    def _job(self, place: int, member: Member) -> ForecastJob | None:
-        belief = member.predictor.belief
-        if not member.known or belief is None or not belief.seen:
-            return None
-        seed = (self.forecasts.seed, int(belief.time * 1000.0), place)
-        return ForecastJob(member.predictor.tracker, belief, factors(member.calibration), seed)
+        jobs: list[ForecastJob | None] = []
+        for place, member in enumerate(self.members, start=1):
+            belief = member.predictor.belief
+            if not member.known or belief is None or not belief.seen:
+                jobs.append(None)
+                continue
+            # The place, counted from 1, is part of the seed, or its errors would be like the first model's. Not from 0:
+            # numpy's SeedSequence takes a 0 at the end for nothing, and the draws would be the first model's again.
+            seed = (self.forecasts.seed, int(belief.time * 1000.0), place)
+            jobs.append(ForecastJob(member.predictor.tracker, belief, factors(member.calibration), seed))
+        return jobs
 
     def take(self, made: MixedForecast, now: float) -> None:
         """Let finished forecasts wait for their readings."""
@@ -254,14 +262,6 @@ class Ensemble:
                 pool = Pool(**{**asdict(one.pool), "overall": tuple(kept["overall"]), "contexts": contexts})
                 self.evidence[horizon] = PoolEvidence(pool)
         return True
-
-
-def _pool(section: EnsembleSection, models: int) -> Pool:
-    if isinstance(section.weights, tuple):
-        return Pool(models, fixed=section.weights)
-    if section.weights == "equal":
-        return Pool(models, fixed=(1.0 / models,) * models)
-    return Pool(models, half_life=section.half_life, floor=section.floor)
 
 
 def _settings(pool: Mapping[str, Any]) -> list[Any]:

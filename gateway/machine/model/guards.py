@@ -55,11 +55,23 @@ class Guards:
     def plain(self, predictor: Predictor) -> dict[str, Any]:
         """All guards as plain values, for status and historian."""
         belief, free_run = predictor.clamps
+        reviews: dict[str, Any] = {}
+        for name, review in self.reviews.items():
+            rule = ONE_STEP if name == INNOVATIONS else FORECASTS
+            reviews[name] = {
+                "flagged": review.flagged,
+                "since": review.since,
+                "share": share(rule, review),
+                "run": review.run,
+                "longest_run": review.longest,
+                "readings": review.readings,
+                "beyond": review.beyond,
+            }
         correction = self.model.correction
         return {
             "review": self.flagged,
             "drift": {"cycles": self.drift.running, "error": self.drift.error, "limit": self.drift.limit},
-            "reviews": {name: _plain(name, review) for name, review in self.reviews.items()},
+            "reviews": reviews,
             "clamps": {
                 "belief": belief,
                 "free_run": free_run,
@@ -75,18 +87,5 @@ class Guards:
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from a snapshot, for what is still looked at. Raises TypeError for what `snapshot` did not write."""
-        self.reviews |= {name: Review(**one) for name, one in saved.items() if name in self.reviews}
+        self.reviews |= {name: Review(**review) for name, review in saved.items() if name in self.reviews}
         self.drift = restored(saved[DRIFT]) if DRIFT in saved else self.drift
-
-
-def _plain(name: str, review: Review) -> dict[str, Any]:
-    rule = ONE_STEP if name == INNOVATIONS else FORECASTS
-    return {
-        "flagged": review.flagged,
-        "since": review.since,
-        "share": share(rule, review),
-        "run": review.run,
-        "longest_run": review.longest,
-        "readings": review.readings,
-        "beyond": review.beyond,
-    }

@@ -117,29 +117,24 @@ def _look(
     stamp = None if store is None else promotion(store)
     if store is None or stamp == seen:
         return stamp, None
+    # The configured model as at a start, and following the recent scans.
     try:
-        return stamp, None if current(store) == running else _made_ready(config, members, recent)
+        loaded = None if current(store) == running else load_model(config)
     except ConfigError as error:
         return stamp, RefusedPromotion("; ".join(error.problems))
     except ArtefactError as error:
         return stamp, RefusedPromotion(str(error))
-
-
-def _made_ready(config: Config, members: Sequence[str], recent: Sequence[Scan]) -> LookResult:
-    """The configured model as at a start, and following the recent scans. Raises ConfigError."""
-    loaded = load_model(config)
     if loaded is None:
-        return None
+        return stamp, None
     if loaded.hash in members:
-        return RefusedPromotion(
-            f"version {loaded.version} is the same model as one of ensemble.members; give each model once"
-        )
+        reason = f"version {loaded.version} is the same model as one of ensemble.members; give each model once"
+        return stamp, RefusedPromotion(reason)
     predictor = Predictor(loaded.model, config.model.temperature)
     try:
         _follow(predictor, recent)
     except FAULTS as error:
-        return RefusedPromotion(_failed(loaded, error))
-    return ReadyModel(loaded, predictor, recent[-1].time if recent else -inf)
+        return stamp, RefusedPromotion(_failed(loaded, error))
+    return stamp, ReadyModel(loaded, predictor, recent[-1].time if recent else -inf)
 
 
 def _follow(predictor: Predictor, scans: Sequence[Scan]) -> None:

@@ -103,17 +103,43 @@ class Predictor:
         # The order is the model's: events change the location, inputs the flow in it, and only then does the reading
         # say how right the temperature was that all of them led to.
         events = self.encoder.feed(scan.time, {name: scan.good(name) for name in self._channels})
-        measured = self._measured(scan)
+        # An early scan shows again what the scan before it has read: the same reading must not correct twice.
+        sample = scan.samples.get(self.temperature)
+        repeated = scan.early and sample is not None and sample.time == self._read_at
+        self._read_at = None if sample is None else sample.time
+        measured = None if repeated else scan.good(self.temperature)
         signals = {name: value for name in self._driving if (value := scan.good(name)) is not None}
-        expected = self._expected(scan.time, events, signals)
+
+        # Events may lie before the scan that shows them: a belief that begins here begins with the first of them.
+        first = min((scan.time, *(event.time for event in events)))
+        expected = self.belief if self.belief is not None else start(self.tracker, first)
+        for event in events:
+            expected = on_event(self.tracker, expected, event)
+        expected = with_inputs(self.tracker, expected, scan.time, signals)
+        # Inputs have advanced it already where the model reads any; time never goes back.
+        if expected.time < scan.time:
+            expected = advance(self.tracker, expected, scan.time)
         self.belief = expected if measured is None else observe(self.tracker, expected, scan.time, measured)
         free_run = self._free_run(scan.time, events, signals, expected, measured)
         self.events += len(events)
+
+        # The input in the worst state, and the one that was read longest ago, speak for all of them.
+        worst, age = 0, 0.0
+        for name in self._inputs:
+            sample = scan.samples.get(name)
+            quality = Quality.CONFIGURATION_ERROR if sample is None else sample.quality
+            worst = max(worst, 0 if quality.is_good else 2 if quality.is_bad else 1)
+            readable = sample is not None and sample.value is not None
+            age = max(age, scan.time - sample.time) if sample is not None and readable else float("inf")
         known = None not in self.encoder.state.announced
-        worst, age = self._worst(scan)
-        usable = known and worst == 0
-        sigma = sqrt(expected.xx + self.tracker.sensor)
         score = anomaly(self.belief) + 0.0  # -log10 of a p-value of 1 is -0.0, which nobody should read
+        zone: Zone
+        if not known or worst > 0 or len(self.belief.recent) < FEWEST:
+            zone = "none"
+        else:
+            zone = "green" if score < YELLOW else "yellow" if score < RED else "red"
+        # The band is for a reading, not for the temperature itself: the sensor's own variance comes on top.
+        sigma = sqrt(expected.xx + self.tracker.sensor)
         return ScanPrediction(
             time=scan.time,
             location=self.belief.location,
@@ -128,29 +154,11 @@ class Predictor:
             high=expected.x + Z90 * sigma if expected.seen else None,
             free_run=free_run,
             anomaly=score,
-            zone=_zone(score, len(self.belief.recent)) if usable else "none",
+            zone=zone,
             events=tuple(events),
             reset=any(event.symbol == UNKNOWN for event in events),
             free_sigma=None if free_run is None or self.free is None else sqrt(self.free.xx + self.tracker.sensor),
         )
-
-    def _measured(self, scan: Scan) -> float | None:
-        """The temperature, None where it is not known; in an early scan a reading counts only once."""
-        sample = scan.samples.get(self.temperature)
-        old = scan.early and sample is not None and sample.time == self._read_at
-        self._read_at = None if sample is None else sample.time
-        return None if old else scan.good(self.temperature)
-
-    def _expected(self, time: float, events: list[Event], signals: Mapping[str, float]) -> Belief:
-        """The belief at `time`, after the events and inputs and before the reading."""
-        # Events may lie before the scan that shows them: a belief that begins here begins with the first of them.
-        first = min((time, *(event.time for event in events)))
-        belief = self.belief if self.belief is not None else start(self.tracker, first)
-        for event in events:
-            belief = on_event(self.tracker, belief, event)
-        belief = with_inputs(self.tracker, belief, time, signals)
-        # Inputs have advanced it already where the model reads any; time never goes back.
-        return belief if belief.time >= time else advance(self.tracker, belief, time)
 
     def _free_run(
         self, time: float, events: list[Event], signals: Mapping[str, float], expected: Belief, measured: float | None
@@ -159,11 +167,13 @@ class Predictor:
         if any(event.symbol == UNKNOWN or event.symbol in self._cycle_starts for event in events):
             self._restart = True
         if self._restart:
+            # It begins from a reading, and only in a location that is known; until both are there, there is none.
             if measured is None or None in self.encoder.state.announced:
                 self.free = None
                 return None
             self.free = restarted(self.tracker, expected, measured)
             self._restart = False
+            # The reading that it was begun from says nothing of how right it is.
             return None
         if self.free is None:
             return None
@@ -172,21 +182,11 @@ class Predictor:
         self.free = with_inputs(self.tracker, self.free, time, signals)
         return self.free.x
 
-    def _worst(self, scan: Scan) -> tuple[int, float]:
-        """The worst severity (0 good, 1 uncertain, 2 bad) and the greatest age (s) among the inputs."""
-        worst, age = 0, 0.0
-        for name in self._inputs:
-            sample = scan.samples.get(name)
-            quality = Quality.CONFIGURATION_ERROR if sample is None else sample.quality
-            worst = max(worst, 0 if quality.is_good else 2 if quality.is_bad else 1)
-            readable = sample is not None and sample.value is not None
-            age = max(age, scan.time - sample.time) if sample is not None and readable else float("inf")
-        return worst, age
-
     def snapshot(self) -> dict[str, Any] | None:
         """Encoder and belief as JSON can carry them; None before the first scan."""
         if self.belief is None:
             return None
+        # One that waits to be begun anew is not kept: a restart of the gateway begins it anew as well.
         free = None if self.free is None or self._restart else asdict(self.free)
         return {"encoder": asdict(self.encoder.state), "belief": asdict(self.belief), "free": free}
 
@@ -198,15 +198,10 @@ class Predictor:
         belief = belief_of(saved["belief"])
         if not 0.0 <= now - belief.time <= self.model.alphabet.gap or belief.location not in self._index:
             return False
+        # JSON has turned the encoder's tuples into lists.
         encoder: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in saved["encoder"].items()}
         self.encoder = Encoder(self.model.alphabet, state=EncoderState(**encoder))
         self.belief = belief
         self.free = belief_of(saved["free"]) if saved["free"] else None
         self._restart = self.free is None
         return True
-
-
-def _zone(score: float, errors: int) -> Zone:
-    if errors < FEWEST:
-        return "none"
-    return "green" if score < YELLOW else "yellow" if score < RED else "red"

@@ -58,6 +58,7 @@ class DeviceStream:
         loop = asyncio.get_running_loop()
         begun = loop.time()
         yield
+        # now + (now - begun): as long again as the body took, so that it takes half of the time at most.
         self._not_before = 2.0 * loop.time() - begun
 
     async def _listen(self) -> None:

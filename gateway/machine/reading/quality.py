@@ -26,6 +26,7 @@ from drivers.tag import Quality, Sample, Tag
 STALE_PERIODS = 3.0
 DEAD_PERIODS = 10.0
 _TOLERANCE = 0.5
+"""Periods by which the limits are drawn early: a scan that jitters would otherwise be a whole period beyond them."""
 
 LINK_FAULTS = frozenset(
     {
@@ -77,22 +78,27 @@ def judge(
 ) -> tuple[DeviceAge, dict[str, Sample]]:
     """What a scan's readings `read` (in the order of `tags`) are worth at `now`, and what to remember for the next."""
     by_name = {sample.tag: sample for sample in read}
-    age = _with_heartbeat(age, by_name.get(rules.heartbeat or ""), now)
+    # The heartbeat first, by which everything else is judged. Only a change from one living count to
+    # another proves life: the first cycle after a restart may still show what the memory was cleared to.
+    beat = by_name.get(rules.heartbeat or "")
+    if beat is not None and beat.quality.is_good and isinstance(beat.value, int):
+        count = int(beat.value)
+        moved = bool(age.beat) and count != age.beat and count != 0
+        age = replace(age, beat=count, beat_changed=now if moved else None if count == 0 else age.beat_changed)
     image = _image(age, now, rules) if rules.heartbeat else None
     histories = dict(age.tags)
     judged: dict[str, Sample] = {}
     for tag in tags:
-        sample = _own(tag, by_name[tag.name], histories, now, rules.period)
-        judged[tag.name] = sample if image is None or sample.quality.is_bad else _demoted(sample, *image, now)
+        sample = _on_its_own(tag, by_name[tag.name], histories, now, rules.period)
+        # The heartbeat only ever takes away: it never makes a doubtful reading better, or a bad one less bad.
+        if image is not None and not sample.quality.is_bad:
+            quality, reason = image
+            if quality.is_bad:
+                sample = Sample(tag.name, None, quality, now, sent=sample.sent, reason=reason)
+            elif sample.quality.is_good:
+                sample = replace(sample, quality=quality, reason=reason)
+        judged[tag.name] = sample
     return replace(age, tags=histories), judged
-
-
-def _with_heartbeat(age: DeviceAge, sample: Sample | None, now: float) -> DeviceAge:
-    if sample is None or not sample.quality.is_good or not isinstance(sample.value, int):
-        return age
-    beat = int(sample.value)
-    moved = bool(age.beat) and beat != age.beat and beat != 0
-    return replace(age, beat=beat, beat_changed=now if moved else None if beat == 0 else age.beat_changed)
 
 
 def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, str] | None:
@@ -108,19 +114,14 @@ def _image(age: DeviceAge, now: float, rules: QualityRules) -> tuple[Quality, st
     return (Quality.LAST_USABLE, reason) if still > STALE_PERIODS else None
 
 
-def _demoted(sample: Sample, quality: Quality, reason: str, now: float) -> Sample:
-    if quality.is_bad:
-        return Sample(sample.tag, None, quality, now, sent=sample.sent, reason=reason)
-    return replace(sample, quality=quality, reason=reason) if sample.quality.is_good else sample
-
-
-def _own(tag: Tag, sample: Sample, histories: dict[str, TagHistory], now: float, period: float) -> Sample:
+def _on_its_own(tag: Tag, sample: Sample, histories: dict[str, TagHistory], now: float, period: float) -> Sample:
     """The reading by its own merits; a good one is remembered."""
     known = histories.get(tag.name)
     if not sample.quality.is_good:
         return _held(sample, known, now, period) if sample.quality in LINK_FAULTS else sample
     if known and (reason := _too_fast(tag, sample, known.good, period)):
         return replace(sample, quality=Quality.SENSOR_NOT_ACCURATE, reason=reason)
+    # Compared by the bit, not by the deadband: a sensor that lives has noise, a frozen one has none.
     changed = known.changed if known and known.good.value == sample.value else sample.time
     histories[tag.name] = TagHistory(sample, changed)
     if tag.frozen_after and sample.time - changed > tag.frozen_after:
@@ -149,6 +150,7 @@ def _too_fast(tag: Tag, sample: Sample, before: Sample, period: float) -> str:
         return ""
     if sample.value is None or before.value is None:
         return ""
+    # Over one period at least: two readings that follow closely (an early scan) would make any step a fast one.
     step, passed = abs(sample.value - before.value), max(sample.time - before.time, period)
     if step <= tag.max_rate * passed:
         return ""

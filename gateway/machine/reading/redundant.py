@@ -25,9 +25,10 @@ from drivers.tag import Quality, Sample, Tag, Value
 from gateway.machine.reading.quality import LINK_FAULTS
 from gateway.machine.reading.same_plc import Pulse, agree, still, with_beat
 
+# Errors after which it is certain that the device did not take the block: nothing was sent, or it refused.
 _KNOWN_FATE = (WriteForbidden, EncodingError, AddressError, DeviceException)
 _STRANGE_SCANS = 3
-"""Scans running with another heartbeat before a link is lines to lead to another PLC."""
+"""Scans running with another heartbeat before a link is taken to lead to another PLC."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,21 +170,18 @@ class Redundant:
         """Read all links, and give the samples of the one that is believed; a failure is a sample of bad quality."""
         begun = _now()
         for state in self._states:
-            self._begin(state, tags)
+            # A link whose last reading still runs is not asked again: it would only fall behind further.
+            self._collect(state)
+            state.fresh = False
+            if state.task is None:
+                own = [state.path.tags[tag.name] for tag in tags]
+                state.task = asyncio.create_task(state.path.driver.read(own), name=f"read {state.path.name}")
         await self._finished(begun)
         self._judge()
         self._choose(begun)
         return [self._delivered(tag.name) for tag in tags]
 
     # ------------------------------------------------------------ one scan
-
-    def _begin(self, state: _PathState, tags: Sequence[Tag]) -> None:
-        """Start the link's reading for this scan, unless the last one still runs."""
-        self._collect(state)
-        state.fresh = False
-        if state.task is None:
-            own = [state.path.tags[tag.name] for tag in tags]
-            state.task = asyncio.create_task(state.path.driver.read(own), name=f"read {state.path.name}")
 
     def _collect(self, state: _PathState) -> None:
         """Take over the link's reading if it is complete."""
@@ -195,10 +193,13 @@ class Redundant:
     async def _finished(self, begun: float) -> None:
         """Wait for the active link; if it fails or is late, for the first other one that is well, or for all."""
         until = begun + self._rules.switch_after
+        # First only the active link, for as long as it may take: that is the scan of every ordinary day.
         await self._wait([self._states[self._active]], until)
         while not any(state.fresh and self._is_well(state) for state in self._states):
             if not await self._wait(self._states, None):
                 break
+        # A link that may be returned to has to be complete in the scan that returns to it; it gets what is left of the
+        # time, and no more, since the one that is used now has answered.
         if (due := self._due()) is not None and not due.fresh:
             await self._wait([due], until)
         for state in self._states:
@@ -229,29 +230,33 @@ class Redundant:
     def _judge(self) -> None:
         """Bring the account of every link up to date that has news, and of the active one in any case."""
         moment = _now()
-        self._compare()
+        # Heartbeats first, since a link that is not our PLC is not well. Compared only where both have something new:
+        # an old count against a new one differs by itself. What cannot be told (None) changes no count.
+        active = self._states[self._active]
+        for state in self._states:
+            if state is not active and state.news and active.news:
+                same = agree(active.pulse, state.pulse)
+                if same is not None:
+                    state.strange = 0 if same else state.strange + 1
         for index, state in enumerate(self._states):
             if index == self._active and not state.fresh:
                 state.well_since, state.reason = None, f"no answer within {self._rules.switch_after:g} s"
             elif state.news and self._is_well(state):
                 state.well_since, state.reason = state.well_since or moment, ""
             elif state.news:
-                state.well_since, state.reason = None, _complaint(state, self._rules)
+                state.well_since = None
+                if state.faults:
+                    state.reason = next(s.reason for s in state.samples.values() if s.quality in LINK_FAULTS)
+                elif still(state.pulse, self._rules.beat_period):
+                    state.reason = "its heartbeat stands still"
+                else:
+                    state.reason = "its heartbeat is another one: it leads to another PLC, or to a copy of old values"
             state.news = False
-
-    def _compare(self) -> None:
-        """Count the scans in which a standby's heartbeat was not the active link's."""
-        active = self._states[self._active]
-        for state in self._states:
-            if state is active or not (state.news and active.news):
-                continue
-            same = agree(active.pulse, state.pulse)
-            if same is not None:
-                state.strange = 0 if same else state.strange + 1
 
     def _choose(self, begun: float) -> None:
         """Let another link take over if it is better now, or if it comes first and has been well long enough."""
         active = self._states[self._active]
+        # The way back before the way out: a primary that has been well long enough is the better of any two.
         due = self._due()
         if due is not None and due.fresh:
             self._counts["returns"] += 1
@@ -270,6 +275,7 @@ class Redundant:
             return False
         if self._is_well(state):
             return True
+        # None is well: the one by which more tags come through, and at least one, is still the better.
         return state.faults < len(state.samples) and (not active.fresh or state.faults < active.faults)
 
     def _switch(self, index: int, reason: str, begun: float) -> None:
@@ -288,8 +294,10 @@ class Redundant:
         if sample.value is None:
             return sample
         # Two links see the device at different moments: one that looked before the other's last reading would take an
-        # event back and bring it again.
-        if before is not None and before[0] != self._active and _earliest(sample) < before[1].time:
+        # event back and bring it again. The device looked at some moment from the request's sending to its reply; the
+        # earliest of these is what the sample can be held to.
+        earliest = sample.time if sample.sent is None else sample.sent
+        if before is not None and before[0] != self._active and earliest < before[1].time:
             self._counts["held_samples"] += 1
             return before[1]
         self._last[name] = (self._active, sample)
@@ -335,20 +343,6 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def _complaint(state: _PathState, rules: RedundancyRules) -> str:
-    """What is wrong with a link that is not well."""
-    if state.faults:
-        return next(sample.reason for sample in state.samples.values() if sample.quality in LINK_FAULTS)
-    if still(state.pulse, rules.beat_period):
-        return "its heartbeat stands still"
-    return "its heartbeat is another one: it leads to another PLC, or to a copy of old values"
-
-
-def _earliest(sample: Sample) -> float:
-    """The earliest moment at which the device may have looked."""
-    return sample.time if sample.sent is None else sample.sent
-
-
 def _own(state: _PathState, tag: Tag) -> Tag:
     own = state.path.tags.get(tag.name)
     if own is None:
@@ -361,4 +355,5 @@ def _holds(tag: Tag, sample: Sample, value: Value) -> bool:
         return False
     if isinstance(value, str) or isinstance(sample.value, str):
         return sample.value == value
+    # The register holds whole counts: what was written was rounded by up to half of one.
     return abs(float(sample.value) - float(value)) <= abs(tag.scale) / 2

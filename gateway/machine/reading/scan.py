@@ -79,7 +79,9 @@ async def scans(
                 stream.restart_from(read)  # what was read holds all that was streamed up to now
             last = now = clock.now()
             age, samples = judge(age, tags, read, now, rules)
-            if number or not _unproven(age, rules, now - begin):
+            # Only before the first scan, and only of a program that runs (a count other than 0).
+            unproven = rules.heartbeat is not None and bool(age.beat) and age.beat_changed is None
+            if number or not unproven or now - begin >= STALE_PERIODS * rules.beat_period:
                 yield Scan(number, now, samples, missed, now - sent)
                 number += 1
             # Counted when the consumer is done, so that ticks that passed meanwhile are skipped and never caught up.
@@ -88,11 +90,6 @@ async def scans(
     finally:
         if stream is not None:
             await stream.close()
-
-
-def _unproven(age: DeviceAge, rules: QualityRules, elapsed: float) -> bool:
-    waiting = rules.heartbeat is not None and age.beat is not None and age.beat != 0 and age.beat_changed is None
-    return waiting and elapsed < STALE_PERIODS * rules.beat_period
 
 
 async def _awaited(clock: Clock, moment: float, stop: asyncio.Event, stream: DeviceStream | None) -> str:
@@ -105,6 +102,7 @@ async def _awaited(clock: Clock, moment: float, stop: asyncio.Event, stream: Dev
         waits["news"] = asyncio.ensure_future(stream.urgent_change())
     try:
         await asyncio.wait(waits.values(), return_when=asyncio.FIRST_COMPLETED)
+        # Several may be done: the stop goes before all, the tick before the news, since it reads everything anyway.
         return "stop" if stop.is_set() else next(name for name, wait in waits.items() if wait.done())
     finally:
         for wait in waits.values():

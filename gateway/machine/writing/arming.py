@@ -104,7 +104,11 @@ def open_writer(
             reason = f"{config.map.driver!r} cannot write; set writeback.mode to 'shadow'"
             raise ConfigError([f"{config.map.path}: device.driver: {reason}"])
         return writer
-    arming = _configured(config, historian, audit, now, log) if section.mode == "armed" else _before(audit, now)
+    if section.mode == "armed":
+        arming = _configured(config, historian, audit, now, log)
+    else:
+        row = standing(audit.path, now)
+        arming = arming_of(row) if row else None
     if arming is None:
         return writer
     # First on record, then armed: what cannot be accounted for is not written.
@@ -115,11 +119,6 @@ def open_writer(
     writer.arm(driver, arming)
     log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
     return writer
-
-
-def _before(audit: Audit, now: float) -> Arming | None:
-    row = standing(audit.path, now)
-    return arming_of(row) if row else None
 
 
 def _configured(

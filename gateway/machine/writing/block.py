@@ -7,7 +7,6 @@ from enum import IntFlag
 from math import isfinite
 from struct import pack
 
-from drivers.device_file import BlockField
 from gateway.settings import WritebackLayout
 
 NO_TEMPERATURE = 0x8000
@@ -76,25 +75,24 @@ def build(
     }
     words: list[int] = []
     for field in layout.fields:
-        words.append(crc(words) if field.name == "crc" else _word(field, given.get(field.name), layout.unknown))
+        value = given.get(field.name)
+        if field.name == "crc":
+            words.append(crc(words))  # of the words before it; only the copy of the sequence follows
+        elif field.name in _VERBATIM:
+            words.append(int(value or 0) & 0xFFFF)
+        elif value is None or not isfinite(value):
+            unknown = NO_TEMPERATURE if field.signed else NO_NUMBER
+            words.append(layout.unknown if field.name in _MINUTES else unknown)
+        else:
+            low, high = (-0x7FFF, 0x7FFF) if field.signed else (0, 0xFFFE)
+            # Limited before it is rounded: the ends are whole, so that no rounding leads beyond them.
+            words.append(round(min(max(value / field.scale, low), high)) & 0xFFFF)
     return WritebackBlock(sequence, validity, tuple(words))
 
 
 def crc(words: list[int]) -> int:
     """CRC-16/IBM-3740 (polynomial 0x1021, start 0xFFFF, not reflected) of the words, high byte first."""
     return crc_hqx(pack(f">{len(words)}H", *words), 0xFFFF)
-
-
-def _word(field: BlockField, value: float | None, unknown: int) -> int:
-    if field.name in _VERBATIM:
-        return int(value or 0) & 0xFFFF
-    if field.name in _MINUTES and (value is None or not isfinite(value)):
-        return unknown
-    if value is None or not isfinite(value):
-        return NO_TEMPERATURE if field.signed else NO_NUMBER
-    low, high = (-0x7FFF, 0x7FFF) if field.signed else (0, 0xFFFE)
-    limited = min(max(value / field.scale, low), high)
-    return round(limited) & 0xFFFF
 
 
 def next_heartbeat(heartbeat: int) -> int:

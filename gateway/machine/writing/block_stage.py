@@ -114,6 +114,7 @@ class BlockStage:
             "band_low": p.low,
             "band_high": p.high,
             "anomaly": p.anomaly,
+            # A register has 16 bits: the hash's last four digits tell one model from the next, and prove nothing.
             "model_hash": float(int(model_hash[-4:], 16)),
         }
         return values | (block_values(forecast, self.config.block_horizon, scan.time) if forecast else {})

@@ -83,6 +83,8 @@ class Pace:
 
     def allows(self, moment: float) -> bool:
         """True, and a token less, if a block may be sent at `moment` (real seconds)."""
+        # Token bucket. It begins full, and holds one token at least: with a rate below one block a second a bucket of
+        # `rate` would never fill up to the one that a block costs.
         most = max(1.0, self.rate)
         gained = most if self._at is None else (moment - self._at) * self.rate
         self._tokens, self._at = min(most, self._tokens + gained), moment
@@ -136,20 +138,22 @@ class Writer:
         """Build the block of this scan and do with it what the mode says; None when the mode is off."""
         if self.mode == "off":
             return None
-        return await self._counted(values, validity, scan)
+        return await self._attempt(values, validity, scan)
 
     async def withdraw(self, scan: Scan, alarms: int = 0) -> Attempt | None:
         """Write a block of validity 0 once, if armed and permitted: of what stands in the PLC only `alarms` is true."""
         values = {"alarms": float(alarms), "zone": 0.0, "input_quality": 2.0}
-        return await self._counted(values, Validity.NONE, scan, last=True) if self.armed else None
+        return await self._attempt(values, Validity.NONE, scan, last=True) if self.armed else None
 
     def take_counts(self, scan: Scan, refusals: Mapping[int, str]) -> None:
         """Take over what the PLC says of the blocks, as far as this scan read it well."""
-        counts, c = (scan.good("BlocksAccepted"), scan.good("BlocksRefused")), self.counters
-        if counts[0] is None or counts[1] is None:
+        taken, rejected, c = scan.good("BlocksAccepted"), scan.good("BlocksRefused"), self.counters
+        # Both or neither: the two are an account of the same blocks.
+        if taken is None or rejected is None:
             return
-        accepted, refused = int(counts[0]), int(counts[1])
+        accepted, refused = int(taken), int(rejected)
         more = _increase(c.plc_refused, refused)
+        # LastRefusal stands until the next one; it says something new only if the count has moved since.
         code = scan.good("LastRefusal")
         why = refusals.get(int(code), f"code {code:g}") if more and code is not None else c.last_refusal
         if more and self.armed:
@@ -163,38 +167,39 @@ class Writer:
             plc_refused=refused,
         )
 
-    def _next(self, values: Mapping[str, float | None], validity: Validity) -> WritebackBlock:
-        self.sequence = (self.sequence + 1) & 0xFFFF
-        self.heartbeat = next_heartbeat(self.heartbeat)
-        shadow = validity if self.armed else validity | Validity.SHADOW
-        return build(self.layout, values, shadow, self.sequence, self.heartbeat)
-
-    async def _counted(
+    async def _attempt(
         self, values: Mapping[str, float | None], validity: Validity, scan: Scan, *, last: bool = False
     ) -> Attempt:
-        block = self._next(values, validity)
-        attempt = await self._sent(block, scan, last=last)
+        """Build one block, send it if it may be sent, and keep account of what became of it.
+
+        `last`: the block that takes everything back is neither too late nor too fast, nor waits for a full disk.
+        """
+        # The sequence moves on before anything can fail: a number that was given to the wire is never given again.
+        self.sequence = (self.sequence + 1) & 0xFFFF
+        self.heartbeat = next_heartbeat(self.heartbeat)
+        marked = validity if self.armed else validity | Validity.SHADOW
+        block = build(self.layout, values, marked, self.sequence, self.heartbeat)
+        if not self.armed or self.driver is None:
+            attempt = Attempt(scan.time, block, self.mode, "shadow")
+        elif (refused := self._refusal(scan, last=last)) is not None:
+            attempt = Attempt(scan.time, block, self.mode, refused[0], reason=refused[1])
+        else:
+            # Its row is under way to the disk before the block is on the wire; one that fails gets a second row.
+            self._note(AuditEntry(scan.time, WRITE, self._by, "", _plain(block)))
+            try:
+                await self.driver.write(list(zip(self.layout.words, block.words, strict=True)))
+            except DriverError as error:
+                # Never sent again: the device may have taken it, and the next scan brings a newer block anyway.
+                attempt = Attempt(scan.time, block, self.mode, "failed", reason=str(error))
+            else:
+                # Both moments are the plant's; divided by the clock's speed they are real time, also in a replay.
+                latency = (self.clock.now() - scan.time) / self.clock.speed * 1000.0
+                attempt = Attempt(scan.time, block, self.mode, "written", latency)
         self.counters = _COUNTED[attempt.verdict](self.counters)
         if attempt.verdict in ("failed", "not permitted", "held back"):
             kind = FAILED if attempt.verdict == "failed" else REFUSED
             self._note(AuditEntry(scan.time, kind, self._by, attempt.reason, _plain(block)))
         return attempt
-
-    async def _sent(self, block: WritebackBlock, scan: Scan, *, last: bool) -> Attempt:
-        """`last`: the block that takes everything back is neither too late nor too fast, nor waits for a full disk."""
-        if not self.armed or self.driver is None:
-            return Attempt(scan.time, block, self.mode, "shadow")
-        refused = self._refusal(scan, last=last)
-        if refused is not None:
-            return Attempt(scan.time, block, self.mode, refused[0], reason=refused[1])
-        # Its row is under way to the disk before the block is on the wire; one that fails gets a second row.
-        self._note(AuditEntry(scan.time, WRITE, self._by, "", _plain(block)))
-        try:
-            await self.driver.write(list(zip(self.layout.words, block.words, strict=True)))
-        except DriverError as error:
-            return Attempt(scan.time, block, self.mode, "failed", reason=str(error))
-        latency = (self.clock.now() - scan.time) / self.clock.speed * 1000.0
-        return Attempt(scan.time, block, self.mode, "written", latency)
 
     def _refusal(self, scan: Scan, *, last: bool) -> tuple[Verdict, str] | None:
         """Why a block is not sent, and what that counts as; None if it may be."""
@@ -203,8 +208,15 @@ class Writer:
             return "not permitted", "the arming is over"
         if not last and self.audit is not None and self.audit.complaint:
             return "not permitted", f"no audit record could be kept: {self.audit.complaint}"
+        # The permit counts as this scan read it: one of doubtful quality is none.
         if not scan.good("WritePermit"):
-            return "not permitted", _why_not(scan)
+            permit = scan.samples.get("WritePermit")
+            if permit is None:
+                return "not permitted", "the register map has no WritePermit"
+            if permit.quality.is_good:
+                return "not permitted", "the PLC does not permit it"
+            return "not permitted", f"WritePermit is not known: {permit.reason}"
+        # The pace comes last, since asking takes a token: a block that is refused anyway must not use one up.
         if not last and self.pace is not None and not self.pace.allows(now / self.clock.speed):
             return "held back", f"more than {self.pace.rate:g} blocks a second"
         return None
@@ -224,16 +236,9 @@ def _plain(block: WritebackBlock) -> dict[str, Any]:
     return {"sequence": block.sequence, "validity": int(block.validity), "words": words}
 
 
-def _why_not(scan: Scan) -> str:
-    sample = scan.samples.get("WritePermit")
-    if sample is None:
-        return "the register map has no WritePermit"
-    return "the PLC does not permit it" if sample.quality.is_good else f"WritePermit is not known: {sample.reason}"
-
-
 def _increase(before: int | None, now: int) -> int:
     if before is None:
-        return 0
+        return 0  # the first look: what stands there was counted for a gateway before this one
     if now >= before:
         return now - before
     # It fell: near its end a 16-bit counter has wrapped, anywhere else the PLC began anew and counts from 0.
