@@ -46,7 +46,7 @@ class Moved:
 
 
 def move(
-    plant: Plant, steps: Tables, row: Rows, s: Array, mode: Array, opened: Mask, push: Array | float = 0.0
+    plant: Plant, steps: Tables, row: Rows, *, s: Array, mode: Array, opened: Mask, push: Array | float = 0.0
 ) -> Moved:
     """The runs after the step `row` from the states `s` (N, d).
 

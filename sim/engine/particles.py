@@ -201,7 +201,9 @@ def _mean_step(sha: SHA, steps: Steps, row: int, begins: Array) -> Array:
     for index in np.unique(steps.location[row]):
         there = steps.location[row] == index
         flow, age, dt = sha.locations[index].flow, steps.age[row, there], steps.dt[row, there]
-        free[there] = flows.mean_step(flow, begins[there], steps.target[row, there], age, dt, sha.max_rate)
+        free[there] = flows.mean_step(
+            flow, begins[there], steps.target[row, there], age=age, dt=dt, max_rate=sha.max_rate
+        )
     return free
 
 

@@ -112,7 +112,7 @@ def augmented_path_runs(
         start[row] = s[:, plant.sensed] + before[row]
         roots = np.where(opened[:, None, None], other[rows], closed[rows])
         noise = (roots @ rng.standard_normal((shape[1], plant.size, 1)))[:, :, 0]
-        moved = move(plant, table, rows, s, mode[row], opened, noise)
+        moved = move(plant, table, rows, s=s, mode=mode[row], opened=opened, push=noise)
         s, opened = moved.s, moved.opened
         held = np.clip(s[:, 0], sha.low, sha.high)
         clamps += int((held != s[:, 0]).sum())

@@ -43,7 +43,7 @@ class Mode:
     def mean(self, x: float, target: float, age: float, dt: float, max_rate: float) -> float:
         """The mean temperature (degC) after `dt` seconds, equal to `flows.mean_step`."""
         if self.speed(x, target, age) > max_rate:
-            return float(mean_step(self.location.flow, x, target, age, dt, max_rate))
+            return float(mean_step(self.location.flow, x, target, age=age, dt=dt, max_rate=max_rate))
         decay, pull, _ = self.step(age, dt)
         return decay * x + pull * target
 

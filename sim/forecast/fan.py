@@ -112,7 +112,7 @@ def forecast(
         known = [(begin, names.index(name)) for begin, name in acting_stays(tracker, belief, events or ())]
         if events is None:
             age = real_age(tracker.plant, belief)
-            drawn = draw_paths(compile_chain(tracker.model), known[-1][1], age, last, runs, rng)
+            drawn = draw_paths(compile_chain(tracker.model), known[-1][1], age=age, horizon=last, runs=runs, rng=rng)
             paths = acting_paths(tracker.plant, belief, known, drawn)
         else:
             paths = known_paths(known, belief.age, runs)
@@ -121,7 +121,8 @@ def forecast(
         inputs = input_moments(tracker.model, belief.signals)
         if events is None:
             chain = compile_chain(tracker.model)
-            paths = draw_paths(chain, chain.names.index(belief.location), belief.age, last, runs, rng)
+            here = chain.names.index(belief.location)
+            paths = draw_paths(chain, here, age=belief.age, horizon=last, runs=runs, rng=rng)
         else:
             stays, exact = _known_future(tracker, belief, events, request, inputs)
             paths = known_paths(stays, belief.age, runs)

@@ -72,7 +72,7 @@ DECANTER = Alphabet(
 Mode = Literal["filtered", "full"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EncoderState:
     """All that an encoder remembers, one entry a channel in alphabet order; plain values, so that JSON can carry it.
 
@@ -89,7 +89,7 @@ class EncoderState:
     read: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Levels:
     """A channel ready to run: level i is kept while low[i] <= value < high[i]. A switch has two levels, cut at 0.5."""
 
@@ -112,7 +112,14 @@ def _levels(channel: Switch | Bins) -> _Levels:
     thresholds, hysteresis = channel.thresholds, channel.hysteresis
     low = (-inf, *(threshold - hysteresis for threshold in thresholds))
     high = (*(threshold + hysteresis for threshold in thresholds), inf)
-    return _Levels(channel.signal, channel.symbols, thresholds, channel.on_change, low, high)
+    return _Levels(
+        signal=channel.signal,
+        symbols=channel.symbols,
+        thresholds=thresholds,
+        on_change=channel.on_change,
+        low=low,
+        high=high,
+    )
 
 
 def alphabet_symbols(alphabet: Alphabet) -> tuple[str, ...]:
@@ -210,7 +217,8 @@ class Encoder:
         )
         self._gap, self._debounce, self._full = alphabet.gap, alphabet.debounce, mode == "full"
         count = len(self._channels)
-        saved = state or EncoderState(None, None, (None,) * count, (None,) * count, (0.0,) * count, (0.0,) * count)
+        nothing, never = (None,) * count, (0.0,) * count
+        saved = state or EncoderState(announced=nothing, seen=nothing, since=never, read=never)
         if not len(saved.announced) == len(saved.seen) == len(saved.since) == len(saved.read) == count:
             raise ValueError(f"the encoder's state has {len(saved.announced)} channels, its alphabet {count}")
         self._row, self._latest = saved.row, saved.latest

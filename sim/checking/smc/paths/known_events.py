@@ -134,7 +134,7 @@ class Known:
             fast = np.abs(flows.drift(step.flow, start, target, step.age)) > rate
             if fast.any():
                 state.limited += fast
-                mean = flows.mean_step(step.flow, start, target, step.age, step.dt, rate)
+                mean = flows.mean_step(step.flow, start, target, age=step.age, dt=step.dt, max_rate=rate)
                 end, outside = clamp(self.world.sha, mean + step.sigma * rng.standard_normal(start.size))
                 _count(state.clamps, outside)
                 return end

@@ -132,7 +132,7 @@ class SemiMarkov:
             decay[here], pull[here], variance[here] = flows.coefficients(flow, age[here], dt[here])
             if isfinite(rate):
                 fast[here] = np.abs(flows.drift(flow, start[here], mode[here], age[here])) > rate
-                mean[here] = flows.mean_step(flow, start[here], mode[here], age[here], dt[here], rate)
+                mean[here] = flows.mean_step(flow, start[here], mode[here], age=age[here], dt=dt[here], max_rate=rate)
         if not isfinite(rate):
             mean = decay * start + pull * mode
         end, outside = clamp(self.world.sha, mean + np.sqrt(variance) * rng.standard_normal(there.size))
