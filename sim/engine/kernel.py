@@ -100,10 +100,12 @@ def _left_out(plant: Plant, steps: Tables, row: Rows, x: Array) -> Array | None:
 
 def _affine(half: Half, row: Rows, s: Array, mode: Array, rest: Array | None) -> Array:
     phi = half.phi[row]  # one (d, d) for all runs, or one for each (N, d, d)
-    if s.shape[1] == 1:  # X alone, the usual case: a product of numbers costs far less than one of 1 x 1 matrices
+    if s.shape[1] == 1:  # X alone: a product of numbers instead of one of 1 x 1 matrices
         transported = phi[..., 0] * s
+    elif phi.ndim == 2:
+        transported = s @ phi.T
     else:
-        transported = s @ phi.T if phi.ndim == 2 else (phi @ s[:, :, None])[:, :, 0]
+        transported = (phi @ s[:, :, None])[:, :, 0]
     after = transported + half.pull[row] * mode[:, None] + half.added[row]
     return np.asarray(after if rest is None else after + half.unit[row] * rest[:, None])
 

@@ -208,4 +208,13 @@ def semi_markov(world: World, cuts: Cuts) -> SemiMarkov:
     if chain.laws[here] is None:
         notes = (f"the runs start in {chain.names[here]!r}, for which the model has no semi-Markov law: never left",)
     columns = int(start_tiltable(world))
-    return SemiMarkov(world, clock, looked, cuts, chain, input_moments(model, held), notes, columns)
+    return SemiMarkov(
+        world=world,
+        clock=clock,
+        looked=looked,
+        cuts=cuts,
+        chain=chain,
+        inputs=input_moments(model, held),
+        notes=notes,
+        columns=columns,
+    )
