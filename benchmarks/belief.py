@@ -110,7 +110,9 @@ def measure_forecast(tracker: Tracker, runs: int, repeats: int) -> list[Figure]:
     """One forecast of three horizons up to 15 minutes, with stays of 10 s on average, and a step of recalibration."""
     belief, rng = start(tracker, 0.0, 60.0), np.random.default_rng(1)
     told = forecast(tracker, belief, HORIZONS, rng, limit=80.0, runs=runs)
-    paths = draw_paths(compile_chain(tracker.model), 1, 0.0, HORIZONS[-1], runs, np.random.default_rng(1))
+    paths = draw_paths(
+        compile_chain(tracker.model), 1, age=0.0, horizon=HORIZONS[-1], runs=runs, rng=np.random.default_rng(1)
+    )
     stays = paths.location.size
     steps = stays + 65 * runs
 

@@ -7,7 +7,7 @@ from sim.engine.kernel import move
 from sim.engine.moment_equations import Prediction, mean_readings, moments, stay_draws
 from sim.engine.moments_augmented import start_state
 from sim.engine.open_loop_run import Score, Start, errors, measured, open_loop, open_loop_schedule, score, start_law
-from sim.engine.particles import PathRuns, Steps, lay_out, run, survival
+from sim.engine.particles import PathRuns, Steps, draw_belief, lay_out, run, survival
 from sim.engine.particles_augmented import acting_paths, acting_stays, augmented_path_runs, draw_states, real_age
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import linear_recursion
@@ -42,6 +42,7 @@ __all__ = [
     "compile_model",
     "compile_plant",
     "compiled",
+    "draw_belief",
     "draw_states",
     "errors",
     "fastest",

@@ -25,7 +25,7 @@ import numpy as np
 from sim.effects import dead_time
 from sim.engine import state_estimate
 from sim.engine.belief_state import Belief, Delayed, Hidden, Innovation, belief_of
-from sim.engine.tracker import Mode, Tracker, compile_model, compiled, next_location
+from sim.engine.tracker import Tracker, compile_model, compiled, next_location
 from sim.scores import surprise
 from sim.sha import UNKNOWN, Array, Event, Model, Trace, distributions
 
@@ -67,7 +67,17 @@ def start(
         raise ValueError(f"a belief cannot start at {time} s")
     mode = tracker.modes[tracker.model.sha.initial]
     held = {name: value for name, value in signals.items() if name in tracker.inputs and isfinite(value)}
-    x, xx = _before_any_reading(tracker, mode)
+    law, low, high = tracker.model.initial, tracker.model.sha.low, tracker.model.sha.high
+    if law is not None:
+        x, xx = distributions.mean(law), distributions.variance(law)
+    elif mode.temperature is not None:
+        x, xx = mode.temperature
+    else:
+        # Anywhere in the range, with the moments of a uniform law; one without ends counts as 1,000 degC wide about 0,
+        # which any first reading outweighs.
+        if not isfinite(high - low):
+            low, high = -500.0, 500.0
+        x, xx = (low + high) / 2.0, (high - low) ** 2 / 12.0
     m, mm = mode.parameter
     belief = Belief(
         location=tracker.model.sha.initial,
@@ -86,19 +96,6 @@ def start(
     return belief if temperature is None else observe(tracker, belief, time, temperature)
 
 
-def _before_any_reading(tracker: Tracker, mode: Mode) -> tuple[float, float]:
-    """Mean and variance of X; a range without ends is taken to be 1,000 degC wide about 0."""
-    law = tracker.model.initial
-    if law is not None:
-        return distributions.mean(law), distributions.variance(law)
-    if mode.temperature is not None:
-        return mode.temperature
-    low, high = tracker.model.sha.low, tracker.model.sha.high
-    if not isfinite(high - low):
-        low, high = -500.0, 500.0
-    return (low + high) / 2.0, (high - low) ** 2 / 12.0
-
-
 def _prior(tracker: Tracker, belief: Belief, time: float) -> tuple[float, float, float, int]:
     """(x, xx, xm) at `time` without effects, and whether x was clamped (0 or 1); m and its variance do not move.
 
@@ -112,6 +109,7 @@ def _prior(tracker: Tracker, belief: Belief, time: float) -> tuple[float, float,
     mode, rate = tracker.modes[belief.location], sha.max_rate
     age, target = belief.time - belief.entered, belief.m + belief.offset
     decay, pull, variance = mode.step(age, dt)
+    # Only the mean knows the rate limit: the covariance of a limited step is taken as that of the free one.
     x = decay * belief.x + pull * target if rate == inf else mode.mean(belief.x, target, age, dt, rate)
     held = min(max(x, sha.low), sha.high)
     xx = decay * decay * xx + 2.0 * decay * pull * xm + pull * pull * mm + variance
@@ -129,6 +127,8 @@ def advance(model: Model | Tracker, belief: Belief, time: float) -> Belief:
     if tracker.plant is None:
         x, xx, xm, clamped = _prior(tracker, belief, time)
         return replace(belief, time=time, x=x, xx=xx, xm=xm, clamps=belief.clamps + clamped)
+    # Each delayed thing acts at its own moment, so the step up to `time` is cut there; what is due at `time` itself
+    # acts now, before a reading of that instant.
     while belief.hidden is not None and belief.hidden.pending and belief.hidden.pending[0].due <= time:
         first, *rest = belief.hidden.pending
         belief = replace(belief, hidden=replace(belief.hidden, pending=tuple(rest)))
@@ -157,34 +157,34 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
     else:
         belief = advance(tracker, belief, time)
         x, xx, xm, clamped = belief.x, belief.xx, belief.xm, 0
+    # The Kalman update with H = (1, 0), written out. xx R / (xx + R) is xx - xx^2 / (xx + R) without its cancellation,
+    # so xx stays positive after a reading far better than the prediction; mm has no such form and is held at 0.
     variance = xx + sensor
     value = temperature - x
     square = value * value / variance
     recent = (*belief.recent, square)
-    # This is the filter's inner step. `Belief(...)` itself would collect its keywords in a dict first (CPython's call
-    # of a type), which is a fifth of the whole step; its __init__, called directly, does not.
-    posterior = object.__new__(Belief)
-    Belief.__init__(
-        posterior,
-        location=belief.location,
-        entered=belief.entered,
-        time=time,
-        x=x + xx / variance * value,
-        m=belief.m + xm / variance * value,
-        xx=xx * sensor / variance,
-        xm=xm * sensor / variance,
-        mm=max(belief.mm - xm * xm / variance, 0.0),
-        offset=belief.offset,
-        signals=belief.signals,
-        last=Innovation(value, variance, square),
-        recent=recent[-tracker.window :],
-        evidence=belief.evidence - 0.5 * (log(2.0 * pi * variance) + square),
-        samples=belief.samples + 1,
-        unmatched=belief.unmatched,
-        late=belief.late,
-        seen=True,
-        clamps=belief.clamps + clamped,
-        hidden=belief.hidden,
+    # By position, in the order of the fields: this is the filter's inner step. A type called by nineteen keywords
+    # collects them in a dict first (CPython), which takes a fifth of the whole step.
+    posterior = Belief(
+        belief.location,
+        belief.entered,
+        time,
+        x + xx / variance * value,
+        belief.m + xm / variance * value,
+        xx * sensor / variance,
+        xm * sensor / variance,
+        max(belief.mm - xm * xm / variance, 0.0),
+        belief.offset,
+        belief.signals,
+        Innovation(value, variance, square),
+        recent[-tracker.window :],
+        belief.evidence - 0.5 * (log(2.0 * pi * variance) + square),
+        belief.samples + 1,
+        belief.unmatched,
+        belief.late,
+        True,
+        belief.clamps + clamped,
+        belief.hidden,
     )
     return posterior if tracker.plant is None else state_estimate.corrected(tracker.plant, posterior, value, variance)
 
@@ -240,6 +240,7 @@ def with_inputs(model: Model | Tracker, belief: Belief, time: float, signals: Ma
     before the belief's takes effect at the belief's time. A dead time holds the values back.
     """
     tracker = compiled(model)
+    # News is what differs from the last value that was read, whether that acts already or is still held back.
     known = belief.signals
     for delayed in belief.hidden.pending if belief.hidden is not None else ():
         known = {**known, **delayed.signals}
@@ -322,7 +323,7 @@ def filter_trace(model: Model | Tracker, trace: Trace) -> Filtered:
         missing = f"signal {name!r}" if trace.times.size else "row"
         raise ValueError(f"trace {trace.name!r} has no {missing} to filter")
     inputs = {signal: trace.signals[signal].tolist() for signal in tracker.inputs & trace.signals.keys()}
-    events = [*trace.events, Event(inf, UNKNOWN)]
+    events = [*trace.events, Event(inf, UNKNOWN)]  # the last one never comes due: it spares the loop a test for the end
     upcoming = 0
     belief = start(tracker, min(float(trace.times[0]), events[0].time))
     rows: list[tuple[float, ...]] = []
@@ -334,7 +335,12 @@ def filter_trace(model: Model | Tracker, trace: Trace) -> Filtered:
         belief = with_inputs(tracker, belief, time, {signal: column[row] for signal, column in inputs.items()})
         first = not belief.seen
         belief = observe(tracker, belief, time, reading)
-        rows.append((*_one_step(belief, reading, first), belief.x, belief.m, belief.xx, belief.mm))
+        # The first reading fixes X and a missing one leaves `last` as it was: neither has a prediction to be held
+        # against.
+        ahead: tuple[float, float, float] = (nan, nan, nan)
+        if belief.last is not None and not first and isfinite(reading):
+            ahead = (reading - belief.last.value, belief.last.variance, belief.last.value)
+        rows.append((*ahead, belief.x, belief.m, belief.xx, belief.mm))
         locations.append(belief.location)
     predicted, variance, innovation, x, m, xx, mm = np.asarray(rows, dtype=float).T
     return Filtered(
@@ -349,10 +355,3 @@ def filter_trace(model: Model | Tracker, trace: Trace) -> Filtered:
         locations=tuple(locations),
         belief=belief,
     )
-
-
-def _one_step(belief: Belief, reading: float, first: bool) -> tuple[float, float, float]:
-    """(prediction, its variance, innovation) of the reading just taken."""
-    if belief.last is None or first or not isfinite(reading):
-        return nan, nan, nan
-    return reading - belief.last.value, belief.last.variance, belief.last.value

@@ -43,7 +43,7 @@ class Hidden:
     pending: tuple[Delayed, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Belief:
     """The state of the plant as far as it is known at `time` (absolute seconds).
 

@@ -38,16 +38,28 @@ class Stays:
 
 def cuts(plant: Plant, stays: Stays) -> Array:
     """The times (s) inside the stays at which a segment must end; in no order, some perhaps twice."""
-    found = [np.empty(0)]
+    times = [np.empty(0)]
     for acting, starts in zip(plant.startups, stays.starts, strict=True):
-        found.append(_within(_knots(acting.effect, starts), stays, acting))
+        times.append(_within(_knots(acting.effect, starts), stays, acting))
     for acting in plant.wears:
-        found.append(_within(_knots(acting.effect, np.empty(0)), stays, acting))
+        times.append(_within(_knots(acting.effect, np.empty(0)), stays, acting))
     if np.isfinite(plant.t0).any():
-        found.append(_logarithmic(plant, stays))
+        # The cuts t0 (fall^n - 1) after entry are the same for all stays in a location, so that equal segments recur
+        # and are worked out once.
+        t0 = plant.t0[stays.location]
+        rows = np.flatnonzero(np.isfinite(t0) & (stays.ends > stays.begins))
+        t0, begin, end = t0[rows], stays.begins[rows] - stays.entered[rows], stays.ends[rows] - stays.entered[rows]
+        first = np.floor(np.log1p(begin / t0) / np.log(_FALL)).astype(int) + 1
+        last = np.ceil(np.log1p(end / t0) / np.log(_FALL)).astype(int)
+        stay, power = _counted(first, last)
+        times.append(stays.entered[rows][stay] + t0[stay] * (_FALL**power - 1.0))
     if not plant.linear:
-        found.append(_every(longest(plant)[stays.location], stays))
-    return np.concatenate(found)
+        # Multiples of the longest segment from each stay's begin on.
+        length = longest(plant)[stays.location]
+        count = np.ceil((stays.ends - stays.begins) / length).astype(int)
+        stay, multiple = _counted(np.ones_like(count), count)
+        times.append(stays.begins[stay] + multiple * length[stay])
+    return np.concatenate(times)
 
 
 def _knots(effect: Effect, starts: Array) -> Array:
@@ -62,25 +74,6 @@ def _within(times: Array, stays: Stays, acting: Acting) -> Array:
     place = np.searchsorted(stays.begins, times, side="right") - 1
     inside = (place >= 0) & (times > stays.begins[place]) & (times < stays.ends[place])
     return times[inside & acting.there[stays.location[place]]]
-
-
-def _logarithmic(plant: Plant, stays: Stays) -> Array:
-    # The cuts t0 (fall^n - 1) after entry are the same for all stays in a location, so that equal segments recur and
-    # are worked out once.
-    t0 = plant.t0[stays.location]
-    rows = np.flatnonzero(np.isfinite(t0) & (stays.ends > stays.begins))
-    t0, begin, end = t0[rows], stays.begins[rows] - stays.entered[rows], stays.ends[rows] - stays.entered[rows]
-    first = np.floor(np.log1p(begin / t0) / np.log(_FALL)).astype(int) + 1
-    last = np.ceil(np.log1p(end / t0) / np.log(_FALL)).astype(int)
-    stay, power = _counted(first, last)
-    return np.asarray(stays.entered[rows][stay] + t0[stay] * (_FALL**power - 1.0))
-
-
-def _every(length: Array, stays: Stays) -> Array:
-    """Multiples of each stay's `length` from its begin on."""
-    count = np.ceil((stays.ends - stays.begins) / length).astype(int)
-    stay, times = _counted(np.ones_like(count), count)
-    return np.asarray(stays.begins[stay] + times * length[stay])
 
 
 def _counted(first: Indices, last: Indices) -> tuple[Indices, Indices]:

@@ -46,7 +46,7 @@ class Moved:
 
 
 def move(
-    plant: Plant, steps: Tables, row: Rows, s: Array, mode: Array, opened: Mask, push: Array | float = 0.0
+    plant: Plant, steps: Tables, row: Rows, *, s: Array, mode: Array, opened: Mask, push: Array | float = 0.0
 ) -> Moved:
     """The runs after the step `row` from the states `s` (N, d).
 
@@ -63,6 +63,7 @@ def move(
         both = (_affine(half, row, s, mode, rest) for half in (steps.open, steps.closed))
         after = np.where(opened[:, None], *both)
     after, met = _limited(plant.sha.max_rate, steps.dt[row], s, after)
+    # The noise comes after the limit, which holds for the mean alone.
     after = after + push
     now = switched(plant, after[:, 0], opened)
     at = np.flatnonzero(now != opened)
@@ -98,16 +99,15 @@ def _left_out(plant: Plant, steps: Tables, row: Rows, x: Array) -> Array | None:
 
 
 def _affine(half: Half, row: Rows, s: Array, mode: Array, rest: Array | None) -> Array:
-    phi = half.phi[row]
-    after = _transported(phi, s) + half.pull[row] * mode[:, None] + half.added[row]
-    return after if rest is None else after + half.unit[row] * rest[:, None]
-
-
-def _transported(phi: Array, s: Array) -> Array:
-    """phi s, for one phi (d, d) or one for each run (N, d, d)."""
-    if s.shape[1] == 1:
-        return np.asarray(phi[..., 0] * s)
-    return np.asarray(s @ phi.T if phi.ndim == 2 else (phi @ s[:, :, None])[:, :, 0])
+    phi = half.phi[row]  # one (d, d) for all runs, or one for each (N, d, d)
+    if s.shape[1] == 1:  # X alone: a product of numbers instead of one of 1 x 1 matrices
+        transported = phi[..., 0] * s
+    elif phi.ndim == 2:
+        transported = s @ phi.T
+    else:
+        transported = (phi @ s[:, :, None])[:, :, 0]
+    after = transported + half.pull[row] * mode[:, None] + half.added[row]
+    return np.asarray(after if rest is None else after + half.unit[row] * rest[:, None])
 
 
 def _limited(rate: float, dt: Array, s: Array, after: Array) -> tuple[Array, Mask]:
@@ -116,11 +116,11 @@ def _limited(rate: float, dt: Array, s: Array, after: Array) -> tuple[Array, Mas
     # runs exactly at the limit is not counted as limited.
     if rate == inf:
         return after, np.zeros(len(s), dtype=np.bool_)
-    way = after[:, 0] - s[:, 0]
-    met = np.abs(way) > rate * dt * (1.0 + 1e-12)
+    change = after[:, 0] - s[:, 0]
+    met = np.abs(change) > rate * dt * (1.0 + 1e-12)
     if met.any():
         after = after.copy()
-        after[:, 0] = s[:, 0] + np.clip(way, -rate * dt, rate * dt)
+        after[:, 0] = s[:, 0] + np.clip(change, -rate * dt, rate * dt)
     return after, met
 
 
@@ -151,8 +151,9 @@ def _switching(plant: Plant, steps: Tables, run: _Run, end: Array) -> Array:
         crossed = now != run.opened
         if not crossed.any():
             break
-        part, there = _met(plant, steps, run, begin, end)
-        run.s = np.where(crossed[:, None], there, run.s)
+        part, at_crossing = _crossing(plant, steps, run, begin, end)
+        # From its crossing on a run is in the other mode, over what is left of the step, where it may cross again.
+        run.s = np.where(crossed[:, None], at_crossing, run.s)
         run.share += np.where(crossed & run.opened, part - begin, 0.0)
         begin = np.where(crossed, part, begin)
         run.opened = now
@@ -162,7 +163,7 @@ def _switching(plant: Plant, steps: Tables, run: _Run, end: Array) -> Array:
     return end
 
 
-def _met(plant: Plant, steps: Tables, run: _Run, begin: Array, end: Array) -> tuple[Array, Array]:
+def _crossing(plant: Plant, steps: Tables, run: _Run, begin: Array, end: Array) -> tuple[Array, Array]:
     """(part of the step, state) at which each run meets its threshold, by the secant method on its exact course.
 
     The secant method (Press et al., Numerical Recipes, 9.2) needs no derivative of the course, which with a housing, a
@@ -172,15 +173,16 @@ def _met(plant: Plant, steps: Tables, run: _Run, begin: Array, end: Array) -> tu
     """
     p = plant.thermostat.effect.params if plant.thermostat is not None else {}
     threshold = np.where(run.opened, p["closes"], p["opens"])
-    old, part, there = begin, np.ones_like(begin), end
+    old, part, s = begin, np.ones_like(begin), end
     old_error, error = run.s[:, 0] - threshold, end[:, 0] - threshold
     for _ in range(_SECANTS):
-        # Two equal errors (a run that is there already) would divide by 0; any way will do, as the error is 0 too.
-        way = np.where(error == old_error, 1.0, error - old_error)
-        old, part, old_error = part, np.clip(part - error * (part - old) / way, begin, 1.0), error
-        there = _piece(plant, steps, run, begin, part)
-        error = there[:, 0] - threshold
-    return part, there
+        # Two equal errors (a run that stands at its threshold already) would divide by 0; any change will do, as the
+        # error is 0 too.
+        change = np.where(error == old_error, 1.0, error - old_error)
+        old, part, old_error = part, np.clip(part - error * (part - old) / change, begin, 1.0), error
+        s = _piece(plant, steps, run, begin, part)
+        error = s[:, 0] - threshold
+    return part, s
 
 
 def _piece(plant: Plant, steps: Tables, run: _Run, begin: Array, until: Array) -> Array:
@@ -195,6 +197,7 @@ def _piece(plant: Plant, steps: Tables, run: _Run, begin: Array, until: Array) -
         first, second = heat[:, 1].copy(), heat[:, 2].copy()
         heat[:, 0] += (first + second * begin) * begin
         heat[:, 1], heat[:, 2] = (first + 2.0 * second * begin) * length, second * length * length
+    # A table's row is made for the whole step; a piece has its own length, so its exponential is worked out afresh.
     answer = respond(plant, loss, steps.coupling[which], steps.dt[which] * length, closed.powers)
     after = np.einsum("nij,nj->ni", answer.phi, run.s) + np.einsum("niq,nq->ni", answer.poly, heat)
     return np.asarray(after + length[:, None] * run.push)

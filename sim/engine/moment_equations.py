@@ -196,7 +196,7 @@ def _mean(steps: Schedule, affine: AffineSteps, x0: float) -> tuple[Array, int, 
             x = fresh
         if abs(towards - x) > limit and steps.dt[k] > 0:
             flow = sha.locations[steps.location[k]].flow
-            x = float(flows.mean_step(flow, x, towards, steps.age[k], steps.dt[k], sha.max_rate))
+            x = float(flows.mean_step(flow, x, towards, age=steps.age[k], dt=steps.dt[k], max_rate=sha.max_rate))
             met += 1
         else:
             x = decay * x + gain
@@ -215,7 +215,7 @@ def _increments(steps: Schedule, free: Array, target: Array) -> tuple[Array, int
         if flow.kind in flows.RELAXING:
             continue
         rows = np.flatnonzero((steps.location == index) & (steps.dt > 0))
-        added[rows] = flows.mean_step(flow, 0.0, target[rows], steps.age[rows], steps.dt[rows], rate)
+        added[rows] = flows.mean_step(flow, 0.0, target[rows], age=steps.age[rows], dt=steps.dt[rows], max_rate=rate)
         met += int(np.count_nonzero(np.abs(flows.drift(flow, 0.0, target[rows], steps.age[rows])) > rate))
     return added, met
 

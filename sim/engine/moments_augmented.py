@@ -126,7 +126,7 @@ def _march(plant: Plant, steps: Tables, drawn: DrawnMoments, start: Array, first
             continue
         if drawn.resampled[row]:
             state = np.concatenate([[drawn.fresh[row]], state[1:]])
-        moved = move(plant, alone, row, state[None, :], drawn.mode[row : row + 1], valve)
+        moved = move(plant, alone, row, s=state[None, :], mode=drawn.mode[row : row + 1], opened=valve)
         state, valve, opened[row] = moved.s[0], moved.opened, moved.share[0]
         held = min(max(state[0], sha.low), sha.high) if drawn.checked[row] else state[0]
         clamps, limited = clamps + (held != state[0]), limited + int(moved.met[0])

@@ -65,7 +65,8 @@ def lay_out(
     (`semi_markov.input_moments`).
     """
     stay, begin, dt, first, marks = merge(paths, grid)
-    x0, m0 = _draw_belief(belief, paths.location.shape[1], rng)
+    # The order of the draws (X and m of the belief, targets, noise, X on entry) is part of a seed's forecast.
+    x0, m0 = draw_belief(belief, paths.location.shape[1], rng)
     # m + offset of each stay: the belief's in the present one, drawn by its location's laws in the later ones.
     modes = [tracker.modes[place.name].parameter for place in tracker.model.sha.locations]
     mean = np.array([mode[0] for mode in modes]) + inputs[:, 0]
@@ -114,6 +115,7 @@ def merge(paths: Paths, grid: Array) -> tuple[Indices, Array, Array, Mask, Indic
 
 def _coefficients(sha: SHA, location: Indices, age: Array, dt: Array) -> tuple[Array, Array, Array]:
     """(decay, pull, variance) of each step; sorted by location once: a mask for each location costs twice that."""
+    # int16 has a radix sort in numpy: linear in the steps, where the wider integers' merge sort is not.
     order = np.argsort(location.ravel().astype(np.int16), kind="stable")
     ages, steps = age.ravel()[order], dt.ravel()[order]
     ends = np.cumsum(np.bincount(location.ravel(), minlength=len(sha.locations)))
@@ -126,8 +128,9 @@ def _coefficients(sha: SHA, location: Indices, age: Array, dt: Array) -> tuple[A
     return decay, pull, variance
 
 
-def _draw_belief(belief: Belief, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """N draws of (X, m) from the belief's joint normal law."""
+def draw_belief(belief: Belief, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """`runs` draws of (X, m), each (runs,), from the belief's joint normal law."""
+    # The 2 x 2 Cholesky factor, written out: X first, then m given X. Rounding may leave m's own variance below 0.
     z, w = rng.standard_normal((2, runs))
     share = belief.xm / sqrt(belief.xx) if belief.xx > 0 else 0.0
     own = sqrt(max(belief.mm - share * share, 0.0))
@@ -187,22 +190,25 @@ def _limited(sha: SHA, steps: Steps, x0: Array) -> PathRuns:
     for row in range(len(end)):
         begins = x if steps.drawn is None else np.clip(_entered(x, steps.drawn[row]), sha.low, sha.high)
         start[row] = begins
-        free = _mean_step(sha, steps, row, begins) + steps.noise[row]
+        if isfinite(sha.max_rate):
+            # Only a rate limit has to be looked at location by location: its closed form is the flow's.
+            mean = np.empty(begins.shape)
+            for index in np.unique(steps.location[row]):
+                here = steps.location[row] == index
+                mean[here] = flows.mean_step(
+                    sha.locations[index].flow,
+                    begins[here],
+                    steps.target[row, here],
+                    age=steps.age[row, here],
+                    dt=steps.dt[row, here],
+                    max_rate=sha.max_rate,
+                )
+        else:
+            mean = steps.decay[row] * begins + steps.pull[row] * steps.target[row]
+        free = mean + steps.noise[row]
         end[row] = x = np.asarray(np.clip(free, sha.low, sha.high))
         clamps += int((x != free).sum())
     return PathRuns(start, end, clamps)
-
-
-def _mean_step(sha: SHA, steps: Steps, row: int, begins: Array) -> Array:
-    """(N,) the mean ends of one row of steps; only a rate limit has to be looked at location by location."""
-    if not isfinite(sha.max_rate):
-        return np.asarray(steps.decay[row] * begins + steps.pull[row] * steps.target[row])
-    free = np.empty(begins.shape)
-    for index in np.unique(steps.location[row]):
-        there = steps.location[row] == index
-        flow, age, dt = sha.locations[index].flow, steps.age[row, there], steps.dt[row, there]
-        free[there] = flows.mean_step(flow, begins[there], steps.target[row, there], age, dt, sha.max_rate)
-    return free
 
 
 def survival(start: Array, end: Array, steps: Steps, limit: float, widening: Array | float = 1.0) -> Array:
@@ -212,6 +218,8 @@ def survival(start: Array, end: Array, steps: Steps, limit: float, widening: Arr
     """
     bridge = steps.variance / np.maximum(steps.decay, _LEAST_DECAY) * np.square(widening)
     before, after = limit - start, limit - end
+    # Steps of length 0 and flows without noise have V = 0 (no chance in between); ends beyond the limit have touched it
+    # for certain. Both are set afterwards, whatever the formula makes of them.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         touched = np.exp(-2.0 * before * after / bridge)
     touched = np.where(bridge > 0, touched, 0.0)

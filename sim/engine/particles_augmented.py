@@ -8,7 +8,7 @@ they are not cut further, so a start-up's heat is a parabola inside each, and ra
 temperature with the rest taken at each step's start.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import inf
 
 import numpy as np
@@ -112,7 +112,7 @@ def augmented_path_runs(
         start[row] = s[:, plant.sensed] + before[row]
         roots = np.where(opened[:, None, None], other[rows], closed[rows])
         noise = (roots @ rng.standard_normal((shape[1], plant.size, 1)))[:, :, 0]
-        moved = move(plant, table, rows, s, mode[row], opened, noise)
+        moved = move(plant, table, rows, s=s, mode=mode[row], opened=opened, push=noise)
         s, opened = moved.s, moved.opened
         held = np.clip(s[:, 0], sha.low, sha.high)
         clamps += int((held != s[:, 0]).sum())
@@ -157,35 +157,32 @@ def _signals(
     sha, held = tracker.model.sha, dict(belief.signals)
     pending = [each for each in (belief.hidden.pending if belief.hidden is not None else ()) if not each.symbol]
     newest = held | {name: value for each in pending for name, value in each.signals.items()}
-    columns, found = np.arange(stay.shape[1]), {}
-    for name in sorted(tracker.inputs):
-        moments = np.array([_moments(tracker, place.name, name, newest) for place in sha.locations])
+    columns, values = np.arange(stay.shape[1]), {}
+    stays = [tracker.model.semi_markov.get(place.name) for place in sha.locations]
+    learned = [stay_.inputs if stay_ is not None else {} for stay_ in stays]
+    for name in sorted(tracker.inputs):  # by name: a set has no order, and the random numbers need one
+        moments = np.array([inputs.get(name, (newest.get(name, np.nan), 0.0)) for inputs in learned])
         mean, sigma = moments[:, 0][paths.location], moments[:, 1][paths.location]
         value = mean + sigma * rng.standard_normal(paths.location.shape)
         now = np.full(stay.shape, held.get(name, np.nan))
         for each in pending:
             if name in each.signals:
                 now[begin >= each.due - belief.time] = each.signals[name]
-        found[name] = np.where(stay == 0, now, value[stay, columns])
-    return found
-
-
-def _moments(tracker: Tracker, location: str, signal: str, newest: Mapping[str, float]) -> tuple[float, float]:
-    stay = tracker.model.semi_markov.get(location)
-    return (stay.inputs if stay is not None else {}).get(signal, (newest.get(signal, np.nan), 0.0))
+        values[name] = np.where(stay == 0, now, value[stay, columns])
+    return values
 
 
 def _since(plant: Plant, belief: Belief, paths: Paths, stay: Indices, begin: Array) -> tuple[Array, ...]:
     """(S * N,) for each start-up effect the seconds since its event, known so far or met on the way."""
-    found, columns = [], np.arange(stay.shape[1])
+    seconds, columns = [], np.arange(stay.shape[1])
     known = belief.hidden.since if belief.hidden is not None else ()
     for acting, last in zip(plant.startups, known, strict=True):
         meets = _meets(plant.sha, acting.effect.event)
         times = np.where(meets[paths.location[:-1], paths.location[1:]], paths.entered[1:], -inf)
         first = np.full((1, stay.shape[1]), -inf if last is None else last - belief.time)
         started = np.maximum.accumulate(np.vstack([first, times]), axis=0)
-        found.append((begin - started[stay, columns]).reshape(-1))
-    return tuple(found)
+        seconds.append((begin - started[stay, columns]).reshape(-1))
+    return tuple(seconds)
 
 
 def _meets(sha: SHA, event: str) -> Mask:
@@ -196,6 +193,7 @@ def _meets(sha: SHA, event: str) -> Mask:
     index = {place.name: row for row, place in enumerate(sha.locations)}
     meets = np.zeros((len(index), len(index)), dtype=np.bool_)
     for source, row in index.items():
+        # Breadth first, so that the way met first is the shortest; of equally short ones that whose edges come first.
         seen, layer = {source}, [(source, False)]
         while layer:
             following = []

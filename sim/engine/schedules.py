@@ -12,7 +12,7 @@ from sim.effects import check_effects, dead_time, in_sensor_scale, refuse, signa
 from sim.engine.cuts import Stays, cuts
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.terms import Segments
-from sim.sha import SHA, UNKNOWN, Array, Coefficients, Event, Flow, Mask, Model, Trace, flows, transitions
+from sim.sha import SHA, UNKNOWN, Array, Coefficients, Event, Mask, Model, Trace, flows, transitions
 
 Policy = Literal["reject", "ignore", "resync"]
 """What an event without an edge does: ValueError; nothing; a jump to where its symbol leads most often."""
@@ -91,17 +91,24 @@ def schedule(
     schedule's automaton: temperatures along it are the sensor's.
     """
     sha = in_sensor_scale(model).sha if isinstance(model, Model) else model
-    times = _checked_outputs(outputs, start)
+    times = np.atleast_1d(np.asarray(outputs, dtype=float))
+    if times.ndim != 1 or times.size == 0:
+        raise ValueError(f"output times must be a non-empty list of seconds, got the shape {times.shape}")
+    if not np.all(np.isfinite(times)) or np.any(np.diff(times) < 0):
+        raise ValueError("output times must be numbers and never go back")
+    if start is not None and not start <= times[0]:
+        raise ValueError(f"the first output time {times[0]} lies before the start {start}")
     begin = float(times[0]) if start is None else float(start)
     given = inputs if inputs is not None else Trace("no inputs", np.empty(0), {})
     if not sha.effects:
         return _steps(sha, _walk(sha, events, begin, float(times[-1]), policy), times, given)
     check_effects(sha)
     delay = dead_time(sha)
-    felt = [Event(event.time + delay, event.symbol) for event in events]
+    # A dead time is a shift of all that acts; from here on times are those at which things act.
+    acting = [Event(event.time + delay, event.symbol) for event in events]
     later = Trace(given.name, given.times + delay, given.signals)
-    walk = _walk(sha, felt, begin, float(times[-1]), policy)
-    return _steps(sha, walk, times, later, _extra(compile_plant(sha), walk, float(times[-1]), felt))
+    walk = _walk(sha, acting, begin, float(times[-1]), policy)
+    return _steps(sha, walk, times, later, _extra(compile_plant(sha), walk, float(times[-1]), acting))
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +217,14 @@ def _walk(sha: SHA, events: Sequence[Event], start: float, end: float, policy: P
         raise ValueError(f"unknown policy {policy!r}: known are reject, ignore, resync")
     moves, fallback = transitions(sha), resync_targets(sha)
     index = {location.name: place for place, location in enumerate(sha.locations)}
-    _check_order(events)
+    clock = np.array([event.time for event in events], dtype=float)
+    bad = ~np.isfinite(clock)
+    bad[1:] |= np.diff(clock) < 0
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise ValueError(
+            f"event {row} ({events[row].symbol!r} at {clock[row]} s): times must be numbers, never going back"
+        )
     here, stays, unmatched = sha.initial, [(start, start, index[sha.initial])], []
     for number, event in enumerate(events):
         if event.time > end:
@@ -228,34 +242,12 @@ def _walk(sha: SHA, events: Sequence[Event], start: float, end: float, policy: P
             target = fallback.get(event.symbol, sha.initial)
         here = target
         stay = (max(event.time, start), event.time, index[here])
-        if event.time < start:
+        if event.time < start:  # only settles where the run begins, and with which age
             stays = [stay]
         else:
             stays.append(stay)
     begins, entered, location = zip(*stays, strict=True)
     return _Walk(np.array(begins), np.array(entered), np.array(location, dtype=np.intp), tuple(unmatched))
-
-
-def _check_order(events: Sequence[Event]) -> None:
-    times = np.array([event.time for event in events], dtype=float)
-    bad = ~np.isfinite(times)
-    bad[1:] |= np.diff(times) < 0
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise ValueError(
-            f"event {row} ({events[row].symbol!r} at {times[row]} s): times must be numbers, never going back"
-        )
-
-
-def _checked_outputs(outputs: ArrayLike, start: float | None) -> Array:
-    times = np.atleast_1d(np.asarray(outputs, dtype=float))
-    if times.ndim != 1 or times.size == 0:
-        raise ValueError(f"output times must be a non-empty list of seconds, got the shape {times.shape}")
-    if not np.all(np.isfinite(times)) or np.any(np.diff(times) < 0):
-        raise ValueError("output times must be numbers and never go back")
-    if start is not None and not start <= times[0]:
-        raise ValueError(f"the first output time {times[0]} lies before the start {start}")
-    return times
 
 
 def _readings(sha: SHA, location: Indices, inputs: Trace) -> dict[str, Array]:
@@ -264,15 +256,16 @@ def _readings(sha: SHA, location: Indices, inputs: Trace) -> dict[str, Array]:
     for signal, name in wanted.items():
         if signal not in inputs.signals:
             raise ValueError(f"location {name!r} is driven by the signal {signal!r}, which the inputs do not have")
-    return {signal: _hold(inputs.signals[signal]) for signal in wanted}
-
-
-def _hold(column: Array) -> Array:
-    empty = np.isnan(column)
-    if not empty.any():
-        return column
-    last = np.maximum.accumulate(np.where(empty, -1, np.arange(column.size)))
-    return np.where(last < 0, np.nan, column[last])
+    readings = {}
+    for signal in wanted:
+        column = inputs.signals[signal]
+        empty = np.isnan(column)
+        if empty.any():
+            # The row of the last reading so far; -1 before the first, which would otherwise mean the last row of all.
+            last = np.maximum.accumulate(np.where(empty, -1, np.arange(column.size)))
+            column = np.where(last < 0, np.nan, column[last])
+        readings[signal] = column
+    return readings
 
 
 def _changed(column: Array) -> Mask:
@@ -296,7 +289,10 @@ def _input_cuts(sha: SHA, walk: _Walk, clock: Array, held: dict[str, Array], out
 def _offsets(sha: SHA, location: Indices, begins: Array, clock: Array, held: dict[str, Array]) -> Array:
     """What the readings held at `begins` add to the target of each step; a signal not read yet adds nothing."""
     total = np.zeros(begins.size)
-    for index, flow in _driven(sha, location):
+    for index in np.unique(location).tolist():
+        flow = sha.locations[index].flow
+        if not flow.inputs:
+            continue
         steps = np.flatnonzero(location == index)
         row = np.searchsorted(clock, begins[steps], side="right") - 1
         for given in flow.inputs:
@@ -313,11 +309,6 @@ def _listening(sha: SHA, location: Indices) -> list[tuple[int, tuple[str, ...]]]
         names = dict.fromkeys(given.signal for given in place.flow.inputs)
         read[index] = tuple(names | dict.fromkeys(signals_of(sha, place.name)))
     return [(index, names) for index, names in read.items() if names]
-
-
-def _driven(sha: SHA, location: Indices) -> list[tuple[int, Flow]]:
-    visited = np.unique(location).tolist()
-    return [(index, sha.locations[index].flow) for index in visited if sha.locations[index].flow.inputs]
 
 
 def _among(values: Array, ascending: Array) -> Mask:

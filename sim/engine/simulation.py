@@ -21,7 +21,7 @@ from sim.engine.moment_equations import AffineSteps, affine_steps, free_mean, ru
 from sim.engine.recursion import linear_recursion
 from sim.engine.schedules import Indices, Schedule
 from sim.engine.simulation_augmented import augmented_plan, augmented_runs
-from sim.sha import Array, Distribution, Flow, Mask, distributions, drawn_parameter, drawn_temperature, flows
+from sim.sha import Array, Distribution, Flow, distributions, drawn_parameter, drawn_temperature, flows
 
 CHUNK = 8192
 """Runs that go through the steps together: few enough that their working rows stay in the cache."""
@@ -77,7 +77,7 @@ def simulate(
     rows = np.empty((steps.times.size, runs)) if out is None else out
     if rows.shape != (steps.times.size, runs):
         raise ValueError(f"out must have the shape (outputs, runs) = {(steps.times.size, runs)}, got {rows.shape}")
-    go = _kernel(steps, distributions.mean(law))
+    go = _kernel(steps, distributions.mean(law))  # all that is the same for every run is worked out once, here
     clamps, limited = np.zeros(runs, dtype=np.intp), np.zeros(runs, dtype=np.intp)
     for first in range(0, runs, CHUNK):
         part = slice(first, min(first + CHUNK, runs))
@@ -106,7 +106,7 @@ def _kernel(steps: Schedule, x0: float) -> Kernel:
     return partial(_free_runs, _free_plan(steps, affine, x0), x0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Free:
     """One step of the deviation y: draw y and m anew where a law is given, step, hold y in `low`..`high`, write out."""
 
@@ -126,7 +126,12 @@ class _Free:
 def _free_plan(steps: Schedule, affine: AffineSteps, x0: float) -> list[_Free]:
     ends = steps.checked
     begins = np.concatenate([[True], ends[:-1]])
-    decay, pull, variance = _composed(affine, begins, ends)
+    # Steps up to the next check are composed into one: an affine Gaussian step after another is one again. The
+    # recursions start anew wherever a group begins.
+    going_on = np.where(begins, 0.0, affine.decay)
+    decay = linear_recursion(going_on, np.where(begins, affine.decay, 0.0), 0.0)[ends]
+    pull = linear_recursion(going_on, affine.pull, 0.0)[ends]
+    variance = linear_recursion(going_on**2, affine.noise, 0.0)[ends]
     mean = free_mean(steps, affine, x0)[ends]
     spread, scatter, renewed = affine.drawn.spread[begins], affine.drawn.scatter[begins], affine.drawn.resampled[begins]
     location, entry = steps.location[begins], steps.entry[begins]
@@ -138,13 +143,15 @@ def _free_plan(steps: Schedule, affine: AffineSteps, x0: float) -> list[_Free]:
     idle = (decay == 1) & (pull == 0) & (variance == 0) & ~renewed & (np.arange(mean.size) > 0)
     low[idle], high[idle] = -inf, inf  # X has not moved since it was last checked
 
+    # A normal m that one step alone depends on is one noise with that step's own, and a normal X on entry one with the
+    # noise of the step that follows: nothing else ever sees them, so one draw stands for both.
     stay = np.cumsum(entry) - 1
-    felt = np.bincount(stay, weights=pull != 0)[stay]
-    alone, merged = normal_m & (felt <= 1), renewed & normal_x
+    dependent = np.bincount(stay, weights=pull != 0)[stay]
+    alone, merged = normal_m & (dependent <= 1), renewed & normal_x
     variance += np.where(alone, pull**2 * spread, 0.0) + np.where(merged, decay**2 * scatter, 0.0)
     pull[alone | (spread == 0)] = 0.0
     decay[merged] = 0.0
-    draws_x, draws_m = renewed & ~normal_x, entry & ~alone & (felt > 0) & (spread > 0)
+    draws_x, draws_m = renewed & ~normal_x, entry & ~alone & (dependent > 0) & (spread > 0)
     columns = (
         draws_x,
         draws_m,
@@ -159,19 +166,25 @@ def _free_plan(steps: Schedule, affine: AffineSteps, x0: float) -> list[_Free]:
         mean,
         steps.output[ends],
     )
+    # Lists and not arrays: the loop over the steps takes them number by number, and a number out of an array is slow.
     return [
-        _Free(fresh[q] if new_x else None, mean_x, mode[q] if new_m else None, mean_m, *rest)
-        for new_x, new_m, q, mean_x, mean_m, *rest in zip(*(column.tolist() for column in columns), strict=True)
+        _Free(
+            fresh_law=fresh[place] if new_x else None,
+            fresh_mean=mean_x,
+            mode_law=mode[place] if new_m else None,
+            mode_mean=mean_m,
+            decay=decay_,
+            pull=pull_,
+            sigma=sigma,
+            low=low_,
+            high=high_,
+            mean=mean_,
+            output=output,
+        )
+        for new_x, new_m, place, mean_x, mean_m, decay_, pull_, sigma, low_, high_, mean_, output in zip(
+            *(column.tolist() for column in columns), strict=True
+        )
     ]
-
-
-def _composed(affine: AffineSteps, begins: Mask, ends: Mask) -> tuple[Array, Array, Array]:
-    """(decay, pull, variance) over each group of steps, from one that `begins` to one that `ends` it."""
-    going_on = np.where(begins, 0.0, affine.decay)
-    decay = linear_recursion(going_on, np.where(begins, affine.decay, 0.0), 0.0)
-    pull = linear_recursion(going_on, affine.pull, 0.0)
-    variance = linear_recursion(going_on**2, affine.noise, 0.0)
-    return decay[ends], pull[ends], variance[ends]
 
 
 def _laws(steps: Schedule) -> tuple[list[Distribution | None], list[Distribution | None]]:
@@ -189,6 +202,8 @@ def _free_runs(
     clamps: Indices,
     _limited: Indices,
 ) -> None:
+    # In place, on rows that fit the cache (CHUNK): this loop is where a simulation spends its time. The extremes are
+    # looked at first because a mask of the runs outside is nearly always empty.
     y = x - x0
     noise, pushed, mode = np.empty_like(y), np.empty_like(y), np.zeros_like(y)
     for step in plan:
@@ -211,7 +226,7 @@ def _free_runs(
             np.add(y, step.mean, out=out[step.output])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Limited:
     """One step of X itself, under a rate limit that depends on the run's own X and m."""
 
@@ -247,14 +262,22 @@ def _limited_plan(steps: Schedule, affine: AffineSteps) -> list[_Limited]:
     )
     return [
         _Limited(
-            fresh[q] if new_x else None,
-            mode[q] if entry else None,
-            mode[q] is not None,
-            mean_m,
-            steps.sha.locations[q].flow,
-            *rest,
+            fresh_law=fresh[place] if new_x else None,
+            mode_law=mode[place] if entry else None,
+            drawn=mode[place] is not None,
+            mode=mean_m,
+            flow=steps.sha.locations[place].flow,
+            age=age,
+            dt=dt,
+            offset=offset,
+            sigma=sigma,
+            low=low_,
+            high=high_,
+            output=output,
         )
-        for new_x, entry, q, mean_m, *rest in zip(*(column.tolist() for column in columns), strict=True)
+        for new_x, entry, place, mean_m, age, dt, offset, sigma, low_, high_, output in zip(
+            *(column.tolist() for column in columns), strict=True
+        )
     ]
 
 
@@ -276,7 +299,8 @@ def _limited_runs(
         if step.dt > 0:
             target = (mode if step.drawn else step.mode) + step.offset
             limited += np.abs(flows.drift(step.flow, x, target, step.age)) > max_rate
-            x = flows.mean_step(step.flow, x, target, step.age, step.dt, max_rate)
+            # The mean is limited, the noise is the free flow's: the semantics of the model, not an approximation to it.
+            x = flows.mean_step(step.flow, x, target, age=step.age, dt=step.dt, max_rate=max_rate)
             x = x + step.sigma * rng.standard_normal(x.size) if step.sigma else x
         clamps += (x < step.low) | (x > step.high)
         x = np.clip(x, step.low, step.high)

@@ -59,6 +59,8 @@ def root(half: Half) -> Array:
     """(n, d, d) matrices R with R R^T = noise, also where that is singular."""
     if half.noise.shape[1] == 1:
         return np.sqrt(half.noise)
+    # Eigenvalues and not Cholesky: a lag gets its noise through X alone, over a short step almost none. What rounding
+    # leaves below 0 is 0.
     values, vectors = np.linalg.eigh(half.noise)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
 
@@ -73,10 +75,18 @@ def augmented_runs(
     low, high = schedule.sha.low, schedule.sha.high
     for row, place in enumerate(schedule.location.tolist()):
         if schedule.entry[row]:
-            mode = _entered(plan, row, place, s, rng)
+            # X before m, both before the step's noise: a seed's runs depend on the order.
+            fresh, law = plan.temperature_laws[place], plan.mode_laws[place]
+            if fresh is not None and plan.resampled[row]:
+                s[:, 0] = distributions.draw(fresh, x.size, rng)
+            mode = np.full(x.size, plan.mode[row]) if law is None else distributions.draw(law, x.size, rng)
         if schedule.dt[row] > 0:
-            push = _push(plan, row, opened, rng)
-            moved = move(plant, plan.steps, row, s, mode, opened, push)
+            # The same numbers serve an open and a closed thermostat: how many are drawn does not depend on the run.
+            drawn = rng.standard_normal((x.size, plant.size))
+            push = drawn @ plan.closed[row].T
+            if opened.any():
+                push = np.where(opened[:, None], drawn @ plan.open[row].T, push)
+            moved = move(plant, plan.steps, row, s=s, mode=mode, opened=opened, push=push)
             s, opened = moved.s, moved.opened
             limited += moved.met
         if schedule.checked[row] and (s[:, 0].min() < low or s[:, 0].max() > high):
@@ -84,21 +94,3 @@ def augmented_runs(
             s[:, 0] = np.clip(s[:, 0], low, high)
         if schedule.output[row] >= 0:
             np.add(s[:, plant.sensed], plan.read_offset[schedule.output[row]], out=out[schedule.output[row]])
-
-
-def _entered(plan: SamplingPlan, row: int, place: int, s: Array, rng: np.random.Generator) -> Array:
-    """The mode parameters (N,) of the stay that begins; X is drawn in place where the location says so."""
-    fresh, law = plan.temperature_laws[place], plan.mode_laws[place]
-    if fresh is not None and plan.resampled[row]:
-        s[:, 0] = distributions.draw(fresh, len(s), rng)
-    if law is not None:
-        return distributions.draw(law, len(s), rng)
-    return np.full(len(s), plan.mode[row])
-
-
-def _push(plan: SamplingPlan, row: int, opened: Mask, rng: np.random.Generator) -> Array:
-    drawn = rng.standard_normal((opened.size, plan.plant.size))
-    push = drawn @ plan.closed[row].T
-    if opened.any():
-        push = np.where(opened[:, None], drawn @ plan.open[row].T, push)
-    return np.asarray(push)

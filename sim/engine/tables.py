@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.effects import in_scale_of_x, parameter, radiation_tangent
-from sim.engine.plant import Acting, Plant
+from sim.engine.plant import Plant
 from sim.engine.response import respond
 from sim.engine.terms import Segments, Terms, terms
 from sim.sha import Array
@@ -47,53 +47,48 @@ class Tables:
 
 def tables(plant: Plant, segments: Segments, about: Array | None = None) -> Tables:
     """The steps of the segments; `about` (n,) is needed where the plant radiates."""
-    found = terms(plant, segments)
+    sums = terms(plant, segments)
     gain = None
     if plant.radiation is not None and about is not None:
-        gain, loss, heat = _radiation(plant.radiation, segments, about)
-        found = _more(found, loss, heat)
+        acting, effect = plant.radiation, plant.radiation.effect
+        zero = parameter(effect, "zero")
+        if "ambient" in effect.signals and acting.there[segments.location].any():
+            around = in_scale_of_x(effect, "ambient", segments.signals)
+        else:
+            around = np.full(about.shape, effect.params.get("surroundings", np.nan))
+        # Walls that were never read have no temperature; where nothing is radiated any will do.
+        radiates = acting.there[segments.location] & np.isfinite(around)
+        gain = np.where(radiates, effect.params["gain"], 0.0)
+        loss, heat = radiation_tangent(gain=gain, zero=zero, about=about, around=np.where(radiates, around, zero))
+        sums = _more(sums, loss, heat)
     coupling = plant.coupling[segments.location]
-    closed = _half(plant, segments, found)
+    closed = _half(plant, segments, sums)
     if plant.thermostat is None:
         return Tables(closed=closed, open=None, dt=segments.dt, coupling=coupling, about=about, radiated=gain)
-    p, there = plant.thermostat.effect.params, plant.thermostat.there[segments.location].astype(float)
-    cooled = _more(found, there * p["loss"], there * p["loss"] * p["sink"])
+    # An open thermostat is one more loss, towards its sink; nothing else differs between the two halves.
+    p, acts = plant.thermostat.effect.params, plant.thermostat.there[segments.location].astype(float)
+    cooled = _more(sums, acts * p["loss"], acts * p["loss"] * p["sink"])
     opened = _half(plant, segments, cooled)
     return Tables(closed=closed, open=opened, dt=segments.dt, coupling=coupling, about=about, radiated=gain)
 
 
-def _more(found: Terms, loss: Array, heat: Array) -> Terms:
-    heats = found.heat.copy()
-    heats[:, 0] += heat
-    return Terms(found.loss + loss, heats, found.drive)
+def _more(sums: Terms, loss: Array, heat: Array) -> Terms:
+    heats = sums.heat.copy()
+    heats[:, 0] += heat  # the constant part of the parabola
+    return Terms(sums.loss + loss, heats, sums.drive)
 
 
-def _half(plant: Plant, segments: Segments, found: Terms) -> Half:
+def _half(plant: Plant, segments: Segments, sums: Terms) -> Half:
     coupling = plant.coupling[segments.location]
-    answer = respond(plant, found.loss, coupling, segments.dt, found.powers)
+    answer = respond(plant, sums.loss, coupling, segments.dt, sums.powers)
     return Half(
         phi=answer.phi,
-        pull=np.einsum("ndq,nq->nd", answer.poly, found.drive),
-        added=np.einsum("ndq,nq->nd", answer.poly, found.heat),
+        pull=np.einsum("ndq,nq->nd", answer.poly, sums.drive),
+        added=np.einsum("ndq,nq->nd", answer.poly, sums.heat),
         unit=answer.poly[:, :, 0],
         noise=answer.noise * (plant.noise[segments.location] ** 2)[:, None, None],
-        terms=found,
+        terms=sums,
     )
-
-
-def _radiation(acting: Acting, segments: Segments, about: Array) -> tuple[Array, Array, Array]:
-    """(gain where it acts, loss, heat) of the tangent to the radiated heat at `about`."""
-    effect = acting.effect
-    zero = parameter(effect, "zero")
-    if "ambient" in effect.signals and acting.there[segments.location].any():
-        around = in_scale_of_x(effect, "ambient", segments.signals)
-    else:
-        around = np.full(about.shape, effect.params.get("surroundings", np.nan))
-    there = acting.there[segments.location] & np.isfinite(around)
-    gain = np.where(there, effect.params["gain"], 0.0)
-    # Walls that were never read have no temperature; where nothing is radiated any will do.
-    loss, heat = radiation_tangent(gain=gain, zero=zero, about=about, around=np.where(there, around, zero))
-    return gain, loss, heat
 
 
 def chosen(steps: Tables, opened: Array) -> Half:
@@ -103,6 +98,7 @@ def chosen(steps: Tables, opened: Array) -> Half:
     """
     if steps.open is None or not opened.any():
         return steps.closed
+    # Blended matrices, not blended states: one recursion over all steps can then take them (`moments_augmented`).
     a, b = steps.closed, steps.open
     flat, square = opened[:, None], opened[:, None, None]
     return Half(

@@ -42,8 +42,9 @@ class Mode:
 
     def mean(self, x: float, target: float, age: float, dt: float, max_rate: float) -> float:
         """The mean temperature (degC) after `dt` seconds, equal to `flows.mean_step`."""
+        # Inside a step the drift only shrinks: one that begins within the limit stays within it, and needs no array.
         if self.speed(x, target, age) > max_rate:
-            return float(mean_step(self.location.flow, x, target, age, dt, max_rate))
+            return float(mean_step(self.location.flow, x, target, age=age, dt=dt, max_rate=max_rate))
         decay, pull, _ = self.step(age, dt)
         return decay * x + pull * target
 
@@ -132,6 +133,8 @@ def _mode(location: Location) -> Mode:
 
 
 def _constant(p: Mapping[str, float]) -> tuple[Step, Speed]:
+    # All that does not change is worked out here, once a model, and kept in the closures: a step is then a few
+    # products.
     density = p["noise"] ** 2
     return lambda age, dt: (1.0, 0.0, density * dt), lambda x, target, age: 0.0
 
@@ -145,6 +148,7 @@ def _relaxing(p: Mapping[str, float]) -> tuple[Step, Speed]:
     k, settled = p["k"], p["noise"] ** 2 / (2.0 * p["k"])
 
     def step(age: float, dt: float) -> tuple[float, float, float]:
+        # 1 - decay^2 = -lost (2 + lost) needs one exponential for both, and loses nothing when k dt is small.
         lost = expm1(-k * dt)
         return 1.0 + lost, -lost, -settled * lost * (2.0 + lost)
 

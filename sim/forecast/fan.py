@@ -34,7 +34,7 @@ from sim.engine import (
 from sim.engine import fastest as relaxation
 from sim.forecast.band_widening import factors_at, widened_fan, widened_runs
 from sim.scores import Estimate, clopper_pearson
-from sim.sha import RELAXING, Array, Event, Indices, Model, compile_chain, draw_paths, input_moments, known_paths
+from sim.sha import RELAXING, Array, Event, Model, compile_chain, draw_paths, input_moments, known_paths
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """The levels of a fan's quantiles: median, 50 % and 90 % band."""
@@ -98,78 +98,6 @@ def forecast(
     the median, runs below 2, and a model that cannot be run.
     """
     tracker = compiled(model)
-    request = _request(
-        tracker,
-        horizons,
-        calibration=tracker.model.calibration if calibration is None else calibration,
-        limit=limit,
-        runs=runs,
-        levels=levels,
-    )
-    names = [location.name for location in tracker.model.sha.locations]
-    last, exact = float(request.horizons[-1]), None
-    if tracker.plant is not None:
-        known = [(begin, names.index(name)) for begin, name in acting_stays(tracker, belief, events or ())]
-        if events is None:
-            age = real_age(tracker.plant, belief)
-            drawn = draw_paths(compile_chain(tracker.model), known[-1][1], age, last, runs, rng)
-            paths = acting_paths(tracker.plant, belief, known, drawn)
-        else:
-            paths = known_paths(known, belief.age, runs)
-        steps, done = augmented_path_runs(tracker, tracker.plant, belief, paths, grid=request.grid, rng=rng)
-    else:
-        inputs = input_moments(tracker.model, belief.signals)
-        if events is None:
-            chain = compile_chain(tracker.model)
-            paths = draw_paths(chain, chain.names.index(belief.location), belief.age, last, runs, rng)
-        else:
-            stays, exact = _known_future(tracker, belief, events, request, inputs)
-            paths = known_paths(stays, belief.age, runs)
-        steps, x0 = lay_out(tracker, belief, paths, grid=request.grid, inputs=inputs, rng=rng)
-        done = run(tracker.model.sha, steps, x0)
-
-    rows, columns = steps.marks[request.at], np.arange(runs)
-    if exact is None:
-        read = done.end[rows, columns] + tracker.model.sensor_sigma * rng.standard_normal(rows.shape)
-        exact = np.quantile(read, levels, axis=1)
-    reached = _reached(belief, request, steps, done)
-    return Forecast(
-        time=belief.time,
-        horizons=request.horizons,
-        levels=levels,
-        quantiles=widened_fan(exact, request.factors, levels.index(0.5)),
-        locations=tuple(_shares(names, row) for row in steps.location[rows, columns]),
-        limit=limit,
-        exceedance=tuple(clopper_pearson(float(share) * runs, runs) for share in reached[request.at + 1]),
-        minutes_to_limit=_minutes(np.concatenate([[0.0], request.grid]), reached),
-        runs=runs,
-        factors=request.factors,
-        clamps=done.clamps,
-        cut=paths.cut,
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Request:
-    """Horizons and factors (H,), the common grid (G,) that holds the horizons in its rows `at` (H,), limit, levels."""
-
-    horizons: Array
-    factors: Array
-    grid: Array
-    at: Indices
-    limit: float
-    levels: tuple[float, ...]
-
-
-def _request(
-    tracker: Tracker,
-    horizons: Sequence[float],
-    *,
-    calibration: Mapping[float, float],
-    limit: float,
-    runs: int,
-    levels: tuple[float, ...],
-) -> _Request:
     ahead = np.asarray(horizons, dtype=float)
     if ahead.ndim != 1 or not ahead.size or not np.all(np.diff(ahead, prepend=0.0) > 0) or not isfinite(ahead[-1]):
         raise ValueError(f"horizons must be positive seconds in ascending order, got {list(horizons)}")
@@ -177,15 +105,54 @@ def _request(
         raise ValueError(f"a forecast needs at least 2 runs, got {runs}")
     if 0.5 not in levels or not 0 < levels[0] <= levels[-1] < 1 or np.any(np.diff(levels) <= 0):
         raise ValueError(f"levels must ascend inside (0, 1) and have the median 0.5, got {list(levels)}")
-    points = _points(tracker, float(ahead[-1]))
-    grid = np.union1d(np.linspace(0.0, ahead[-1], points + 1)[1:], ahead)
-    return _Request(
+    last, exact = float(ahead[-1]), None
+    # One grid for all runs, on which the chance of the limit is read off; the horizons are among its points.
+    grid = np.union1d(np.linspace(0.0, last, _points(tracker, last) + 1)[1:], ahead)
+    at = np.searchsorted(grid, ahead)
+    factors = factors_at(tracker.model.calibration if calibration is None else calibration, ahead)
+    names = [location.name for location in tracker.model.sha.locations]
+    if tracker.plant is not None:
+        known = [(begin, names.index(name)) for begin, name in acting_stays(tracker, belief, events or ())]
+        if events is None:
+            # Under a dead time the plant is already where it acts only later: paths are drawn from there.
+            age = real_age(tracker.plant, belief)
+            drawn = draw_paths(compile_chain(tracker.model), known[-1][1], age=age, horizon=last, runs=runs, rng=rng)
+            paths = acting_paths(tracker.plant, belief, known, drawn)
+        else:
+            paths = known_paths(known, belief.age, runs)
+        steps, done = augmented_path_runs(tracker, tracker.plant, belief, paths, grid=grid, rng=rng)
+    else:
+        inputs = input_moments(tracker.model, belief.signals)
+        if events is None:
+            chain = compile_chain(tracker.model)
+            here = chain.names.index(belief.location)
+            paths = draw_paths(chain, here, age=belief.age, horizon=last, runs=runs, rng=rng)
+        else:
+            stays, exact = _known_future(tracker, belief, events, horizons=ahead, levels=levels, inputs=inputs)
+            paths = known_paths(stays, belief.age, runs)
+        steps, x0 = lay_out(tracker, belief, paths, grid=grid, inputs=inputs, rng=rng)
+        done = run(tracker.model.sha, steps, x0)
+
+    rows, columns = steps.marks[at], np.arange(runs)
+    if exact is None:
+        # The fan is of readings, so each run's end gets a reading's noise; the exact quantiles have it in their
+        # variance.
+        read = done.end[rows, columns] + tracker.model.sensor_sigma * rng.standard_normal(rows.shape)
+        exact = np.quantile(read, levels, axis=1)
+    reached = _reached(belief, steps, done, limit=limit, grid=grid, horizons=ahead, factors=factors)
+    return Forecast(
+        time=belief.time,
         horizons=ahead,
-        factors=factors_at(calibration, ahead),
-        grid=grid,
-        at=np.searchsorted(grid, ahead),
-        limit=limit,
         levels=levels,
+        quantiles=widened_fan(exact, factors, levels.index(0.5)),
+        locations=tuple(_shares(names, row) for row in steps.location[rows, columns]),
+        limit=limit,
+        exceedance=tuple(clopper_pearson(float(share) * runs, runs) for share in reached[at + 1]),
+        minutes_to_limit=_minutes(np.concatenate([[0.0], grid]), reached),
+        runs=runs,
+        factors=factors,
+        clamps=done.clamps,
+        cut=paths.cut,
     )
 
 
@@ -213,25 +180,27 @@ def _shares(names: Sequence[str], places: Array) -> dict[str, float]:
     return {name: float(count) / places.size for name, count in zip(names, counts, strict=True) if count}
 
 
-def _reached(belief: Belief, request: _Request, steps: Steps, done: PathRuns) -> Array:
+def _reached(
+    belief: Belief, steps: Steps, done: PathRuns, *, limit: float, grid: Array, horizons: Array, factors: Array
+) -> Array:
     """(G + 1,) the chance of having reached the limit by now and by each of the grid's points.
 
     Runs are widened about their median as the fan is: their distance from it, at each of their steps' ends, is
     multiplied by the factor of that moment.
     """
-    if belief.x >= request.limit:
-        return np.ones(request.grid.size + 1)
+    if belief.x >= limit:
+        return np.ones(grid.size + 1)
     columns = np.arange(done.end.shape[1])
     start, end, widening = done.start, done.end, np.ones(())
-    if np.any(request.factors != 1.0):
-        clock = np.concatenate([[0.0], request.grid])
+    if np.any(factors != 1.0):
+        clock = np.concatenate([[0.0], grid])
         median = np.concatenate([[np.median(start[0])], np.median(end[steps.marks, columns], axis=1)])
         begins, ends = steps.begin, steps.begin + steps.dt
-        first, widening = (np.interp(times, request.horizons, request.factors) for times in (begins, ends))
+        first, widening = (np.interp(times, horizons, factors) for times in (begins, ends))
         start = widened_runs(start, first, np.interp(begins, clock, median))
         end = widened_runs(end, widening, np.interp(ends, clock, median))
-    alive = survival(start, end, steps, request.limit, widening)
-    at_start = float(np.mean(start[0] >= request.limit))
+    alive = survival(start, end, steps, limit, widening)
+    at_start = float(np.mean(start[0] >= limit))
     return np.concatenate([[at_start], 1.0 - alive[steps.marks, columns].mean(axis=1)])
 
 
@@ -251,19 +220,26 @@ def _minutes(clock: Array, reached: Array) -> tuple[float, float, float]:
 
 
 def _known_future(
-    tracker: Tracker, belief: Belief, events: Sequence[Event], request: _Request, inputs: Array
+    tracker: Tracker,
+    belief: Belief,
+    events: Sequence[Event],
+    *,
+    horizons: Array,
+    levels: tuple[float, ...],
+    inputs: Array,
 ) -> tuple[list[tuple[float, int]], Array]:
     """The stays (seconds from now, location index) that `events` lead through, and the exact quantiles (L, H)."""
     index = {location.name: row for row, location in enumerate(tracker.model.sha.locations)}
     stays = [(0.0, index[belief.location])]
-    spread = np.asarray(ndtri(request.levels))
+    spread = np.asarray(ndtri(levels))
     columns, coming, ahead = [], sorted(events, key=lambda event: event.time), belief
-    for horizon in request.horizons.tolist():
+    for horizon in horizons.tolist():
         while coming and coming[0].time <= belief.time + horizon:
             event = coming.pop(0)
             target, _ = next_location(tracker, ahead.location, event.symbol)
             ahead = on_event(tracker, ahead, event)
             if target is not None:
+                # A later stay's inputs are not known: their mean is its offset, their spread adds to that of m.
                 place = index[target]
                 added = float(inputs[place, 1]) ** 2
                 ahead = replace(ahead, offset=float(inputs[place, 0]), mm=ahead.mm + added)

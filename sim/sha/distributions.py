@@ -18,7 +18,7 @@ from sim.sha.trace import Array
 Params = Mapping[str, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Law:
     """One kind of law. `log_survival(params, t)` = ln P(T > t); `exceeded(params, s)` is its inverse in t."""
 
@@ -33,6 +33,8 @@ class Law:
 def _log_survival_normal(p: Params, t: Array) -> Array:
     if p["sigma"] == 0:
         return np.where(t < p["mu"], 0.0, -np.inf)
+    # P(T > t) = Phi(-(t - mu) / sigma). log_ndtr keeps it far out, where 1 - Phi is 0 in floating point and a stay that
+    # has lasted longer than it should would have no law left; ndtri_exp is its inverse, for the same reason.
     return log_ndtr(-(t - p["mu"]) / p["sigma"])
 
 
@@ -40,47 +42,43 @@ def _exceeded_normal(p: Params, s: Array) -> Array:
     return p["mu"] - p["sigma"] * ndtri_exp(s) if p["sigma"] else np.full_like(s, p["mu"])
 
 
-def _log_survival_weibull(p: Params, t: Array) -> Array:
-    return -((np.maximum(t, 0.0) / p["scale"]) ** p["shape"])
-
-
 def _log_survival_lognormal(p: Params, t: Array) -> Array:
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore"):  # the logarithm of 0 s is -inf, where the survival is 1: as it should be
         return log_ndtr(-(np.log(np.maximum(t, 0.0)) - p["mu"]) / p["sigma"])
 
 
 LAWS: dict[str, Law] = {
     "normal": Law(
-        ("mu", "sigma"),
-        (),
-        lambda p: p["mu"],
-        lambda p: p["sigma"] ** 2,
-        _log_survival_normal,
-        _exceeded_normal,
+        params=("mu", "sigma"),
+        positive=(),
+        mean=lambda p: p["mu"],
+        variance=lambda p: p["sigma"] ** 2,
+        log_survival=_log_survival_normal,
+        exceeded=_exceeded_normal,
     ),
     "exponential": Law(
-        ("mean",),
-        ("mean",),
-        lambda p: p["mean"],
-        lambda p: p["mean"] ** 2,
-        lambda p, t: -np.maximum(t, 0.0) / p["mean"],
-        lambda p, s: -p["mean"] * s,
+        params=("mean",),
+        positive=("mean",),
+        mean=lambda p: p["mean"],
+        variance=lambda p: p["mean"] ** 2,
+        log_survival=lambda p, t: -np.maximum(t, 0.0) / p["mean"],
+        exceeded=lambda p, s: -p["mean"] * s,
     ),
     "weibull": Law(
-        ("shape", "scale"),
-        ("shape", "scale"),
-        lambda p: p["scale"] * gamma(1 + 1 / p["shape"]),
-        lambda p: p["scale"] ** 2 * (gamma(1 + 2 / p["shape"]) - gamma(1 + 1 / p["shape"]) ** 2),
-        _log_survival_weibull,
-        lambda p, s: p["scale"] * (-s) ** (1 / p["shape"]),
+        params=("shape", "scale"),
+        positive=("shape", "scale"),
+        mean=lambda p: p["scale"] * gamma(1 + 1 / p["shape"]),
+        variance=lambda p: p["scale"] ** 2 * (gamma(1 + 2 / p["shape"]) - gamma(1 + 1 / p["shape"]) ** 2),
+        log_survival=lambda p, t: -((np.maximum(t, 0.0) / p["scale"]) ** p["shape"]),
+        exceeded=lambda p, s: p["scale"] * (-s) ** (1 / p["shape"]),
     ),
     "lognormal": Law(
-        ("mu", "sigma"),
-        ("sigma",),
-        lambda p: exp(p["mu"] + p["sigma"] ** 2 / 2),
-        lambda p: (exp(p["sigma"] ** 2) - 1) * exp(2 * p["mu"] + p["sigma"] ** 2),
-        _log_survival_lognormal,
-        lambda p, s: np.exp(p["mu"] - p["sigma"] * ndtri_exp(s)),
+        params=("mu", "sigma"),
+        positive=("sigma",),
+        mean=lambda p: exp(p["mu"] + p["sigma"] ** 2 / 2),
+        variance=lambda p: (exp(p["sigma"] ** 2) - 1) * exp(2 * p["mu"] + p["sigma"] ** 2),
+        log_survival=_log_survival_lognormal,
+        exceeded=lambda p, s: np.exp(p["mu"] - p["sigma"] * ndtri_exp(s)),
     ),
 }
 
@@ -109,6 +107,8 @@ def variance(law: Distribution) -> float:
 
 def draw(law: Distribution, runs: int, rng: np.random.Generator) -> Array:
     """`runs` independent draws."""
+    # Elsewhere ln P(T > t) of the drawn t is minus a standard exponential number: the inverse of the survival function,
+    # without the 1 - u of a uniform one, which loses the tail.
     if law.kind == "normal":
         return rng.normal(law.params["mu"], law.params["sigma"], runs)
     return np.asarray(LAWS[law.kind].exceeded(law.params, -rng.exponential(size=runs)))

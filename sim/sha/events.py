@@ -72,7 +72,7 @@ DECANTER = Alphabet(
 Mode = Literal["filtered", "full"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EncoderState:
     """All that an encoder remembers, one entry a channel in alphabet order; plain values, so that JSON can carry it.
 
@@ -89,7 +89,7 @@ class EncoderState:
     read: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Levels:
     """A channel ready to run: level i is kept while low[i] <= value < high[i]. A switch has two levels, cut at 0.5."""
 
@@ -112,7 +112,14 @@ def _levels(channel: Switch | Bins) -> _Levels:
     thresholds, hysteresis = channel.thresholds, channel.hysteresis
     low = (-inf, *(threshold - hysteresis for threshold in thresholds))
     high = (*(threshold + hysteresis for threshold in thresholds), inf)
-    return _Levels(channel.signal, channel.symbols, thresholds, channel.on_change, low, high)
+    return _Levels(
+        signal=channel.signal,
+        symbols=channel.symbols,
+        thresholds=thresholds,
+        on_change=channel.on_change,
+        low=low,
+        high=high,
+    )
 
 
 def alphabet_symbols(alphabet: Alphabet) -> tuple[str, ...]:
@@ -210,7 +217,8 @@ class Encoder:
         )
         self._gap, self._debounce, self._full = alphabet.gap, alphabet.debounce, mode == "full"
         count = len(self._channels)
-        saved = state or EncoderState(None, None, (None,) * count, (None,) * count, (0.0,) * count, (0.0,) * count)
+        nothing, never = (None,) * count, (0.0,) * count
+        saved = state or EncoderState(announced=nothing, seen=nothing, since=never, read=never)
         if not len(saved.announced) == len(saved.seen) == len(saved.since) == len(saved.read) == count:
             raise ValueError(f"the encoder's state has {len(saved.announced)} channels, its alphabet {count}")
         self._row, self._latest = saved.row, saved.latest
@@ -243,8 +251,12 @@ class Encoder:
         """The events of one row. A signal that is absent has no new reading; None, NaN and inf are of bad quality."""
         if not isfinite(time):
             raise ValueError(f"a row's time must be a finite number of seconds; it is {time}")
-        set_back = self._latest is not None and time < self._latest
-        events = self._set_back(time) if set_back else self._advance(time)
+        if self._latest is not None and time < self._latest:
+            unknown: list[int | None] = [None] * len(self._channels)
+            self._announced, self._seen = unknown, unknown.copy()
+            events = [Event(time, UNKNOWN)]
+        else:
+            events = self._advance(time)  # what time alone brought before this row
         self._row = self._latest = time
         of_this_row = self._take(time, readings)
         if self._full and not of_this_row:
@@ -256,11 +268,6 @@ class Encoder:
         if not isfinite(time):
             raise ValueError(f"a tick's time must be a finite number of seconds; it is {time}")
         return self._advance(time)
-
-    def _set_back(self, time: float) -> list[Event]:
-        unknown: list[int | None] = [None] * len(self._channels)
-        self._announced, self._seen = unknown, unknown.copy()
-        return [Event(time, UNKNOWN)]
 
     def _take(self, time: float, readings: Mapping[str, float | None]) -> list[Event]:
         lost, changed = False, []
@@ -306,11 +313,13 @@ class Encoder:
         return found
 
     def _advance(self, time: float) -> list[Event]:
+        # One deadline's group at a time, earliest first, because each may move the others: a channel that is lost has
+        # no debounce left. At one instant the debounces come first (False sorts before True).
         events: list[Event] = []
         while due := [deadline for deadline in self._deadlines() if deadline[0] < time]:
             when, losing = min(due)[:2]
             group = [index for other, lost, index in due if (other, lost) == (when, losing)]
-            told = any(self._announced[index] is not None for index in group)
+            was_known = any(self._announced[index] is not None for index in group)
             for index in group:
                 if losing:
                     self._announced[index] = self._seen[index] = None
@@ -319,7 +328,7 @@ class Encoder:
             self._latest = when
             if not losing:
                 events += [self._event(when, index) for index in group]
-            elif told:
+            elif was_known:
                 events += self._lost(when)
         return events
 
@@ -344,7 +353,7 @@ def encode(trace: Trace, alphabet: Alphabet, mode: Mode = "filtered") -> tuple[E
     columns = [_column(trace, _levels(channel)) for channel in alphabet.channels]
     rows = _rows_that_matter(trace.times, columns, alphabet)
     stamps = trace.times[rows].tolist()
-    readings = [(c.channel.signal, c.said[rows].tolist(), c.values[rows].tolist()) for c in columns]
+    readings = [(c.channel.signal, c.has_reading[rows].tolist(), c.values[rows].tolist()) for c in columns]
     reads = list(zip(*(_read_before(c, trace.times, rows) for c in columns), strict=True))
     events: list[Event] = []
     previous = -1
@@ -353,7 +362,7 @@ def encode(trace: Trace, alphabet: Alphabet, mode: Mode = "filtered") -> tuple[E
             symbol = encoder.pass_over(float(trace.times[row - 1]), reads[position])
             if mode == "full":
                 events += [Event(time, symbol) for time in trace.times[previous + 1 : row].tolist()]
-        fresh = {signal: values[position] for signal, said, values in readings if said[position]}
+        fresh = {signal: values[position] for signal, there, values in readings if there[position]}
         events += encoder.feed(stamps[position], fresh)
         previous = row
     return tuple(events)
@@ -361,10 +370,10 @@ def encode(trace: Trace, alphabet: Alphabet, mode: Mode = "filtered") -> tuple[E
 
 @dataclass(frozen=True, slots=True)
 class _Column:
-    """A channel's readings in a trace: rows in which it says something; its values, NaN where they are bad."""
+    """A channel's readings in a trace: rows in which it has a reading; its values, NaN where they are bad."""
 
     channel: _Levels
-    said: Mask
+    has_reading: Mask
     values: Array
 
 
@@ -387,37 +396,33 @@ def _rows_that_matter(times: Array, columns: Sequence[_Column], alphabet: Alphab
     after_gap[1:] = times[1:] > times[:-1] + alphabet.gap
     matter = after_gap.copy()
     matter[[0, -1]] = True
+    stretch = np.cumsum(after_gap)
     for column in columns:
-        _mark(matter, column, times, np.cumsum(after_gap), alphabet)
+        rows, channel = np.flatnonzero(column.has_reading), column.channel
+        if not rows.size:
+            continue
+        values, at = column.values[rows], times[rows]
+        # The level that a reading leads to depends on the level before and on the cell between the cuts in which it
+        # lies, and a second reading in the same cell changes nothing: only the first reading in a cell matters, or
+        # after a bad one (cell -1), or after a gap. Then come the rows at which a debounce or the readings' age runs
+        # out.
+        cuts = np.unique([channel.thresholds, channel.low[1:], channel.high[:-1]])
+        cell = np.where(np.isnan(values), -1, np.searchsorted(cuts, values, side="right"))
+        new = np.ones(rows.shape, dtype=bool)
+        new[1:] = (cell[1:] != cell[:-1]) | (stretch[rows[1:]] != stretch[rows[:-1]])
+        if not channel.on_change:
+            until = at + alphabet.gap
+            stale = np.append(at[1:], inf) > until
+            new[1:] |= stale[:-1]
+            _mark_from(matter, np.searchsorted(times, until[stale], side="right"))
+        matter[rows[new]] = True
+        if alphabet.debounce > 0:
+            # A confirmation falls on the first row at or after its time, and on the channel's own first reading there.
+            confirmed = at[new] + alphabet.debounce
+            _mark_from(matter, np.searchsorted(times, confirmed, side="left"))
+            reading = np.searchsorted(at, confirmed, side="left")
+            matter[rows[reading[reading < rows.size]]] = True
     return np.flatnonzero(matter)
-
-
-def _mark(matter: Mask, column: _Column, times: Array, stretch: NDArray[np.intp], alphabet: Alphabet) -> None:
-    """Mark the rows that matter to one channel.
-
-    The level that a reading leads to depends on the level before and on the cell between the cuts in which it lies, and
-    a second reading in the same cell changes nothing: only the first reading in a cell matters, or after a bad one
-    (cell -1), or after a gap. Then come the rows at which a debounce or the readings' age runs out.
-    """
-    rows, channel = np.flatnonzero(column.said), column.channel
-    if not rows.size:
-        return
-    values, at = column.values[rows], times[rows]
-    cuts = np.unique([channel.thresholds, channel.low[1:], channel.high[:-1]])
-    cell = np.where(np.isnan(values), -1, np.searchsorted(cuts, values, side="right"))
-    new = np.ones(rows.shape, dtype=bool)
-    new[1:] = (cell[1:] != cell[:-1]) | (stretch[rows[1:]] != stretch[rows[:-1]])
-    if not channel.on_change:
-        until = at + alphabet.gap
-        stale = np.append(at[1:], inf) > until
-        new[1:] |= stale[:-1]
-        _mark_from(matter, np.searchsorted(times, until[stale], side="right"))
-    matter[rows[new]] = True
-    if alphabet.debounce > 0:
-        confirmed = at[new] + alphabet.debounce
-        _mark_from(matter, np.searchsorted(times, confirmed, side="left"))
-        reading = np.searchsorted(at, confirmed, side="left")
-        matter[rows[reading[reading < rows.size]]] = True
 
 
 def _mark_from(matter: Mask, rows: NDArray[np.intp]) -> None:

@@ -11,6 +11,7 @@ the three coefficients and the saturated mean map; simulator, filter and learner
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import inf, isfinite
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,27 +25,37 @@ FIXED = "m"
 """The one constant that every flow may have besides its own: a mode parameter that no entry draws."""
 
 
+class SaturatedStep(Protocol):
+    """The mean temperature after a step whose drift is limited."""
+
+    def __call__(
+        self, params: Mapping[str, float], x: Array, target: Array, /, *, age: Array, dt: Array, rate: float
+    ) -> Array:
+        """degC after `dt` s, begun `age` s after entry; |drift| is at most `rate` (degC/s)."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class FlowKind:
     """One kind of flow: the names of its constants, its drift, its affine step and its step under a saturated rate.
 
     `drift(params, x, target, age)` -> degC/s at one instant; it never grows in size while the target stays.
     `coefficients(params, age, dt)` -> (decay, pull, variance), all broadcast over `age` (s since entry) and `dt` (s).
-    `saturated(params, x, target, age, dt, rate)` -> the mean after `dt` when |drift| is limited to `rate` (degC/s);
+    `saturated(params, x, target, age=, dt=, rate=)` -> the mean after `dt` with |drift| limited to `rate` (degC/s);
     `target` is m + offset.
     """
 
     params: tuple[str, ...]
     drift: Callable[[Mapping[str, float], Array, Array, Array], Array]
     coefficients: Callable[[Mapping[str, float], Array, Array], Coefficients]
-    saturated: Callable[[Mapping[str, float], Array, Array, Array, Array, float], Array]
+    saturated: SaturatedStep
 
 
 def _drift_free(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
     return np.ones_like(dt), np.zeros_like(dt), params["noise"] ** 2 * dt
 
 
-def _unmoved(_params: Mapping[str, float], x: Array, _target: Array, _age: Array, dt: Array, _rate: float) -> Array:
+def _unmoved(params: Mapping[str, float], x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
     return x + np.zeros_like(dt)
 
 
@@ -53,23 +64,25 @@ def _linear(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
 
 
 def _linear_saturated(
-    _params: Mapping[str, float], x: Array, target: Array, _age: Array, dt: Array, rate: float
+    params: Mapping[str, float], x: Array, target: Array, *, age: Array, dt: Array, rate: float
 ) -> Array:
     return x + np.clip(target, -rate, rate) * dt
 
 
 def _relaxing(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
+    # expm1 and not 1 - exp: with a slow plant and a short step k dt is 1e-5, of which 1 - exp would lose five digits.
     k = params["k"]
     pull = -np.expm1(-k * dt)
     return 1.0 - pull, pull, params["noise"] ** 2 * -np.expm1(-2.0 * k * dt) / (2.0 * k)
 
 
 def _relaxing_saturated(
-    params: Mapping[str, float], x: Array, target: Array, _age: Array, dt: Array, rate: float
+    params: Mapping[str, float], x: Array, target: Array, *, age: Array, dt: Array, rate: float
 ) -> Array:
     """Runs at the limit until k|m - x| has fallen to it, then relaxes."""
     k = params["k"]
     distance = target - x
+    # The drift k |distance| only falls, so there is one ramp, at the start, and after it the plain flow from `reached`.
     free = np.maximum(np.abs(distance) - rate / k, 0.0) / rate
     ramp = np.minimum(dt, free)
     reached = x + np.sign(distance) * rate * ramp
@@ -81,7 +94,7 @@ def _logarithmic(params: Mapping[str, float], age: Array, dt: Array) -> Coeffici
 
 
 def _logarithmic_saturated(
-    params: Mapping[str, float], x: Array, target: Array, age: Array, dt: Array, rate: float
+    params: Mapping[str, float], x: Array, target: Array, *, age: Array, dt: Array, rate: float
 ) -> Array:
     """The drift a/(t0+u) falls with u: at the limit first, logarithmic once |a|/(t0+u) is below it."""
     start = params["t0"] + age
@@ -134,7 +147,7 @@ def coefficients(flow: Flow, age: ArrayLike, dt: ArrayLike) -> Coefficients:
     return FLOWS[flow.kind].coefficients(flow.params, ages, steps)
 
 
-def mean_step(flow: Flow, x: ArrayLike, target: ArrayLike, age: ArrayLike, dt: ArrayLike, max_rate: float) -> Array:
+def mean_step(flow: Flow, x: ArrayLike, target: ArrayLike, *, age: ArrayLike, dt: ArrayLike, max_rate: float) -> Array:
     """The mean temperature (degC) after `dt` seconds from `x`; `target` is m + offset; arguments broadcast."""
     xs, targets, ages, steps = np.broadcast_arrays(
         np.asarray(x, dtype=float),
@@ -143,7 +156,7 @@ def mean_step(flow: Flow, x: ArrayLike, target: ArrayLike, age: ArrayLike, dt: A
         np.asarray(dt, dtype=float),
     )
     if isfinite(max_rate):
-        return np.asarray(FLOWS[flow.kind].saturated(flow.params, xs, targets, ages, steps, max_rate))
+        return np.asarray(FLOWS[flow.kind].saturated(flow.params, xs, targets, age=ages, dt=steps, rate=max_rate))
     decay, pull, _ = FLOWS[flow.kind].coefficients(flow.params, ages, steps)
     return np.asarray(decay * xs + pull * targets)
 

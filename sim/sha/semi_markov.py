@@ -81,7 +81,9 @@ def _chances(name: str, stay: Stay, names: tuple[str, ...]) -> Array:
     return np.asarray(row / row.sum())
 
 
-def draw_paths(chain: Chain, location: int, age: float, horizon: float, runs: int, rng: np.random.Generator) -> Paths:
+def draw_paths(
+    chain: Chain, location: int, *, age: float, horizon: float, runs: int, rng: np.random.Generator
+) -> Paths:
     """`runs` independent paths over `horizon` seconds from `location`, in which `age` seconds have passed."""
     law = chain.laws[location]
     left = np.full(runs, np.inf) if law is None else draw_remaining(law, age, runs, rng)

@@ -215,6 +215,6 @@ def _stepped(sha: SHA, place: int, *, x: Array, dt: Array, offset: float, rng: n
     location, age = sha.locations[place], np.zeros(x.size)
     mean, variance = mode_parameter(location)
     target = mean + offset + sqrt(variance) * rng.standard_normal(x.size)
-    after = flows.mean_step(location.flow, x, target, age, dt=dt, max_rate=sha.max_rate)
+    after = flows.mean_step(location.flow, x, target, age=age, dt=dt, max_rate=sha.max_rate)
     noise = np.sqrt(flows.coefficients(location.flow, age, dt)[2]) * rng.standard_normal(x.size)
     return np.asarray(np.clip(after + noise, sha.low, sha.high))

@@ -42,7 +42,7 @@ def course(room: Envelope, x: float, m: float, loads: list[float], seconds: floa
     path, dt = [x], seconds / len(loads)
     for index, load in enumerate(loads):
         target = m + sum(one.gain * (load - one.reference) for one in room.flow.inputs)
-        path.append(float(mean_step(room.flow, path[-1], target, index * dt, dt, rate)))
+        path.append(float(mean_step(room.flow, path[-1], target, age=index * dt, dt=dt, max_rate=rate)))
     return path
 
 

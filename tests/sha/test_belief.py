@@ -40,7 +40,7 @@ def test_scalar_steps_equal_the_table_of_flows(kind: str, age: float, dt: float,
     assert mode.step(age, dt) == pytest.approx([float(part) for part in flows.coefficients(flow, age, dt)], rel=1e-12)
     assert mode.speed(x, target, age) == pytest.approx(abs(float(flows.drift(flow, x, target, age))))
     for rate in (0.01, float("inf")):
-        expected = float(flows.mean_step(flow, x, target, age, dt, rate))
+        expected = float(flows.mean_step(flow, x, target, age=age, dt=dt, max_rate=rate))
         assert mode.mean(x, target, age, dt, rate) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 

@@ -61,7 +61,7 @@ def test_mean_step_solves_the_differential_equation(kind: str, sign: int, rate: 
 def test_relaxing_flows_leave_the_limit_at_the_closed_form_moment(kind: str, sign: int, dt: float) -> None:
     rate = 0.4  # left after (|d| - R/k) / R = (35 - 20) / 0.4 = 37.5 s
     target = 40.0 + sign * 35.0
-    step = float(flows.mean_step(flow(kind), 40.0, target, 0.0, dt, rate))
+    step = float(flows.mean_step(flow(kind), 40.0, target, age=0.0, dt=dt, max_rate=rate))
     assert step == pytest.approx(solved(kind, 40.0, target, 0.0, dt, rate), abs=2e-5)
     if dt <= 37.5:
         assert step == pytest.approx(40.0 + sign * rate * dt)
@@ -70,7 +70,7 @@ def test_relaxing_flows_leave_the_limit_at_the_closed_form_moment(kind: str, sig
 @pytest.mark.parametrize("dt", [2.0, 23.0, 30.0, 400.0])
 def test_logarithmic_leaves_the_limit_when_its_drift_has_fallen_to_it(dt: float) -> None:
     # 3 / (5 + u) = 0.1 at u = 25, so 23 s after an age of 2 s
-    step = float(flows.mean_step(flow("logarithmic"), 40.0, 3.0, 2.0, dt, 0.1))
+    step = float(flows.mean_step(flow("logarithmic"), 40.0, 3.0, age=2.0, dt=dt, max_rate=0.1))
     assert step == pytest.approx(solved("logarithmic", 40.0, 3.0, 2.0, dt, 0.1), abs=2e-5)
     if dt <= 23.0:
         assert step == pytest.approx(40.0 + 0.1 * dt)
@@ -99,9 +99,9 @@ def test_one_step_equals_two(
     kind: str, rate: float, x: float, pull: float, age: float, first: float, second: float
 ) -> None:
     target = 75.0 + 25.0 * pull if kind in flows.RELAXING else pull
-    one = flows.mean_step(flow(kind), x, target, age, first + second, rate)
-    half = flows.mean_step(flow(kind), x, target, age, first, rate)
-    two = flows.mean_step(flow(kind), half, target, age + first, second, rate)
+    one = flows.mean_step(flow(kind), x, target, age=age, dt=first + second, max_rate=rate)
+    half = flows.mean_step(flow(kind), x, target, age=age, dt=first, max_rate=rate)
+    two = flows.mean_step(flow(kind), half, target, age=age + first, dt=second, max_rate=rate)
     assert float(two) == pytest.approx(float(one), rel=1e-9, abs=1e-7)
     decay1, pull1, noise1 = flows.coefficients(flow(kind), age, first)
     decay2, pull2, noise2 = flows.coefficients(flow(kind), age + first, second)
@@ -114,12 +114,12 @@ def test_one_step_equals_two(
 @pytest.mark.parametrize("kind", flows.FLOWS)
 def test_drift_is_the_slope_of_the_mean(kind: str) -> None:
     target, h = target_of(kind, 1), 1e-6
-    slope = (flows.mean_step(flow(kind), 40.0, target, 7.0, h, inf) - 40.0) / h
+    slope = (flows.mean_step(flow(kind), 40.0, target, age=7.0, dt=h, max_rate=inf) - 40.0) / h
     assert float(flows.drift(flow(kind), 40.0, target, 7.0)) == pytest.approx(float(slope), rel=1e-5, abs=1e-9)
 
 
 def test_arguments_broadcast() -> None:
-    result = flows.mean_step(flow("exponential"), np.zeros((4, 1)), np.arange(3.0), 0.0, 10.0, 0.01)
+    result = flows.mean_step(flow("exponential"), np.zeros((4, 1)), np.arange(3.0), age=0.0, dt=10.0, max_rate=0.01)
     assert result.shape == (4, 3)
     assert all(part.shape == (5,) for part in flows.coefficients(flow("linear"), 0.0, np.arange(5.0)))
 

@@ -102,7 +102,9 @@ def stepwise(steps: Schedule, x0: float) -> tuple[list[float], int]:
         if steps.entry[k] and k > 0 and law is not None:
             x = law.params["mu"]
         target = mode_parameter(location)[0] + steps.offset[k]
-        x = float(flows.mean_step(location.flow, x, target, steps.age[k], steps.dt[k], steps.sha.max_rate))
+        x = float(
+            flows.mean_step(location.flow, x, target, age=steps.age[k], dt=steps.dt[k], max_rate=steps.sha.max_rate)
+        )
         if steps.checked[k] and not steps.sha.low <= x <= steps.sha.high:
             x, clamps = min(max(x, steps.sha.low), steps.sha.high), clamps + 1
         if steps.output[k] >= 0:

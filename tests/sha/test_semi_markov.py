@@ -23,7 +23,7 @@ def place_at(paths: Paths, time: float) -> np.ndarray:
 def test_location_probabilities_are_those_of_the_two_state_markov_chain(time: float) -> None:
     chain = compile_chain(two_states(exponential_stays(60.0, 90.0)))
     runs = 20_000
-    hot = place_at(draw_paths(chain, 0, 17.0, 301.0, runs, np.random.default_rng(1)), time).mean()
+    hot = place_at(draw_paths(chain, 0, age=17.0, horizon=301.0, runs=runs, rng=np.random.default_rng(1)), time).mean()
     up, down = 1 / 60, 1 / 90
     exact = up / (up + down) * (1 - np.exp(-(up + down) * time))
     assert abs(hot - exact) < 4 * np.sqrt(exact * (1 - exact) / runs)
@@ -31,7 +31,9 @@ def test_location_probabilities_are_those_of_the_two_state_markov_chain(time: fl
 
 def test_the_present_stay_is_conditioned_on_its_age() -> None:
     stays = {"cold": Stay(WEIBULL, {"hot": 1.0}), "hot": Stay(WEIBULL, {"cold": 1.0})}
-    paths = draw_paths(compile_chain(two_states(stays)), 0, 45.0, 1e4, 3000, np.random.default_rng(2))
+    paths = draw_paths(
+        compile_chain(two_states(stays)), 0, age=45.0, horizon=1e4, runs=3000, rng=np.random.default_rng(2)
+    )
 
     def left(t: np.ndarray) -> np.ndarray:
         return 1 - np.exp((45.0 / 60.0) ** 2 - ((45.0 + t) / 60.0) ** 2)
@@ -42,19 +44,23 @@ def test_the_present_stay_is_conditioned_on_its_age() -> None:
 
 def test_next_locations_follow_their_probabilities() -> None:
     stays = {"cold": Stay(WEIBULL, {"hot": 0.25, "cold": 0.75})}
-    paths = draw_paths(compile_chain(two_states(stays)), 0, 0.0, 1e4, 4000, np.random.default_rng(3))
+    paths = draw_paths(
+        compile_chain(two_states(stays)), 0, age=0.0, horizon=1e4, runs=4000, rng=np.random.default_rng(3)
+    )
     assert abs((paths.location[1] == 1).mean() - 0.25) < 4 * np.sqrt(0.25 * 0.75 / 4000)
 
 
 def test_a_location_without_a_stay_is_never_left() -> None:
-    paths = draw_paths(compile_chain(two_states()), 1, 0.0, 900.0, 10, np.random.default_rng(4))
+    paths = draw_paths(compile_chain(two_states()), 1, age=0.0, horizon=900.0, runs=10, rng=np.random.default_rng(4))
     assert paths.location.tolist() == [[1] * 10]
     assert paths.entered.tolist() == [[0.0] * 10]
 
 
 def test_stays_too_short_for_the_horizon_end_the_path_and_are_counted() -> None:
     brief = exponential_stays(1e-4, 1e-4)
-    paths = draw_paths(compile_chain(two_states(brief)), 0, 0.0, 900.0, 5, np.random.default_rng(5))
+    paths = draw_paths(
+        compile_chain(two_states(brief)), 0, age=0.0, horizon=900.0, runs=5, rng=np.random.default_rng(5)
+    )
     assert paths.cut == 5
     assert MOST_STAYS <= len(paths.entered) < MOST_STAYS + 40
 

@@ -12,7 +12,7 @@ from math import inf, isfinite, nextafter
 import numpy as np
 
 from sim.checking.smc.paths.known_events import MOST_ROWS, Cuts, crossings, notes_of
-from sim.checking.smc.paths.plan import FINE, LEAST_DECAY, LONGEST, Indices, Piece, State, World
+from sim.checking.smc.paths.plan import FINE, LEAST_DECAY, LONGEST, Indices, Piece, State, World, draw_mode
 from sim.checking.smc.paths.tilting import Tilts
 from sim.effects import ABSOLUTE_SECONDS, Structural, dead_time, kind_of, offset_times, sensor_offsets
 from sim.engine import (
@@ -27,7 +27,7 @@ from sim.engine import (
     schedule,
     start_state,
 )
-from sim.sha import SHA, UNKNOWN, Array, Effect, Event, distributions, mode_parameter
+from sim.sha import SHA, UNKNOWN, Array, Event, distributions
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class KnownUnderEffects:
         opened = np.zeros(runs)
         if belief is None:
             s = start_state(plant, distributions.draw(self.world.first, runs, rng), float(self.before[0]))
-            mode = _mode(self.plan, self.world.location, runs, rng)
+            mode = draw_mode(self.plan.schedule.sha, self.world.location, runs, rng)
         else:
             hidden = belief.hidden or Hidden((), ())
             s, mode = draw_states(hidden, runs, rng)
@@ -77,12 +77,12 @@ class KnownUnderEffects:
             if law is not None:
                 s[:, 0] = distributions.draw(law, runs, rng)
                 _clamp(schedule_.sha, s, state.clamps)
-            state.mode = _mode(plan, place, runs, rng)
+            state.mode = draw_mode(schedule_.sha, place, runs, rng)
         start = s[:, plant.sensed] + self.before[row]
         if dt > 0:
             drawn = rng.standard_normal((runs, plant.size))
             push = np.where(opened[:, None], drawn @ plan.open[row].T, drawn @ plan.closed[row].T)
-            moved = move(plant, plan.steps, row, s, state.mode, opened, push)
+            moved = move(plant, plan.steps, row, s=s, mode=state.mode, opened=opened, push=push)
             s, opened = moved.s, moved.opened
             state.limited += moved.met
             _clamp(schedule_.sha, s, state.clamps)
@@ -99,13 +99,6 @@ class KnownUnderEffects:
             end=state.x,
             bridge=float(self.bridge[row]),
         )
-
-
-def _mode(plan: SamplingPlan, place: int, runs: int, rng: np.random.Generator) -> Array:
-    law = plan.mode_laws[place]
-    if law is not None:
-        return distributions.draw(law, runs, rng)
-    return np.full(runs, mode_parameter(plan.schedule.sha.locations[place])[0])
 
 
 def _clamp(sha: SHA, s: Array, clamps: Indices) -> None:
@@ -127,7 +120,7 @@ def augmented(world: World, cuts: Cuts) -> KnownUnderEffects:
     delay, sha = dead_time(world.sha), relative(world.sha, world.begin)
     shift = delay - world.begin
     inputs = replace(trace, times=trace.times + shift, events=())
-    events = _felt(world, [Event(event.time + shift, event.symbol) for event in trace.events])
+    events = _since_start(world, [Event(event.time + shift, event.symbol) for event in trace.events])
     coarse = schedule(sha, events, [cuts.bound], start=0.0, inputs=inputs, policy="resync")
     outputs = _outputs(coarse, cuts, sha)
     steps = schedule(sha, events, outputs, start=0.0, inputs=inputs, policy="resync")
@@ -147,6 +140,7 @@ def augmented(world: World, cuts: Cuts) -> KnownUnderEffects:
         plan=plan,
         clock=clock,
         before=sensor_offsets(sha, begins),
+        # Just before the end, so that a step of the sensor's own offset there belongs to the row that follows.
         after=sensor_offsets(sha, begins + steps.dt - np.where(steps.dt > 0, 1e-9, 0.0)),
         bridge=np.zeros_like(bridge) if plan.plant.lags else bridge,
         notes=(*notes_of(trace, world, cuts.bound, len(steps.unmatched)), *_approximate(plan)),
@@ -155,21 +149,17 @@ def augmented(world: World, cuts: Cuts) -> KnownUnderEffects:
 
 def relative(sha: SHA, begin: float) -> SHA:
     """The automaton on a clock that is 0 at `begin` (absolute s), its dead time being in the events already."""
-    return replace(sha, effects=tuple(_moved(effect, begin) for effect in sha.effects))
+    effects = []
+    for effect in sha.effects:
+        kind = kind_of(effect)
+        absolute = {name for name, each in kind.parameters.items() if each.unit == ABSOLUTE_SECONDS}
+        params = {name: value - begin if name in absolute else value for name, value in effect.params.items()}
+        effects.append(replace(effect, params={"delay": 0.0} if kind.law == Structural("dead time") else params))
+    return replace(sha, effects=tuple(effects))
 
 
-def _moved(effect: Effect, begin: float) -> Effect:
-    kind = kind_of(effect)
-    if kind.law == Structural("dead time"):
-        return replace(effect, params={"delay": 0.0})
-    absolute = {name for name, each in kind.parameters.items() if each.unit == ABSOLUTE_SECONDS}
-    return replace(
-        effect, params={name: value - begin if name in absolute else value for name, value in effect.params.items()}
-    )
-
-
-def _felt(world: World, events: list[Event]) -> list[Event]:
-    """Events in s since the start; what a belief has felt already lies before it."""
+def _since_start(world: World, events: list[Event]) -> list[Event]:
+    """Events in s since the start; those that a belief knows of already lie before it."""
     if world.belief is None:
         return events
     settled = nextafter(0.0, -1.0)
@@ -182,7 +172,14 @@ def _felt(world: World, events: list[Event]) -> list[Event]:
 def _outputs(coarse: Schedule, cuts: Cuts, sha: SHA) -> Array:
     """Where steps must end; twice where an instant counts or the sensor steps."""
     begins = np.concatenate([[0.0], np.cumsum(coarse.dt)])[:-1]
-    part = FINE / np.maximum(_fast(sha), 1e-12)
+    # The fastest of all that moves what the sensor reads: X, the lag behind it, the housing that it exchanges with.
+    plant = compile_plant(sha)
+    speed = fastest(plant)
+    if plant.lags:
+        speed = np.maximum(speed, plant.lag_rate)
+    if isfinite(plant.housing_tau):
+        speed = np.maximum(speed, 1.0 / plant.housing_tau)
+    part = FINE / np.maximum(speed, 1e-12)
     points = [np.array([cuts.bound])]
     instants = {time for time in cuts.instants if 0.0 <= time <= cuts.bound}
     instants |= {at for at in offset_times(sha) if 0.0 < at < cuts.bound}
@@ -201,16 +198,6 @@ def _outputs(coarse: Schedule, cuts: Cuts, sha: SHA) -> Array:
     near = np.isin(np.round(singles, 9), np.round(np.concatenate([doubled, begins]), 9)) & (singles < cuts.bound)
     singles = singles[~near & ~np.isin(singles, doubled)]
     return np.sort(np.concatenate([singles, doubled]))
-
-
-def _fast(sha: SHA) -> Array:
-    plant = compile_plant(sha)
-    speed = fastest(plant)
-    if plant.lags:
-        speed = np.maximum(speed, plant.lag_rate)
-    if isfinite(plant.housing_tau):
-        speed = np.maximum(speed, 1.0 / plant.housing_tau)
-    return speed
 
 
 def _approximate(plan: SamplingPlan) -> Iterator[str]:

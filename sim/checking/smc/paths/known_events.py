@@ -134,7 +134,7 @@ class Known:
             fast = np.abs(flows.drift(step.flow, start, target, step.age)) > rate
             if fast.any():
                 state.limited += fast
-                mean = flows.mean_step(step.flow, start, target, step.age, step.dt, rate)
+                mean = flows.mean_step(step.flow, start, target, age=step.age, dt=step.dt, max_rate=rate)
                 end, outside = clamp(self.world.sha, mean + step.sigma * rng.standard_normal(start.size))
                 _count(state.clamps, outside)
                 return end
@@ -163,7 +163,7 @@ def known(world: World, cuts: Cuts) -> Known:
     trace = world.trace
     if trace is None:
         raise ValueError("known events need a trace")
-    events = _felt(world, trace)
+    events = _since_start(world, trace)
     inputs = replace(trace, times=trace.times - world.begin, events=())
     coarse = schedule(world.sha, events, [cuts.bound], start=0.0, inputs=inputs, policy="resync")
     steps = schedule(world.sha, events, _outputs(coarse, cuts), start=0.0, inputs=inputs, policy="resync")
@@ -178,7 +178,7 @@ def known(world: World, cuts: Cuts) -> Known:
     return Known(world, clock, rows, notes_of(trace, world, cuts.bound, len(steps.unmatched)), columns)
 
 
-def _felt(world: World, trace: Trace) -> list[Event]:
+def _since_start(world: World, trace: Trace) -> list[Event]:
     """The trace's events in s since the start. Those up to a belief's own time only settle where and how old it is."""
     if world.belief is None:
         return [Event(event.time - world.begin, event.symbol) for event in trace.events]
@@ -293,25 +293,27 @@ def _with_columns(world: World, rows: Sequence[_Row]) -> tuple[tuple[_Row, ...],
     for which, (first, last) in enumerate(pairwise([*begins, len(rows)])):
         law = rows[first].drawn
         free = tiltable(law) if first else start_tiltable(world) and rows[0].own
-        sigma = law.params["sigma"] if free and law is not None else _start_sigma(world) if free else 0.0
+        if free and law is not None:
+            sigma = law.params["sigma"]
+        elif free:  # the first stay's m: the belief's, or as the location draws it
+            here = world.sha.locations[world.location]
+            sigma = sqrt(world.belief.mm if world.belief is not None else mode_parameter(here)[1])
+        else:
+            sigma = 0.0
+        # How far one standard deviation of this m moves X over its stay, roughly: the pulls of its steps, added up.
         effects[which] = sigma * sum(row.pull for row in rows[first:last] if row.own)
     places = chosen(effects)
     columns = {begins[which]: column for column, which in enumerate(places)}
     return tuple(replace(row, column=columns.get(k)) for k, row in enumerate(rows)), len(places)
 
 
-def _start_sigma(world: World) -> float:
-    if world.belief is not None:
-        return sqrt(world.belief.mm)
-    return sqrt(mode_parameter(world.sha.locations[world.location])[1])
-
-
 def _alone(world: World, steps: Schedule, pull: Array) -> Mask:
-    """The steps that alone feel their stay's normal m: it is drawn together with their noise, which leaves the law."""
+    """The steps that alone depend on their stay's normal m: one draw stands for it and for their noise."""
+    # Under a rate limit a step is not linear in m, and the two draws are no longer one.
     if isfinite(world.sha.max_rate):
         return np.zeros(steps.dt.size, dtype=np.bool_)
     laws = [drawn_parameter(place) for place in world.sha.locations]
     normal = np.array([law is not None and law.kind == "normal" for law in laws])[steps.location]
-    felt = np.bincount(steps.stay, weights=pull != 0)[steps.stay]
-    here = normal & (felt <= 1)
+    dependent = np.bincount(steps.stay, weights=pull != 0)[steps.stay]
+    here = normal & (dependent <= 1)
     return here & (steps.stay > 0) if world.belief is not None else here

@@ -13,13 +13,13 @@ is drawn apart: the joint law of a rise and a fall within one piece is that of i
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from math import exp, sqrt
+from math import exp
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.engine import Belief, Tracker
+from sim.engine import Belief, Tracker, draw_belief
 from sim.sha import (
     RELAXING,
     SHA,
@@ -214,10 +214,7 @@ def draw_start(world: World, runs: int, rng: np.random.Generator) -> tuple[Array
     if belief is None:
         x = distributions.draw(world.first, runs, rng)
         return x, draw_mode(world.sha, world.location, runs, rng)
-    z, w = rng.standard_normal((2, runs))
-    share = belief.xm / sqrt(belief.xx) if belief.xx > 0 else 0.0
-    own = sqrt(max(belief.mm - share * share, 0.0))
-    return belief.x + sqrt(belief.xx) * z, belief.m + share * z + own * w
+    return draw_belief(belief, runs, rng)
 
 
 def draw_mode(sha: SHA, location: int, runs: int, rng: np.random.Generator) -> Array:

@@ -132,7 +132,7 @@ class SemiMarkov:
             decay[here], pull[here], variance[here] = flows.coefficients(flow, age[here], dt[here])
             if isfinite(rate):
                 fast[here] = np.abs(flows.drift(flow, start[here], mode[here], age[here])) > rate
-                mean[here] = flows.mean_step(flow, start[here], mode[here], age[here], dt[here], rate)
+                mean[here] = flows.mean_step(flow, start[here], mode[here], age=age[here], dt=dt[here], max_rate=rate)
         if not isfinite(rate):
             mean = decay * start + pull * mode
         end, outside = clamp(self.world.sha, mean + np.sqrt(variance) * rng.standard_normal(there.size))
@@ -208,4 +208,13 @@ def semi_markov(world: World, cuts: Cuts) -> SemiMarkov:
     if chain.laws[here] is None:
         notes = (f"the runs start in {chain.names[here]!r}, for which the model has no semi-Markov law: never left",)
     columns = int(start_tiltable(world))
-    return SemiMarkov(world, clock, looked, cuts, chain, input_moments(model, held), notes, columns)
+    return SemiMarkov(
+        world=world,
+        clock=clock,
+        looked=looked,
+        cuts=cuts,
+        chain=chain,
+        inputs=input_moments(model, held),
+        notes=notes,
+        columns=columns,
+    )
