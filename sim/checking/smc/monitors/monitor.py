@@ -143,7 +143,17 @@ class EventuallyMonitor:
         new = rows[~self.found[who[rows]]]
         self.found[who[new]] = True
         if new.size:
-            part = _part(piece, new)
+            # The same piece for the runs that are new, without its extremes, which this does not ask for.
+            part = Piece(
+                rows=None,
+                begin=_of_rows(piece.begin, new),
+                dt=_of_rows(piece.dt, new),
+                age=_of_rows(piece.age, new),
+                location=piece.location if isinstance(piece.location, int) else piece.location[new],
+                start=piece.start[new],
+                end=piece.end[new],
+                bridge=_of_rows(piece.bridge, new),
+            )
             at_start = _true_in(table(self.compiled, 0, part), region(self.compiled, part, at_end=False))
             self.when[who[new]] = np.where(at_start, part.begin, part.begin + part.dt)
 
@@ -285,22 +295,8 @@ class ResponseMonitor:
         return failed
 
 
-def _part(piece: Piece, rows: Indices) -> Piece:
-    """Some rows of a piece, without its extremes."""
-
-    def of(column: Value) -> Value:
-        return column[rows] if isinstance(column, np.ndarray) else column
-
-    return Piece(
-        rows=None,
-        begin=of(piece.begin),
-        dt=of(piece.dt),
-        age=of(piece.age),
-        location=piece.location if isinstance(piece.location, int) else piece.location[rows],
-        start=piece.start[rows],
-        end=piece.end[rows],
-        bridge=of(piece.bridge),
-    )
+def _of_rows(column: Value, rows: Indices) -> Value:
+    return column[rows] if isinstance(column, np.ndarray) else column
 
 
 def _true_in(truth: Mask, where: Indices) -> Mask:
