@@ -118,6 +118,7 @@ def worn_for(assumptions: Assumptions) -> float:
 
 def quantiles(law: Distribution, z: float) -> Range:
     """The law's quantiles at the normal probabilities of -z and +z: mu -+ z sigma for a normal law."""
+    # By the logarithm of the probability: beyond z = 8.3 the probability itself is 1 in floats, its quantile infinite.
     kind = LAWS[law.kind]
     low, high = (float(kind.exceeded(law.params, np.asarray(log_ndtr(sign * z)))) for sign in (1.0, -1.0))
     return low, high

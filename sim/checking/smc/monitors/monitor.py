@@ -219,6 +219,7 @@ def _nearest(truth: Mask, here: Indices, runs: int) -> tuple[Indices, Indices]:
     """(n,) the first true region at or above the runs' own, and at or below; beyond all where there is none."""
     count = truth.shape[0]
     wide = truth if truth.ndim == 2 else np.broadcast_to(truth[:, None], (count, runs))
+    # One sweep up and one down, for all runs at once; the row beyond the last region stands for "none".
     above, below = np.full((count + 1, runs), count), np.full((count + 1, runs), -1)
     for index in range(count):
         below[index] = np.where(wide[index], index, below[index - 1] if index else -1)
@@ -325,6 +326,7 @@ class ExtremeMonitor:
         self.best[who] = np.maximum(self.best[who], np.maximum(first, last))
         if self.factor == 0.0:
             return [], []
+        # A hair beyond the best: a bridge that only meets it would be drawn for nothing.
         beyond = self.best[who] + TINY * (1.0 + np.abs(self.best[who]))
         line = ((self.sign * beyond - before) / self.factor, (self.sign * beyond - after) / self.factor)
         return ([line], []) if self.sign * self.factor > 0 else ([], [line])
