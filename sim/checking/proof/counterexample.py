@@ -85,7 +85,7 @@ def _way_out(side: Side, start: float, border: float) -> list[tuple[int, str]]:
                     found.append((place, graph.symbol[move]))
                     place = int(graph.source[move])
             return [(place, ""), *reversed(found)]
-        # A loop that gains less than a float's worth of the way would be followed to the last stay for nothing.
+        # Where the pace of the last stays does not lead to the border, the rest would be followed for nothing.
         if number % _PACE == _PACE - 1:
             if (peaks[best] - highest) * (MOST_STAYS - number) / _PACE < border - peaks[best]:
                 return []
