@@ -77,6 +77,7 @@ def model_text(model: Model) -> str:
 
 def model_hash(model: Model) -> str:
     """SHA-256 (64 hexadecimal digits) over the canonical JSON: keys sorted, no blanks, UTF-8."""
+    # Not the file's own text: whoever lays it out anew, or sorts its keys, has the same model and the same hash.
     canonical = json.dumps(model_document(model), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -112,9 +113,30 @@ def model_document(model: Model) -> dict[str, Any]:
 def parse_model(text: str, file: str | Path = "model.json") -> Model:
     """The model in a JSON text. Raises ArtefactError with file and key path."""
     root = parse_json(text, file)
-    _check_header(root)
+    # Format and version first, so that another version is not blamed for its keys.
+    form, version = root.get("format").text(), root.get("version").integer()
+    if form != FORMAT:
+        raise root.get("format").error(f"this is {form!r}; a model has {FORMAT!r}")
+    if version not in (VERSION, EFFECTS_VERSION):
+        known = f"{VERSION} and {EFFECTS_VERSION} (with effects)"
+        raise root.get("version").error(f"version {version} is unknown; this program reads the versions {known}")
+    root.only(KEYS)
+    if version == VERSION and "effects" in root.value:
+        raise root.get("effects").error(f"a model with effects has version {EFFECTS_VERSION}, here it is {version}")
+    units = root.get("units").table(JsonNode.text)
+    if units != UNITS:
+        raise root.get("units").error(f"the units must be {dict(UNITS)}; convert the model's numbers and say so here")
     # The automaton first: what the other parts name (locations, signals) is checked against it.
-    sha = _sha(root)
+    limits = root.get("limits").only(("low", "high", "max_rate"))
+    name, initial = root.get("name").text(), root.get("initial_location").text()
+    locations = tuple(_location_of(node) for node in root.get("locations").each())
+    edges = tuple(_edge_of(node) for node in root.get("edges").each())
+    bounds = {key: limits.get(key).number() for key in ("max_rate", "low", "high")}
+    effects = tuple(_effect_of(node) for node in root.get("effects").each()) if "effects" in root.value else ()
+    try:
+        sha = SHA(name, locations, edges, initial, effects=effects, **bounds)
+    except ValueError as error:
+        raise root.error(str(error)) from None
     model = Model(
         sha=sha,
         alphabet=_alphabet_of(root.get("alphabet")),
@@ -122,7 +144,7 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
         sensor_sigma=root.get("sensor_sigma").number(),
         initial=root.get("initial_temperature").optional(_law_of),
         semi_markov=root.get("semi_markov").table(_stay_of),
-        calibration=_calibration(root.get("calibration")),
+        calibration=_calibration_of(root.get("calibration")),
         provenance=_provenance_of(root.get("provenance")),
         correction=_correction_of(root),
     )
@@ -136,43 +158,6 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
 def read_model_file(path: Path) -> Model:
     """The model in a JSON file. Raises ArtefactError with file and key path."""
     return parse_model(read_text(path), path)
-
-
-def _check_header(root: JsonNode) -> None:
-    """Format and version first, so that another version is not blamed for its keys."""
-    form, version = root.get("format").text(), root.get("version").integer()
-    if form != FORMAT:
-        raise root.get("format").error(f"this is {form!r}; a model has {FORMAT!r}")
-    if version not in (VERSION, EFFECTS_VERSION):
-        known = f"{VERSION} and {EFFECTS_VERSION} (with effects)"
-        raise root.get("version").error(f"version {version} is unknown; this program reads the versions {known}")
-    root.only(KEYS)
-    if version == VERSION and "effects" in root.value:
-        raise root.get("effects").error(f"a model with effects has version {EFFECTS_VERSION}, here it is {version}")
-    units = root.get("units").table(JsonNode.text)
-    if units != UNITS:
-        raise root.get("units").error(f"the units must be {dict(UNITS)}; convert the model's numbers and say so here")
-
-
-def _sha(root: JsonNode) -> SHA:
-    limits = root.get("limits").only(("low", "high", "max_rate"))
-    name, initial = root.get("name").text(), root.get("initial_location").text()
-    locations = tuple(_location_of(node) for node in root.get("locations").each())
-    edges = tuple(_edge_of(node) for node in root.get("edges").each())
-    bounds = {key: limits.get(key).number() for key in ("max_rate", "low", "high")}
-    effects = _effects_of(root)
-    try:
-        return SHA(name, locations, edges, initial, effects=effects, **bounds)
-    except ValueError as error:
-        raise root.error(str(error)) from None
-
-
-def _calibration(node: JsonNode) -> dict[float, float]:
-    pairs = [entry.only(("horizon", "factor")) for entry in node.each()]
-    factors = {entry.get("horizon").number(): entry.get("factor").number() for entry in pairs}
-    if len(factors) < len(pairs):
-        raise node.error("a horizon is given twice; keep one factor for each")
-    return factors
 
 
 def _check(model: Model) -> None:
@@ -234,18 +219,16 @@ def _location_of(node: JsonNode) -> Location:
     if entry not in ENTRIES:
         raise node.get("entry").error(f"the entry mode {entry!r} is unknown; known are {', '.join(ENTRIES)}")
     flow = node.get("flow").only(("kind", "params", "inputs"))
-    inputs = tuple(_input_of(one) for one in flow.get("inputs").each())
+    inputs = []
+    for given in flow.get("inputs").each():
+        given.only(("signal", "gain", "reference"))
+        inputs.append(Input(given.get("signal").text(), given.get("gain").number(), given.get("reference").number()))
     return Location(
         node.get("name").text(),
-        Flow(flow.get("kind").text(), flow.get("params").table(JsonNode.number), inputs),
+        Flow(flow.get("kind").text(), flow.get("params").table(JsonNode.number), tuple(inputs)),
         node.get("distribution").optional(_law_of),
         ENTRIES[entry],
     )
-
-
-def _input_of(node: JsonNode) -> Input:
-    node.only(("signal", "gain", "reference"))
-    return Input(node.get("signal").text(), node.get("gain").number(), node.get("reference").number())
 
 
 def _edge_part(edge: Edge) -> dict[str, Any]:
@@ -277,13 +260,6 @@ def _effects_part(effects: tuple[Effect, ...]) -> dict[str, Any]:
             for effect in effects
         ]
     }
-
-
-def _effects_of(root: JsonNode) -> tuple[Effect, ...]:
-    """The effects of a model's document; none where it says nothing."""
-    if "effects" not in root.value:
-        return ()
-    return tuple(_effect_of(node) for node in root.get("effects").each())
 
 
 def _effect_of(node: JsonNode) -> Effect:
@@ -330,15 +306,13 @@ def _alphabet_of(node: JsonNode) -> Alphabet:
     """The alphabet that `_alphabet_part` wrote."""
     node.only(("channels", "gap", "debounce", "uppaal"))
     channels = tuple(_channel_of(channel) for channel in node.get("channels").each())
-    uppaal = tuple(_pair_of(pair) for pair in node.get("uppaal").each())
-    return Alphabet(channels, node.get("gap").number(), node.get("debounce").number(), uppaal)
-
-
-def _pair_of(node: JsonNode) -> tuple[str, str]:
-    texts = [text.text() for text in node.each()]
-    if len(texts) != 2:
-        raise node.error(f"a pair [symbol, channel] is needed, but this has {len(texts)} elements")
-    return texts[0], texts[1]
+    uppaal = []
+    for pair in node.get("uppaal").each():
+        texts = [text.text() for text in pair.each()]
+        if len(texts) != 2:
+            raise pair.error(f"a pair [symbol, channel] is needed, but this has {len(texts)} elements")
+        uppaal.append((texts[0], texts[1]))
+    return Alphabet(channels, node.get("gap").number(), node.get("debounce").number(), tuple(uppaal))
 
 
 def _channel_of(node: JsonNode) -> Switch | Bins:
@@ -376,6 +350,15 @@ def _stay_of(node: JsonNode) -> Stay:
 def _moments_of(node: JsonNode) -> tuple[float, float]:
     node.only(("mean", "sigma"))
     return node.get("mean").number(), node.get("sigma").number()
+
+
+def _calibration_of(node: JsonNode) -> dict[float, float]:
+    """The factors by horizon (s)."""
+    pairs = [entry.only(("horizon", "factor")) for entry in node.each()]
+    factors = {entry.get("horizon").number(): entry.get("factor").number() for entry in pairs}
+    if len(factors) < len(pairs):
+        raise node.error("a horizon is given twice; keep one factor for each")
+    return factors
 
 
 def _correction_part(correction: Correction) -> dict[str, Any]:

@@ -12,12 +12,12 @@ from sim.checking.language import QueryError, parse_query
 from sim.checking.query import tree as q
 from sim.checking.smc import QuerySettings, Start, initial
 from sim.checking.smc import answer as native_answer
-from sim.engine import Policy, Prediction, Schedule, SimulatedRuns, moments, schedule, simulate
+from sim.engine import Policy, Prediction, SimulatedRuns, moments, schedule, simulate
 from sim.sha import Array, Model, Trace, distributions
 from sim.uppaal.document import ExportedQuery
-from sim.uppaal.output import PrintedCourse, VerifytaAnswer
+from sim.uppaal.output import VerifytaAnswer
 from sim.uppaal.queries import compatibility
-from sim.uppaal.replay import TraceReplay
+from sim.uppaal.replay import ReplayedTrace
 
 LEVEL = 0.95
 NATIVE_RUNS = 4000
@@ -49,31 +49,27 @@ class Native:
     `answers` is where the checker's runs start; None where its policy for events without an edge is another.
     """
 
-    replay: TraceReplay
+    replay: ReplayedTrace
     runs: SimulatedRuns
     moments: Prediction
     answers: Start | None = None
 
 
 def native_runs(
-    model: Model, trace: Trace, replay: TraceReplay, policy: Policy, tick: int, rng: np.random.Generator
+    model: Model, trace: Trace, replay: ReplayedTrace, policy: Policy, tick: int, rng: np.random.Generator
 ) -> Native:
     """Runs with outputs where the exported model draws its noise; from the same start, along the same events."""
-    steps = _steps(model, trace, replay, policy, tick)
+    begin = float(trace.times[np.isfinite(trace.signals[model.temperature])][0])
+    # Outputs at each event and, from there on, every `tick` seconds: the exported clock starts anew at each event, and
+    # so do the ticks.
+    borders = np.unique(np.array([0.0, *replay.times, replay.duration, replay.bound]))
+    ticks = [np.arange(low, high, tick) for low, high in pairwise(borders)] if tick else []
+    outputs = np.unique(np.concatenate([borders, *ticks]))
+    steps = schedule(model, trace.events, begin + outputs, inputs=trace, policy=policy)
     law = replay.x0
     own = moments(steps, distributions.mean(law), distributions.variance(law))
     known = policy == "resync" and distributions.variance(law) == 0
     return Native(replay, simulate(steps, law, NATIVE_RUNS, rng), own, initial(model, trace) if known else None)
-
-
-def _steps(model: Model, trace: Trace, replay: TraceReplay, policy: Policy, tick: int) -> Schedule:
-    """Outputs at each event and, from there on, every `tick` seconds, as the exported model's clock has it."""
-    begin = float(trace.times[np.isfinite(trace.signals[model.temperature])][0])
-    # The exported clock starts anew at each event, and so do the ticks.
-    borders = np.unique(np.array([0.0, *replay.times, replay.duration, replay.bound]))
-    ticks = [np.arange(low, high, tick) for low, high in pairwise(borders)] if tick else []
-    outputs = np.unique(np.concatenate([borders, *ticks]))
-    return schedule(model, trace.events, begin + outputs, inputs=trace, policy=policy)
 
 
 def compare(
@@ -137,20 +133,19 @@ def _courses(answer: VerifytaAnswer, native: Native) -> list[ComparisonRow]:
     clock = native.moments.times - native.moments.times[0]
     for share in range(1, INSTANTS + 1):
         at = int(np.searchsorted(clock, span * share / INSTANTS, side="right")) - 1
-        values = np.array([_value(course, float(clock[at])) for course in courses])
+        time, values = float(clock[at]), np.empty(len(courses))
+        for row, course in enumerate(courses):
+            instants, printed = (np.array(column) for column in zip(*course.points, strict=True))
+            # Of several points at one instant the last counts, after the jump; times are printed with 6 digits.
+            before = int(np.searchsorted(instants, time + 1e-6, side="right")) - 1
+            if before + 1 >= instants.size or instants[max(before, 0)] >= time:
+                values[row] = printed[max(before, 0)]
+            else:
+                values[row] = np.interp(time, instants[before : before + 2], printed[before : before + 2])
         mean, width = _mean_interval(values)
         exact = float(native.moments.mean[at])
         rows.append(_row(f"mean Temp at {clock[at]:.1f} s", exact, (exact, exact), mean, width))
     return rows
-
-
-def _value(course: PrintedCourse, time: float) -> float:
-    """A course at a time; of several points at one instant the last counts, after the jump."""
-    times, values = (np.array(column) for column in zip(*course.points, strict=True))
-    before = int(np.searchsorted(times, time + 1e-6, side="right")) - 1
-    if before + 1 >= times.size or times[max(before, 0)] >= time:
-        return float(values[max(before, 0)])
-    return float(np.interp(time, times[before : before + 2], values[before : before + 2]))
 
 
 def _mean_interval(values: Array) -> tuple[float, tuple[float, float]]:

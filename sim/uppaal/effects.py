@@ -163,6 +163,7 @@ class _Writer:
         self.offset = self.names.fresh("wrong")
         now = sum(size for at, size in steps if at <= 0)
         self.declared += ["// What the sensor reads too much.", f"double {self.offset} = {number(now)};"]
+        # Steps at or before the start are in the first value; the rest are edges, taken when an invariant forces them.
         later = [(round(at, 6), size) for at, size in steps if at > 0]
         if not later:
             return (), ()
@@ -182,7 +183,13 @@ class _Writer:
             case TextLaw(term=term):
                 return term(self, effect)
             case Structural(feature="housing"):
-                return _housing(self, effect)
+                coupling = self.constant("COUPLING", effect.params["coupling"])
+                tau = self.constant("TAU", effect.params["tau"])
+                clock = self.names.fresh("housing")
+                self.declared += ["// The temperature of the housing.", _hybrid(clock)]
+                self.rates.append(f"{clock}' == ({self.x} - {clock}) / {tau}")
+                self.opening.append(f"{clock} = {self.jump}")  # as warm as the machine at the start
+                return f" + {coupling} * ({clock} - {self.x})"
             case Structural(feature="thermostat"):
                 return _thermostat(self, effect)
             case Structural(feature="dead time" | "sensor lag" | "sensor offset"):
@@ -225,15 +232,6 @@ class _Writer:
 
 def _hybrid(clock: str) -> str:
     return f"hybrid clock {clock};"
-
-
-def _housing(writer: _Writer, effect: Effect) -> str:
-    coupling, tau = writer.constant("COUPLING", effect.params["coupling"]), writer.constant("TAU", effect.params["tau"])
-    clock = writer.names.fresh("housing")
-    writer.declared += ["// The temperature of the housing.", _hybrid(clock)]
-    writer.rates.append(f"{clock}' == ({writer.x} - {clock}) / {tau}")
-    writer.opening.append(f"{clock} = {writer.jump}")
-    return f" + {coupling} * ({clock} - {writer.x})"
 
 
 def _thermostat(writer: _Writer, effect: Effect) -> str:

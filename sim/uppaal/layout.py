@@ -13,9 +13,11 @@ STEP = 380
 
 def on_a_circle(template: Template) -> Template:
     """The template with its locations on a circle, in their order, and its edges bent so that none hides another."""
-    places = tuple(
-        replace(place, at=at) for place, at in zip(template.places, _circle(len(template.places)), strict=True)
-    )
+    count = len(template.places)
+    radius = max(1.0, STEP * count / (2 * pi))
+    angles = [2 * pi * index / count - pi / 2 for index in range(count)]  # from the top on, clockwise
+    at = [(round(radius * cos(angle)), round(radius * sin(angle))) for angle in angles]
+    places = tuple(replace(place, at=point) for place, point in zip(template.places, at, strict=True))
     return replace(template, places=places, arrows=_arrows(places, template.arrows))
 
 
@@ -23,12 +25,6 @@ def in_a_row(template: Template) -> Template:
     """The template with its locations from left to right, for the players with their few locations."""
     places = tuple(replace(place, at=(STEP * index, 0)) for index, place in enumerate(template.places))
     return replace(template, places=places, arrows=_arrows(places, template.arrows))
-
-
-def _circle(count: int) -> list[Point]:
-    radius = max(1.0, STEP * count / (2 * pi))
-    angles = [2 * pi * index / count - pi / 2 for index in range(count)]
-    return [(round(radius * cos(angle)), round(radius * sin(angle))) for angle in angles]
 
 
 def _arrows(places: Sequence[TemplateLocation], arrows: Sequence[Arrow]) -> tuple[Arrow, ...]:

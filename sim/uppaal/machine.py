@@ -81,14 +81,25 @@ def part(location: Location, names: FreshNames, known: Variables, max_rate: floa
     rate = more.rate(location.name, _rate(flow, own, known, constant, more.x))
     if isfinite(max_rate) and rate != "0.0":
         rate = f"fmax(-{known.max_rate}, fmin({rate}, {known.max_rate}))"
-    deviation = _deviation(flow, own, known.since, constant)
+    # The standard deviation of what the noise has added since it was last drawn; empty without noise.
+    deviation = ""
+    if flow.params["noise"]:
+        noise = constant("NOISE", flow.params["noise"])
+        deviation = f"{noise} * sqrt({known.since})"
+        if flow.kind in RELAXING:
+            # Ornstein-Uhlenbeck: the variance gathered in s seconds is noise^2 (1 - exp(-2 k s)) / (2 k), exactly.
+            deviation = f"{noise} * sqrt((1.0 - exp(-2.0 * {own['k']} * {known.since})) / (2.0 * {own['k']}))"
     jump = f"{more.x} + {deviation} * random_normal(0.0, 1.0)" if deviation else more.x
-    enter = _entered(location, known, constant)
+    fresh, law = drawn_temperature(location), drawn_parameter(location)
+    enter = [f"{known.jump} = {draw(fresh, constant)}", *clamp(known)] if fresh else []
+    if flow.kind != "constant":  # which has no use for a mode parameter
+        mode = draw(law, constant) if law else constant("M", mode_parameter(location)[0])
+        enter.append(f"{known.mode} = {mode}")
     return Part(
         tuple(constants),
         rate,
         (f"{known.jump} = {jump}", *(more.left or {}).get(location.name, ()), *clamp(known)),
-        enter,
+        tuple(enter),
         bool(deviation),
     )
 
@@ -105,27 +116,6 @@ def _rate(flow: Flow, own: Mapping[str, str], known: Variables, constant: Consta
     if flow.kind == "logarithmic":
         return f"{known.mode} / ({own['t0']} + age)"
     return known.mode if flow.kind == "linear" else "0.0"
-
-
-def _deviation(flow: Flow, own: Mapping[str, str], since: str, constant: Constant) -> str:
-    """The standard deviation of what the noise has added since it was last drawn; empty without noise."""
-    if not flow.params["noise"]:
-        return ""
-    noise = constant("NOISE", flow.params["noise"])
-    if flow.kind in RELAXING:
-        # Ornstein-Uhlenbeck: the variance gathered in s seconds is noise^2 (1 - exp(-2 k s)) / (2 k), exactly.
-        return f"{noise} * sqrt((1.0 - exp(-2.0 * {own['k']} * {since})) / (2.0 * {own['k']}))"
-    return f"{noise} * sqrt({since})"
-
-
-def _entered(location: Location, known: Variables, constant: Constant) -> tuple[str, ...]:
-    """What entering does to X and to the mode parameter (the flow `constant` has no use for one)."""
-    fresh, law = drawn_temperature(location), drawn_parameter(location)
-    updates = [f"{known.jump} = {draw(fresh, constant)}", *clamp(known)] if fresh else []
-    if location.flow.kind != "constant":
-        mode = draw(law, constant) if law else constant("M", mode_parameter(location)[0])
-        updates.append(f"{known.mode} = {mode}")
-    return tuple(updates)
 
 
 def draw(law: Distribution, constant: Constant) -> str:
@@ -208,23 +198,18 @@ def machine(
         arrows.append(Arrow(names.locations[source], names.locations[target], sync=f"{channel}?", update=text))
     for name, each in parts.items():
         if tick and (each.noisy or more.polled):
-            arrows.append(_tick(names.locations[name], known, each, more))
+            # The noise of the seconds gone by is drawn, and the stay goes on.
+            place, text = names.locations[name], joined(*each.leave, *more.settled, f"{known.since} = 0")
+            arrows.append(Arrow(place, place, guard=f"{known.since} >= {known.tick}", update=text))
         arrows += more.loops(names.locations[name])
     comments = [f"// {names.locations[one.name]}: {comment_text(one.name)}, {one.flow.kind}" for one in sha.locations]
     constants = [
         line for comment, each in zip(comments, parts.values(), strict=True) for line in (comment, *each.constants)
     ]
-    declared = "\n".join([_declarations(known, begin.temperature), *more.declared])
-    return "\n".join([*constants, *more.constants, *extra]), Template(
-        "Machine", declared, (start, *places), tuple(arrows), start.name
-    )
-
-
-def _declarations(known: Variables, temperature: float) -> str:
-    return "\n".join(
+    declared = "\n".join(
         (
             "// The temperature; seconds since the entry, since the noise was last drawn, since the start.",
-            f"hybrid clock Temp = {number(temperature)};",
+            f"hybrid clock Temp = {number(begin.temperature)};",
             f"clock age, {known.since}, time;",
             "// The mode parameter of the present stay, and the temperature on its way through an update.",
             f"double {known.mode} = 0.0;",
@@ -232,14 +217,12 @@ def _declarations(known: Variables, temperature: float) -> str:
             "// How often the temperature was put back to the border of its range; how many events found an edge.",
             f"int {known.clamps} = 0;",
             f"int {known.taken} = 0;",
+            *more.declared,
         )
     )
-
-
-def _tick(place: str, known: Variables, each: Part, more: EffectTexts) -> Arrow:
-    """Draws the noise of the seconds gone by; the stay goes on."""
-    text = joined(*each.leave, *more.settled, f"{known.since} = 0")
-    return Arrow(place, place, guard=f"{known.since} >= {known.tick}", update=text)
+    return "\n".join([*constants, *more.constants, *extra]), Template(
+        "Machine", declared, (start, *places), tuple(arrows), start.name
+    )
 
 
 def joined(*updates: str) -> str:

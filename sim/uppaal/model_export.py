@@ -18,7 +18,7 @@ from sim.uppaal.layout import in_a_row, on_a_circle
 from sim.uppaal.machine import Beginning, Move, machine, variables
 from sim.uppaal.players import event_arrays, input_declarations, input_player, player, skeleton
 from sim.uppaal.queries import asked, compatibility, default_questions, query_file
-from sim.uppaal.replay import TraceReplay, replay_of
+from sim.uppaal.replay import ReplayedTrace, replay_of
 from sim.uppaal.rules import check_rules
 from sim.uppaal.words import FreshNames, spelled
 
@@ -44,7 +44,7 @@ class Exported:
 
     main: Document
     minimal: Document
-    replay: TraceReplay = field(repr=False)
+    replay: ReplayedTrace = field(repr=False)
 
 
 class ExportError(ValueError):
@@ -115,10 +115,11 @@ def base_name(model: str, trace: str) -> str:
     )
 
 
-def _main(model: Model, replay: TraceReplay, tick: int, questions: tuple[ExportedQuery, ...]) -> Document:
+def _main(model: Model, replay: ReplayedTrace, tick: int, questions: tuple[ExportedQuery, ...]) -> Document:
     sha = model.sha
     names = FreshNames(location.name for location in sha.locations)
-    known = variables(names, _signals(sha))
+    driving = {given.signal for location in sha.locations for given in location.flow.inputs}
+    known = variables(names, sorted(driving | {*signals_of(sha)}))
     channels = _channels(model, replay.symbols, names)
     moves = [*_edges(sha, channels), *((source, channels[symbol], target) for source, symbol, target in replay.added)]
     law = replay.x0
@@ -126,6 +127,7 @@ def _main(model: Model, replay: TraceReplay, tick: int, questions: tuple[Exporte
     begin = Beginning(replay.location, replay.age, distributions.mean(law), law if drawn else None)
     more = augmented(sha, names, known.inputs, own=(known.jump, known.since), channels=channels, clocks=replay.clocks)
     constants, template = machine(sha, names, known, moves=moves, begin=begin, tick=tick, more=more)
+    # Broadcast channels: statistical model checking takes no others, and an event without an edge passes as here.
     ids = {symbol: index for index, symbol in enumerate(channels)}
     feeder = input_player(replay.readings, known.inputs)
     templates = [on_a_circle(template), in_a_row(player(channels, ids, replay.symbols, timed=True))]
@@ -152,10 +154,19 @@ def _main(model: Model, replay: TraceReplay, tick: int, questions: tuple[Exporte
     system = System(
         comment_text(f"{sha.name} along {replay.trace}"), declared, tuple(templates), tuple(instances), questions
     )
-    return Document(name, xml_text(system), questions, _notes(model, replay))
+    notes = []
+    own = [move for move in replay.added if move[1] != UNKNOWN]
+    if own:
+        shown = ", ".join(f"{source} -{symbol}-> {target}" for source, symbol, target in own[:5])
+        notes.append(f"{len(own)} moves that the automaton has no edge for were added by the policy: {shown}")
+    if replay.dropped:
+        notes.append(f"{replay.dropped} events without an edge are lost on broadcast channels, as the policy has it")
+    if isfinite(sha.max_rate):
+        notes.append("under a rate limit the noise at events is that of the unlimited flow, as in this program")
+    return Document(name, xml_text(system), questions, tuple(notes))
 
 
-def _minimal(model: Model, replay: TraceReplay, questions: tuple[ExportedQuery, ...]) -> Document:
+def _minimal(model: Model, replay: ReplayedTrace, questions: tuple[ExportedQuery, ...]) -> Document:
     """Binary channels: over broadcast ones an event that no edge takes would be lost, and the question vacuous."""
     sha = model.sha
     names = FreshNames(location.name for location in sha.locations)
@@ -172,10 +183,6 @@ def _minimal(model: Model, replay: TraceReplay, questions: tuple[ExportedQuery, 
     declared = "\n".join([f"// {title}", _chan("chan", channels, ids), event_arrays(replay.all_symbols, None, ids)])
     system = System(title, declared, templates, (("m_1", "Machine"), ("p_1", "Player")), questions)
     return Document(f"{base_name(sha.name, replay.trace)}_val", xml_text(system), questions)
-
-
-def _signals(sha: SHA) -> list[str]:
-    return sorted({given.signal for location in sha.locations for given in location.flow.inputs} | {*signals_of(sha)})
 
 
 def _edges(sha: SHA, channels: Mapping[str, str]) -> list[Move]:
@@ -198,17 +205,3 @@ def _chan(kind: str, channels: Mapping[str, str], ids: Mapping[str, int]) -> str
     return "\n".join(
         f"{kind} {channel};  // {ids[symbol]}: {comment_text(symbol)}" for symbol, channel in channels.items()
     )
-
-
-def _notes(model: Model, replay: TraceReplay) -> tuple[str, ...]:
-    """What the reader of the main model should know, one sentence each."""
-    found = []
-    own = [move for move in replay.added if move[1] != UNKNOWN]
-    if own:
-        shown = ", ".join(f"{source} -{symbol}-> {target}" for source, symbol, target in own[:5])
-        found.append(f"{len(own)} moves that the automaton has no edge for were added by the policy: {shown}")
-    if replay.dropped:
-        found.append(f"{replay.dropped} events without an edge are lost on broadcast channels, as the policy has it")
-    if isfinite(model.sha.max_rate):
-        found.append("under a rate limit the noise at events is that of the unlimited flow, as in this program")
-    return tuple(found)

@@ -92,8 +92,13 @@ def parse_output(stdout: str, stderr: str = "") -> Output:
             expression = ""
         elif _ERROR.search(line):
             errors.append(line)
-        elif answers and (changed := _read(answers[-1], line, expression)) is not None:
-            answers[-1] = changed
+        elif answers and expression and (found := _COURSE.match(line)):
+            answers[-1] = _course(answers[-1], found, expression)
+        elif answers and (
+            hit := next(((read, found) for pattern, read in READERS if (found := pattern.match(line))), None)
+        ):
+            read, found = hit
+            answers[-1] = read(answers[-1], found)
         elif answers and line.endswith(":") and not _REMARK.match(line):
             expression = line[:-1]
         elif _LICENCE.search(line):
@@ -108,16 +113,6 @@ def _lines(text: str) -> Iterator[str]:
         bare = _CODES.sub("", line).strip()
         if bare:
             yield bare
-
-
-def _read(answer: VerifytaAnswer, line: str, expression: str) -> VerifytaAnswer | None:
-    """The answer with what the line adds; None for a line that adds nothing to an answer."""
-    if expression and (found := _COURSE.match(line)):
-        return _course(answer, found, expression)
-    for pattern, reader in READERS:
-        if found := pattern.match(line):
-            return reader(answer, found)
-    return None
 
 
 def _verdict(answer: VerifytaAnswer, found: re.Match[str]) -> VerifytaAnswer:

@@ -7,7 +7,7 @@ from sim.checking.language import QueryError, parse_query, query_text, uppaal_re
 from sim.checking.query import Symbolic
 from sim.sha import Model
 from sim.uppaal.document import ExportedQuery, number
-from sim.uppaal.replay import TraceReplay
+from sim.uppaal.replay import ReplayedTrace
 
 RUNS = 1000
 """Runs of an expectation in the default set."""
@@ -21,7 +21,7 @@ def compatibility() -> ExportedQuery:
     return ExportedQuery("A<> p_1.next_i == N_E", "the automaton accepts every event of the trace")
 
 
-def default_questions(replay: TraceReplay, peak: float) -> tuple[ExportedQuery, ...]:
+def default_questions(replay: ReplayedTrace, peak: float) -> tuple[ExportedQuery, ...]:
     """Course, limits, extremes and the replay's own health; `peak` (degC) is a temperature worth asking about."""
     bound, level = replay.bound, number(peak)
     questions = [

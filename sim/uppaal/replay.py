@@ -35,7 +35,7 @@ class Clocks:
 
 
 @dataclass(frozen=True, slots=True)
-class TraceReplay:
+class ReplayedTrace:
     """One trace as the exported model plays it; times in seconds since the first reading of the temperature.
 
     `location` is where the run starts and `age` for how long it has been there (s); `x0` the law of the first
@@ -67,7 +67,7 @@ class TraceReplay:
         return max(1, ceil(self.duration))
 
 
-def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Start = "measured") -> TraceReplay:
+def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Start = "measured") -> ReplayedTrace:
     """The replay of an encoded trace, over the span and from the start that `open_loop` has.
 
     Raises ValueError as `open_loop_schedule` and `start_law` do: a model that is not deterministic or has guards, an
@@ -77,11 +77,22 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
     law = start_law(model, trace, start)
     # Under a dead time the model follows events and readings when they are felt, so the exported arrays have them then.
     begin, end = steps.start, float(steps.times[-1])
-    felt = _later(trace, dead_time(model.sha))
+    felt, delay = trace, dead_time(model.sha)
+    if delay:
+        later = tuple(Event(event.time + delay, event.symbol) for event in trace.events)
+        felt = replace(trace, times=trace.times + delay, events=later)
     events = [event for event in felt.events if begin <= event.time <= end]
     added, passed_over = _moves(model.sha, felt.events, begin, end, policy)
+    # Whether every event has an edge; UNKNOWN always leads to the initial location.
+    onward, here, accepted = transitions(model.sha), model.sha.initial, True
+    for event in trace.events:
+        target = model.sha.initial if event.symbol == UNKNOWN else onward.get((here, event.symbol))
+        if target is None:
+            accepted = False
+            break
+        here = target
     since = () if steps.segments is None else tuple(float(column[0]) for column in steps.segments.since)
-    return TraceReplay(
+    return ReplayedTrace(
         trace=trace.name,
         location=model.sha.locations[int(steps.location[0])].name,
         age=round(float(steps.age[0]), DIGITS),
@@ -95,19 +106,8 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
         passed_over=passed_over,
         clocks=Clocks(begin, since),
         all_symbols=tuple(event.symbol for event in trace.events),
-        accepted=_accepted(model.sha, trace.events),
+        accepted=accepted,
     )
-
-
-def _accepted(sha: SHA, events: Sequence[Event]) -> bool:
-    """Whether every event has an edge; UNKNOWN always leads to the initial location."""
-    moves, here = transitions(sha), sha.initial
-    for event in events:
-        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
-        if target is None:
-            return False
-        here = target
-    return True
 
 
 def _moves(
@@ -132,17 +132,9 @@ def _moves(
     return tuple(added), tuple(dropped)
 
 
-def _later(trace: Trace, delay: float) -> Trace:
-    """The trace as it is felt after a dead time (s)."""
-    if not delay:
-        return trace
-    events = tuple(Event(event.time + delay, event.symbol) for event in trace.events)
-    return replace(trace, times=trace.times + delay, events=events)
-
-
 def _readings(model: Model, trace: Trace, begin: float, end: float) -> InputReadings:
     """The rows in which a reading of a driving signal changed, from `begin` on."""
-    driving = {given.signal for location in model.sha.locations for given in location.flow.inputs}
+    driving = {one.signal for location in model.sha.locations for one in location.flow.inputs}
     signals = sorted(driving | {*signals_of(model.sha)})
     present = [signal for signal in signals if signal in trace.signals]
     rows = np.flatnonzero((trace.times > begin) & (trace.times < end))
@@ -150,7 +142,10 @@ def _readings(model: Model, trace: Trace, begin: float, end: float) -> InputRead
     first: dict[str, float] = {}
     wanted = np.zeros(rows.size, dtype=bool)
     for signal in present:
-        column = _held(trace.signals[signal])
+        # Each reading until the next one, NaN before the first: `last` is the latest row that was read, -1 before.
+        given = trace.signals[signal]
+        last = np.maximum.accumulate(np.where(np.isnan(given), -1, np.arange(given.size)))
+        column = np.where(last < 0, np.nan, given[last])
         before = int(np.searchsorted(trace.times, begin, side="right")) - 1
         now = column[before] if before >= 0 else np.nan
         if not np.isnan(now):
@@ -161,10 +156,3 @@ def _readings(model: Model, trace: Trace, begin: float, end: float) -> InputRead
         held[signal] = later
     times = np.round(trace.times[rows] - begin, DIGITS)
     return InputReadings(times[wanted], {signal: column[wanted] for signal, column in held.items()}, first)
-
-
-def _held(column: Array) -> Array:
-    """Each reading until the next one; NaN before the first."""
-    # The index of the latest row that was read, -1 before there is one.
-    last = np.maximum.accumulate(np.where(np.isnan(column), -1, np.arange(column.size)))
-    return np.where(last < 0, np.nan, column[last])

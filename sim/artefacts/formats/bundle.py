@@ -47,11 +47,24 @@ def read_artefacts(directory: Path, name: str, optional: Collection[str] = ()) -
     unknown = sorted(set(optional) - set(KINDS))
     if unknown:
         raise ValueError(f"unknown kind of artefact {unknown[0]!r}: known are {', '.join(KINDS)}")
-    present = _listing(directory)
+    try:
+        present = sorted(path.name for path in directory.iterdir())
+    except OSError as error:
+        raise at(directory, None, f"is no directory that can be read ({error.strerror}); give one") from None
     names = file_names(name)
     missing = [file for kind, file in names.items() if file not in present and kind not in optional]
     if missing:
-        raise at(directory, None, _missing(name, missing, present))
+        # Which files are missing, which differ in case only, and which base names are there.
+        folded, parts = {file.casefold(): file for file in present}, []
+        for file in missing:
+            other = folded.get(file.casefold())
+            hint = f" (there is {other}: upper and lower case count, rename it or ask for it as it is written)"
+            parts.append(f"{file} is missing{hint if other else ''}")
+        suffix = SUFFIXES["source"]
+        bases = [file.removesuffix(suffix) for file in present if file.endswith(suffix)]
+        sets = f"the sets here are {', '.join(bases)}" if bases else "there is no file *_source.txt here"
+        files = ", ".join(file for file in present if file.casefold().startswith(name.casefold()) or file == FLOW_FILE)
+        raise at(directory, None, f"{'; '.join(parts)}; {sets}{f', with the files {files}' if files else ''}")
     histogram, flows = names["histogram"], names["flows"]
     return Artefacts(
         name,
@@ -60,32 +73,6 @@ def read_artefacts(directory: Path, name: str, optional: Collection[str] = ()) -
         read_histogram(directory / histogram) if histogram in present else None,
         read_flow_file(directory / flows) if flows in present else None,
     )
-
-
-def _listing(directory: Path) -> list[str]:
-    try:
-        return sorted(path.name for path in directory.iterdir())
-    except OSError as error:
-        raise at(directory, None, f"is no directory that can be read ({error.strerror}); give one") from None
-
-
-def _missing(name: str, missing: list[str], present: list[str]) -> str:
-    """The sentence: which files are missing, which differ in case only, and which base names are there."""
-    folded = {file.casefold(): file for file in present}
-    parts = []
-    for file in missing:
-        other = folded.get(file.casefold())
-        hint = (
-            f" (there is {other}: upper and lower case count, rename it or ask for it as it is written)"
-            if other
-            else ""
-        )
-        parts.append(f"{file} is missing{hint}")
-    suffix = SUFFIXES["source"]
-    bases = [file.removesuffix(suffix) for file in present if file.endswith(suffix)]
-    there = f"the sets here are {', '.join(bases)}" if bases else "there is no file *_source.txt here"
-    files = ", ".join(file for file in present if file.casefold().startswith(name.casefold()) or file == FLOW_FILE)
-    return f"{'; '.join(parts)}; {there}{f', with the files {files}' if files else ''}"
 
 
 def texts(artefacts: Artefacts) -> dict[str, str]:

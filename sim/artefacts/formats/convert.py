@@ -24,7 +24,7 @@ from sim.artefacts.formats.dot import INIT, Source, SourceLocation
 from sim.artefacts.formats.flow_file import FlowFile
 from sim.artefacts.formats.flow_kinds import flow_of, same_equation
 from sim.artefacts.formats.histogram import evidence, fit
-from sim.artefacts.formats.report import EFFECT, ReportedLaw, ReportedLocation
+from sim.artefacts.formats.report import EFFECT, ReportedLocation
 from sim.effects import check_sha
 from sim.files import ArtefactError
 from sim.sha import FIXED, FLOWS, RELAXING, SHA, Distribution, Entry, Flow, Input, Location, nondeterminism
@@ -77,16 +77,12 @@ def to_sha(artefacts: Artefacts, parameter: Parameter = "rate") -> Converted:
             raise ArtefactError(f"{artefacts.name}, location {node.name!r}: {error}") from None
         locations.append(location)
     sha = _sha(artefacts.name, tuple(locations), artefacts.source, start, artefacts.report.limits)
-    return Converted(sha, (*notes, *_lost_effects(artefacts), *nondeterminism(sha)))
-
-
-def _lost_effects(artefacts: Artefacts) -> list[str]:
-    """What the report names and these files cannot hold."""
-    return [
+    lost = [
         f"the report names an effect that only the model's JSON holds, and that is left out here: {text}"
         for key, text in artefacts.report.performance
         if key.startswith(EFFECT)
     ]
+    return Converted(sha, (*notes, *lost, *nondeterminism(sha)))
 
 
 def _start(source: Source) -> str:
@@ -129,16 +125,13 @@ def _laws(artefacts: Artefacts) -> tuple[dict[str, Distribution], list[str]]:
     """A normal law for each reported distribution: the report's mean; sigma from the histogram, else the variance."""
     reported = artefacts.report.distributions
     used = evidence(artefacts.histogram, reported) if artefacts.histogram else None
-    laws = {law.name: Distribution("normal", {"mu": law.mean, "sigma": _sigma(law)}) for law in reported}
+    sigmas = {law.name: 0.0 if law.variance is None else sqrt(law.variance) for law in reported}
+    laws = {law.name: Distribution("normal", {"mu": law.mean, "sigma": sigmas[law.name]}) for law in reported}
     if used is not None:
         for name, values in used.values.items():
             if name in laws and values:
                 laws[name] = Distribution("normal", {"mu": laws[name].params["mu"], "sigma": fit(values).sigma})
     return laws, list(used.disagreements) if used else []
-
-
-def _sigma(law: ReportedLaw) -> float:
-    return 0.0 if law.variance is None else sqrt(law.variance)
 
 
 def _from_line(node: SourceLocation, line: ReportedLocation, flows: FlowFile | None) -> Location:
@@ -195,7 +188,15 @@ def _from_equation(
     if flow.kind == "constant":
         return Location(node.name, flow, law, "none"), []
     if flow.kind in RELAXING and FIXED in flow.params and parameter == "rate":
-        return _with_rate(node, flow, law)
+        # k becomes the distribution's mean; the law stays at the location, undrawn, and what is lost is told.
+        rate, own = law.params["mu"], flow.params["k"]
+        if rate <= 0:
+            raise ArtefactError(
+                f"{node.distribution} has the mean {rate:g}, which cannot be an exponential flow's rate (positive, "
+                '1/s); if it is the target temperature, say parameter="target"'
+            )
+        note = f"{node.name}: the rate is {rate:g} 1/s, the mean of {node.distribution}; the equation's is {own:g}"
+        return Location(node.name, replace(flow, params={**flow.params, "k": rate}), law, "none"), [note]
     drawn = {name: value for name, value in flow.params.items() if name != FIXED}
     return Location(node.name, replace(flow, params=drawn), law, "parameter"), []
 
@@ -213,16 +214,3 @@ def _flow_of_node(node: SourceLocation, flows: FlowFile | None) -> Flow:
         return flow_of(equation)
     except ArtefactError as error:
         raise ArtefactError(f"flow {node.flow}: {error}") from None
-
-
-def _with_rate(node: SourceLocation, flow: Flow, law: Distribution) -> tuple[Location, list[str]]:
-    """k becomes the distribution's mean; the law stays at the location, undrawn, and what is lost is told."""
-    rate = law.params["mu"]
-    if rate <= 0:
-        raise ArtefactError(
-            f"{node.distribution} has the mean {rate:g}, which cannot be an exponential flow's rate (positive, 1/s); "
-            'if it is the target temperature, say parameter="target"'
-        )
-    own = flow.params["k"]
-    note = f"{node.name}: the rate is {rate:g} 1/s, the mean of {node.distribution}; the equation's is {own:g}"
-    return Location(node.name, replace(flow, params={**flow.params, "k": rate}), law, "none"), [note]

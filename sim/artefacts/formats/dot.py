@@ -150,21 +150,18 @@ def _edges(node: Tree[Token], locations: dict[str, SourceLocation], file: str | 
     for end in ends:
         if end not in locations:
             raise at(file, line, f"the edge {' -> '.join(ends)} leads to {end!r}, which is not defined; add the node")
-    symbol, guard = _symbol_and_guard(runs(_label(node)))
-    if not symbol and ends[0] != INIT:
-        raise at(file, line, f"the edge {' -> '.join(ends)} has no event; give it a label with the event's symbol")
-    for source, target in pairwise(ends):
-        yield Edge(source, symbol, target, guard)
-
-
-def _symbol_and_guard(parts: list[tuple[str, str]]) -> tuple[str, str | None]:
-    """By colour where the colours are known; else the last text is the symbol and the one before it the guard."""
+    # By colour where the colours are known; else the last text is the symbol and the one before it the guard.
+    parts = runs(_label(node))
     guard = next((text for text, colour in parts if colour == GUARD_COLOUR), None)
     symbol = next((text for text, colour in parts if colour == SYMBOL_COLOUR), None)
     if symbol is None and guard is None and parts:
         symbol = parts[-1][0]
         guard = parts[-2][0] if len(parts) > 1 else None
-    return symbol or "", guard
+    symbol = symbol or ""
+    if not symbol and ends[0] != INIT:
+        raise at(file, line, f"the edge {' -> '.join(ends)} has no event; give it a label with the event's symbol")
+    for source, target in pairwise(ends):
+        yield Edge(source, symbol, target, guard)
 
 
 class _Runs(HTMLParser):

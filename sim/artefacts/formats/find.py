@@ -53,7 +53,15 @@ def find_model(
     path = Path(where)
     base = artefact_base(path)
     if base is None:
-        model = _own_model(path)
+        store, at_sign, version = str(path).rpartition("@")
+        if at_sign and not path.exists() and (Path(store) / STORE_FILE).is_file():
+            model = load(Path(store), version)
+        elif path.exists():
+            model = read_model(path)
+        else:
+            sets = _sets(path.parent)
+            others = f"; the artefact sets in {path.parent} are {', '.join(sets)}" if sets else ""
+            raise at(path, None, f"there is no model directory, store, file or set of artefacts of this name{others}")
         return FoundModel(model.sha.name, model.sha, model)
     artefacts = read_artefacts(base[0], base[1], OPTIONAL)
     bare = structure(artefacts.source, artefacts.name)
@@ -69,21 +77,6 @@ def find_model(
         provenance=Provenance(method="artefacts"),
     )
     return FoundModel(artefacts.name, converted.sha, model, artefacts, converted.notes)
-
-
-def _own_model(path: Path) -> Model:
-    store, at_sign, version = str(path).rpartition("@")
-    if at_sign and not path.exists() and (Path(store) / STORE_FILE).is_file():
-        return load(Path(store), version)
-    if not path.exists():
-        raise at(path, None, _nothing_there(path))
-    return read_model(path)
-
-
-def _nothing_there(path: Path) -> str:
-    sets = _sets(path.parent)
-    there = f"; the artefact sets in {path.parent} are {', '.join(sets)}" if sets else ""
-    return f"there is no model directory, store, file or set of artefacts of this name{there}"
 
 
 def artefact_base(path: Path) -> tuple[Path, str] | None:

@@ -166,15 +166,11 @@ def _sum(tree: Tree[Token], reading: _Reading) -> _Quotient:
             sign = Fraction(-1 if part.type == "MINUS" else 1)
         else:
             total = _plus(total, _times(_Quotient(constant(sign), ONE), _product(part, reading)))
-    _note_reference(total, reading)
-    return total
-
-
-def _note_reference(total: _Quotient, reading: _Reading) -> None:
-    """Remembers r where the sum is exactly `signal - r`."""
+    # Where the sum is exactly `signal - r`, r is remembered: the expanded terms alone would not give it back.
     names = [monomial for monomial in total.top if monomial]
     if len(names) == 1 and degree(total.top) == 1 and total.bottom == ONE and total.top[names[0]] == 1:
         reading.references.setdefault(names[0][0][0], -total.top.get((), Fraction(0)))
+    return total
 
 
 def _product(tree: Tree[Token], reading: _Reading) -> _Quotient:

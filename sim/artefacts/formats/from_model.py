@@ -21,7 +21,7 @@ from sim.artefacts.formats.report import (
 from sim.effects import effect_summary
 from sim.files import ArtefactError
 from sim.learning.lsha import ObservationTable, TableRow
-from sim.sha import FIXED, SHA, Alphabet, Bins, Distribution, Edge, Flow, Location, Model, distributions
+from sim.sha import FIXED, SHA, Alphabet, Bins, Distribution, Edge, Location, Model, distributions
 
 RawValues = Mapping[str, Sequence[float]]
 """The parameter values that the learner saw, by location."""
@@ -44,20 +44,28 @@ def to_artefacts(
     equations = _numbered(equation_text(location.flow, model.temperature) for location in sha.locations)
     laws = _numbered(_key(location.distribution) for location in sha.locations if location.distribution)
     source = _source(sha, equations, laws, model.temperature)
+    named = {laws[_key(law)]: law for location in sha.locations if (law := location.distribution)}
+    effects = ((f"{EFFECT} {number}", effect_summary(each)) for number, each in enumerate(sha.effects, start=1))
+    table = None
+    if observations:
+        # The cell of each location: its flow and its distribution by their numbers.
+        cells = {
+            node.name: f"(f_{node.flow},{f'{node.distribution})' if node.distribution else f'{EMPTY_WORD})'}"
+            for node in source.locations
+        }
+        table = _table(observations, cells)
     report = Report(
         events=tuple(_events(model.alphabet)),
-        distributions=tuple(_reported_laws(sha, laws)),
-        table=_table(observations, _cells(sha, equations, laws, model.temperature)) if observations else None,
-        performance=(("SAMPLED TRACES", str(len(model.provenance.traces))), *_effects(sha)),
+        distributions=tuple(
+            ReportedLaw(f"D_{number}", float(distributions.mean(law))) for number, law in sorted(named.items())
+        ),
+        table=table,
+        performance=(("SAMPLED TRACES", str(len(model.provenance.traces))), *effects),
         locations=tuple(_line(location) for location in sha.locations),
         limits={"low": float(sha.low), "high": float(sha.high), "max_rate": float(sha.max_rate)},
     )
     flows = FlowFile({number: parse_equation(text) for text, number in equations.items()})
     return Artefacts(sha.name, source, report, _histogram(sha, laws, values or {}), flows)
-
-
-def _effects(sha: SHA) -> Iterator[tuple[str, str]]:
-    return ((f"{EFFECT} {number}", effect_summary(effect)) for number, effect in enumerate(sha.effects, start=1))
 
 
 def _numbered(keys: Iterator[K]) -> dict[K, int]:
@@ -92,15 +100,6 @@ def _source(sha: SHA, equations: Mapping[str, int], laws: Mapping[Key, int], sta
     return Source(tuple(nodes), tuple(edges))
 
 
-def _cells(sha: SHA, equations: Mapping[str, int], laws: Mapping[Key, int], state: str) -> dict[str, str]:
-    """The cell of each location: its flow and its distribution by their numbers."""
-    return {
-        location.name: f"(f_{equations[equation_text(location.flow, state)]},"
-        + (f"D_{laws[_key(location.distribution)]})" if location.distribution else f"{EMPTY_WORD})")
-        for location in sha.locations
-    }
-
-
 def _table(observations: ObservationTable, cells: Mapping[str, str]) -> Table:
     """Words with their symbols run together, as the public learner writes them."""
 
@@ -124,16 +123,15 @@ def _plain_name(name: str) -> str:
     return name
 
 
-def _reported_laws(sha: SHA, laws: Mapping[Key, int]) -> Iterator[ReportedLaw]:
-    known = {
-        laws[_key(location.distribution)]: location.distribution for location in sha.locations if location.distribution
-    }
-    return (ReportedLaw(f"D_{number}", float(distributions.mean(law))) for number, law in sorted(known.items()))
-
-
 def _line(location: Location) -> ReportedLocation:
-    values: dict[str, float | str] = {}
-    calls = {"flow": (location.flow.kind, _constants(location.flow))}
+    # The flow's constants in the thesis's spelling (`alpha` for a fixed linear drift), then the inputs.
+    flow, values = location.flow, dict[str, float | str]()
+    spelling = {FIXED: "alpha"} if flow.kind == "linear" else {}
+    constants = {spelling.get(name, name): float(value) for name, value in sorted(flow.params.items())}
+    for given in flow.inputs:
+        constants[f"{quoted(given.signal)}.gain"] = float(given.gain)
+        constants[f"{quoted(given.signal)}.reference"] = float(given.reference)
+    calls = {"flow": (flow.kind, constants)}
     law = location.distribution
     if law is not None:
         values = {"mu": float(distributions.mean(law)), "sigma": float(distributions.variance(law)) ** 0.5}
@@ -142,16 +140,6 @@ def _line(location: Location) -> ReportedLocation:
         else:
             calls["law"] = (law.kind, {name: float(value) for name, value in sorted(law.params.items())})
     return ReportedLocation(location.name, values | {"entry": location.entry}, calls)
-
-
-def _constants(flow: Flow) -> dict[str, float]:
-    """The flow's constants in the thesis's spelling (`alpha` for a fixed linear drift), then the inputs."""
-    spelling = {FIXED: "alpha"} if flow.kind == "linear" else {}
-    constants = {spelling.get(name, name): float(value) for name, value in sorted(flow.params.items())}
-    for given in flow.inputs:
-        constants[f"{quoted(given.signal)}.gain"] = float(given.gain)
-        constants[f"{quoted(given.signal)}.reference"] = float(given.reference)
-    return constants
 
 
 def _events(alphabet: Alphabet) -> Iterator[tuple[str, str]]:

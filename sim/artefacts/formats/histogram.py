@@ -68,7 +68,9 @@ def parse_histogram(text: str, file: str | Path = "histogram") -> Histogram:
     for number, line in enumerate(text.splitlines(), 1):
         header = re.fullmatch(r"([^\W\d]\w*)\s*:", line.strip())
         if header:
-            if not runs or _starts_again(header[1], runs[-1]):
+            # A header cannot belong to the run if it is there already, or if its number is below the last one's.
+            name, run = header[1], runs[-1] if runs else {}
+            if not runs or name in run or (run and _number(name) < _number(next(reversed(run)))):
                 runs.append({})
             current = runs[-1].setdefault(header[1], [])
         elif line.strip():
@@ -76,11 +78,6 @@ def parse_histogram(text: str, file: str | Path = "histogram") -> Histogram:
                 raise at(file, number, f"a value, {line.strip()!r}, stands before any header; begin with a line D_0:")
             current.append(finite_number(line.strip(), file, number, "the value"))
     return Histogram(tuple({name: tuple(values) for name, values in run.items()} for run in runs))
-
-
-def _starts_again(name: str, run: dict[str, list[float]]) -> bool:
-    """True when the header cannot belong to the run: it is there already, or its number is below the last one's."""
-    return name in run or (bool(run) and _number(name) < _number(next(reversed(run))))
 
 
 def _number(name: str) -> int:
@@ -142,16 +139,12 @@ def disagreements(values: Values, laws: tuple[ReportedLaw, ...], tolerance: floa
                 f"{name}: the mean of its {fitted.count} values is {fitted.mean:.6g}, the report says {law.mean:.6g} "
                 f"(tolerance {tolerance:g})"
             )
-        elif law.variance is not None and _differ(fitted.sigma**2, law.variance, tolerance):
+        elif law.variance is not None and abs(fitted.sigma**2 - law.variance) > tolerance * max(1.0, abs(law.variance)):
             found.append(
                 f"{name}: the variance of its {fitted.count} values is {fitted.sigma**2:.6g}, the report says "
                 f"{law.variance:.6g} (tolerance {tolerance:g})"
             )
     return tuple(found)
-
-
-def _differ(left: float, right: float, tolerance: float) -> bool:
-    return abs(left - right) > tolerance * max(1.0, abs(right))
 
 
 def evidence(histogram: Histogram, laws: tuple[ReportedLaw, ...], tolerance: float = PRINTED) -> HistogramEvidence:

@@ -129,11 +129,20 @@ def parse_report(text: str, file: str | Path = "report") -> Report:
     tree = parse_text(_parser(), text + "\n", file, WANTED)
     if not tree.children:
         raise at(file, None, f"the report is empty; {WANTED}")
-    sections = _sections(tree, file)
+    sections: dict[str, Tree[Token]] = {}
+    for child in tree.children:
+        if isinstance(child, Tree) and child.data in ("labels", "events", "laws", "table", "performance"):
+            if child.data in sections:
+                raise at(file, child.meta.line, f"the section {child.data!r} stands here a second time; keep one")
+            sections[str(child.data)] = child
     laws = [(_law(tree, file), tree.meta.line) for tree in trees(sections.get("laws"), "law")]
     locations = [(_location(tree, file), tree.meta.line) for tree in trees(tree, "location")]
     for named in (laws, locations):
-        _refuse_twice([(part.name, line) for part, line in named], file)
+        seen: set[str] = set()
+        for part, line in named:
+            if part.name in seen:
+                raise at(file, line, f"{part.name} stands here a second time; keep one of them")
+            seen.add(part.name)
     limits = next((_items(line, file)[0] for line in trees(tree, "limits")), {})
     return Report(
         events=_pairs(sections.get("events")),
@@ -144,24 +153,6 @@ def parse_report(text: str, file: str | Path = "report") -> Report:
         locations=tuple(location for location, _ in locations),
         limits={name: value for name, value in limits.items() if isinstance(value, float)},
     )
-
-
-def _sections(tree: Tree[Token], file: str | Path) -> dict[str, Tree[Token]]:
-    found: dict[str, Tree[Token]] = {}
-    for child in tree.children:
-        if isinstance(child, Tree) and child.data in ("labels", "events", "laws", "table", "performance"):
-            if child.data in found:
-                raise at(file, child.meta.line, f"the section {child.data!r} stands here a second time; keep one")
-            found[str(child.data)] = child
-    return found
-
-
-def _refuse_twice(named: list[tuple[str, int]], file: str | Path) -> None:
-    seen: set[str] = set()
-    for name, line in named:
-        if name in seen:
-            raise at(file, line, f"{name} stands here a second time; keep one of them")
-        seen.add(name)
 
 
 def _pairs(section: Tree[Token] | None) -> tuple[tuple[str, str], ...]:
@@ -186,18 +177,20 @@ def _table(tree: Tree[Token] | None, file: str | Path) -> Table | None:
     if tree is None or not header:
         return None
     suffixes = tuple(_tokens(header[0]))
-    parts = [_rows(part, len(suffixes), file) for kind in ("upper", "lower") for part in trees(tree, kind)]
+    parts: list[tuple[ReportRow, ...]] = []
+    for part in (*trees(tree, "upper"), *trees(tree, "lower")):
+        rows = []
+        for row in trees(part, "row"):
+            word, *cells = _tokens(row)
+            if len(cells) != len(suffixes):
+                raise at(
+                    file,
+                    row.meta.line,
+                    f"the row of {word} has {len(cells)} cells; the table has {len(suffixes)} columns",
+                )
+            rows.append(ReportRow(word, tuple(cells)))
+        parts.append(tuple(rows))
     return Table(suffixes, *parts)
-
-
-def _rows(part: Tree[Token], columns: int, file: str | Path) -> tuple[ReportRow, ...]:
-    rows = []
-    for tree in trees(part, "row"):
-        word, *cells = _tokens(tree)
-        if len(cells) != columns:
-            raise at(file, tree.meta.line, f"the row of {word} has {len(cells)} cells; the table has {columns} columns")
-        rows.append(ReportRow(word, tuple(cells)))
-    return tuple(rows)
 
 
 def _location(tree: Tree[Token], file: str | Path) -> ReportedLocation:
@@ -225,13 +218,10 @@ def _items(
         elif key == "entry":
             values[str(key)] = str(value)
         else:
-            values[str(key)] = _limit(value, file, str(key))
+            # Only `max_rate` may be `inf`, which says that there is no limit.
+            unlimited = key == "max_rate" and value == "inf"
+            values[str(key)] = float("inf") if unlimited else finite(value, file, str(key))
     return values, calls
-
-
-def _limit(value: Token, file: str | Path, key: str) -> float:
-    """A number; only `max_rate` may be `inf`, which says that there is no limit."""
-    return float("inf") if key == "max_rate" and value == "inf" else finite(value, file, key)
 
 
 def report_text(report: Report) -> str:

@@ -77,7 +77,12 @@ def write_model_directory(
     manifest = manifest_text(model, files, {})
     try:
         out.mkdir(parents=True, exist_ok=True)
-        stale = set(_earlier_files(out)) - set(files)
+        present, stale = {path.name for path in out.iterdir()}, set[str]()
+        if MANIFEST in present:
+            stale = set(listed(out / MANIFEST)) - set(files)
+        elif present and MODEL_FILE not in present and not all(name.startswith(".") for name in present):
+            some = ", ".join(sorted(present)[:3])
+            raise at(out, None, f"is no model directory (it has {some}); give a new directory or an empty one")
         # Without a manifest the directory claims nothing of its files: a kill from here on leaves no wrong claim.
         (out / MANIFEST).unlink(missing_ok=True)
         for name, content in (*files.items(), (MANIFEST, manifest)):
@@ -87,17 +92,6 @@ def write_model_directory(
     except OSError as error:
         raise refused(out, error) from None
     return out / MODEL_FILE
-
-
-def _earlier_files(out: Path) -> list[str]:
-    """The files of the model that `out` holds. Raises ArtefactError when it holds something else."""
-    present = {path.name for path in out.iterdir()}
-    if MANIFEST in present:
-        return list(listed(out / MANIFEST))
-    if present and MODEL_FILE not in present and not all(name.startswith(".") for name in present):
-        some = ", ".join(sorted(present)[:3])
-        raise at(out, None, f"is no model directory (it has {some}); give a new directory or an empty one")
-    return []
 
 
 def save(store: Path, model: Model, histogram: RawValues | None = None, *, created: float, parent: str = "") -> str:
@@ -110,55 +104,34 @@ def save(store: Path, model: Model, histogram: RawValues | None = None, *, creat
     facts: dict[str, str | float] = {"created": created, "parent": parent or model.provenance.parent}
     files[MANIFEST] = manifest_text(model, files, facts)
     try:
-        _refuse_strange(store)
+        # One listing decides: another writer may be making the store at this very moment.
+        names = {path.name for path in store.iterdir()} if store.is_dir() else set()
+        strange = sorted(name for name in names - {VERSIONS} if not name.startswith("."))
+        if strange and STORE_FILE not in names:
+            raise at(store, None, f"is no store (it has {strange[0]}); give a new directory or an empty one")
         store.mkdir(parents=True, exist_ok=True)
         with locked(store):
-            _prepare(store)
-            _remove_leftovers(store)
-            version = f"{_last_number(store) + 1:04d}-{model_hash(model)[:8]}"
-            _write_version(store / VERSIONS, version, files)
+            directory = store / VERSIONS
+            directory.mkdir(exist_ok=True)
+            if not (store / STORE_FILE).exists():
+                replace_durably(store / STORE_FILE, STORE_TEXT)
+            check_store(store)
+            # What killed writers left goes, under the lock alone: nobody else is writing.
+            for path in directory.iterdir():
+                if path.name.startswith("."):
+                    shutil.rmtree(path)
+            last = max((number_of(name) for name in versions(store)), default=0)
+            version = f"{last + 1:04d}-{model_hash(model)[:8]}"
+            # The dot hides it from `versions`; the rename on one file system is the moment at which the version exists.
+            unfinished = directory / f".{version}"
+            try:
+                unfinished.mkdir()
+                write_files(unfinished, files)
+                unfinished.rename(directory / version)
+            except OSError:
+                shutil.rmtree(unfinished, ignore_errors=True)
+                raise
+            sync_directory(directory)
     except OSError as error:
         raise refused(store, error) from None
     return version
-
-
-def _write_version(directory: Path, version: str, files: Mapping[str, str]) -> None:
-    """All files under a dotted name, then one rename. Raises OSError, and leaves nothing behind then."""
-    # The dot hides it from `versions`; the rename on one file system is the moment at which the version exists.
-    unfinished = directory / f".{version}"
-    try:
-        unfinished.mkdir()
-        write_files(unfinished, files)
-        unfinished.rename(directory / version)
-    except OSError:
-        shutil.rmtree(unfinished, ignore_errors=True)
-        raise
-    sync_directory(directory)
-
-
-def _prepare(store: Path) -> None:
-    """Makes the directory of versions and the file that says that this is a store. Raises OSError."""
-    (store / VERSIONS).mkdir(exist_ok=True)
-    if not (store / STORE_FILE).exists():
-        replace_durably(store / STORE_FILE, STORE_TEXT)
-    check_store(store)
-
-
-def _refuse_strange(store: Path) -> None:
-    """Raises ArtefactError for a directory that is used for something else."""
-    # One listing decides: another writer may be making the store at this very moment.
-    names = {path.name for path in store.iterdir()} if store.is_dir() else set()
-    strange = sorted(name for name in names - {VERSIONS} if not name.startswith("."))
-    if strange and STORE_FILE not in names:
-        raise at(store, None, f"is no store (it has {strange[0]}); give a new directory or an empty one")
-
-
-def _remove_leftovers(store: Path) -> None:
-    """Removes what killed writers left. Only under the lock: nobody else is writing."""
-    for path in (store / VERSIONS).iterdir():
-        if path.name.startswith("."):
-            shutil.rmtree(path)
-
-
-def _last_number(store: Path) -> int:
-    return max((number_of(name) for name in versions(store)), default=0)

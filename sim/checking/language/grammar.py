@@ -170,6 +170,7 @@ def at(place: Token | Meta, sentence: str) -> QueryError:
 
 
 def _sentence(error: UnexpectedInput, text: str) -> str:
+    # First what people bring along from UPPAAL's other queries: the parser's own complaint would not help them.
     first = text.split(maxsplit=1)[0].rstrip(":({[")
     place = Token("", "", line=error.line, column=error.column)
     if first in _FIRST:
@@ -180,11 +181,9 @@ def _sentence(error: UnexpectedInput, text: str) -> str:
     if isinstance(error, UnexpectedCharacters):
         found = text.split("\n")[error.line - 1][error.column - 1]
         return str(at(place, f"found {found!r}; {_SIGNS.get(found, f'no query has this sign; {FORMS}')}"))
-    return _unexpected(error, text) if isinstance(error, UnexpectedToken) else str(at(place, FORMS))
-
-
-def _unexpected(error: UnexpectedToken, text: str) -> str:
-    """What stands where something else was expected."""
+    if not isinstance(error, UnexpectedToken):
+        return str(at(place, FORMS))
+    # `accepts` is what the parser could really take here; `expected` has also what it would refuse a step later.
     token, wanted = error.token, frozenset(error.accepts or error.expected)
     if token.type == "$END":
         if {"LEADSTO"} <= wanted and not wanted & {"RPAR", "UNTIL"}:

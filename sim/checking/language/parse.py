@@ -100,34 +100,28 @@ def _probability(tree: Node, scope: Scope) -> q.Probability:
 
 
 def _path(tree: Node, bound: float | None, scope: Scope) -> q.Path:
-    span = next((_interval(part, bound) for part in _trees(tree) if part.data == "interval"), None)
+    span: q.TimeSpan | None = None
+    interval = next((part for part in _trees(tree) if part.data == "interval"), None)
+    if interval is not None:
+        low, high = (_number(part) for part in _trees(interval))
+        span = _span(low, high, interval, bound)
     formulas = [part for part in _trees(tree) if part.data not in ("interval", "within")]
     read = [_formula(part, scope) for part in formulas]
     if tree.data == "response":
-        return q.BoundedResponse(read[0], read[1], _answer_time(tree, span, bound))
+        # The answer is due by the interval or by `within`, one of them.
+        within = next((part for part in _trees(tree) if part.data == "within"), None)
+        if (span is None) == (within is None):
+            raise at(tree.meta, "within what time is the answer due? write phi -->[0,60] psi or phi --> psi within 60")
+        if within is not None:
+            word, number = within.children
+            if word != "within":
+                raise at(cast(Token, word), f"found {shown(str(word))!r}; right would be 'within' or ')'")
+            span = _span(0.0, _number(cast(Node, number)), cast(Node, number), bound)
+        return q.BoundedResponse(read[0], read[1], cast(q.TimeSpan, span))
     if tree.data == "until":
         return q.Until(read[0], read[1], span or q.TimeSpan())
     make = q.Eventually if tree.data == "eventually" else q.Always
     return make(read[0], span or q.TimeSpan())
-
-
-def _answer_time(tree: Node, span: q.TimeSpan | None, bound: float | None) -> q.TimeSpan:
-    """The span of a response: by its interval or by `within`, one of them."""
-    within = next((part for part in _trees(tree) if part.data == "within"), None)
-    if (span is None) == (within is None):
-        raise at(tree.meta, "within what time is the answer due? write phi -->[0,60] psi or phi --> psi within 60")
-    if within is None:
-        return cast(q.TimeSpan, span)
-    word, number = within.children
-    if word != "within":
-        raise at(cast(Token, word), f"found {shown(str(word))!r}; right would be 'within' or ')'")
-    seconds = _number(cast(Node, number))
-    return _span(0.0, seconds, cast(Node, number), bound)
-
-
-def _interval(tree: Node, bound: float | None) -> q.TimeSpan:
-    low, high = (_number(part) for part in _trees(tree))
-    return _span(low, high, tree, bound)
 
 
 def _span(low: float, high: float, tree: Node, bound: float | None) -> q.TimeSpan:

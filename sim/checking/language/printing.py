@@ -22,52 +22,7 @@ def query_text(query: q.Query, model: Model | SHA) -> str:
     model's.
     """
     sha = model.sha if isinstance(model, Model) else model
-    return _query(query, identifiers([location.name for location in sha.locations]))
-
-
-def uppaal_refusal(query: q.Query) -> str:
-    """Why UPPAAL 5 cannot read the printed query, in one sentence; empty when it can."""
-    match query:
-        case q.Symbolic():
-            return ""
-        case q.Expectation(bound=bound) | q.Simulation(bound=bound):
-            return _bound_refusal(bound)
-        case q.Probability():
-            return _bound_refusal(query.bound) or _path_refusal(query)
-        case q.Hypothesis(question=question):
-            return _bound_refusal(question.bound) or _comparison_refusal(question)
-    return next(filter(None, (uppaal_refusal(q.Hypothesis(one, ">=", 0.5)) for one in (query.left, query.right))), "")
-
-
-def _bound_refusal(bound: float) -> str:
-    if bound.is_integer() and bound <= LARGEST_BOUND:
-        return ""
-    return f"UPPAAL takes whole seconds up to {LARGEST_BOUND}, not {_seconds(bound)}; round the bound"
-
-
-def _path_refusal(query: q.Probability) -> str:
-    if isinstance(query.path, q.BoundedResponse):
-        return "UPPAAL has no bounded response inside Pr; ask here"
-    if query.path.span == q.TimeSpan() or _is_mitl(query):
-        return ""
-    return "UPPAAL takes an interval only where it ends the run, in whole seconds: Pr(<>[10,60] phi), without runs"
-
-
-def _comparison_refusal(query: q.Probability) -> str:
-    if isinstance(query.path, q.Eventually | q.Always) and query.path.span == q.TimeSpan():
-        return ""
-    return "UPPAAL tests and compares only Pr[<=T](<> phi) and Pr[<=T]([] phi); ask here"
-
-
-def _is_mitl(query: q.Probability) -> bool:
-    """Whether UPPAAL's MITL form says the same: the interval ends the run, in whole seconds."""
-    if isinstance(query.path, q.BoundedResponse) or query.runs is not None:
-        return False
-    span = query.path.span
-    return span.high == query.bound and span.low.is_integer() and span.high.is_integer()
-
-
-def _query(query: q.Query, ids: Identifiers) -> str:
+    ids = identifiers([location.name for location in sha.locations])
     match query:
         case q.Probability():
             return f"Pr({_path(query, ids)})" if _is_mitl(query) else _probability(query, ids)
@@ -84,13 +39,56 @@ def _query(query: q.Query, ids: Identifiers) -> str:
     return f"{query.kind} {inner}" if query.then is None else f"{inner} --> {_formula(query.then, ids)}"
 
 
+def uppaal_refusal(query: q.Query) -> str:
+    """Why UPPAAL 5 cannot read the printed query, in one sentence; empty when it can."""
+    match query:
+        case q.Symbolic():
+            return ""
+        case q.Expectation(bound=bound) | q.Simulation(bound=bound):
+            return _bound_refusal(bound)
+        case q.Probability():
+            if refusal := _bound_refusal(query.bound):
+                return refusal
+            if isinstance(query.path, q.BoundedResponse):
+                return "UPPAAL has no bounded response inside Pr; ask here"
+            if query.path.span == q.TimeSpan() or _is_mitl(query):
+                return ""
+            return (
+                "UPPAAL takes an interval only where it ends the run, in whole seconds: Pr(<>[10,60] phi), without runs"
+            )
+        case q.Hypothesis(question=question):
+            if refusal := _bound_refusal(question.bound):
+                return refusal
+            if isinstance(question.path, q.Eventually | q.Always) and question.path.span == q.TimeSpan():
+                return ""
+            return "UPPAAL tests and compares only Pr[<=T](<> phi) and Pr[<=T]([] phi); ask here"
+    return next(filter(None, (uppaal_refusal(q.Hypothesis(one, ">=", 0.5)) for one in (query.left, query.right))), "")
+
+
+def _bound_refusal(bound: float) -> str:
+    if bound.is_integer() and bound <= LARGEST_BOUND:
+        return ""
+    return f"UPPAAL takes whole seconds up to {LARGEST_BOUND}, not {_seconds(bound)}; round the bound"
+
+
+def _is_mitl(query: q.Probability) -> bool:
+    """Whether UPPAAL's MITL form says the same: the interval ends the run, in whole seconds."""
+    if isinstance(query.path, q.BoundedResponse) or query.runs is not None:
+        return False
+    span = query.path.span
+    return span.high == query.bound and span.low.is_integer() and span.high.is_integer()
+
+
 def _probability(query: q.Probability, ids: Identifiers) -> str:
     return f"Pr{_bounds(query.bound, query.runs)}({_path(query, ids)})"
 
 
 def _path(query: q.Probability, ids: Identifiers) -> str:
     path = query.path
-    span = _interval(path.span, query.bound)
+    # Nothing for the whole run; a span without an end goes to the run's.
+    span = ""
+    if path.span != q.TimeSpan():
+        span = f"[{_seconds(path.span.low)},{_seconds(min(path.span.high, query.bound))}]"
     match path:
         case q.Eventually(inner=inner):
             return f"<>{span} {_formula(inner, ids)}"
@@ -140,11 +138,6 @@ def _wrapped(text: str, wrap: bool) -> str:
 
 def _bounds(bound: float, runs: int | None) -> str:
     return f"[<={_seconds(bound)}]" if runs is None else f"[<={_seconds(bound)}; {runs}]"
-
-
-def _interval(span: q.TimeSpan, bound: float) -> str:
-    """Nothing for the whole run; a span without an end goes to the run's."""
-    return "" if span == q.TimeSpan() else f"[{_seconds(span.low)},{_seconds(min(span.high, bound))}]"
 
 
 def _seconds(value: float) -> str:

@@ -89,6 +89,7 @@ def find_bounds(
         places = zip(rooms, model.sha.locations, strict=True)
         rooms = tuple(_kindest(room, location, (low, high), doubt) for room, location in places)
     graph = make_graph(rooms, onward, model.sha.initial, model.sha.max_rate)
+    # The claim is about what the sensor reads, the graph about X: a reading less what the sensor reads too much.
     least, most = offset_range(model.sha)
     (top, upper), (bottom, lower) = _bound(graph, start[1] - least, up=True), _bound(graph, start[0] - most, up=False)
     escapes = [
@@ -100,18 +101,24 @@ def find_bounds(
     verdict: Verdict = "proven" if settled and not escapes else "not decided"
     if any(one.word is not None for one in escapes):
         verdict = "refuted"
+    readings = {name: (x[0] + least, x[1] + most) for name, x in intervals(graph, upper, lower).items()}
+    if of_feature(model.sha, "sensor lag") or dead_time(model.sha):
+        # After a lag or a dead time the sensor still reads what was in the locations before: anywhere, for all we know.
+        lows, highs = zip(*readings.values(), strict=True)
+        readings = dict.fromkeys(readings, (min(lows), max(highs)))
     return Bounds(
         low=low,
         high=high,
         start=start,
         verdict=verdict,
-        intervals=_read(model, graph, upper, lower),
+        intervals=readings,
         escapes=tuple(escapes),
         settled=settled,
     )
 
 
 _ROUNDS = 200
+"""Raises of a housing's temperature before the bounds count as not settled."""
 
 
 def _bound(graph: Graph, start: float, *, up: bool) -> tuple[Side, Bound]:
@@ -134,18 +141,8 @@ def _bound(graph: Graph, start: float, *, up: bool) -> tuple[Side, Bound]:
         beyond = float(found.peak.max()) - reach
         if beyond <= 0.0:
             return side, found
-        reach += 1.5 * beyond + 1e-9
+        reach += 1.5 * beyond + 1e-9  # farther than asked for: the exact step would come near in ever smaller ones
     return side, replace(found, settled=False)
-
-
-def _read(model: Model, graph: Graph, upper: Bound, lower: Bound) -> dict[str, Range]:
-    """What the sensor may read in each location: after a lag what was anywhere, after a dead time what was before."""
-    least, most = offset_range(model.sha)
-    found = {name: (low + least, high + most) for name, (low, high) in intervals(graph, upper, lower).items()}
-    if not of_feature(model.sha, "sensor lag") and not dead_time(model.sha):
-        return found
-    lows, highs = zip(*found.values(), strict=True)
-    return dict.fromkeys(found, (min(lows), max(highs)))
 
 
 def _kindest(room: Envelope, location: Location, within: Range, doubt: float) -> Envelope:

@@ -5,7 +5,7 @@ from the start with finite stays, keeping the best way to each location for ever
 the range. The last stay is cut where it has gone half-way beyond the border (at most 1 degC).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from math import ceil, inf, isinf
 
@@ -76,7 +76,16 @@ def _way_out(side: Side, start: float, border: float) -> list[tuple[int, str]]:
         peaks = {place: side.peak(place, float(entry[place])) for place in changed}
         best = max(peaks, key=lambda place: peaks[place])
         if peaks[best] > border:
-            return _back(graph, ways, best)
+            # Back along the moves by which each round improved a location; a location that a round left alone (-1) was
+            # as good one event earlier.
+            place, found = best, list[tuple[int, str]]()
+            for rows in reversed(ways):
+                move = int(rows[place])
+                if move >= 0:
+                    found.append((place, graph.symbol[move]))
+                    place = int(graph.source[move])
+            return [(place, ""), *reversed(found)]
+        # Where the pace of the last stays does not lead to the border, the rest would be followed for nothing.
         if number % _PACE == _PACE - 1:
             if (peaks[best] - highest) * (MOST_STAYS - number) / _PACE < border - peaks[best]:
                 return []
@@ -96,61 +105,42 @@ def _way_out(side: Side, start: float, border: float) -> list[tuple[int, str]]:
 
 def _finite(side: Side, patience: float, longest: float) -> Side:
     """The side with endless stays cut off: what relaxes is followed until it has settled, what drifts for `longest`."""
-    rooms = tuple(_cut(room, patience, longest, side.graph.rate) for room in side.graph.envelopes)
-    return replace(side, graph=replace(side.graph, envelopes=rooms))
-
-
-def _cut(room: Envelope, patience: float, longest: float, rate: float) -> Envelope:
-    least, most = room.sojourn
-    if not isinf(most):
-        return room
-    if room.forcing is not None:
-        return replace(room, sojourn=(least, max(least, _slowly(room, patience, longest))))
-    if room.flow.kind in RELAXING:
-        ramp = 0.0 if isinf(rate) else 1e3 / rate  # under a limited rate the first 1000 degC are run through evenly
-        longest = ceil(patience / room.flow.params["k"] + ramp)
-    return replace(room, sojourn=(least, max(least, longest)))
-
-
-def _slowly(room: Envelope, patience: float, longest: float) -> float:
-    """Seconds for a stay where effects act: time constants of the slower of what the drift relaxes with, if it does."""
-    rates = [
-        drift.at(edge)[1] for up in (True, False) if (drift := room.drift(up)) for edge in drift.rest if not isinf(edge)
-    ]
-    slowest = min((rate for rate in rates if rate > 0), default=0.0)
-    return ceil(patience / slowest) if slowest else longest
-
-
-def _back(graph: Graph, ways: Sequence[NDArray[np.int32]], place: int) -> list[tuple[int, str]]:
-    """The (location, symbol that leads there) of each stay, the first one's symbol empty."""
-    found: list[tuple[int, str]] = []
-    for rows in reversed(ways):
-        row = int(rows[place])
-        if row >= 0:
-            found.append((place, graph.symbol[row]))
-            place = int(graph.source[row])
-    return [(place, ""), *reversed(found)]
+    rate, rooms = side.graph.rate, list[Envelope]()
+    for room in side.graph.envelopes:
+        least, most = room.sojourn
+        if not isinf(most):
+            rooms.append(room)
+            continue
+        end = longest
+        if room.forcing is not None:
+            # Under effects the drift has several pieces; the slowest one that leads to a rest says how long it takes.
+            drifts = [drift for up in (True, False) if (drift := room.drift(up))]
+            rates = [drift.at(edge)[1] for drift in drifts for edge in drift.rest if not isinf(edge)]
+            slowest = min((each for each in rates if each > 0), default=0.0)
+            end = ceil(patience / slowest) if slowest else longest
+        elif room.flow.kind in RELAXING:
+            ramp = 0.0 if isinf(rate) else 1e3 / rate  # under a limited rate the first 1000 degC are run through evenly
+            end = ceil(patience / room.flow.params["k"] + ramp)
+        rooms.append(replace(room, sojourn=(least, max(least, end))))
+    return replace(side, graph=replace(side.graph, envelopes=tuple(rooms)))
 
 
 def _along(side: Side, finite: Side, path: list[tuple[int, str]], start: float, border: float) -> TimedWord | None:
     x, time, steps = start, 0.0, list[WordStep]()
     for number, (place, symbol) in enumerate(path):
         fresh = float(side.fresh[place])
-        drawn = number > 0 and fresh == fresh
+        drawn = number > 0 and fresh == fresh  # a NaN, where X goes on, differs from itself
         x = fresh if drawn else x
-        steps.append(_step(side, place, symbol, time, side.sign * x if drawn or not number else None))
+        room = side.graph.envelopes[place]
+        m, inputs = room.corner(side.sign > 0)
+        temperature = side.sign * x if drawn or not number else None
+        steps.append(WordStep(time, symbol, None if room.flow.kind == "constant" else m, temperature, inputs))
         if number < len(path) - 1:
             least, most = finite.graph.envelopes[place].sojourn
             dt = max((least, most), key=lambda dt: finite.after(place, x, dt))
             x, time = finite.after(place, x, dt), time + dt
     last = _crossing(side, path[-1][0], x, border)
     return None if last is None else TimedWord(tuple(steps), time + last)
-
-
-def _step(side: Side, place: int, symbol: str, time: float, temperature: float | None) -> WordStep:
-    room = side.graph.envelopes[place]
-    m, inputs = room.corner(side.sign > 0)
-    return WordStep(time, symbol, None if room.flow.kind == "constant" else m, temperature, inputs)
 
 
 def _crossing(side: Side, place: int, x: float, border: float) -> float | None:
@@ -168,8 +158,9 @@ def _crossing(side: Side, place: int, x: float, border: float) -> float | None:
         if high > _FOREVER:
             return None
     low, high = 0.0, min(high, most)
-    for _ in range(60):
+    for _ in range(60):  # more than the bits of a float's mantissa
         middle = 0.5 * (low + high)
         low, high = (low, middle) if side.after(place, x, middle) >= wanted else (middle, high)
+    # A tenth of a second reads better in a word, and later is still outside: the side's course is monotone.
     rounded = ceil(10.0 * high) / 10.0
     return rounded if rounded <= most else high

@@ -27,7 +27,18 @@ class DriftBound:
     rest: tuple[float, float] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rest", _rest(self.knots, self.pairs))
+        low, high = inf, -inf
+        # From left to right the drift only falls, smoothly or by a jump at a knot: X rests from the first place where
+        # it is no longer positive to the last one where it is not yet negative.
+        for left, right, (a, b) in zip((-inf, *self.knots), (*self.knots, inf), self.pairs, strict=True):
+            level = b == 0 and a == 0
+            root = a / b if b > 0 else inf if a > 0 else -inf
+            # A root left of its piece means that the drift jumps across 0 at the knot: X rests there.
+            if low == inf and (root <= right or level) and not (root == right == inf):
+                low = max(left, root)
+            if level or (root >= left and root > -inf):
+                high = right if level else min(right, root)
+        object.__setattr__(self, "rest", (low, high))  # the class is frozen
 
     def at(self, x: float) -> Pair:
         """The piece of a temperature; at a knot the one to its right."""
@@ -70,6 +81,7 @@ class DriftBound:
         while dt > 0 and x > high:
             (a, b), knot = self.pairs[place], max(self.knots[place - 1] if place else -inf, high)
             if a - b * x < -rate:
+                # A fall at the maximum rate comes first: it lasts until the free fall is no faster (or to the knot).
                 slow = max(knot, (a + rate) / b) if b > 0 else knot
                 needed = (x - slow) / rate
                 if needed > dt:
@@ -83,18 +95,6 @@ class DriftBound:
                 return _moved(a, b, x, dt)
             x, dt, place = knot, dt - needed, place - 1
         return x
-
-
-def _rest(knots: tuple[float, ...], pairs: tuple[Pair, ...]) -> tuple[float, float]:
-    low, high = inf, -inf
-    for left, right, (a, b) in zip((-inf, *knots), (*knots, inf), pairs, strict=True):
-        level = b == 0 and a == 0
-        root = a / b if b > 0 else inf if a > 0 else -inf
-        if low == inf and (root <= right or level) and not (root == right == inf):
-            low = max(left, root)
-        if level or (root >= left and root > -inf):
-            high = right if level else min(right, root)
-    return low, high
 
 
 def added(parts: Iterable[DriftBound]) -> DriftBound:
@@ -115,9 +115,11 @@ def _seconds(a: float, b: float, x: float, end: float) -> float:
         return 0.0  # it is there, but for rounding
     if b == 0:
         return (end - x) / speed
+    # x(t) = x + speed (1 - e^-bt) / b solved for t; log1p keeps the digits where b (end - x) is small beside the speed.
     share = b * (end - x) / speed
     return -log1p(-share) / b if share < 1 else inf
 
 
 def _moved(a: float, b: float, x: float, dt: float) -> float:
+    # expm1: 1 - e^-bt would lose all digits where b dt is small.
     return x + (a - b * x) * (dt if b == 0 else -expm1(-b * dt) / b)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from math import inf, isfinite
 from typing import Literal
@@ -20,7 +21,6 @@ from sim.sha import (
     Bins,
     Distribution,
     Flow,
-    Location,
     Model,
     Switch,
     drawn_parameter,
@@ -118,6 +118,7 @@ def worn_for(assumptions: Assumptions) -> float:
 
 def quantiles(law: Distribution, z: float) -> Range:
     """The law's quantiles at the normal probabilities of -z and +z: mu -+ z sigma for a normal law."""
+    # By the logarithm of the probability: beyond z = 8.3 the probability itself is 1 in floats, its quantile infinite.
     kind = LAWS[law.kind]
     low, high = (float(kind.exceeded(law.params, np.asarray(log_ndtr(sign * z)))) for sign in (1.0, -1.0))
     return low, high
@@ -125,8 +126,31 @@ def quantiles(law: Distribution, z: float) -> Range:
 
 def envelopes(model: Model, assumptions: Assumptions, moves: Sequence[Move]) -> tuple[Envelope, ...]:
     """The envelope of each location, in the automaton's order; `moves` are all that can happen (`structure.moves`)."""
-    known = _last_announced(model, moves)
-    return tuple(_envelope(model, location, assumptions, known[location.name]) for location in model.sha.locations)
+    announced, sojourn, late = _last_announced(model, moves), assumptions.sojourn, dead_time(model.sha)
+    found: list[Envelope] = []
+    for location in model.sha.locations:
+        law, fresh = drawn_parameter(location), drawn_temperature(location)
+        middle = mode_parameter(location)[0]
+        m = (middle, middle) if law is None else quantiles(law, assumptions.z)
+        signal = partial(_signal, model, location.name, assumptions=assumptions, known=announced[location.name])
+        inputs = {given.signal: signal(given.signal) for given in location.flow.inputs}
+        stay, lasting = model.semi_markov.get(location.name), ANY
+        if isinstance(sojourn, tuple) or (sojourn == "law" and stay is not None):
+            least, most = sojourn if isinstance(sojourn, tuple) else quantiles(stay.law, assumptions.z) if stay else ANY
+            # The first stay is longer by a dead time, if there is one: nothing acts before it has passed.
+            lasting = least, most + (late if location.name == model.sha.initial else 0.0)
+        found.append(
+            Envelope(
+                location=location.name,
+                flow=location.flow,
+                m=m,
+                inputs=inputs,
+                sojourn=lasting,
+                fresh=None if fresh is None else quantiles(fresh, assumptions.z),
+                forcing=forcing_of(model.sha, location, m, signal, worn_for(assumptions)),
+            )
+        )
+    return tuple(found)
 
 
 def start_range(model: Model, assumptions: Assumptions, low: float, high: float) -> Range:
@@ -144,35 +168,7 @@ def start_range(model: Model, assumptions: Assumptions, low: float, high: float)
     return max(least, low), min(most, high)
 
 
-def _envelope(model: Model, location: Location, assumptions: Assumptions, known: set[str]) -> Envelope:
-    law, fresh = drawn_parameter(location), drawn_temperature(location)
-    mean = mode_parameter(location)[0]
-    m = (mean, mean) if law is None else quantiles(law, assumptions.z)
-
-    def signal(name: str) -> Range:
-        return _signal(model, location.name, name, assumptions, known)
-
-    return Envelope(
-        location=location.name,
-        flow=location.flow,
-        m=m,
-        inputs={one.signal: signal(one.signal) for one in location.flow.inputs},
-        sojourn=_sojourn(model, location.name, assumptions),
-        fresh=None if fresh is None else quantiles(fresh, assumptions.z),
-        forcing=forcing_of(model.sha, location, m, signal, worn_for(assumptions)),
-    )
-
-
-def _sojourn(model: Model, name: str, assumptions: Assumptions) -> Range:
-    """The first stay is longer by a dead time, if there is one: nothing is felt before."""
-    given, stay = assumptions.sojourn, model.semi_markov.get(name)
-    if given == "any" or (given == "law" and stay is None):
-        return ANY
-    least, most = given if isinstance(given, tuple) else quantiles(stay.law, assumptions.z) if stay else ANY
-    return least, most + (dead_time(model.sha) if name == model.sha.initial else 0.0)
-
-
-def _signal(model: Model, name: str, signal: str, assumptions: Assumptions, known: set[str]) -> Range:
+def _signal(model: Model, name: str, signal: str, *, assumptions: Assumptions, known: set[str]) -> Range:
     """The range of an input in a location: as given; else the learned one, cut to the bin that was announced.
 
     Raises UnboundedInput when neither says anything.
@@ -182,13 +178,29 @@ def _signal(model: Model, name: str, signal: str, assumptions: Assumptions, know
     stay = model.semi_markov.get(name)
     bins = next((c for c in model.alphabet.channels if isinstance(c, Bins) and c.signal == signal), None)
     switch = any(isinstance(channel, Switch) and channel.signal == signal for channel in model.alphabet.channels)
-    announced: Range = (0.0, 1.0) if switch else (-inf, inf) if bins is None else _bin_range(bins, known)
+    announced: Range = (0.0, 1.0) if switch else (-inf, inf)
+    if bins is not None and not switch and UNKNOWN not in known:
+        # The union of the bins that may have been announced last. The signal may leave its bin by the hysteresis before
+        # the next one is announced.
+        places = [place for place, symbol in enumerate(bins.symbols) if symbol in known]
+        if places:
+            borders = (-inf, *bins.thresholds, inf)
+            announced = borders[min(places)] - bins.hysteresis, borders[max(places) + 1] + bins.hysteresis
     if stay is not None and signal in stay.inputs:
         mean, sigma = stay.inputs[signal]
         low, high = mean - assumptions.z * sigma, mean + assumptions.z * sigma
-        return (max(low, announced[0]), min(high, announced[1])) if _overlap((low, high), announced) else (low, high)
+        # Where the two have nothing in common, the learned values are believed: no stay would be left otherwise.
+        overlap = low <= announced[1] and announced[0] <= high
+        return (max(low, announced[0]), min(high, announced[1])) if overlap else (low, high)
     if bins is not None:
-        return _closed(bins, announced)
+        # Open ends are closed: at 0 below a positive first threshold, otherwise as wide as the bin beside them.
+        cuts = bins.thresholds
+        if not cuts:
+            return 0.0, 0.0
+        widths = [high - low for low, high in pairwise(cuts)] or [abs(cuts[0]) or 1.0]
+        least = min(0.0, cuts[0]) if cuts[0] > 0 else cuts[0] - widths[0]
+        low = least if announced[0] == -inf else announced[0]
+        return low, cuts[-1] + widths[-1] if announced[1] == inf else announced[1]
     if switch:
         return announced
     seen = [one.inputs[signal] for one in model.semi_markov.values() if signal in one.inputs]
@@ -201,30 +213,6 @@ def _signal(model: Model, name: str, signal: str, assumptions: Assumptions, know
     )
 
 
-def _overlap(one: Range, other: Range) -> bool:
-    return one[0] <= other[1] and other[0] <= one[1]
-
-
-def _bin_range(bins: Bins, known: set[str]) -> Range:
-    """The union of the bins whose symbols may have been the last ones, hysteresis included; infinite at open ends."""
-    places = [place for place, symbol in enumerate(bins.symbols) if symbol in known]
-    if not places or UNKNOWN in known:
-        return -inf, inf
-    low, high = (-inf, *bins.thresholds), (*bins.thresholds, inf)
-    return low[min(places)] - bins.hysteresis, high[max(places)] + bins.hysteresis
-
-
-def _closed(bins: Bins, announced: Range) -> Range:
-    """Open ends closed: at 0 below a positive first threshold, otherwise as wide as the bin beside them."""
-    cuts = bins.thresholds
-    if not cuts:
-        return 0.0, 0.0
-    widths = [high - low for low, high in pairwise(cuts)] or [abs(cuts[0]) or 1.0]
-    least = min(0.0, cuts[0]) if cuts[0] > 0 else cuts[0] - widths[0]
-    low = least if announced[0] == -inf else announced[0]
-    return low, cuts[-1] + widths[-1] if announced[1] == inf else announced[1]
-
-
 def _last_announced(model: Model, moves: Sequence[Move]) -> dict[str, set[str]]:
     """For each location all symbols that may be the last announcement of a level channel that drives some flow.
 
@@ -234,25 +222,23 @@ def _last_announced(model: Model, moves: Sequence[Move]) -> dict[str, set[str]]:
     driving |= set(signals_of(model.sha))
     known: dict[str, set[str]] = {location.name: set() for location in model.sha.locations}
     for channel in model.alphabet.channels:
-        if isinstance(channel, Bins) and channel.signal in driving:
-            for name, symbols in _spread(model.sha.initial, tuple(known), set(channel.symbols), moves).items():
-                known[name] |= symbols
+        if not isinstance(channel, Bins) or channel.signal not in driving:
+            continue
+        # Pairs (location, last announcement) are followed to the fixed point, each channel by itself: their product
+        # would grow with the number of channels, and only the single announcements are asked for.
+        onward: dict[str, set[tuple[str, str]]] = {name: set() for name in known}
+        for source, symbol, target in moves:
+            onward[source].add((symbol if symbol in channel.symbols or symbol == UNKNOWN else "", target))
+        reached: dict[str, set[str]] = {name: set() for name in known}
+        waiting = [(model.sha.initial, UNKNOWN)]
+        while waiting:
+            name, last = waiting.pop()
+            if last not in reached[name]:
+                reached[name].add(last)
+                waiting += [(target, symbol or last) for symbol, target in onward[name]]
+        for name, symbols in reached.items():
+            known[name] |= symbols
     return known
-
-
-def _spread(initial: str, names: Sequence[str], own: set[str], moves: Sequence[Move]) -> dict[str, set[str]]:
-    """The possible last announcements of one channel in each location, to the fixed point."""
-    onward: dict[str, set[tuple[str, str]]] = {name: set() for name in names}
-    for source, symbol, target in moves:
-        onward[source].add((symbol if symbol in own or symbol == UNKNOWN else "", target))
-    reached: dict[str, set[str]] = {name: set() for name in names}
-    waiting = [(initial, UNKNOWN)]
-    while waiting:
-        name, last = waiting.pop()
-        if last not in reached[name]:
-            reached[name].add(last)
-            waiting += [(target, symbol or last) for symbol, target in onward[name]]
-    return reached
 
 
 def describe(assumptions: Assumptions) -> tuple[str, ...]:

@@ -24,10 +24,9 @@ from sim.effects import (
     unknown,
 )
 from sim.engine import held
-from sim.sha import RELAXING, SHA, Array, Effect, Flow, Location
+from sim.sha import RELAXING, SHA, Effect, Flow, Location
 
 Range = tuple[float, float]
-Reader = Callable[[Array], Array]
 
 CELLS = 32
 """Parts of a signal's range in which the heats that read it are bounded each by itself."""
@@ -89,7 +88,10 @@ def forcing_of(
             case HeatBound():
                 heats.append(effect)
             case LossBound():
-                losses.append((effect, _loss(effect, bound, ranges)))
+                # A pump that runs backwards does not warm: its least strength is none.
+                pumps = ranges(effect.signals[bound.strength]) if bound.strength in effect.signals else (1.0, 1.0)
+                weak, strong = (effect.params["loss"] * max(pump, 0.0) for pump in pumps)
+                losses.append((effect, Loss((weak, strong), _temperature(effect, bound.sink, bound.sink, ranges))))
             case VaryingBound():
                 low, high = bound.extremes(effect, horizon)
                 least, most = least + low, most + high
@@ -165,12 +167,21 @@ def _heated(
     chosen: tuple[dict[str, float], dict[str, float]] = ({}, {})
     names = [one.signal for one in flow.inputs] + [signal for one in effects for signal in one.signals.values()]
     for name in dict.fromkeys(names):
-        readers = [_reader(one) for one in effects if name in one.signals.values()]
+        readers = [effect for effect in effects if name in effect.signals.values()]
+        bends = [0.0]
+        for effect in readers:
+            bound = kind_of(effect).bound
+            bends += bound.bends(effect) if isinstance(bound, HeatBound) else ()
+        # With the bends among the points every heat is monotone between two of them, so that the ends of a cell bound
+        # each heat in it. Cell by cell, because heats that read one signal are not at their worst at different values.
+        least, most = ranges(name)
+        points = {*np.linspace(least, most, CELLS + 1).tolist(), *(bend for bend in bends if least < bend < most)}
+        grid = np.array(sorted(points) if most > least else [least, least])
         k = flow.params.get("k", 0.0)
-        readers += [_input(k * one.gain, one.reference) for one in flow.inputs if one.signal == name]
-        bends = [bend for one in effects if name in one.signals.values() for bend in _bends(one)]
-        grid = _grid(ranges(name), [0.0, *bends])
-        values = np.array([reader(grid) for reader in readers])
+        values = np.array(
+            [np.asarray(held(effect, {name: grid})[0]) for effect in readers]
+            + [k * given.gain * (grid - given.reference) for given in flow.inputs if given.signal == name]
+        )
         inside = np.minimum(values[:, :-1], values[:, 1:]), np.maximum(values[:, :-1], values[:, 1:])
         low, high = low + float(inside[0].sum(axis=0).min()), high + float(inside[1].sum(axis=0).max())
         total = values.sum(axis=0)
@@ -178,34 +189,7 @@ def _heated(
     return low, high, chosen
 
 
-def _grid(limits: Range, bends: Sequence[float]) -> Array:
-    """Points of a range, `bends` inside it among them: between two, every heat is monotone in the signal."""
-    low, high = limits
-    points = {*np.linspace(low, high, CELLS + 1).tolist(), *(bend for bend in bends if low < bend < high)}
-    return np.array(sorted(points) if high > low else [low, low])
-
-
-def _bends(effect: Effect) -> Sequence[float]:
-    bound = kind_of(effect).bound
-    return bound.bends(effect) if isinstance(bound, HeatBound) else ()
-
-
-def _reader(effect: Effect) -> Reader:
-    (name,) = effect.signals.values()
-    return lambda grid: np.asarray(held(effect, {name: grid})[0])
-
-
-def _input(gain: float, reference: float) -> Reader:
-    return lambda grid: np.asarray(gain * (grid - reference))
-
-
 # ------------------------------------------------------------------ losses
-
-
-def _loss(effect: Effect, bound: LossBound, ranges: Callable[[str], Range]) -> Loss:
-    pumps = ranges(effect.signals[bound.strength]) if bound.strength in effect.signals else (1.0, 1.0)
-    least, most = (effect.params["loss"] * max(pump, 0.0) for pump in pumps)
-    return Loss((least, most), _temperature(effect, bound.sink, bound.sink, ranges))
 
 
 def _temperature(effect: Effect, role: str, fixed: str, ranges: Callable[[str], Range]) -> Range:
@@ -259,21 +243,21 @@ def _radiated(effect: Effect, around: float, *, up: bool) -> DriftBound:
 
     Below the absolute zero of X's scale nothing is radiated.
     """
+    # On a concave curve a tangent is never below it, and a chord never above: upper and lower bounds, both in lines.
     gain, zero = effect.params["gain"], parameter(effect, "zero")
     received = gain * (max(around, zero) - zero) ** 4
+    # Every 2 K, where machines are; beyond that coarser, as nothing real comes there.
     depths = np.concatenate([np.arange(0.0, 900.0, 2.0), np.geomspace(900.0, HOTTEST, 200)])
     heats = received - gain * depths**4
     if up:
         slopes = 4.0 * gain * depths**3
         lines = np.column_stack([heats + slopes * (depths + zero), slopes])
-        return _lowest([(received, 0.0), *map(tuple, lines[1:].tolist())])
+        # The lowest of lines that grow steeper from one to the next: each begins where it meets the one before it.
+        # Where the gain is so small that two are equally steep in floats, the first is enough.
+        falling: list[Pair] = [(received, 0.0), *map(tuple, lines[1:].tolist())]
+        steeper = [falling[0], *(after for before, after in pairwise(falling) if after[1] > before[1])]
+        knots = ((after[0] - before[0]) / (after[1] - before[1]) for before, after in pairwise(steeper))
+        return DriftBound(tuple(knots), tuple(steeper))
     slopes = np.append(-np.diff(heats) / np.diff(depths), STEEP)
     lines = np.column_stack([heats + slopes * (depths + zero), slopes])
     return DriftBound(tuple((depths + zero).tolist()), ((received, 0.0), *map(tuple, lines.tolist())))
-
-
-def _lowest(lines: Sequence[Pair]) -> DriftBound:
-    """The lowest of lines that grow steeper from one to the next: each begins where it meets the one before it."""
-    steeper = [lines[0], *(after for before, after in pairwise(lines) if after[1] > before[1])]
-    knots = tuple((after[0] - before[0]) / (after[1] - before[1]) for before, after in pairwise(steeper))
-    return DriftBound(knots, tuple(steeper))

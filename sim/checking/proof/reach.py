@@ -73,6 +73,7 @@ class Side:
         relaxing = envelope.flow.kind in RELAXING
         if dt == 0 or envelope.flow.kind == "constant" or (not relaxing and target == 0):
             return x
+        # The simulator's step has no end of time: the limit is the target, or, for a drift, no bound at all.
         if isinf(dt):
             return target if relaxing else target * inf
         return x if isinf(x) else float(mean_step(envelope.flow, x, target, age=0.0, dt=dt, max_rate=self.graph.rate))
@@ -108,6 +109,7 @@ def make_graph(envelopes: Sequence[Envelope], moves: Sequence[Move], initial: st
     for source, symbol, target in moves:
         pairs.setdefault((index[target], index[source]), symbol)
     order = sorted(pairs)
+    # Sorted by target, so that `reduceat` takes the best move into each target in one pass.
     ends = np.array(order, dtype=np.intp).reshape(-1, 2)
     reached, first = np.unique(ends[:, 0], return_index=True)
     symbols = tuple(pairs[pair] for pair in order)
@@ -154,6 +156,7 @@ def climb(side: Side, start: float) -> Bound:
     entry[graph.initial] = start
     changed: Sequence[int] = [graph.initial]
     loop: tuple[int, ...] = ()
+    # Without loops a way has fewer than `size` moves, and each loop is settled by one acceleration; the rest is slack.
     for _ in range(20 * size + 100):
         for place in changed:
             leaving[place] = side.leave(place, float(entry[place]))
@@ -190,6 +193,8 @@ def _circles(parent: Indices, changed: Sequence[int]) -> list[list[int]]:
     """The loops among the best ways that some changed location lies on, each in the direction of the moves."""
     found: list[list[int]] = []
     state = dict[int, int]()
+    # Each location has one best predecessor, so that following them from a location meets at most one loop; what an
+    # earlier walk has seen need not be walked again.
     for number, begin in enumerate(changed):
         path, here = list[int](), begin
         while here >= 0 and here not in state:
@@ -231,6 +236,7 @@ def _fixed_point(side: Side, circle: Sequence[int], begin: float) -> float:
     if isinf(begin) or not _gains(side, circle, begin):
         return begin
     low, width = begin, 1.0
+    # Doubled until a lap gains nothing more: that brackets the fixed point in some 25 laps, however far it is.
     while _gains(side, circle, begin + width):
         low, width = begin + width, 2.0 * width
         if begin + width > FAR:

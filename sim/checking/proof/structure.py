@@ -15,7 +15,7 @@ Move = tuple[str, str, str]
 
 
 @dataclass(frozen=True, slots=True)
-class TraceAcceptance:
+class FollowedTrace:
     """How far an automaton follows one trace. All of it is accepted where `index` is None.
 
     Otherwise event number `index` (counted from 0), `symbol` at `time` (absolute s), has no edge out of `locations`,
@@ -60,10 +60,10 @@ def missing(sha: SHA, symbols: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
     UNKNOWN is never missing: it leads to the initial location from everywhere, whatever the edges say.
     """
-    there: dict[str, set[str]] = {location.name: set() for location in sha.locations}
+    known: dict[str, set[str]] = {location.name: set() for location in sha.locations}
     for edge in sha.edges:
-        there[edge.source].add(edge.symbol)
-    lacking = {name: tuple(s for s in symbols if s != UNKNOWN and s not in has) for name, has in there.items()}
+        known[edge.source].add(edge.symbol)
+    lacking = {name: tuple(s for s in symbols if s != UNKNOWN and s not in has) for name, has in known.items()}
     return {name: lacks for name, lacks in lacking.items() if lacks}
 
 
@@ -104,8 +104,16 @@ def dead_ends(sha: SHA) -> tuple[str, ...]:
 def components(sha: SHA) -> tuple[tuple[str, ...], ...]:
     """The strongly connected components, largest first: sets of locations that can all reach one another."""
     names = [location.name for location in sha.locations]
-    groups = _groups(sha)
-    found = [tuple(name for name, label in zip(names, groups, strict=True) if label == one) for one in set(groups)]
+    index = {name: place for place, name in enumerate(names)}
+    rows = [index[edge.source] for edge in sha.edges]
+    columns = [index[edge.target] for edge in sha.edges]
+    graph = csr_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(index), len(index)))
+    _, labels = connected_components(graph, directed=True, connection="strong")
+    numbers = [int(label) for label in labels]
+    found = [
+        tuple(name for name, label in zip(names, numbers, strict=True) if label == number) for number in set(numbers)
+    ]
+    # scipy numbers the components as it pleases: of equally large ones that of the first location goes first.
     return tuple(sorted(found, key=lambda group: (-len(group), names.index(group[0]))))
 
 
@@ -120,7 +128,7 @@ def traps(sha: SHA) -> tuple[tuple[str, ...], ...]:
     return tuple(group for group in closed if not set(group) <= ends)
 
 
-def accept(sha: SHA, events: Sequence[Event], trace: str = "trace") -> TraceAcceptance:
+def accept(sha: SHA, events: Sequence[Event], trace: str = "trace") -> FollowedTrace:
     """Whether some run of the automaton follows all events: `A<> p_1.next_i == N_E` for the trace's program.
 
     Guards are text and taken as true. UNKNOWN leads to the initial location.
@@ -128,24 +136,25 @@ def accept(sha: SHA, events: Sequence[Event], trace: str = "trace") -> TraceAcce
     return accept_all(sha, {trace: events})[0]
 
 
-def accept_all(sha: SHA, words: Mapping[str, Sequence[Event]]) -> tuple[TraceAcceptance, ...]:
+def accept_all(sha: SHA, words: Mapping[str, Sequence[Event]]) -> tuple[FollowedTrace, ...]:
     """`accept` for several traces, by name."""
     onward: dict[tuple[str, str], set[str]] = {}
     for edge in sha.edges:
         onward.setdefault((edge.source, edge.symbol), set()).add(edge.target)
 
-    def followed(events: Sequence[Event], trace: str) -> TraceAcceptance:
+    def followed(events: Sequence[Event], trace: str) -> FollowedTrace:
         here = {sha.initial}
         for index, event in enumerate(events):
+            # All locations at once (the subset construction): the automaton need not be deterministic.
             reached = {target for place in here for target in onward.get((place, event.symbol), ())}
             if event.symbol == UNKNOWN:
                 reached = {sha.initial}
             if not reached:
-                return TraceAcceptance(
+                return FollowedTrace(
                     trace, len(events), index=index, symbol=event.symbol, time=event.time, locations=tuple(sorted(here))
                 )
             here = reached
-        return TraceAcceptance(trace, len(events))
+        return FollowedTrace(trace, len(events))
 
     return tuple(followed(events, name) for name, events in words.items())
 
@@ -155,13 +164,3 @@ def _onward(sha: SHA) -> dict[str, set[str]]:
     for edge in sha.edges:
         onward[edge.source].add(edge.target)
     return onward
-
-
-def _groups(sha: SHA) -> list[int]:
-    """The number of each location's strongly connected component."""
-    index = {location.name: place for place, location in enumerate(sha.locations)}
-    rows = [index[edge.source] for edge in sha.edges]
-    columns = [index[edge.target] for edge in sha.edges]
-    graph = csr_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(index), len(index)))
-    _, labels = connected_components(graph, directed=True, connection="strong")
-    return [int(label) for label in labels]

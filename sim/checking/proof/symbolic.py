@@ -70,32 +70,50 @@ def decide(query: q.Symbolic, sha: SHA) -> SymbolicVerdict:
 
     Raises ValueError for a quantity that changes in time, and for a location that is not the automaton's.
     """
-    graph = _graph(sha)
-    inner = satisfying(query.inner, sha)
+    following: dict[str, dict[str, str]] = {location.name: {} for location in sha.locations}
+    for edge in sha.edges:
+        following[edge.source].setdefault(edge.target, edge.symbol)
+    graph = _Graph(sha.initial, following)
+    everywhere, inner = frozenset(following), satisfying(query.inner, sha)
     reached = _search(graph, {graph.initial: 0}, lambda _: True)
-    notes = _notes(sha, reached.keys())
+
+    # Each kind is the search for one path: what shows E<> and E[], or denies A[], A<> and -->.
+    lasso: _Lasso | None = None
     if query.kind in ("E<>", "A[]"):
-        wanted = inner if query.kind == "E<>" else frozenset(graph.following) - inner
+        wanted = inner if query.kind == "E<>" else everywhere - inner
         found = next((place for place in reached if place in wanted), None)
         lasso = None if found is None else _Lasso(_path_to(reached, found))
+    elif query.kind == "-->":
+        if query.then is None:
+            raise ValueError("the query phi --> psi has no psi")
+        keep = everywhere - satisfying(query.then, sha)
+        starts = {place: steps for place, (steps, _) in reached.items() if place in inner and place in keep}
+        lasso = _shortest_lasso(graph, starts, keep)
+        if lasso is not None:  # it begins at a phi: the way there comes before it
+            lasso = _Lasso(_path_to(reached, lasso.path[0])[:-1] + lasso.path, lasso.back)
     else:
-        lasso = _lasting(query, graph, inner, sha, reached)
-    exists = query.kind.startswith("E")
-    return _verdict(graph, lasso, len(reached), notes, exists)
-
-
-def _lasting(query: q.Symbolic, graph: _Graph, inner: Places, sha: SHA, reached: "_Tree") -> _Lasso | None:
-    """The shortest path that shows E[], or denies A<> or -->."""
-    everywhere = frozenset(graph.following)
-    if query.kind != "-->":
         keep = inner if query.kind == "E[]" else everywhere - inner
-        return _shortest_lasso(graph, {graph.initial: 0} if graph.initial in keep else {}, keep)
-    if query.then is None:
-        raise ValueError("the query phi --> psi has no psi")
-    keep = everywhere - satisfying(query.then, sha)
-    starts = {place: steps for place, (steps, _) in reached.items() if place in inner and place in keep}
-    lasso = _shortest_lasso(graph, starts, keep)
-    return None if lasso is None else _Lasso(_path_to(reached, lasso.path[0])[:-1] + lasso.path, lasso.back)
+        lasso = _shortest_lasso(graph, {graph.initial: 0} if graph.initial in keep else {}, keep)
+
+    notes: tuple[str, ...] = ()
+    guarded = [edge for edge in sha.edges if edge.guard and edge.source in reached]
+    if guarded:
+        first = f"{guarded[0].source} -{guarded[0].symbol}-> {guarded[0].target} [{guarded[0].guard}]"
+        notes = (f"edges with guards count as open: {len(guarded)} of them, such as {first}",)
+    # A path is the witness of an E query, which then holds, and a counterexample to any other.
+    exists = query.kind.startswith("E")
+    if lasso is None:
+        return SymbolicVerdict(holds=not exists, explored=len(reached), notes=notes)
+    return SymbolicVerdict(
+        holds=exists,
+        shows="witness" if exists else "counterexample",
+        path=lasso.path,
+        word=_symbols(graph, lasso.path),
+        loop_path=lasso.back,
+        loop=_symbols(graph, lasso.path[-1:] + lasso.back),
+        explored=len(reached),
+        notes=notes,
+    )
 
 
 def satisfying(formula: q.Formula, sha: SHA) -> Places:
@@ -138,19 +156,13 @@ def _value(expression: q.Expression) -> float:
     return _ARITHMETIC[expression.op](_value(expression.left), right)
 
 
-def _graph(sha: SHA) -> _Graph:
-    following: dict[str, dict[str, str]] = {location.name: {} for location in sha.locations}
-    for edge in sha.edges:
-        following[edge.source].setdefault(edge.target, edge.symbol)
-    return _Graph(sha.initial, following)
-
-
 _Tree = dict[str, tuple[int, str | None]]
 """Reached locations in the order of their distance: (distance, the one before; None for a start)."""
 
 
 def _search(graph: _Graph, starts: Mapping[str, int], keep: Callable[[str], bool]) -> _Tree:
     """Shortest distances from starts that have distances of their own, over locations that `keep` accepts."""
+    # Dijkstra (1959). The running number breaks ties by the order of discovery, so that equal queries show equal paths.
     found: _Tree = {}
     number = count()
     queue: list[tuple[int, int, str, str | None]] = []
@@ -178,7 +190,12 @@ def _shortest_lasso(graph: _Graph, starts: Mapping[str, int], keep: Places) -> _
         around = 0 if not graph.following[place] else cycles(place, best[0] - steps)
         best = min(best, (steps + around, place), key=lambda one: one[0])
     end = best[1]
-    return None if end is None else _Lasso(_path_to(tree, end), _shortest_cycle(graph, end, keep))
+    if end is None:
+        return None
+    if not graph.following[end]:
+        return _Lasso(_path_to(tree, end))  # a deadlock: the path ends there
+    around_it = _search(graph, {after: 1 for after in graph.following[end] if after in keep}, keep.__contains__)
+    return _Lasso(_path_to(tree, end), _path_to(around_it, end))
 
 
 def _cycles(graph: _Graph, keep: Places) -> Callable[[str, float], float]:
@@ -194,31 +211,18 @@ def _cycles(graph: _Graph, keep: Places) -> Callable[[str, float], float]:
         seen, front, steps = 0, start, 0
         while front and steps + 1 < limit:
             steps += 1
-            front = _union(masks, front) & ~seen
+            ahead = 0
+            while front:
+                lowest = front & -front  # the lowest bit that is set
+                ahead |= masks[lowest.bit_length() - 1]
+                front ^= lowest
+            front = ahead & ~seen
             if front & start:
                 return steps
             seen |= front
         return inf
 
     return length
-
-
-def _union(masks: list[int], members: int) -> int:
-    """All that the members lead to."""
-    total = 0
-    while members:
-        lowest = members & -members
-        total |= masks[lowest.bit_length() - 1]
-        members ^= lowest
-    return total
-
-
-def _shortest_cycle(graph: _Graph, place: str, keep: Places) -> tuple[str, ...]:
-    """The shortest way from a location back to itself, without its beginning; empty in a deadlock."""
-    if not graph.following[place]:
-        return ()
-    tree = _search(graph, {after: 1 for after in graph.following[place] if after in keep}, keep.__contains__)
-    return _path_to(tree, place)
 
 
 def _path_to(tree: _Tree, place: str) -> tuple[str, ...]:
@@ -231,35 +235,8 @@ def _path_to(tree: _Tree, place: str) -> tuple[str, ...]:
     return tuple(reversed(path))
 
 
-def _verdict(
-    graph: _Graph, lasso: _Lasso | None, explored: int, notes: tuple[str, ...], exists: bool
-) -> SymbolicVerdict:
-    """A path is the witness of an E query, which then holds, and a counterexample to any other."""
-    if lasso is None:
-        return SymbolicVerdict(holds=not exists, explored=explored, notes=notes)
-    return SymbolicVerdict(
-        holds=exists,
-        shows="witness" if exists else "counterexample",
-        path=lasso.path,
-        word=_symbols(graph, lasso.path),
-        loop_path=lasso.back,
-        loop=_symbols(graph, lasso.path[-1:] + lasso.back),
-        explored=explored,
-        notes=notes,
-    )
-
-
 def _symbols(graph: _Graph, path: Iterable[str]) -> tuple[str, ...]:
     return tuple(graph.following[here][there] for here, there in pairwise(path))
-
-
-def _notes(sha: SHA, reached: Iterable[str]) -> tuple[str, ...]:
-    there = frozenset(reached)
-    guarded = [edge for edge in sha.edges if edge.guard and edge.source in there]
-    if not guarded:
-        return ()
-    first = f"{guarded[0].source} -{guarded[0].symbol}-> {guarded[0].target} [{guarded[0].guard}]"
-    return (f"edges with guards count as open: {len(guarded)} of them, such as {first}",)
 
 
 _COMPARE: Mapping[str, Callable[[float, float], bool]] = MappingProxyType(

@@ -121,7 +121,13 @@ def verify(
     if traces:
         checks.append(timed(_acceptance(sha, traces)))
     found: Bounds | None = None
-    _check_inputs(sha, assumptions)
+    # A range for what drives nothing would be a slip of the pen, and change nothing.
+    driving = dict.fromkeys(given.signal for location in sha.locations for given in location.flow.inputs)
+    driving |= dict.fromkeys(signals_of(sha))
+    strange = next((name for name in assumptions.inputs if name not in driving), None)
+    if strange is not None:
+        known = f"they are driven by {', '.join(driving)}" if driving else "none is driven by any signal"
+        raise ValueError(f"no flow of {sha.name!r} is driven by {strange!r}; {known}")
     if isinstance(subject, Model) and all(check.verdict == "proven" for check in checks[:2]):
         found, temperature = _lasting(subject, bounds, assumptions, timed)
         checks += temperature
@@ -129,16 +135,6 @@ def verify(
         said = "the model cannot be run, so nothing is said of temperatures"
         checks.append(Check("bounds", "not decided", said, blocking=bounds is not None))
     return Verification(sha.name, tuple(checks), describe(assumptions), found)
-
-
-def _check_inputs(sha: SHA, assumptions: Assumptions) -> None:
-    """A range for what drives nothing would be a slip of the pen, and change nothing."""
-    driving = dict.fromkeys(one.signal for location in sha.locations for one in location.flow.inputs)
-    driving |= dict.fromkeys(signals_of(sha))
-    strange = next((name for name in assumptions.inputs if name not in driving), None)
-    if strange is not None:
-        known = f"they are driven by {', '.join(driving)}" if driving else "none is driven by any signal"
-        raise ValueError(f"no flow of {sha.name!r} is driven by {strange!r}; {known}")
 
 
 @dataclass(slots=True)
@@ -257,29 +253,25 @@ def _decided(
 ) -> tuple[Bounds | None, list[Check]]:
     """All that is said of temperatures; not decided without a range, without a bound, or where numbers overflow."""
     try:
+        # An overflow would come out as an infinite bound, which reads like growth: it is an error instead.
         with np.errstate(over="raise", divide="raise", invalid="raise"):
-            return _temperature(model, claimed, assumptions, timed)
+            sha = in_sensor_scale(model).sha
+            low, high = claimed or (sha.low, sha.high)
+            found = find_bounds(model, low, high, assumptions)
+            checks = [timed(_within(found, model, assumptions, blocking=claimed is not None))]
+            # A claim may have an infinite border, which growth would never pass: growth is judged by the model's range.
+            own = found if claimed is None else find_bounds(model, sha.low, sha.high, assumptions)
+            checks.append(timed(_growth(own, model)))
+            width = sha.high - sha.low
+            wider = sha.low - SLACK * width, sha.high + SLACK * width
+            course = find_bounds(model, *wider, assumptions, doubt=MOST_DOUBT * width)
+            checks += [timed(_mean_course(course, assumptions.z)), timed(_noise_check(model, assumptions.z))]
+            return found, checks if model.correction.identity else [*checks, timed(_correction(model))]
     except (UnboundedInput, UnboundedEffect) as error:
         return None, [Check("growth", "not decided", str(error))]
     except ArithmeticError as error:
         said = f"the model's numbers lead beyond what can be computed ({error}); give parameters of a usual size"
         return None, [Check("growth", "not decided", said)]
-
-
-def _temperature(
-    model: Model, claimed: Range | None, assumptions: Assumptions, timed: _Stopwatch
-) -> tuple[Bounds, list[Check]]:
-    sha = in_sensor_scale(model).sha
-    low, high = claimed or (sha.low, sha.high)
-    found = find_bounds(model, low, high, assumptions)
-    checks = [timed(_within(found, model, assumptions, blocking=claimed is not None))]
-    # A claim may have an infinite border, which growth would never pass: it is judged by the model's own range.
-    own = found if claimed is None else find_bounds(model, sha.low, sha.high, assumptions)
-    checks.append(timed(_growth(own, model)))
-    width = sha.high - sha.low
-    mean = find_bounds(model, sha.low - SLACK * width, sha.high + SLACK * width, assumptions, doubt=MOST_DOUBT * width)
-    checks += [timed(_mean_course(mean, assumptions.z)), timed(_noise_check(model, assumptions.z))]
-    return found, checks if model.correction.identity else [*checks, timed(_correction(model))]
 
 
 def _within(found: Bounds, model: Model, assumptions: Assumptions, *, blocking: bool) -> Check:

@@ -11,7 +11,7 @@ Items are divided by blanks; one with blanks in it is put in double quotes; # be
 
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import isfinite, nan
@@ -66,11 +66,6 @@ def parse_word(text: str) -> TimedWord:
     if not last.symbol and (last.m is not None or last.temperature is not None or last.inputs) and len(items) > 1:
         raise ValueError(f"{items[-1]!r}: the last item only says when the word ends; put its parameters to an event")
     stays = steps if last.symbol else steps[:-1]
-    _check(steps, stays)
-    return TimedWord(tuple(stays), last.time)
-
-
-def _check(steps: Sequence[WordStep], stays: Sequence[WordStep]) -> None:
     if steps[0].time != 0:
         raise ValueError(f"the word begins at {steps[0].time:g} s; seconds count from the start, which is 0")
     for before, after in pairwise(steps):
@@ -84,6 +79,7 @@ def _check(steps: Sequence[WordStep], stays: Sequence[WordStep]) -> None:
     nameless = [step for step in stays[1:] if not step.symbol]
     if nameless:
         raise ValueError(f"the item at {nameless[0].time:g} s has no symbol; only the first and the last may have none")
+    return TimedWord(tuple(stays), last.time)
 
 
 def _step(item: str) -> WordStep:

@@ -94,11 +94,24 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
     """
     model = in_sensor_scale(model)
     check_sha(model.sha)
-    x = _start(model, word, start)
+    given = word.steps[0].temperature
+    x = start if given is None else given
+    if x is None:
+        if model.initial is None:
+            raise ValueError("the word says no start temperature and the model has no initial law; begin it as @0,T=20")
+        x = distributions.mean(model.initial)
+    # A word says when things act, so the dead time is taken out rather than followed.
     late = of_feature(model.sha, "dead time")
     sha = replace(model.sha, effects=tuple(each for each in model.sha.effects if each not in late))
     stays = _stays(sha, word, policy)
-    _check_length(sha, stays, word.end)
+    part = dict(zip((place.name for place in sha.locations), longest(compile_plant(sha)).tolist(), strict=True))
+    ends = [*(step.time for step, _ in stays[1:]), word.end]
+    pieces = sum((until - step.time) / part[place.name] for (step, place), until in zip(stays, ends, strict=True))
+    if pieces > MOST_SEGMENTS:
+        raise ValueError(
+            f"the word lasts {word.end:.6g} s, which are {pieces:.3g} pieces of a course with thermostat or radiation; "
+            f"{MOST_SEGMENTS} can be followed, so give a shorter one"
+        )
     clock = (word.steps[0].clock or 0.0) if sha.effects else 0.0  # without effects nothing depends on it
     steps = _schedule(sha, stays, word.end, clock)
     modes = [mode_parameter(location)[0] if step.m is None else step.m for step, location in stays]
@@ -106,6 +119,7 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
     drawn = replace(
         stay_draws(steps), mode=np.array(modes)[steps.stay], fresh=np.nan_to_num(np.array(fresh))[steps.stay]
     )
+    # Twice the same course: free, where nothing is put back into the range, and as a run of the model is held in it.
     free = mean_readings(steps, x, replace(drawn, checked=np.zeros_like(steps.checked)))
     first = sensor_offset(sha, clock)
     held = mean_readings(steps, min(max(x, sha.low + first), sha.high + first), drawn)
@@ -138,17 +152,6 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
     return WordReplay(tuple(visits))
 
 
-def _start(model: Model, word: TimedWord, start: float | None) -> float:
-    given = word.steps[0].temperature
-    if given is not None:
-        return given
-    if start is not None:
-        return start
-    if model.initial is None:
-        raise ValueError("the word says no start temperature and the model has no initial law; begin it as @0,T=20")
-    return distributions.mean(model.initial)
-
-
 def _stays(sha: SHA, word: TimedWord, policy: Policy) -> list[tuple[WordStep, Location]]:
     """The stays with their locations; an event that is ignored begins none."""
     onward, fallback, known = transitions(sha), resync_targets(sha), sha.by_name
@@ -166,17 +169,6 @@ def _stays(sha: SHA, word: TimedWord, policy: Policy) -> list[tuple[WordStep, Lo
         here = fallback.get(step.symbol, sha.initial) if target is None else target
         stays.append((step, known[here]))
     return stays
-
-
-def _check_length(sha: SHA, stays: Stays, end: float) -> None:
-    part = dict(zip((place.name for place in sha.locations), longest(compile_plant(sha)).tolist(), strict=True))
-    ends = [*(step.time for step, _ in stays[1:]), end]
-    pieces = sum((until - step.time) / part[place.name] for (step, place), until in zip(stays, ends, strict=True))
-    if pieces > MOST_SEGMENTS:
-        raise ValueError(
-            f"the word lasts {end:.6g} s, which are {pieces:.3g} pieces of a course with thermostat or radiation; "
-            f"{MOST_SEGMENTS} can be followed, so give a shorter one"
-        )
 
 
 def _schedule(sha: SHA, stays: Stays, end: float, clock: float) -> Schedule:

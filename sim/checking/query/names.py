@@ -45,13 +45,19 @@ def identifiers(names: Sequence[str]) -> Mapping[str, str]:
     A name that is an identifier already keeps it. What would collide gets _2, _3 ... in the given order.
     """
     chosen: dict[str, str] = {}
-    kept = {name for name in names if _is_identifier(name)}
+    plain = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+    kept = {name for name in names if plain.fullmatch(name) and name not in RESERVED and len(name) <= LONGEST}
     taken = set(kept)
     for name in names:
         if name in kept:
             chosen[name] = name
             continue
-        base = _spelled(name)
+        # Signs that carry meaning become words, the rest an underscore; a digit never begins.
+        text = name
+        for sign, word in (("+", "_plus"), ("?", "unknown"), ("<-", "below_minus_"), ("<", "below_"), (">", "above_")):
+            text = text.replace(sign, word)
+        text = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_") or "q"
+        base = (text if text[0].isalpha() else f"q_{text}")[:LONGEST]
         candidate, number = base, 1
         while candidate in taken or candidate in RESERVED:
             number += 1
@@ -59,16 +65,3 @@ def identifiers(names: Sequence[str]) -> Mapping[str, str]:
         taken.add(candidate)
         chosen[name] = candidate
     return chosen
-
-
-def _is_identifier(name: str) -> bool:
-    return re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) is not None and name not in RESERVED and len(name) <= LONGEST
-
-
-def _spelled(name: str) -> str:
-    """Signs that carry meaning become words, the rest an underscore; a digit never begins."""
-    text = name
-    for sign, word in (("+", "_plus"), ("?", "unknown"), ("<-", "below_minus_"), ("<", "below_"), (">", "above_")):
-        text = text.replace(sign, word)
-    text = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_") or "q"
-    return (text if text[0].isalpha() else f"q_{text}")[:LONGEST]

@@ -105,7 +105,16 @@ def answer(
         raise ValueError("a symbolic query is decided over the locations, not answered by runs")
     if chosen.rare and not isinstance(query, q.Probability):
         raise ValueError("importance splitting answers Pr[...](<> ...) and Pr[...]([] ...) without a comparison")
-    _check_size(query, chosen)
+    if isinstance(query, q.PairedComparison):
+        parts: tuple[q.Probability | q.Expectation | q.Simulation, ...] = (query.left, query.right)
+    else:
+        parts = (query.question if isinstance(query, q.Hypothesis) else query,)
+    for runs in (chosen.runs, *(part.runs for part in parts)):
+        if runs is not None and not 1 <= runs <= MOST_RUNS:
+            raise ValueError(f"{runs} runs cannot be made; ask for a number from 1 to {MOST_RUNS}")
+    for part in parts:
+        if not 0.0 < part.bound <= LONGEST_RUN:
+            raise ValueError(f"a run of {part.bound:g} s cannot be made; the bound lies above 0 and at most at 1e9 s")
     match query:
         case q.Probability():
             return _probability(query, start, chosen, report)
@@ -116,22 +125,6 @@ def answer(
         case q.Expectation():
             return _expectation(query, start, chosen, report)
     return _simulation(query, start, chosen, report)
-
-
-def _check_size(
-    query: q.Probability | q.Hypothesis | q.PairedComparison | q.Expectation | q.Simulation, settings: QuerySettings
-) -> None:
-    """Raises ValueError for more runs, or longer ones, than can be made."""
-    if isinstance(query, q.PairedComparison):
-        parts: tuple[q.Probability | q.Expectation | q.Simulation, ...] = (query.left, query.right)
-    else:
-        parts = (query.question if isinstance(query, q.Hypothesis) else query,)
-    for runs in (settings.runs, *(part.runs for part in parts)):
-        if runs is not None and not 1 <= runs <= MOST_RUNS:
-            raise ValueError(f"{runs} runs cannot be made; ask for a number from 1 to {MOST_RUNS}")
-    for part in parts:
-        if not 0.0 < part.bound <= LONGEST_RUN:
-            raise ValueError(f"a run of {part.bound:g} s cannot be made; the bound lies above 0 and at most at 1e9 s")
 
 
 def prepared(question: q.Probability, start: Start) -> PreparedPath:
@@ -152,9 +145,16 @@ def _probability(query: q.Probability, start: Start, settings: QuerySettings, re
     if settings.rare:
         return _rare(query, path, start, settings, report)
     drawn = sampler(start.world, (path,), settings.seed)
-    found = _estimated(drawn, query, settings, report)
+    outcomes = _outcomes(drawn)
+    if query.runs or settings.runs or settings.rule == "fixed":  # whoever asks for a number of runs gets the fixed rule
+        runs = settings.runs or query.runs or hoeffding_runs(settings)
+        found = fixed(outcomes, runs, settings.level, progress=report)
+    else:
+        rule = anytime if settings.rule == "anytime" else to_half_width
+        found = rule(outcomes, settings.epsilon, settings.level, most=settings.most, progress=report)
     estimate = found.estimate
 
+    # The contrary of `[]` is what may be rare: there a share of exactly 1 says that no run has shown it.
     never = estimate.probability == (0.0 if isinstance(query.path, q.Eventually) else 1.0)
     what = "the event came" if isinstance(query.path, q.Eventually) else "a violation came"
     advice: tuple[str, ...] = ()
@@ -174,16 +174,6 @@ def _probability(query: q.Probability, start: Start, settings: QuerySettings, re
     if not found.decided:
         sentence += f"; the runs ended before the interval was as narrow as ±{settings.epsilon:g}"
     return _answered(query, "probability", sentence, found=found, drawn=drawn, start=start, advice=advice)
-
-
-def _estimated(drawn: Sampler, query: q.Probability, settings: QuerySettings, report: Progress) -> RuleOutcome:
-    """A probability by the settings' rule; whoever asks for a number of runs gets the fixed one."""
-    outcomes = _outcomes(drawn)
-    if query.runs or settings.runs or settings.rule == "fixed":
-        runs = settings.runs or query.runs or hoeffding_runs(settings)
-        return fixed(outcomes, runs, settings.level, progress=report)
-    rule = anytime if settings.rule == "anytime" else to_half_width
-    return rule(outcomes, settings.epsilon, settings.level, most=settings.most, progress=report)
 
 
 def hoeffding_runs(settings: QuerySettings) -> int:
@@ -296,6 +286,7 @@ def _expectation(query: q.Expectation, start: Start, settings: QuerySettings, re
     sentence = f"E({query.extreme}) = {mean:.4g} (one run)"
     if runs > 1:
         deviation = sqrt(found.squares / (runs - 1))
+        # Student's t: the extremes are not normal, but their mean nearly is for the runs that anybody asks for.
         half = float(stdtrit(runs - 1, 1.0 - settings.alpha / 2.0)) * deviation / sqrt(runs)
         numbers |= {"low": mean - half, "high": mean + half, "sigma": deviation}
         sentence = f"E({query.extreme}) = {_interval(mean, numbers['low'], numbers['high'], settings)}"

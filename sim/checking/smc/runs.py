@@ -47,6 +47,7 @@ def chunk_size(number: int, largest: int = LARGEST) -> int:
 
 def generator(seed: int, number: int) -> np.random.Generator:
     """The generator of chunk `number` under a seed."""
+    # A spawn key for each chunk: run i is the same run whatever was drawn before it, and no two streams overlap.
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy=seed, spawn_key=(number,))))
 
 
@@ -123,6 +124,7 @@ class RunStatistics:
         """With these values too (Chan, Golub & LeVeque 1979)."""
         mean, runs = float(values.mean()), self.runs + values.size
         off = mean - self.mean
+        # Sums of squares are joined about their means: sum x^2 - n mean^2 cancels at 80 degC with a scatter of 0.1.
         squares = self.squares + float(np.square(values - mean).sum()) + off**2 * self.runs * values.size / runs
         least, greatest = min(self.least, float(values.min())), max(self.greatest, float(values.max()))
         return RunStatistics(runs, self.mean + off * values.size / runs, squares, least, greatest)
@@ -192,11 +194,7 @@ def trajectories(
     monitor = TrajectoryMonitor(tuple(expressions), tuple(place.name for place in world.sha.locations))
     totals = follow(made, [monitor], runs, generator(seed, 0))
     _check_finite(*(column for pair in monitor.values for column in pair))
-    return _sorted(monitor, runs), totals, made.notes
-
-
-def _sorted(monitor: TrajectoryMonitor, runs: int) -> tuple[Trajectory, ...]:
-    """The pieces, run by run."""
+    # The pieces came in the order of time, all runs mixed: a stable sort by run keeps each run's own in that order.
     who = np.concatenate([owner for *_, owner in monitor.times])
     order = np.argsort(who, kind="stable")
     begin = np.concatenate([times for times, *_ in monitor.times])[order]
@@ -204,16 +202,11 @@ def _sorted(monitor: TrajectoryMonitor, runs: int) -> tuple[Trajectory, ...]:
     first = np.concatenate([values for values, _ in monitor.values], axis=1)[:, order]
     last = np.concatenate([values for _, values in monitor.values], axis=1)[:, order]
     times, values = np.stack([begin, stop], axis=1), np.stack([first, last], axis=2)
-    edges = np.searchsorted(who[order], np.arange(runs + 1))
-    return tuple(
-        _thinned(times[low:high].ravel(), values[:, low:high].reshape(values.shape[0], -1))
-        for low, high in pairwise(edges.tolist())
-    )
-
-
-def _thinned(times: Array, values: Array) -> Trajectory:
-    """Without the rows that repeat the one before them."""
-    # A piece ends where the next one begins; only at a jump do the two rows of that instant differ.
-    same = (np.diff(times) == 0) & np.all(np.isclose(np.diff(values, axis=1), 0.0, atol=1e-12), axis=0)
-    keep = np.concatenate([[True], ~same])
-    return Trajectory(times[keep], values[:, keep])
+    courses = []
+    for low, high in pairwise(np.searchsorted(who[order], np.arange(runs + 1)).tolist()):
+        instants, course = times[low:high].ravel(), values[:, low:high].reshape(values.shape[0], -1)
+        # A piece ends where the next one begins; only at a jump do the two rows of that instant differ.
+        same = (np.diff(instants) == 0) & np.all(np.isclose(np.diff(course, axis=1), 0.0, atol=1e-12), axis=0)
+        keep = np.concatenate([[True], ~same])
+        courses.append(Trajectory(instants[keep], course[:, keep]))
+    return tuple(courses), totals, made.notes

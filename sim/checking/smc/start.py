@@ -54,7 +54,7 @@ def believed(model: Model | Tracker, trace: Trace, until: float | None = None, *
     end = float(trace.times[-1]) if until is None and trace.times.size else until
     if end is None or not trace.times.size or end < trace.times[0]:
         raise ValueError(f"trace {trace.name!r} has no row up to the time from which the runs should start")
-    past = trace.between(float("-inf"), _after(end))
+    past = trace.between(float("-inf"), end + 1e-6)  # a hair after `end`, so that what happens at it is in
     belief = filter_trace(tracker, past).belief
     if not belief.seen:
         raise ValueError(f"trace {trace.name!r}: no temperature {tracker.model.temperature!r} was read up to then")
@@ -62,7 +62,13 @@ def believed(model: Model | Tracker, trace: Trace, until: float | None = None, *
         belief = advance(tracker, belief, end)
     if recorded and end >= trace.times[-1]:
         raise ValueError(f"trace {trace.name!r} ends where the runs start: nothing recorded drives them")
-    return Start(from_belief(tracker, belief, trace if recorded else None), _words(belief, trace, recorded=recorded))
+    now = belief.time - float(trace.times[0])
+    driven = "events of the trace" if recorded else "semi-Markov events"
+    words = (
+        f"{trace.name} at {now:.6g} s: {belief.location} for {belief.age:.4g} s, "
+        f"{belief.x:.4g} ± {belief.sigma:.2g} degC; {driven}"
+    )
+    return Start(from_belief(tracker, belief, trace if recorded else None), words)
 
 
 def from_belief(tracker: Tracker, belief: Belief, trace: Trace | None = None) -> World:
@@ -70,17 +76,3 @@ def from_belief(tracker: Tracker, belief: Belief, trace: Trace | None = None) ->
     names = [location.name for location in tracker.model.sha.locations]
     first = Distribution("normal", {"mu": belief.x, "sigma": belief.sigma})
     return World(tracker, belief.time, names.index(belief.location), first, belief=belief, trace=trace)
-
-
-def _after(time: float) -> float:
-    """A hair after `time`, so that what happens at it is in."""
-    return time + 1e-6
-
-
-def _words(belief: Belief, trace: Trace, *, recorded: bool) -> str:
-    now = belief.time - float(trace.times[0])
-    driven = "events of the trace" if recorded else "semi-Markov events"
-    return (
-        f"{trace.name} at {now:.6g} s: {belief.location} for {belief.age:.4g} s, "
-        f"{belief.x:.4g} ± {belief.sigma:.2g} degC; {driven}"
-    )

@@ -264,7 +264,20 @@ def check_formula(formula: Formula, names: tuple[str, ...]) -> None:
 
 def table(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask:
     """(2k + 1,) or (2k + 1, n) whether formula number `which` is true in each region of a piece."""
-    clocks = tuple(_clock_truth(compare, piece) for compare in compiled.clocks) if compiled.clocks else ()
+    clocks: tuple[bool | Mask, ...] = ()
+    if compiled.clocks:
+        # Clocks are compared half-way through: steps are cut where such a comparison changes, so it is the same in all
+        # of the piece (or the piece is a single instant).
+        middle = piece.middle, piece.age + 0.5 * piece.dt
+        truths: list[bool | Mask] = []
+        for compare in compiled.clocks:
+            left, right = value(compare.left, 0.0, *middle), value(compare.right, 0.0, *middle)
+            difference = np.asarray(left - right)
+            equal = np.abs(difference) <= TINY * (1.0 + np.abs(left))
+            below, same, above = _SIGNS[compare.op]
+            truth = np.where(equal, same, np.where(difference < 0, below, above) & ~np.isnan(difference))
+            truths.append(bool(truth) if truth.ndim == 0 else truth)
+        clocks = tuple(truths)
     if not compiled.still or not isinstance(piece.location, int) or any(isinstance(one, np.ndarray) for one in clocks):
         return _table(compiled, which, piece, clocks)
     # Lines that stand still and one location for all runs: few tables, each used thousands of times.
@@ -274,24 +287,14 @@ def table(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask:
     return compiled.tables[key]
 
 
-def _clock_truth(compare: Compare, piece: Piece) -> bool | Mask:
-    """A comparison of clocks, half-way through the piece; the same at all of it, or the piece is a single instant."""
-    middle = piece.middle, piece.age + 0.5 * piece.dt
-    left, right = value(compare.left, 0.0, *middle), value(compare.right, 0.0, *middle)
-    difference = np.asarray(left - right)
-    equal = np.abs(difference) <= TINY * (1.0 + np.abs(left))
-    below, same, above = _SIGNS[compare.op]
-    truth = np.where(equal, same, np.where(difference < 0, below, above) & ~np.isnan(difference))
-    return bool(truth) if truth.ndim == 0 else truth
-
-
 def _table(compiled: CompiledFormulas, which: int, piece: Piece, clocks: tuple[bool | Mask, ...]) -> Mask:
     k = len(compiled.lines)
     regions = np.arange(2 * k + 1)
     known = dict(zip(compiled.clocks, clocks, strict=True))
     ranks = _ranks(compiled, piece)
-    runs = piece.start.size if isinstance(piece.location, np.ndarray) else None
-    shape = regions[:, None] if ranks.ndim == 2 or runs is not None or _wide(clocks) else regions
+    # One column for each run as soon as anything differs between the runs; else one table serves them all.
+    differs = ranks.ndim == 2 or any(isinstance(each, np.ndarray) for each in (piece.location, *clocks))
+    shape = regions[:, None] if differs else regions
 
     def compared(compare: Compare) -> Mask:
         if compare not in compiled.place:
@@ -307,16 +310,13 @@ def _table(compiled: CompiledFormulas, which: int, piece: Piece, clocks: tuple[b
     return np.broadcast_to(found, size)
 
 
-def _wide(clocks: tuple[bool | Mask, ...]) -> bool:
-    return any(isinstance(one, np.ndarray) for one in clocks)
-
-
 def _ranks(compiled: CompiledFormulas, piece: Piece) -> Indices:
     """(k,) or (k, n) the place of each line from below, half-way through the piece."""
     k = len(compiled.lines)
     if compiled.still or k < 2:
         return np.arange(k)
     middles = [0.5 * (low + high) for low, high in (line.ends(piece) for line in compiled.lines)]
+    # The argsort of an argsort is the rank; stable, so that lines that meet keep one order.
     return np.argsort(np.argsort(np.stack(np.broadcast_arrays(*middles)), axis=0, kind="stable"), axis=0)
 
 
@@ -332,6 +332,8 @@ def reached(line: ThresholdLine, piece: Piece, *, up: bool, strict: bool) -> Mas
         low, high, bridge = (
             part[rows] if isinstance(part, np.ndarray) else part for part in (first, last, piece.bridge)
         )
+        # A Brownian bridge from x0 to x1 of variance V crosses a line at distances a, b with probability exp(-2ab/V):
+        # it does where an exponential number e is above 2ab/V (`paths.plan`).
         product = (low - piece.start[rows]) * (high - piece.end[rows])
         touched[rows] |= product < 0.5 * bridge * e
     return np.asarray(touched)

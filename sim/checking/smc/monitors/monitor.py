@@ -143,7 +143,17 @@ class EventuallyMonitor:
         new = rows[~self.found[who[rows]]]
         self.found[who[new]] = True
         if new.size:
-            part = _part(piece, new)
+            # The same piece for the runs that are new, without its extremes, which this does not ask for.
+            part = Piece(
+                rows=None,
+                begin=_of_rows(piece.begin, new),
+                dt=_of_rows(piece.dt, new),
+                age=_of_rows(piece.age, new),
+                location=piece.location if isinstance(piece.location, int) else piece.location[new],
+                start=piece.start[new],
+                end=piece.end[new],
+                bridge=_of_rows(piece.bridge, new),
+            )
             at_start = _true_in(table(self.compiled, 0, part), region(self.compiled, part, at_end=False))
             self.when[who[new]] = np.where(at_start, part.begin, part.begin + part.dt)
 
@@ -209,6 +219,7 @@ def _nearest(truth: Mask, here: Indices, runs: int) -> tuple[Indices, Indices]:
     """(n,) the first true region at or above the runs' own, and at or below; beyond all where there is none."""
     count = truth.shape[0]
     wide = truth if truth.ndim == 2 else np.broadcast_to(truth[:, None], (count, runs))
+    # One sweep up and one down, for all runs at once; the row beyond the last region stands for "none".
     above, below = np.full((count + 1, runs), count), np.full((count + 1, runs), -1)
     for index in range(count):
         below[index] = np.where(wide[index], index, below[index - 1] if index else -1)
@@ -285,22 +296,8 @@ class ResponseMonitor:
         return failed
 
 
-def _part(piece: Piece, rows: Indices) -> Piece:
-    """Some rows of a piece, without its extremes."""
-
-    def of(column: Value) -> Value:
-        return column[rows] if isinstance(column, np.ndarray) else column
-
-    return Piece(
-        rows=None,
-        begin=of(piece.begin),
-        dt=of(piece.dt),
-        age=of(piece.age),
-        location=piece.location if isinstance(piece.location, int) else piece.location[rows],
-        start=piece.start[rows],
-        end=piece.end[rows],
-        bridge=of(piece.bridge),
-    )
+def _of_rows(column: Value, rows: Indices) -> Value:
+    return column[rows] if isinstance(column, np.ndarray) else column
 
 
 def _true_in(truth: Mask, where: Indices) -> Mask:
@@ -329,6 +326,7 @@ class ExtremeMonitor:
         self.best[who] = np.maximum(self.best[who], np.maximum(first, last))
         if self.factor == 0.0:
             return [], []
+        # A hair beyond the best: a bridge that only meets it would be drawn for nothing.
         beyond = self.best[who] + TINY * (1.0 + np.abs(self.best[who]))
         line = ((self.sign * beyond - before) / self.factor, (self.sign * beyond - after) / self.factor)
         return ([line], []) if self.sign * self.factor > 0 else ([], [line])

@@ -127,6 +127,7 @@ def mixture_interval(successes: Array, runs: NDArray[np.int_], level: float) -> 
     def kept(p: Array) -> Mask:
         return np.asarray(wealth <= xlogy(successes, p) + xlog1py(runs - successes, -p))
 
+    # The wealth against p falls from p = 0 to s/n and rises beyond, so that one bisection on either side is enough.
     low = np.where(successes > 0, _edge(kept, np.zeros_like(middle), middle), 0.0)
     high = np.where(successes < runs, _edge(kept, np.ones_like(middle), middle), 1.0)
     return low, high

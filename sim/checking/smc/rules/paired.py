@@ -96,12 +96,19 @@ def compare(
         )
     count, look = _Count(), _FIRST_LOOK
     while count.runs < most:
-        left, right = _pairs(draw, min(batch, most - count.runs))
+        runs = min(batch, most - count.runs)
+        left, right = (checked(side, runs) for side in draw(runs))
+        if np.any((left % 1.0) + (right % 1.0)):
+            raise ValueError("a comparison needs outcomes of 0 and 1; weights cannot be paired")
         while left.size:
+            # Up to the next look at equality; after each of these pairs one side may be known to be the greater.
             part = look - count.runs
-            sided = _first_sided(count, left[:part], right[:part], level)
-            if sided is not None:
-                return _outcome(count.plus(left[:sided], right[:sided]), delta, level)
+            wins = count.left_alone + np.cumsum(left[:part] > right[:part])
+            alone = wins + count.right_alone + np.cumsum(right[:part] > left[:part])
+            sided = np.flatnonzero(_is_sided(wins, alone, level))
+            if sided.size:
+                stop = int(sided[0]) + 1
+                return _outcome(count.plus(left[:stop], right[:stop]), delta, level)
             count = count.plus(left[:part], right[:part])
             left, right = left[part:], right[part:]
             if count.runs == look:
@@ -112,23 +119,9 @@ def compare(
     return _outcome(count, delta, level)
 
 
-def _pairs(draw: DrawPairs, runs: int) -> tuple[Array, Array]:
-    left, right = (checked(side, runs) for side in draw(runs))
-    if np.any((left % 1.0) + (right % 1.0)):
-        raise ValueError("a comparison needs outcomes of 0 and 1; weights cannot be paired")
-    return left, right
-
-
-def _first_sided(count: _Count, left: Array, right: Array, level: float) -> int | None:
-    """After how many of these pairs one side is known to be the greater."""
-    wins = count.left_alone + np.cumsum(left > right)
-    alone = wins + count.right_alone + np.cumsum(right > left)
-    found = np.flatnonzero(_is_sided(wins, alone, level))
-    return int(found[0]) + 1 if found.size else None
-
-
 def _is_sided(wins: NDArray[np.int_], alone: NDArray[np.int_], level: float) -> Mask:
     """Whether a fair coin is outside the interval of q: the gambler against it is 2 / (1 - level) times richer."""
+    # The wealth of `estimation.mixture_interval` at p = 1/2, in logarithms, where p^s (1-p)^(n-s) is 2^-n.
     wealth = betaln(wins + 0.5, alone - wins + 0.5) - betaln(0.5, 0.5) + alone * np.log(2.0)
     return np.asarray(wealth > np.log(2.0 / (1.0 - level)))
 
@@ -146,6 +139,7 @@ def _difference(count: _Count, level: float) -> tuple[float, float]:
 
 def _is_equal(count: _Count, delta: float, level: float) -> bool:
     """Whether both are known to differ by no more than delta; where a glance says not yet, it is not computed."""
+    # Two standard deviations of the difference of successes, whose variance is about the number of discordant pairs.
     scatter = 2.0 * (count.left_alone + count.right_alone) ** 0.5
     if abs(count.left - count.right) + scatter > delta * count.runs:
         return False
@@ -160,7 +154,8 @@ def _outcome(count: _Count, delta: float, level: float) -> PairedOutcome:
     if _is_sided(np.array([count.left_alone]), np.array([alone]), level)[0]:
         answer = "greater" if count.left_alone > count.right_alone else "smaller"
     difference = (count.left - count.right) / count.runs
-    left, right = (_estimate(successes, count.runs, level) for successes in (count.left, count.right))
+    runs = count.runs
+    left, right = (Estimate(each / runs, *_interval(each, runs, level), runs) for each in (count.left, count.right))
     return PairedOutcome(
         rule=RULE,
         level=level,
@@ -173,10 +168,6 @@ def _outcome(count: _Count, delta: float, level: float) -> PairedOutcome:
         right=right,
         discordant=alone,
     )
-
-
-def _estimate(successes: int, runs: int, level: float) -> Estimate:
-    return Estimate(successes / runs, *_interval(successes, runs, level), runs)
 
 
 def _interval(successes: int, runs: int, level: float) -> tuple[float, float]:

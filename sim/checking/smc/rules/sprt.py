@@ -119,6 +119,7 @@ def expected_runs(test: RatioTest, p: float) -> float:
     if not (np.isfinite(success) and np.isfinite(failure)) or success == failure:
         return inf
     drift, spread = _moments(p, success, failure)
+    # Without drift that is 0 / 0; by Wald's second identity it is E[ratio^2] / spread, here -below * above / spread.
     if abs(drift) < 1e-4 * spread:
         return -below * above / spread
     holds = acceptance(test, p)
@@ -134,6 +135,7 @@ def acceptance(test: RatioTest, p: float) -> float:
     success, failure = test.steps
     if not (np.isfinite(success) and np.isfinite(failure)) or success == failure:
         raise ValueError("no approximation for a hypothesis at 0 or 1, or for two that are the same")
+    # The three forms are one: each keeps its exponents negative, so that none overflows.
     power = _conjugate(p, success, failure)
     if power == 0.0:
         return above / (above - below)

@@ -5,7 +5,7 @@ from math import inf
 
 import numpy as np
 
-from sim.checking.smc.paths import Indices, balance, fitted, moved, neutral
+from sim.checking.smc.paths import balance, fitted, moved, neutral
 from sim.checking.smc.rules import Progress
 from sim.checking.smc.splitting.stage import EntranceStates, RareEvent, begin, nearest_line, resample, resampled, stage
 from sim.sha import Array
@@ -99,22 +99,19 @@ def _next(event: RareEvent, ended: EntranceStates, goal: float, share: float, be
     if that is still a step from the level `before`."""
     ahead = np.where(ended.hit, goal, np.minimum(ended.peak, goal))
     level = float(np.quantile(ahead, 1.0 - SHARE))
-    for part in (SHARE, 2.0 * SHARE, 3.0 * SHARE, 4.0 * SHARE) if event.tilts is not None else ():
+    tilts = event.tilts
+    if tilts is None:
+        return level
+    for part in (SHARE, 2.0 * SHARE, 3.0 * SHARE, 4.0 * SHARE):
         lower = float(np.quantile(ahead, 1.0 - part))
         if lower - before < LEAST_STEP * (level - before):
             break
         level = lower
         rows = np.flatnonzero(ahead >= level)
-        if _effective(event, ended, rows, share, last=level >= goal) >= ENOUGH * ahead.size:
+        # How many runs of equal weight these are worth where they are to be weighted on: Kish's (sum w)^2 / sum w^2.
+        drawn, applied = ended.state.drawn[rows], ended.applied[rows]
+        given = 1.0 if level >= goal else balance(tilts, drawn, applied, share)
+        weights = np.exp(given * tilts.log_weights(drawn) - applied)
+        if float(weights.sum() ** 2 / np.square(weights).sum()) >= ENOUGH * ahead.size:
             break
     return level
-
-
-def _effective(event: RareEvent, ended: EntranceStates, rows: Indices, share: float, *, last: bool) -> float:
-    """How many runs of equal weight these rows are worth where they are to be weighted on: (sum w)^2 / sum w^2."""
-    if event.tilts is None:
-        return float(rows.size)
-    drawn, applied = ended.state.drawn[rows], ended.applied[rows]
-    given = 1.0 if last else balance(event.tilts, drawn, applied, share)
-    weights = np.exp(given * event.tilts.log_weights(drawn) - applied)
-    return float(weights.sum() ** 2 / np.square(weights).sum())

@@ -72,6 +72,7 @@ def resample(outstanding: Array, rows: Indices, runs: int, rng: np.random.Genera
 
     Stratified, so that chance adds little.
     """
+    # Less the greatest, so that exp neither overflows nor makes all of them 0; shares do not change with a factor.
     chances = np.cumsum(np.exp(outstanding[rows] - outstanding[rows].max()))
     places = (np.arange(runs) + rng.random(runs)) / runs * chances[-1]
     return np.asarray(rows[np.minimum(np.searchsorted(chances, places, side="right"), rows.size - 1)])
