@@ -1,7 +1,7 @@
 """The gap workflow: from traces to a diagnosis, and the model with what was missing."""
 
 from sim.discrepancy.augment import augmented
-from sim.discrepancy.diagnosis import Diagnosis, DiagnosisCourse, EffectCandidate, HeatPlace, HeldOutProof, NamedEffect
+from sim.discrepancy.diagnosis import Diagnosis, DiagnosisCourse, HeatPlace, HeldOutProof, NamedEffect, TriedEffect
 from sim.discrepancy.heat_maps import LONGEST, HeatMap, heat_map, span
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 
@@ -10,11 +10,11 @@ __all__ = [
     "Diagnosis",
     "DiagnosisCourse",
     "DiagnosisOutcome",
-    "EffectCandidate",
     "HeatMap",
     "HeatPlace",
     "HeldOutProof",
     "NamedEffect",
+    "TriedEffect",
     "augmented",
     "diagnose",
     "heat_map",

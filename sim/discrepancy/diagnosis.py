@@ -26,7 +26,7 @@ class Shift:
 
 
 @dataclass(frozen=True, slots=True)
-class EffectCandidate:
+class TriedEffect:
     """An effect of the catalogue against these data, and what became of it.
 
     `gain` is the log-likelihood that it adds (nats), `confirmed` True where that is of a joint refit with the noise,
@@ -163,7 +163,7 @@ class Diagnosis:
     unexplained: tuple[HeatPlace, ...]
     ceiling_before: Ceiling | None
     ceiling_after: Ceiling | None
-    candidates: tuple[EffectCandidate, ...]
+    candidates: tuple[TriedEffect, ...]
     untested: Mapping[str, str]
     held_out: HeldOutProof | None
     course: DiagnosisCourse | None

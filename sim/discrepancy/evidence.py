@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.discrepancy.diagnosis import EffectCandidate, NamedEffect
+from sim.discrepancy.diagnosis import NamedEffect, TriedEffect
 from sim.discrepancy.fitting import Fitted
 from sim.discrepancy.naming import INVISIBLE, NEAR, SAME, EffectEvidence, NamingStep
 
 
-def candidates_of(steps: Sequence[tuple[NamingStep, str]], kept: bool) -> tuple[EffectCandidate, ...]:
+def candidates_of(steps: Sequence[tuple[NamingStep, str]], kept: bool) -> tuple[TriedEffect, ...]:
     """Every entry of every step, in the order of their gains; `kept` says whether the names were given in the end."""
     return tuple(
         _candidate(one, number, each, refusal, kept)
@@ -18,10 +18,10 @@ def candidates_of(steps: Sequence[tuple[NamingStep, str]], kept: bool) -> tuple[
     )
 
 
-def _candidate(one: EffectEvidence, number: int, step: NamingStep, refusal: str, kept: bool) -> EffectCandidate:
+def _candidate(one: EffectEvidence, number: int, step: NamingStep, refusal: str, kept: bool) -> TriedEffect:
     cosine = {name: abs(value) for name, value in step.cosines.items()}
     top = one is step.best
-    return EffectCandidate(
+    return TriedEffect(
         name=one.entry.name,
         plain=one.entry.plain,
         step=number + 1,

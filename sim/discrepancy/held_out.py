@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.discrepancy.diagnosis import HeldOutProof
-from sim.discrepancy.fitting import Fitted, Record, State, Whitener, at, grid_at, on
+from sim.discrepancy.fitting import CourseState, Fitted, Record, Whitener, at, grid_at, on
 from sim.engine import linear_recursion
 from sim.learning import Indices
 from sim.sha import Array
@@ -28,7 +28,7 @@ class HeldOutRun:
     """
 
     record: Record
-    state: State
+    state: CourseState
     residual: Array
     begun: Array
     order: Indices

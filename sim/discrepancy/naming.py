@@ -38,7 +38,7 @@ INVISIBLE = 0.05
 class EffectEvidence:
     """An entry against what a fit leaves: its best shape, its gain (nats), and the joint refit where there was one.
 
-    `visible`, `z`, `robust` and `cycles` are those of `diagnosis.Candidate`. `spread` is over how many cycles its
+    `visible`, `z`, `robust` and `cycles` are those of `diagnosis.TriedEffect`. `spread` is over how many cycles its
     information is spread, `carried` the gain (nats, linearised) when each cycle's strength is that of the others.
     `amplitude` is its rms (degC) beyond what the parameters imitate.
     """
@@ -124,6 +124,7 @@ def _evidence(found: Screen, number: int) -> EffectEvidence:
     parts, shares = found.by_cycle[:, number], np.maximum(found.information[:, number], 0.0)
     total, mass = float(parts.sum()), float(shares.sum())
     spread = mass**2 / max(float(np.sum(shares**2)), 1e-300)
+    # A cycle with less than a fiftieth of the usual share has no vote: its sign would be chance.
     speaking = shares > 0.02 * mass / max(spread, 1.0)
     same = np.sign(parts[speaking]) == np.sign(total)
     others = (total - parts) / np.maximum(mass - shares, 1e-300)
@@ -175,6 +176,7 @@ def _room(before: Fitted, named: Named) -> Array:
     column = columns_of(before, (shape,), smooth_course(before))[:, 0] * (1.0 if named.entry.whole else named.strength)
     moved = Projector(before).made_room(column)[: before.own]
     rates = before.frame.count[1]
+    # The linear problem does not hold for a rate that changes by more than a factor e; Newton's steps go on from there.
     moved[before.own - rates :] = np.clip(moved[before.own - rates :], -1.0, 1.0)
     return moved
 

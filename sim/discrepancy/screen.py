@@ -199,6 +199,7 @@ def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
     normal = scaled.T @ weighed
     left = np.maximum(np.diag(normal), 0.0)
     visible = np.where((scale > 1e-12) & (before > 0), np.sqrt(left / np.maximum(before, 1e-300)), 0.0)
+    # np.add.at, not a fancy +=, because windows of one cycle share a row and each of them must count.
     cycles = np.unique(fitted.grid.cycle, return_inverse=True)[1]
     parts = np.zeros((int(cycles.max()) + 1, columns.shape[1]))
     shares = np.zeros_like(parts)
@@ -279,6 +280,7 @@ def null_maximum(found: Screen, seed: int, draws: int = DRAWS) -> Array:
     scale = np.sqrt(np.maximum(np.diag(found.normal), 1e-300))
     correlation = found.normal / np.outer(scale, scale)
     values, vectors = np.linalg.eigh(correlation)
+    # Shapes of one entry are nearly alike, so the correlation is singular up to rounding; its kernel has no variance.
     keep = values > 1e-8
     rng = np.random.default_rng(seed)
     z = rng.standard_normal((draws, int(keep.sum()))) @ (vectors[:, keep] * np.sqrt(values[keep])).T

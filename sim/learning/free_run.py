@@ -94,6 +94,7 @@ class FreeRunFit:
             self.covariance[:count, count:],
             self.covariance[count:, count:],
         )
+        # Schur's complement: the covariance of the linear parameters given the rates.
         explained = np.einsum("ij,ji->i", cross, np.linalg.solve(rates, cross.T)) if rates.size else 0.0
         return np.asarray(np.sqrt(np.maximum(np.diag(linear) - explained, 0.0)))
 
@@ -107,6 +108,7 @@ def steps(runs: FreeRuns, shape: FitShape, log_rates: Array) -> tuple[Array, Arr
         if kind in RATES:
             params[RATES[kind]] = float(np.exp(log_rates[shape.rate[place]]))
         decay[rows], pull[rows], _ = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
+    # Nothing is carried over from the run before: exactly 0, so that one recursion serves all runs.
     decay[runs.first] = 0.0
     pull[runs.first] = 0.0
     return decay, pull
@@ -286,6 +288,7 @@ def correlation_time(residual: Array, begins: Mask) -> float:
 
     Products across the beginning of a run are not formed. At least 1, at most a tenth of the readings.
     """
+    # The integrated autocorrelation time, cut where only the noise of the estimate would be summed.
     total, run = 1.0, np.cumsum(begins)
     power = float(np.mean(residual**2))
     lag, limit = 1, max(residual.size // 5, 1)
@@ -413,6 +416,8 @@ def _covariance(problem: _Problem, columns: Array, error: Array) -> Array:
     count = problem.bounds.size
     if count < LEAST_RUNS:
         return np.asarray(covariance)
+    # Whole runs are independent of one another where readings are not, so scores are summed by run;
+    # count / (count - 1) is the usual correction for few of them.
     scores = np.add.reduceat(weighted * error[:, None], problem.bounds) @ inverse
     sandwich = np.sum(scores**2, axis=0) * count / (count - 1)
     widen = np.sqrt(np.maximum(sandwich / np.diag(covariance), 1.0))
@@ -427,6 +432,7 @@ def predict(runs: FreeRuns, shape: FitShape, linear: Array, rates: Array, sigma:
     rows = np.flatnonzero(np.isfinite(runs.reading))
     bounds = np.flatnonzero(np.concatenate([[True], np.diff(runs.run[rows]) != 0]))
     decay, pull = steps(runs, shape, np.log(rates))
+    # The free run is linear in its start temperature: the course from 0 plus `begun` times the start.
     still = linear_recursion(decay, pull * (loads(runs, shape) @ linear), 0.0)
     begun = linear_recursion(decay, runs.first.astype(float), 0.0)
     order = np.cumsum(runs.first) - 1

@@ -113,7 +113,7 @@ def _chunks(steps: _AffineSteps) -> Indices:
     return table
 
 
-State = tuple[Array, Array, Array, Array, Array]
+FilterState = tuple[Array, Array, Array, Array, Array]
 """Means of X and m - mu, then xx, xm, mm of their covariance, each (C, Q)."""
 
 
@@ -129,7 +129,7 @@ def _filtered(
     scores, states = np.full((n, width), np.nan), np.full((5, n, width), np.nan)
     x = np.repeat(steps.reading[table[0]][:, None], width, axis=1)
     nothing = np.zeros_like(x)
-    state: State = (x, nothing, nothing + sensor**2, nothing, nothing)
+    state: FilterState = (x, nothing, nothing + sensor**2, nothing, nothing)
     for row in range(1, table.shape[0]):
         knots = table[row][table[row] >= 0]
         # A new stay draws its m anew, and so does a chunk's first step: what the stay before it knew is given up.
@@ -147,7 +147,7 @@ def _filtered(
 
 def _predicted(
     steps: _AffineSteps, knots: Indices, *, fresh: Mask, state: Sequence[Array], process: Array, scatter: Array
-) -> State:
+) -> FilterState:
     # A fresh m is independent of X: mean 0, variance that of its location, no covariance with what went before.
     x, m, xx, xm, mm = state
     at = fresh[:, None]
@@ -163,10 +163,11 @@ def _predicted(
     )
 
 
-def _updated(state: State, error: Array, there: Mask, sensor: Array) -> State:
+def _updated(state: FilterState, error: Array, there: Mask, sensor: Array) -> FilterState:
     x, m, xx, xm, mm = state
     variance = xx + sensor**2
     gain, turn = np.where(there, xx / variance, 0.0), np.where(there, xm / variance, 0.0)
+    # Without a reading gain and turn are 0, and the prediction stands. The scalar update needs no inverse.
     return x + gain * error, m + turn * error, (1 - gain) * xx, (1 - gain) * xm, mm - turn * xm
 
 
@@ -289,6 +290,7 @@ class _Task:
     def start(self) -> Array:
         """Where the search begins and the vague prior lies: 0.005 degC/sqrt(s) and 2 degC, sensor by differences."""
         reading = self.steps.reading[np.isfinite(self.steps.reading)]
+        # White noise in second differences has 1 + 4 + 1 = 6 times its variance; a slow course nearly vanishes in them.
         rough = 1.4826 * float(np.median(np.abs(np.diff(reading, 2)))) / sqrt(6.0) if reading.size > 2 else 0.0
         logs = [log(max(rough, self.floor) * 1.01), *[log(0.005)] * self.groups, *[log(2.0)] * self.seen.size]
         return np.array(logs)

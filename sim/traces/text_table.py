@@ -8,9 +8,10 @@ import codecs
 import csv
 import io
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 
 from sim.traces.cells import numbers
@@ -20,6 +21,8 @@ from sim.traces.load_report import FileReport, TraceError, listed
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "|": "|"}
 _HEAD = 262_144
 _CHUNK = 100_000
+_BLOCK = 500
+"""Lines that are split in one call where none of them has a quotation mark. One mark costs its block the short way."""
 MOST_LINES = 50
 """Lines that one row may take. A quotation mark that stays open for longer is a fault of its line."""
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -147,44 +150,85 @@ def read_rows(
     width = len(layout.header)
     # A byte that does not decode makes its cell no number, which is then reported; it must not end the reading.
     with path.open(encoding=layout.encoding, errors="replace", newline=None) as stream:
-        lines = islice(enumerate(stream, 1), layout.skip, None)
-        for number, cells, fault in split_rows(lines, layout.separator, comment, width):
-            report.rows += 1
-            if fault:
-                report.refuse([number], "it cannot be split into cells", [fault])
-            elif len(cells) != width:
-                detail = f"{len(cells)}, not {width}"
-                report.refuse([number], "it has another number of cells than the header", [detail])
-            elif cells[0] == layout.header[0] and tuple(cell.strip() for cell in cells) == layout.header:
-                report.refuse([number], "it is the header again")
-            else:
-                numbers_.append(number)
-                rows.append(cells)
-            if len(rows) == _CHUNK:
-                yield numbers_, rows
-                numbers_, rows = [], []
+        lines = islice(stream, layout.skip, None)
+        below = layout.skip + 1  # the number of the next line
+
+        def further() -> Iterator[tuple[int, str]]:
+            nonlocal below
+            for line in lines:
+                below += 1
+                yield below - 1, line
+
+        # No block is longer than the room in the chunk, so that chunks end at the same rows whatever way they came.
+        while block := list(islice(lines, min(_BLOCK, _CHUNK - len(rows)))):
+            # Most files have no quotation mark: their lines are rows, and one call of the reader splits a whole block.
+            # Where anything is unusual, each row is looked at by itself.
+            first, below = below, below + len(block)
+            plain = _plain_rows(block, layout, comment)
+            if plain is not None:
+                report.rows += len(plain)
+                numbers_ += range(first, below)
+                rows += plain
+                if len(rows) == _CHUNK:
+                    yield numbers_, rows
+                    numbers_, rows = [], []
+                continue
+            singly = split_rows(
+                enumerate(block, first), further(), separator=layout.separator, comment=comment, width=width
+            )
+            for number, cells, fault in singly:
+                report.rows += 1
+                if fault:
+                    report.refuse([number], "it cannot be split into cells", [fault])
+                elif len(cells) != width:
+                    detail = f"{len(cells)}, not {width}"
+                    report.refuse([number], "it has another number of cells than the header", [detail])
+                elif cells[0] == layout.header[0] and tuple(cell.strip() for cell in cells) == layout.header:
+                    report.refuse([number], "it is the header again")
+                else:
+                    numbers_.append(number)
+                    rows.append(cells)
+                if len(rows) == _CHUNK:
+                    yield numbers_, rows
+                    numbers_, rows = [], []
     if rows:
         yield numbers_, rows
 
 
+def _plain_rows(lines: Sequence[str], layout: TextLayout, comment: str) -> list[list[str]] | None:
+    """The rows of lines of which each is a row of the header's width; None where one may be anything else."""
+    text = "".join(lines)
+    if '"' in text or (comment and comment in text) or any(map(str.isspace, lines)):
+        return None
+    try:
+        rows = list(csv.reader(lines, delimiter=layout.separator, skipinitialspace=True, strict=True))
+    except csv.Error:  # a cell beyond csv.field_size_limit
+        return None
+    # A row of another width is refused, or loses blank cells; the header may come again. Both are looked at singly.
+    if set(map(len, rows)) != {len(layout.header)} or layout.header[0] in map(itemgetter(0), rows):
+        return None
+    return rows
+
+
 def split_rows(
-    lines: Iterator[tuple[int, str]], separator: str, comment: str, width: int
+    block: Iterable[tuple[int, str]], lines: Iterator[tuple[int, str]], *, separator: str, comment: str, width: int
 ) -> Iterator[tuple[int, list[str], str]]:
     """(number of its first line, cells, what is wrong with it) of each row; blank cells beyond `width` are dropped.
+
+    The rows that begin in `block`; the last of them may go on in `lines`, which come after it.
 
     A quoted cell may go on over several lines (RFC 4180), and so may its row. But a quotation mark that somebody forgot
     to close must not swallow the rows below it. So a row of several lines only counts if the mark is closed within
     MOST_LINES and `width` cells come out; if not, its first line alone is the bad row, and reading resumes on the next.
     """
-    again: deque[tuple[int, str]] = deque()  # lines that a bad row had taken beyond its first
+    ahead = deque(block)  # lines to be split, those included that a bad row had taken beyond its first
     taken: list[tuple[int, str]] = []  # those of the row that is being split
 
-    def given_back() -> Iterator[tuple[int, str]]:
-        while again:
-            yield again.popleft()
-
     def feed() -> Iterator[str]:
-        for numbered in chain(given_back(), lines):
+        while ahead or taken:
+            numbered = ahead.popleft() if ahead else next(lines, None)
+            if numbered is None:
+                return  # the file ends inside a quoted cell, which the strict reader calls an unexpected end of data
             line = numbered[1]
             # Inside a quoted cell a blank line, or one that looks like a comment, is text.
             if not taken and (line.isspace() or (comment and line.startswith(comment))):
@@ -192,9 +236,9 @@ def split_rows(
             taken.append(numbered)
             yield line
             if len(taken) == MOST_LINES:
-                return  # inside a quoted cell: the strict reader calls it an unexpected end of data
+                return  # inside a quoted cell, too: the same fault
 
-    while True:
+    while ahead:
         try:
             for cells in csv.reader(feed(), delimiter=separator, skipinitialspace=True, strict=True):
                 if len(cells) > width and not "".join(cells[width:]).strip():
@@ -210,7 +254,7 @@ def split_rows(
         except csv.Error as error:
             fault = str(error)
         # The reader is in the middle of a row, or too far on: the next row gets a new one.
-        again.extendleft(reversed(taken[1:]))
+        ahead.extendleft(reversed(taken[1:]))
         number = taken[0][0]
         taken.clear()
         yield number, [], fault

@@ -5,7 +5,7 @@ import pytest
 
 from sim.discrepancy.fitting.baseline import Frame, frame_of
 from sim.discrepancy.fitting.candidates import catalogue
-from sim.discrepancy.fitting.course import State, at, grid_at, scattered, sensitivity
+from sim.discrepancy.fitting.course import CourseState, at, grid_at, scattered, sensitivity
 from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.record import record_of
 from sim.sha.trace import Array
@@ -20,7 +20,7 @@ def frame() -> Frame:
     return frame_of(record_of(model(), [plant(5, days=2)], ()))
 
 
-def state_with(frame: Frame, kind: str, params: dict[str, float], guess: Array | None = None) -> State:
+def state_with(frame: Frame, kind: str, params: dict[str, float], guess: Array | None = None) -> CourseState:
     named = Named(next(entry for entry in catalogue() if entry.name == kind), {}, params)
     start = frame.record.reading[frame.record.window_first]
     return at(frame, np.concatenate([frame.centre, [named.strength]]), start, [named], guess)

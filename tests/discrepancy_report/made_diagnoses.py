@@ -9,11 +9,11 @@ from sim.discrepancy.diagnosis import (
     Ceiling,
     Diagnosis,
     DiagnosisCourse,
-    EffectCandidate,
     HeatPlace,
     HeldOutProof,
     NamedEffect,
     Shift,
+    TriedEffect,
     Verdict,
 )
 
@@ -59,10 +59,8 @@ def held_out(*, after: bool = True) -> HeldOutProof:
     return HeldOutProof(4, 0.63, 0.225, 0.2, 0.97, (0.9, 1.0), rows)
 
 
-def candidate(
-    name: str, gain: float, fate: str, *, confirmed: bool = True, twins: tuple[str, ...] = ()
-) -> EffectCandidate:
-    return EffectCandidate(
+def candidate(name: str, gain: float, fate: str, *, confirmed: bool = True, twins: tuple[str, ...] = ()) -> TriedEffect:
+    return TriedEffect(
         name,
         f"what {name} is",
         1,

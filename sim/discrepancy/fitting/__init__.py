@@ -2,7 +2,7 @@
 
 from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.candidates import CatalogueEntry, catalogue, signals_of
-from sim.discrepancy.fitting.course import State, as_read, at, filtered, grid_at
+from sim.discrepancy.fitting.course import CourseState, as_read, at, filtered, grid_at
 from sim.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, on_sensor
 from sim.discrepancy.fitting.free_run_fit import Fitted, fit
 from sim.discrepancy.fitting.named import Named, effects_of, named_of
@@ -11,10 +11,10 @@ from sim.discrepancy.fitting.record import Record, in_order, overlapping, patien
 
 __all__ = [
     "CatalogueEntry",
+    "CourseState",
     "Fitted",
     "Named",
     "Record",
-    "State",
     "Whitener",
     "as_read",
     "as_sensed",

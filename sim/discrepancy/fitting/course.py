@@ -25,7 +25,7 @@ TAIL = 4
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class CourseState:
     """The free run at one set of parameters: `linear` (p,), `log_rates` (r,), the effects' `strengths` (e,).
 
     `course` (n,) degC is the bearing at the knots, `mean` (n,) what the sensor would read of it without noise. Of each
@@ -51,7 +51,7 @@ class State:
 
 def run_free(
     frame: Frame, linear: Array, log_rates: Array, start: Array, named: Sequence[Named] = (), guess: Array | None = None
-) -> State:
+) -> CourseState:
     """The mean course from the start temperatures (R,), one for each run; `guess` (n,) is a course to iterate from."""
     runs = frame.record.runs
     decay, pull = steps(runs, frame.shape, log_rates)
@@ -70,7 +70,7 @@ def run_free(
     for effect in effects:
         if on_sensor(effect):
             mean = as_sensed(frame.record, effect, mean)
-    return State(
+    return CourseState(
         linear=linear,
         log_rates=log_rates,
         named=tuple(named),
@@ -91,9 +91,11 @@ def _driven(
     runs = record.runs
     _, own_push, k = flow
     _, own_pull = decay_and_pull(k, runs.dt)
+    # The flow's own push is that of a constant heat over the step, so that heats add up and losses join the rate.
     own_heat = np.where(runs.first, 0.0, own_push / np.maximum(own_pull, 1e-12))
     for _ in range(ITERATIONS):
         loss, heat = np.zeros(len(runs)), own_heat.copy()
+        # Heat that depends on the course is taken at the middle of the step: second order in dt, as the trapezoid is.
         middle = np.where(runs.first, course, 0.5 * (course + np.concatenate([course[:1], course[:-1]])))
         for effect in effects:
             added, lost = heat_and_loss(record, effect, middle)
@@ -115,7 +117,7 @@ def rates_of(frame: Frame, log_rates: Array) -> Array:
     return np.asarray(rate[frame.record.runs.place])
 
 
-def filtered(frame: Frame, state: State, heat: Array) -> Array:
+def filtered(frame: Frame, state: CourseState, heat: Array) -> Array:
     """(n, c) degC what heats (n, c) in degC/s, held over each step, add to the bearing's temperature."""
     runs = frame.record.runs
     decay, pull = decay_and_pull(state.k + state.loss, runs.dt)
@@ -125,7 +127,7 @@ def filtered(frame: Frame, state: State, heat: Array) -> Array:
     return linear_recursion(decay[:, None], push[:, None] * columns, np.zeros(columns.shape[1]))
 
 
-def sensitivity(frame: Frame, state: State, start: Array) -> Array:
+def sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
     """(n, p + r + e) derivative of the reading's mean by every parameter of the state; the start is held.
 
     In closed form without effects; with them by finite differences of the simulation itself.
@@ -133,12 +135,13 @@ def sensitivity(frame: Frame, state: State, start: Array) -> Array:
     return _differences(frame, state, start) if state.named else _closed(frame, state)
 
 
-def _closed(frame: Frame, state: State) -> Array:
+def _closed(frame: Frame, state: CourseState) -> Array:
     runs, shape, step = frame.record.runs, frame.shape, 1e-4
     decay, pull = steps(runs, shape, state.log_rates)
     p, r = frame.count
     linear = linear_recursion(decay[:, None], pull[:, None] * frame.load, np.zeros(p))
     before = np.concatenate([[0.0], state.mean[:-1]])
+    # As in sim.learning.free_run: the course's own recursion, driven by the change of its coefficients with log(rate).
     up, down = (steps(runs, shape, state.log_rates + sign * step) for sign in (1, -1))
     push = ((up[0] - down[0]) * before + (up[1] - down[1]) * state.target) / (2 * step)
     push[runs.first] = 0.0
@@ -147,7 +150,7 @@ def _closed(frame: Frame, state: State) -> Array:
     return np.column_stack([linear, rates])
 
 
-def _differences(frame: Frame, state: State, start: Array) -> Array:
+def _differences(frame: Frame, state: CourseState, start: Array) -> Array:
     _, r = frame.count
     point = state.parameters
     sizes = np.concatenate(
@@ -162,7 +165,7 @@ def _differences(frame: Frame, state: State, start: Array) -> Array:
     return np.column_stack(columns)
 
 
-def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: Array | None = None) -> State:
+def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: Array | None = None) -> CourseState:
     """The free run at a vector of all parameters (p + r + e,)."""
     p, r = frame.count
     strengths = point[p + r :].tolist()
@@ -170,7 +173,7 @@ def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: 
     return run_free(frame, point[:p], point[p : p + r], start, named=moved, guess=guess)
 
 
-def grid_at(frame: Frame, state: State) -> Grid:
+def grid_at(frame: Frame, state: CourseState) -> Grid:
     """The windows of the frame's record as the noise sees them around a state.
 
     What is rough reaches the reading as late as the rest: heat that came with the start at once, beside one that comes
@@ -180,7 +183,7 @@ def grid_at(frame: Frame, state: State) -> Grid:
     return frame.record.grid(rate, running, scattered(frame, state))
 
 
-def scattered(frame: Frame, state: State) -> Array:
+def scattered(frame: Frame, state: CourseState) -> Array:
     """(m, cycles) degC what a scatter of 1 of each cycle's friction heat does to the windows' readings.
 
     Formed at the knots and through the sensor, as the sensitivities of the parameters are. What is only nearly alike
@@ -191,6 +194,7 @@ def scattered(frame: Frame, state: State) -> Array:
     cycles, order = np.unique(record.cycle, return_inverse=True)
     decay, pull = decay_and_pull(state.k + state.loss, runs.dt)
     heat = np.where(runs.first, 0.0, pull * friction_heat(frame, state))
+    # A column for each cycle would cost a recursion each; TAIL of them, each of every TAIL-th cycle, are enough.
     begins = np.diff(order, prepend=-1) != 0
     followed = []
     for group in range(TAIL):  # cycles so far apart share a column: what one of them leaves is dropped at the next
@@ -202,7 +206,7 @@ def scattered(frame: Frame, state: State) -> Array:
     return np.asfortranarray(np.where((age >= 0) & (age < TAIL), columns, 0.0))
 
 
-def as_read(frame: Frame, state: State, column: Array) -> Array:
+def as_read(frame: Frame, state: CourseState, column: Array) -> Array:
     """(n,) degC what the sensor shows of a part (n,) of the bearing's temperature: as late as it shows the whole."""
     model = frame.record.model
     for effect in (effect for one in state.named if one.entry.whole for effect in effects_of(one, model)):
@@ -210,7 +214,7 @@ def as_read(frame: Frame, state: State, column: Array) -> Array:
     return column
 
 
-def friction_heat(frame: Frame, state: State) -> Array:
+def friction_heat(frame: Frame, state: CourseState) -> Array:
     """(n,) degC/s by how much more the machine heats than at rest: what a cycle's scatter multiplies."""
     record = frame.record
     rest = (record.running < 0.5) & (state.k > 0)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
-from sim.discrepancy.fitting.course import State, at, grid_at, sensitivity
+from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
 from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.noise import Grid, NoiseModel, Whitener, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
@@ -39,7 +39,7 @@ class Fitted:
     """
 
     frame: Frame
-    state: State
+    state: CourseState
     start: Array
     noise: NoiseModel
     grid: Grid
@@ -94,14 +94,14 @@ def rounding(model: Model, record: Record) -> float:
 class _Point:
     """The linear problem around one state."""
 
-    state: State
+    state: CourseState
     grid: Grid
     residual: Array
     columns: Array
     off: Array
 
 
-def _around(frame: Frame, state: State, start: Array, reading: Array) -> _Point:
+def _around(frame: Frame, state: CourseState, start: Array, reading: Array) -> _Point:
     record = frame.record
     off = np.concatenate([state.parameters[: sum(frame.count)] - frame.centre, np.zeros(len(state.named))])
     return _Point(
@@ -186,8 +186,8 @@ def _change(before: NoiseModel, after: NoiseModel) -> float:
 
 
 def _newton_steps(
-    frame: Frame, state: State, *, start: Array, reading: Array, noise: NoiseModel, prior: Array
-) -> State:
+    frame: Frame, state: CourseState, *, start: Array, reading: Array, noise: NoiseModel, prior: Array
+) -> CourseState:
     """A few damped Gauss-Newton steps (Nocedal & Wright 2006, ch. 10): a step limit, then backtracking.
 
     The penalised squares r' V^-1 r + (b - b0)' P (b - b0) go down with every step that is taken. Second derivatives are
@@ -220,12 +220,12 @@ def _newton_steps(
     return state
 
 
-def _longest(frame: Frame, state: State) -> Array:
+def _longest(frame: Frame, state: CourseState) -> Array:
     own = LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior)
     return np.concatenate([own, [max(LARGEST_SHARE * abs(one.strength), 1e-15) for one in state.named]])
 
 
-def _allowed(state: State, point: Array) -> Array:
+def _allowed(state: CourseState, point: Array) -> Array:
     """The point with strengths of the wrong sign put to a tiny one of the right sign."""
     out = point.copy()
     first = point.size - len(state.named)

@@ -65,6 +65,7 @@ class Grid:
 
 def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:
     """(e^{-k dt}, what a constant heat of 1 degC/s adds over dt in degC)."""
+    # expm1 keeps the digits that 1 - exp loses at small k dt; below 1e-8 the limit dt is exact to rounding.
     small = k * dt < 1e-8
     pull = np.where(small, dt, -np.expm1(-k * dt) / np.where(small, 1.0, k))
     return np.exp(-k * dt), pull

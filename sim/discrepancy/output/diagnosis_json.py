@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.discrepancy import LONGEST, Diagnosis, DiagnosisCourse, EffectCandidate, HeatPlace, HeldOutProof, NamedEffect
+from sim.discrepancy import LONGEST, Diagnosis, DiagnosisCourse, HeatPlace, HeldOutProof, NamedEffect, TriedEffect
 from sim.strict_json import json_text, strict
 
 FORMAT, VERSION = "decanter-diagnosis", 1
@@ -79,7 +79,7 @@ def _longest(location: str, course: DiagnosisCourse | None) -> float:
     return float(since.max()) if since.size else 0.0
 
 
-def _candidate(one: EffectCandidate) -> dict[str, Any]:
+def _candidate(one: TriedEffect) -> dict[str, Any]:
     fields = asdict(one)
     fields["gain_nats"] = fields.pop("gain")
     fields["parameters"] = fields.pop("params")

@@ -9,7 +9,7 @@ from shlex import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from sim.discrepancy import Diagnosis, EffectCandidate, HeatPlace, NamedEffect, span
+from sim.discrepancy import Diagnosis, HeatPlace, NamedEffect, TriedEffect, span
 from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE
 
 MEANINGS: Mapping[str, str] = {
@@ -101,7 +101,7 @@ def place_sentence(place: HeatPlace) -> str:
     return said + (f"; it goes with {place.correlates}" if place.correlates and not place.when else "")
 
 
-def rivals_of(effect: NamedEffect, candidates: Sequence[EffectCandidate]) -> tuple[str, ...]:
+def rivals_of(effect: NamedEffect, candidates: Sequence[TriedEffect]) -> tuple[str, ...]:
     """The names that look somewhat like a named effect in these data, outside its class."""
     own = next((one for one in candidates if one.name == effect.name), None)
     return () if own is None else tuple(name for name in own.rivals if name not in effect.members)

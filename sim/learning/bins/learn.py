@@ -135,14 +135,49 @@ def learn_bins(
     report("calibrating the bands", 0.75)
     coverage = coverage_of(_held_out_forecasts(ordered, alphabet, temperature, chosen, seed))
     report("done", 1.0)
-    table = tuple(_row(*figures, figures[0] == chosen) for figures in scores)
+    nan = float("nan")
+    table = tuple(
+        CandidateScore(
+            label=candidate.label,
+            parameters=size,
+            likelihood=nan if held is None else held.score,
+            held_out_rmse=nan if held is None else held.rmse,
+            held_out_mae=nan if held is None else held.mae,
+            train_rmse=train_rmse,
+            train_mae=train_mae,
+            chosen=candidate == chosen,
+        )
+        for candidate, held, size, (train_rmse, train_mae) in scores
+    )
+    row = next(row for row in table if row.chosen)
+    figures = {
+        "held_out_log_likelihood": row.likelihood,
+        "held_out_rmse": row.held_out_rmse,
+        "held_out_mae": row.held_out_mae,
+        "train_rmse": row.train_rmse,
+        "train_mae": row.train_mae,
+        "residual_sigma": fitted.fit.sigma,
+    }
+    figures |= {f"coverage90_before_{one.horizon:.0f}s": one.covered for one in coverage}
+    borrowed = [f"{one.name} {one.source}" for one in fitted.locations if one.source.startswith("borrowed")]
     provenance = Provenance(
         method="bins",
         data_hash=data_hash or digest,
         traces=tuple(trace.name for trace in ordered),
         synthetic=any(trace.synthetic for trace in ordered),
-        settings=_settings(seed, chosen, fitted, len(given) - len(ordered)),
-        scores=_scores(table, fitted, coverage),
+        settings={
+            "seed": seed,
+            "candidate": chosen.label,
+            "flow": chosen.flow,
+            "rates": chosen.rates,
+            "gains": chosen.gains,
+            "loss": "huber",
+            "cycle_s": CYCLE,
+            "copies_left_out": len(given) - len(ordered),
+            "borrowed": "; ".join(borrowed),
+        },
+        # JSON has no NaN: a figure for which there were too few data is left out of the model's file.
+        scores={name: value for name, value in figures.items() if np.isfinite(value)},
     )
     factors = {one.horizon: one.factor for one in coverage}
     model = replace(fitted.model, calibration=factors, provenance=provenance)
@@ -162,6 +197,7 @@ def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tu
     sha, signals = bare_sha(alphabet), level_signals(alphabet)
     switch = first_switch(alphabet)
     rising = switch.rising if switch else None
+    # Twice, because which locations the data can teach is seen only in the runs; the others then cut them.
     everywhere = free_runs(traces, sha, temperature, signals=signals, rising=rising, cycle=CYCLE)
     modelled = modelled_places(everywhere, alphabet)
     runs = free_runs(traces, sha, temperature, signals=signals, modelled=modelled, rising=rising, cycle=CYCLE)
@@ -181,6 +217,7 @@ def _select(
     runs: FreeRuns, base: Basis, candidates: Sequence[BinsCandidate], report: Progress
 ) -> tuple[Scores, BinsCandidate, Array]:
     """(every candidate's figures, the chosen one, its rates): the held-out likelihood decides."""
+    # All candidates on the same knots and the same folds: their likelihoods differ by what they are, not by the draw.
     few = sampled(runs, CHOICE_BUDGET)
     cut = folds(few)
     rivals = distinct(candidates, base)
@@ -195,6 +232,7 @@ def _select(
         rates.append(fit.rates)
     held_out = [held for _, held, _, _ in scores if held is not None]
     sizes = [size for _, _, size, _ in scores]
+    # One candidate that could not be held out makes the scores incomparable; the smallest is then the safest.
     best = choose(held_out, sizes) if len(held_out) == len(scores) else sizes.index(min(sizes))
     return scores, scores[best][0], rates[best]
 
@@ -259,40 +297,3 @@ def _held_out_forecasts(
         ).model
         scored += score_forecasts(model, asked, since, rng)
     return scored
-
-
-def _row(
-    candidate: BinsCandidate, held: HeldOutErrors | None, size: int, errors: tuple[float, float], chosen: bool
-) -> CandidateScore:
-    nan = float("nan")
-    figures = (held.score, held.rmse, held.mae) if held is not None else (nan, nan, nan)
-    return CandidateScore(candidate.label, size, *figures, *errors, chosen)
-
-
-def _settings(seed: int, chosen: BinsCandidate, fitted: _Fitted, copies: int) -> dict[str, str | float | int | bool]:
-    borrowed = [f"{one.name} {one.source}" for one in fitted.locations if one.source.startswith("borrowed")]
-    return {
-        "seed": seed,
-        "candidate": chosen.label,
-        "flow": chosen.flow,
-        "rates": chosen.rates,
-        "gains": chosen.gains,
-        "loss": "huber",
-        "cycle_s": CYCLE,
-        "copies_left_out": copies,
-        "borrowed": "; ".join(borrowed),
-    }
-
-
-def _scores(table: Sequence[CandidateScore], fitted: _Fitted, coverage: Sequence[Coverage]) -> dict[str, float]:
-    row = next(row for row in table if row.chosen)
-    figures = {
-        "held_out_log_likelihood": row.likelihood,
-        "held_out_rmse": row.held_out_rmse,
-        "held_out_mae": row.held_out_mae,
-        "train_rmse": row.train_rmse,
-        "train_mae": row.train_mae,
-        "residual_sigma": fitted.fit.sigma,
-    }
-    figures |= {f"coverage90_before_{one.horizon:.0f}s": one.covered for one in coverage}
-    return {name: value for name, value in figures.items() if np.isfinite(value)}

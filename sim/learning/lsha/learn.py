@@ -188,6 +188,13 @@ def learn_lsha(
         coverage=coverage,
         copies=len(given) - len(ordered),
     )
+    flow = next(row for row in flows if row.chosen)
+    figures = {
+        "held_out_log_likelihood": flow.likelihood,
+        "held_out_rmse": flow.held_out_rmse,
+        "held_out_mae": flow.held_out_mae,
+    }
+    figures |= {f"coverage90_before_{one.horizon:.0f}s": one.covered for one in coverage}
     provenance = Provenance(
         method="lsha",
         data_hash=data_hash or digest,
@@ -209,7 +216,8 @@ def learn_lsha(
             "default_edges": report.default_edges,
             "accepted": f"{accepted.accepted} of {accepted.traces} training traces",
         },
-        scores=_scores(report),
+        # JSON has no NaN: a figure for which there were too few data is left out of the model's file.
+        scores={name: value for name, value in figures.items() if np.isfinite(value)},
     )
     report_progress("done", 1.0)
     calibration = {one.horizon: one.factor for one in coverage}
@@ -227,14 +235,3 @@ def _rows(teacher: Teacher, structure: Structure, hypothesis: HypothesisAutomato
         RowOfWords(described(key, teacher.alphabet), spelled(key, words), *words.first[first[number]], names[number])
         for number, key in enumerate(classes.keys)
     )
-
-
-def _scores(report: LshaReport) -> dict[str, float]:
-    row = next(row for row in report.flows if row.chosen)
-    figures = {
-        "held_out_log_likelihood": row.likelihood,
-        "held_out_rmse": row.held_out_rmse,
-        "held_out_mae": row.held_out_mae,
-    }
-    figures |= {f"coverage90_before_{one.horizon:.0f}s": one.covered for one in report.coverage}
-    return {name: value for name, value in figures.items() if np.isfinite(value)}

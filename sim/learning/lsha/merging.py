@@ -150,6 +150,7 @@ class _Fold:
         if not self.answers:
             return 1.0, None
         answer, suffix, pair = min(self.answers, key=lambda item: item[0].p)
+        # Bonferroni: the least of n p-values is multiplied by n, whatever the dependence between the tests.
         return min(1.0, answer.p * len(self.answers)), Query(answer, suffix, pair)
 
     def commit(self) -> None:
@@ -190,6 +191,7 @@ def learn_partition(
         delta=delta,
         n_min=n_min,
     )
+    # Only classes with evidence can be told apart by chance; the others do not share in the error rate.
     level = alpha / max(sum(one.count > 0 for one in evidence), 1)
     free = [number for number in range(size) if number not in fixed]
     if classes.memory == "word":
@@ -297,6 +299,7 @@ def _neighbours(state: _PartitionState, row: int, classes: Classes) -> list[int]
 def _dissolved(state: _PartitionState, level: float) -> list[Decision]:
     """Locations below `n_min` join the most likely location that determinism and the tests of the rest allow."""
     decisions: list[Decision] = []
+    # The smallest first; a list of its own, because a merge takes locations out of `known`.
     for one in sorted(state.known, key=lambda n: (state.evidence[n].count, n)):
         mine = state.evidence[one]
         if one not in state.known or mine.count >= state.n_min:
