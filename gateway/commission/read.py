@@ -87,7 +87,7 @@ async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResul
     raws = await read_raw(site, tags)
     plainly = how.dtype is None and how.bit is None
     if plainly and site.target.capabilities.nodes:
-        # A bare object is the unsigned number that its bytes make, least first (CiA 301, 7.1.4: little-endian); text
+        # A bare object is the unsigned number that its bytes make, least first (CiA 301: little-endian); text
         # where they are too many for a number.
         for place, raw in enumerate(raws):
             if raw.raw and raw.tag not in site.target.tags:
