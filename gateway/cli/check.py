@@ -8,14 +8,13 @@ import click
 
 from drivers.driver import Cautions, Explains
 from drivers.errors import DriverError
-from drivers.tag import Sample, Tag
 from gateway.cli.plant_file import config_option, load
 from gateway.console import emit, json_option, table
 from gateway.entry import Exit, exit_code, fail, sentences
 from gateway.machine.model import load_model
 from gateway.machine.reading import plant_clock
 from gateway.plant import link_driver, make_driver
-from gateway.settings import Config, DeviceLink
+from gateway.settings import Config
 
 
 @click.command()
@@ -53,17 +52,23 @@ def check(path: Path, host: str | None, port: int | None, connect: bool, as_json
             emit({"ok": False, **facts, "readings": [], "reason": str(error)}, lambda: None, as_json_line=as_json)
             fail(f"{error}; is the PLC there? Give --host and --port, or start one: decanter emulate", exit_code(error))
     bad = [row for row in rows if row["quality"] != "GOOD"]
-    emit({"ok": not bad, **facts, "readings": rows}, lambda: _show_check(facts, rows, len(bad)), as_json_line=as_json)
+
+    def show() -> None:
+        table("configuration is in order", ("what", "value"), [[name, value] for name, value in facts.items()])
+        if rows:
+            title = f"{len(rows) - len(bad)} of {len(rows)} tags good"
+            table(title, list(rows[0]), [list(row.values()) for row in rows])
+
+    emit({"ok": not bad, **facts, "readings": rows}, show, as_json_line=as_json)
     if rows and len(bad) == len(rows):
-        fail(f"no tag could be read: {bad[0]['reason']}", _connection_code(bad))
+        # A device that is away explains a timeout beside it, and a timeout a refusal.
+        qualities = {row["quality"] for row in bad}
+        code = Exit.TIMEOUT if "TIMEOUT" in qualities else Exit.DEVICE_EXCEPTION
+        if qualities & {"NOT_CONNECTED", "COMMUNICATION_ERROR"}:
+            code = Exit.CANNOT_CONNECT
+        fail(f"no tag could be read: {bad[0]['reason']}", code)
     if bad:
         fail(f"{len(bad)} tags are not good, {bad[0]['tag']} the first: {bad[0]['reason']}", Exit.CHECK_FAILED)
-
-
-def _show_check(facts: dict[str, str | int], rows: list[dict[str, Any]], bad: int) -> None:
-    table("configuration is in order", ("what", "value"), [[name, value] for name, value in facts.items()])
-    if rows:
-        table(f"{len(rows) - bad} of {len(rows)} tags good", list(rows[0]), [list(row.values()) for row in rows])
 
 
 def _read_once(config: Config) -> list[dict[str, Any]]:
@@ -80,9 +85,10 @@ def _read_once(config: Config) -> list[dict[str, Any]]:
                     await driver.open()
                 except DriverError as error:
                     failures.append(error)
-                rows += [
-                    _row(link, tag, s) for tag, s in zip(link.map.tags, await driver.read(link.map.tags), strict=True)
-                ]
+                # Read also where it did not open: each tag then has its own bad quality and reason.
+                for tag, sample in zip(link.map.tags, await driver.read(link.map.tags), strict=True):
+                    row = {"link": link.name, "tag": sample.tag, "value": sample.value, "unit": tag.unit}
+                    rows.append(row | {"quality": sample.quality.name, "reason": sample.reason})
             finally:
                 await driver.close()
         if len(failures) == len(drivers):
@@ -90,15 +96,3 @@ def _read_once(config: Config) -> list[dict[str, Any]]:
         return rows
 
     return asyncio.run(read())
-
-
-def _row(link: DeviceLink, tag: Tag, sample: Sample) -> dict[str, Any]:
-    seen = {"value": sample.value, "unit": tag.unit, "quality": sample.quality.name, "reason": sample.reason}
-    return {"link": link.name, "tag": sample.tag, **seen}
-
-
-def _connection_code(bad: list[dict[str, Any]]) -> Exit:
-    qualities = {row["quality"] for row in bad}
-    if qualities & {"NOT_CONNECTED", "COMMUNICATION_ERROR"}:
-        return Exit.CANNOT_CONNECT
-    return Exit.TIMEOUT if "TIMEOUT" in qualities else Exit.DEVICE_EXCEPTION

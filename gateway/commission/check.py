@@ -118,6 +118,7 @@ async def _readings(site: Site, steps: list[CheckStep]) -> list[dict[str, Any]]:
         code = Exit.CANNOT_CONNECT if first.quality in _DEAD else Exit.DEVICE_EXCEPTION
         code = Exit.TIMEOUT if first.quality is Quality.TIMEOUT else code
         steps.append(CheckStep("reading", "failed", f"no tag can be read: {first.reason}", code))
+    # Where nothing at all can be read one sentence says so, instead of one a tag.
     for sample in bad if len(bad) < len(samples) else ():
         # A sensor that is off says so in the right place: that is no fault of the configuration.
         report = warning if sample.quality in _SAYS_SO else failed
@@ -143,6 +144,7 @@ async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:
     patience = max(config.device.heartbeat_period if config else 0.0, period_of(site))
     begun = time.monotonic()
     tag = device.by_name[device.heartbeat]
+    # Asked five times within its patience: a program that counts fast may stand at the same number at one moment.
     while (left := patience - (time.monotonic() - begun)) > 0:
         await asyncio.sleep(min(left, patience / 5))
         now = (await read_raw(site, [tag]))[0].sample

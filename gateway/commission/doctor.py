@@ -40,7 +40,9 @@ LEAST_FREE_MB = 500
 OLDEST = 1_735_689_600.0
 """2025-01-01: a clock before it was never set."""
 _ARPHRD_CAN = "280"
+"""What /sys/class/net/NAME/type says of a CAN interface (linux/if_arp.h)."""
 _STA_UNSYNC = 0x40
+"""The clock is not synchronised (linux/timex.h)."""
 _NET = Path("/sys/class/net")
 
 
@@ -77,6 +79,7 @@ def clock_error() -> float | None:
         adjtimex = ctypes.CDLL(None).adjtimex
     except (OSError, AttributeError):
         return None
+    # modes 0: the kernel is asked and nothing is set, for which no privilege is needed (adjtimex(2)).
     state = _Timex()
     if adjtimex(ctypes.byref(state)) < 0 or state.status & _STA_UNSYNC:
         return None
@@ -137,6 +140,7 @@ def _records(path: Path) -> CheckStep:
 
 def _can(target: Target) -> CheckStep:
     found = [path.name for path in sorted(_NET.glob("*")) if _word(path / "type") == _ARPHRD_CAN]
+    # Drivers without a carrier, as vcan, stay "unknown" when they are up.
     up = [name for name in found if _word(_NET / name / "operstate") in ("up", "unknown")]
     wanted = str(target.settings.get("channel", ""))
     if target.medium != "can" or target.settings.get("interface", "socketcan") != "socketcan":

@@ -14,7 +14,7 @@ import click
 from drivers.errors import DeviceException, LinkDown
 from drivers.survey import AsksRegisters, open_registers
 from drivers.tag import DType, Tag
-from gateway.commission.encodings import EncodingCandidate, Observation, ShownNumber, advise, parse_shown, rank
+from gateway.commission.encodings import Observation, ShownNumber, advise, parse_shown, rank
 from gateway.commission.session import (
     CommandResult,
     SharedOptions,
@@ -59,18 +59,24 @@ async def guess_encoding(site: Site, register: Register, text: str, earlier: Seq
     if isinstance(shown, bool):
         return _states(register, readings, now)
     observations = [
-        Observation(one["base"], tuple(one["words"]), number)
-        for one in readings
-        if isinstance(number := parse_shown(one["reading"]), ShownNumber)
+        Observation(reading["base"], tuple(reading["words"]), number)
+        for reading in readings
+        if isinstance(number := parse_shown(reading["reading"]), ShownNumber)
     ]
     found = rank(observations, register.number)
     advice = advise(found, observations)
+    rows = []
+    for candidate in found[:SHOWN_ROWS]:
+        place = Register(register.table, candidate.address)
+        row = asdict(candidate) | {"dtype": candidate.dtype.value, "order": candidate.order.value}
+        row |= {"values": list(candidate.values), "address": str(place), "reference": place.reference}
+        rows.append(row | {"shift": candidate.address - register.number})
     data: dict[str, Any] = {
         "address": str(register),
         "reading": text,
         "observation": now,
         "readings": len(observations),
-        "candidates": [_plain(one, register) for one in found[:SHOWN_ROWS]],
+        "candidates": rows,
         "settled": advice.settled and bool(found),
         "advice": list(advice.sentences),
         "second_reading": {"below": advice.below, "above": advice.above},
@@ -100,11 +106,11 @@ async def _registers_around(site: Site, register: Register) -> tuple[int, list[i
     finally:
         line.close()
     site.notes.append("read through the running gateway")
-    found = {parse_register(one.tag).number: int(one.value or 0) for one in samples if one.quality.is_good}
-    if not found:
+    known = {parse_register(sample.tag).number: int(sample.value or 0) for sample in samples if sample.quality.is_good}
+    if not known:
         raise LinkDown(f"the running gateway cannot read around {register}: {samples[0].reason}")
-    low, high = _stretch(found, register.number)
-    return low, [found[number] for number in range(low, high + 1)]
+    low, high = _stretch(known, register.number)
+    return low, [known[number] for number in range(low, high + 1)]
 
 
 def _window(register: Register) -> tuple[int, int]:
@@ -140,6 +146,7 @@ async def around(survey: AsksRegisters, register: Register) -> tuple[int, list[i
     if not single:
         raise refusal
     low, high = _stretch(single, register.number)
+    # Now that the stretch is known it is asked at once: words of one moment are worth more than words of several.
     with suppress(DeviceException):
         return low, list((await survey.read(register.table, low, high - low + 1)).words)
     return low, [single[number] for number in range(low, high + 1)]
@@ -163,29 +170,27 @@ def earlier_readings(path: Path, place: str, register: Register, now: float) -> 
     ]
 
 
-def _plain(one: EncodingCandidate, register: Register) -> dict[str, Any]:
-    place = Register(register.table, one.address)
-    given = asdict(one) | {"dtype": one.dtype.value, "order": one.order.value, "values": list(one.values)}
-    return given | {"address": str(place), "reference": place.reference, "shift": one.address - register.number}
-
-
 def _states(register: Register, readings: Sequence[dict[str, Any]], now: dict[str, Any]) -> CommandResult:
     """The bits at and beside the address that were as the HMI showed them every time."""
     flags = [
-        Flag(one["base"], tuple(one["words"]), state)
-        for one in readings
-        if isinstance(state := parse_shown(one["reading"]), bool)
+        Flag(reading["base"], tuple(reading["words"]), state)
+        for reading in readings
+        if isinstance(state := parse_shown(reading["reading"]), bool)
     ]
-    bits = [
-        {"address": str(Register(register.table, number)), "bit": bit, "shift": number - register.number}
-        for number in sorted(
-            range(register.number - 1, register.number + 2), key=lambda number: abs(number - register.number)
-        )
-        for bit in ([0] if register.is_bit else range(16))
-        if all(_agrees(flag, number, bit) for flag in flags)
-    ]
+    bits: list[dict[str, Any]] = []
+    # Lists count registers from 0 or from 1, so that the neighbours are as likely; the given one comes first.
+    for shift in (0, -1, 1):
+        number = register.number + shift
+        for bit in [0] if register.is_bit else range(16):
+            if all(
+                0 <= number - flag.base < len(flag.words)
+                and bool(flag.words[number - flag.base] >> bit & 1) == flag.state
+                for flag in flags
+            ):
+                bits.append({"address": str(Register(register.table, number)), "bit": bit, "shift": shift})
+    # A bit that never moves agrees by chance: only one that was seen in both states is told from it.
     both = len({flag.state for flag in flags}) == 2
-    here = [one for one in bits if one["shift"] == 0]
+    here = [bit for bit in bits if bit["shift"] == 0]
     settled = both and (len(here) == 1 or len(bits) == 1)
     advice = [] if settled else [f"{len(bits)} bits agree: read again in {'either' if both else 'the other'} state"]
     data = {
@@ -202,11 +207,6 @@ def _states(register: Register, readings: Sequence[dict[str, Any]], now: dict[st
         if bits
         else CommandResult(data, Exit.CHECK_FAILED, f"no bit at or beside {register} agrees")
     )
-
-
-def _agrees(flag: Flag, number: int, bit: int) -> bool:
-    place = number - flag.base
-    return 0 <= place < len(flag.words) and bool(flag.words[place] >> bit & 1) == flag.state
 
 
 @click.command(short_help="Find type, word order, scale and address from what the HMI shows.")
@@ -231,7 +231,10 @@ def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) 
             )
         check_writable(given.records)
         earlier = [] if fresh else earlier_readings(given.records, target.place, register, time.time())
-        shown = _reading_or_prompt(reading)
+        # Asked for last, when nothing that was given can be refused any more.
+        if reading is None and not sys.stdin.isatty():
+            raise ValueError("what does the HMI show? Give it as the second argument, such as: guess holding:100 72.4")
+        shown = reading if reading is not None else str(click.prompt("The HMI shows"))
     arguments = {"address": str(register), "reading": shown, "earlier": len(earlier)}
 
     async def guessed(site: Site) -> CommandResult:
@@ -240,34 +243,24 @@ def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) 
     perform(given, "guess", arguments, guessed, _show, target=target)
 
 
-def _reading_or_prompt(reading: str | None) -> str:
-    """The reading as given, or as typed on the terminal. Raises ValueError where there is none."""
-    if reading is not None:
-        return reading
-    if not sys.stdin.isatty():
-        raise ValueError("what does the HMI show? Give it as the second argument, such as: guess holding:100 72.4")
-    return str(click.prompt("The HMI shows"))
-
-
 def _show(data: Mapping[str, Any]) -> None:
     words = " ".join(f"{word:04X}" for word in data["observation"]["words"])
     click.echo(f"registers from {data['observation']['base']}: {words}")
     if "bits" in data:
         places: dict[str, list[str]] = {}
-        for one in data["bits"]:
-            places.setdefault(one["address"], []).append(str(one["bit"]))
-        rows = [(place, " ".join(bits)) for place, bits in places.items()]
-        table(f"{data['readings']} readings, {len(data['bits'])} bits agree", ("address", "bits"), rows)
+        for bit in data["bits"]:
+            places.setdefault(bit["address"], []).append(str(bit["bit"]))
+        agreeing = [(place, " ".join(bits)) for place, bits in places.items()]
+        table(f"{data['readings']} readings, {len(data['bits'])} bits agree", ("address", "bits"), agreeing)
     else:
         columns = ("belief", "address", "reference", "type", "order", "scale", "offset", "it reads")
-        table(f"{data['readings']} readings", columns, [_row(one) for one in data["candidates"]])
+        rows = []
+        for candidate in data["candidates"]:
+            moved = f" ({candidate['shift']:+d})" if candidate["shift"] else ""
+            kind = (candidate["reference"], candidate["dtype"], candidate["order"])
+            numbers = (f"{candidate['scale']:.6g}", f"{candidate['offset']:g}")
+            reads = " ".join(f"{value:.6g}" for value in candidate["values"])
+            rows.append((f"{candidate['share']:.1%}", f"{candidate['address']}{moved}", *kind, *numbers, reads))
+        table(f"{data['readings']} readings", columns, rows)
     for sentence in data["advice"]:
         click.echo(sentence)
-
-
-def _row(one: Mapping[str, Any]) -> tuple[str, ...]:
-    moved = f" ({one['shift']:+d})" if one["shift"] else ""
-    reads = " ".join(f"{value:.6g}" for value in one["values"])
-    place = f"{one['address']}{moved}"
-    numbers = (f"{one['scale']:.6g}", f"{one['offset']:g}", reads)
-    return (f"{one['share']:.1%}", place, one["reference"], one["dtype"], one["order"], *numbers)

@@ -189,6 +189,7 @@ def _meaning(tag: Tag, shown: HmiReading, slack: float) -> tuple[Value, float]:
         raise ListError(f"{shown.where or tag.name}: {error}") from None
     if isinstance(reading, bool):
         raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no number; give it as the HMI shows it")
+    # The last digit may be cut off, wrong by up to a whole step of it; the little more is for binary fractions.
     raw = abs(reading.value) * _FLOAT_STEP[tag.dtype] if tag.dtype in _FLOAT_STEP else abs(tag.scale) / 2
     return reading.value, reading.step * 1.000001 + raw + slack
 
@@ -201,6 +202,7 @@ def _agreement(wanted: Value, values: Sequence[Value], tolerance: float, tag: Ta
         return ok, wanted if ok else values[-1], "" if ok else f"the PLC has {values[-1]!r}"
     numbers = [float(value) for value in values if not isinstance(value, str)]
     nearest = min(numbers, key=lambda value: abs(value - wanted))
+    # Between two looks the value passed through what the HMI showed: anything between them agrees.
     ok = min(numbers) - tolerance <= wanted <= max(numbers) + tolerance
     off = f"the PLC has {nearest:.6g} {tag.unit}".rstrip()
     return ok, nearest, "" if ok else f"{off}, {nearest - wanted:+.4g} off; may be {tolerance:.2g}"

@@ -55,11 +55,12 @@ def _complaint(site: Site, found: ReadPlan, period: float) -> str:
     longer = f"longer than the period of {period:g} s: ticks are missed while replies are late"
     if total <= period:
         return ""
+    # The block follows the scan and may be late by itself: that alone is no fault of the configuration.
     if found.seconds <= period:
         site.notes.append(f"with the write-back a cycle can take {total:.3g} s, {longer}")
         return ""
     count = len(found.requests)
-    shortest = int(1000 * period / count) // 10 / 100  # rounded down, so that all requests fit
+    shortest = int(1000 * period / count) // 10 / 100  # down to 10 ms, so that all requests fit
     shorter = f", or timeout to {shortest:g} s if the device is fast enough (see soak)"
     return (
         f"a scan of {count} requests can take {found.seconds:.3g} s, {longer}; set scan.period to "
@@ -98,20 +99,17 @@ def plan(given: SharedOptions, period: float | None) -> None:
     perform(given, "plan", {"period": period}, lambda site: plan_scan(site, period), _show)
 
 
-def _names(request: Mapping[str, Any]) -> str:
-    return "the block" if request["kind"] != "read" else ", ".join(request["tags"])
-
-
 def _show(data: Mapping[str, Any]) -> None:
     if "sentences" in data:
         for line in data["sentences"]:
             click.echo(line)
         click.echo(f"{data['tags']} tags; period {data['period_s']:g} s")
         return
-    rows = [
-        (one["kind"], one["place"], one["reference"], one["count"], one["vain"] or "", _names(one))
-        for one in (*data["requests"], *data["writes"])
-    ]
+    rows = []
+    for request in (*data["requests"], *data["writes"]):
+        names = ", ".join(request["tags"]) if request["kind"] == "read" else "the block"
+        place = (request["kind"], request["place"], request["reference"])
+        rows.append((*place, request["count"], request["vain"] or "", names))
     title = f"{len(data['requests'])} requests for {data['tags']} tags in {data['registers']} addresses"
     table(title, ("", "from", "reference", "count", "in vain", "tags"), rows)
     writing = f" + {data['worst_write_s']:.3g} s writing" if data["writes"] else ""

@@ -17,7 +17,6 @@ from gateway.commission.session import (
     CommandResult,
     SharedOptions,
     Site,
-    Target,
     failed,
     link_options,
     mention_gateway,
@@ -43,6 +42,7 @@ ROUND_TRIPS = 10
 OTHER_UNITS = (1, 255, 0, 2, 247)
 """Asked when the given unit is silent: what devices and gateways use where nothing was set."""
 _BEHIND_GATEWAY = (10, 11)
+"""Gateway path unavailable, target device failed to respond (MODBUS Application Protocol V1.1b3, 7)."""
 _ILLEGAL_FUNCTION = 1
 _TABLES = ("coil", "discrete", "input", "holding")
 
@@ -58,16 +58,42 @@ async def probe_device(site: Site) -> CommandResult:
     elif own.bus:
         await probe_bus(site, steps, facts)
     else:
-        await _probe_driver(site, steps)
+        # A device that cannot be asked by hand: whether its driver finds it is all that can be known.
+        try:
+            async with site.target.opened() as driver:
+                steps.append(ok("connection", f"the driver {site.target.driver!r} has its device"))
+                site.count(driver.statistics())
+        except DriverError as error:
+            steps.append(failed("connection", str(error), error))
     code, complaint = verdict(steps)
     return CommandResult({"steps": [step.plain() for step in steps], **facts}, code, complaint)
 
 
 async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -> None:
-    settings = site.target.settings
-    if "host" in settings and not await _way(str(settings["host"]), steps, facts):
-        return
-    target = site.target
+    """Name, route, connection, first reply, then who it is; returns at the first that fails."""
+    target, settings = site.target, site.target.settings
+    if "host" in settings:
+        # Name and route come before the connection: a connection refused by this machine's own network settings looks
+        # like a device that is off.
+        host = str(settings["host"])
+        try:
+            facts["addresses"] = await addresses_of(host)
+        except (OSError, UnicodeError):
+            sentence = (
+                f"{host!r} is no address, and no name that this machine can resolve: check it, or give the address"
+            )
+            steps.append(failed("name", sentence, LinkDown(sentence)))
+            return
+        steps.append(ok("name", f"{host} is {', '.join(facts['addresses'])}"))
+        try:
+            facts["local"] = local_end(facts["addresses"][0])
+        except OSError as error:
+            sentence = (
+                f"this machine has no way to {facts['addresses'][0]} ({error.strerror}): check its network settings"
+            )
+            steps.append(failed("route", sentence, LinkDown(sentence)))
+            return
+        steps.append(ok("route", f"from {facts['local']} to {facts['addresses'][0]}"))
     if "connect_timeout" not in settings:
         target = target.with_settings(connect_timeout=CONNECT_S)
     async with AsyncExitStack() as stack:
@@ -75,7 +101,12 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
             opening = open_registers(target.driver, target.settings, clock=time.time)
             survey = await stack.enter_async_context(opening)
         except LinkDown as error:
-            steps.append(failed("connection", _no_connection(target, error), error))
+            sentence = (
+                f"{error}: is the adapter plugged in, is another program using it, and may this user open it (dialout)?"
+            )
+            if "host" in settings:
+                sentence = connect_sentence(str(settings["host"]), port_of(settings), error)
+            steps.append(failed("connection", sentence, error))
             return
         steps.append(ok("connection", f"{target.place} is open"))
         try:
@@ -84,42 +115,6 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
                 await _facts(survey, first, steps, facts)
         finally:
             site.count(survey.statistics())
-
-
-async def _probe_driver(site: Site, steps: list[CheckStep]) -> None:
-    """A device that cannot be asked by hand: whether its driver finds it."""
-    try:
-        async with site.target.opened() as driver:
-            steps.append(ok("connection", f"the driver {site.target.driver!r} has its device"))
-            site.count(driver.statistics())
-    except DriverError as error:
-        steps.append(failed("connection", str(error), error))
-
-
-async def _way(host: str, steps: list[CheckStep], facts: dict[str, Any]) -> bool:
-    """Name and route; False ends the probe."""
-    try:
-        facts["addresses"] = await addresses_of(host)
-    except (OSError, UnicodeError):
-        sentence = f"{host!r} is no address, and no name that this machine can resolve: check it, or give the address"
-        steps.append(failed("name", sentence, LinkDown(sentence)))
-        return False
-    steps.append(ok("name", f"{host} is {', '.join(facts['addresses'])}"))
-    try:
-        facts["local"] = local_end(facts["addresses"][0])
-    except OSError as error:
-        sentence = f"this machine has no way to {facts['addresses'][0]} ({error.strerror}): check its network settings"
-        steps.append(failed("route", sentence, LinkDown(sentence)))
-        return False
-    steps.append(ok("route", f"from {facts['local']} to {facts['addresses'][0]}"))
-    return True
-
-
-def _no_connection(target: Target, error: LinkDown) -> str:
-    settings = target.settings
-    if "host" in settings:
-        return connect_sentence(str(settings["host"]), port_of(settings), error)
-    return f"{error}: is the adapter plugged in, is another program using it, and may this user open it (dialout)?"
 
 
 def port_of(settings: Mapping[str, Any]) -> int:
@@ -131,9 +126,10 @@ def port_of(settings: Mapping[str, Any]) -> int:
 
 
 async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> Register | None:
-    """Whether the unit answers; the register that was asked."""
+    """Whether the unit answers; the register that was asked, None where the probe ends here."""
+    settings = site.target.settings
     register = first_register(site.target)
-    unit = int(site.target.settings.get("unit", 1))
+    unit = int(settings.get("unit", 1))
     begun = time.monotonic()
     try:
         words = await survey.read(register.table, register.number, 1)
@@ -143,69 +139,62 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
             text += _hint(await _other_units(survey, unit))
             steps.append(failed("modbus", text, error))
             return None
+        # Any other exception is the unit's own: it speaks Modbus, and merely has no such register.
         took = 1e3 * (time.monotonic() - begun)
         steps.append(ok("modbus", f"unit {unit} answers in {took:.1f} ms, with a refusal: {error}"))
     except ReplyTimeout as error:
-        sentence, kind = await _silent(site, survey, unit, error)
-        steps.append(failed("modbus", sentence, kind))
+        # Connected and no reply: another unit, another protocol, or nothing at all. The other units are asked first,
+        # because one that answers settles that it is Modbus.
+        others = await _other_units(survey, unit)
+        sentence = f"unit {unit} does not answer{_hint(others)}"
+        cause: ReplyTimeout | LinkDown = error
+        other = LINKS[site.target.kind].mistaken_for if site.target.kind in LINKS else ""
+        if not others and other:
+            # A server that greets (SSH, SMTP, FTP) may have done so before the first request or only now.
+            received = site.evidence.greeting or await greeting_of(str(settings["host"]), port_of(settings))
+            if looks_like(received):
+                sentence = not_modbus(port_of(settings), received)
+                cause = LinkDown(sentence)
+            else:
+                sentence += (
+                    ": the port takes connections and answers no request; is it a Modbus port, is the device busy with "
+                    f"another client, or does it want other frames (--link {other})? `decanter plc scan units` tries "
+                    "all units"
+                )
+        steps.append(failed("modbus", sentence, cause))
         return None
     except ReplyMismatch as error:
         steps.append(failed("modbus", f"{error}: what answers does not keep to the protocol", LinkDown(str(error))))
         return None
     except LinkDown as error:
-        steps.append(failed("modbus", _strange(site, error), error))
+        # The peer was there and broke off: it speaks another protocol, or it is busy.
+        received = site.evidence.greeting
+        foreign = received and (error.fault is LinkFault.FOREIGN or looks_like(received))
+        sentence = not_modbus(port_of(settings), received) if foreign else str(error)
+        steps.append(failed("modbus", sentence, error))
         return None
     else:
         steps.append(ok("modbus", f"unit {unit} answers in {1e3 * words.seconds:.1f} ms"))
     return register
 
 
-def _strange(site: Site, error: LinkDown) -> str:
-    """The peer was there and broke off: another protocol, or busy."""
-    received = site.evidence.greeting
-    if received and (error.fault is LinkFault.FOREIGN or looks_like(received)):
-        return not_modbus(port_of(site.target.settings), received)
-    return str(error)
-
-
-async def _silent(
-    site: Site, survey: AsksRegisters, unit: int, error: ReplyTimeout
-) -> tuple[str, ReplyTimeout | LinkDown]:
-    """Connected and no reply: another unit, another protocol, or nothing at all. The sentence, and its kind."""
-    settings = site.target.settings
-    others = await _other_units(survey, unit)
-    text = f"unit {unit} does not answer{_hint(others)}"
-    other = LINKS[site.target.kind].mistaken_for if site.target.kind in LINKS else ""
-    if others or not other:
-        return text, error
-    received = site.evidence.greeting or await greeting_of(str(settings["host"]), port_of(settings))
-    if looks_like(received):
-        sentence = not_modbus(port_of(settings), received)
-        return sentence, LinkDown(sentence)
-    sentence = (
-        f"{text}: the port takes connections and answers no request; is it a Modbus port, is the device busy with "
-        f"another client, or does it want other frames (--link {other})? `decanter plc scan units` tries all units"
-    )
-    return sentence, error
-
-
 async def _other_units(survey: AsksRegisters, unit: int) -> list[int]:
     """The units that do answer, of those that devices have where nothing was set."""
-    found = []
+    answering = []
     for other in OTHER_UNITS:
         if other == unit:
             continue
         try:
             await survey.read("holding", 0, 1, other)
         except DeviceException as error:
-            found += [] if error.code in _BEHIND_GATEWAY else [other]
+            answering += [] if error.code in _BEHIND_GATEWAY else [other]
         except (ReplyTimeout, ReplyMismatch):
             continue
         except DriverError:  # a serial line knows no unit 0 or 255, or the connection is gone
             break
         else:
-            found.append(other)
-    return found
+            answering.append(other)
+    return answering
 
 
 def _hint(others: Sequence[int]) -> str:
@@ -222,32 +211,27 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckSte
         steps.append(ok("identity", ", ".join(f"{name} {text}" for name, text in facts["identity"].items()) or "empty"))
     except (DeviceException, ReplyTimeout, ReplyMismatch):
         steps.append(warning("identity", "the device does not say who it is (function 43), as most do not"))
-    facts["tables"] = await _tables(survey)
-    steps.append(ok("tables", ", ".join(f"{table} {state}" for table, state in facts["tables"].items())))
+    facts["tables"] = tables = {}
+    for table in _TABLES:
+        try:
+            await survey.read(table, 0, 1)
+        except DeviceException as error:
+            # A device that lacks the table refuses the function; any other refusal is of the address alone.
+            tables[table] = "not offered" if error.code == _ILLEGAL_FUNCTION else "offered (address 0 refused)"
+        except (ReplyTimeout, ReplyMismatch):
+            tables[table] = "no reply"
+        else:
+            tables[table] = "offered"
+    steps.append(ok("tables", ", ".join(f"{table} {state}" for table, state in tables.items())))
     times = []
     for _ in range(ROUND_TRIPS):
         begun = time.monotonic()
-        with suppress(DeviceException):
+        with suppress(DeviceException):  # a refusal makes the round trip as well as an answer
             await survey.read(register.table, register.number, 1)
         times.append(1e3 * (time.monotonic() - begun))
     facts["round_trip_ms"] = {"min": min(times), "median": median(times), "max": max(times)}
     sentence = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
     steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {sentence}"))
-
-
-async def _tables(survey: AsksRegisters) -> dict[str, str]:
-    """What each table answers to a read of its first address."""
-    found = {}
-    for table in _TABLES:
-        try:
-            await survey.read(table, 0, 1)
-        except DeviceException as error:
-            found[table] = "not offered" if error.code == _ILLEGAL_FUNCTION else "offered (address 0 refused)"
-        except (ReplyTimeout, ReplyMismatch):
-            found[table] = "no reply"
-        else:
-            found[table] = "offered"
-    return found
 
 
 @click.command()

@@ -55,10 +55,10 @@ def tags_of(site: Site, wanted: Sequence[str], how: How) -> list[Tag]:
         if not known:
             raise ValueError("what is to be read? Name addresses such as holding:100 or 40101, or give --device FILE")
         return list(known.values())
-    found: list[Tag] = []
+    tags: list[Tag] = []
     for text in wanted:
-        found += [known[text]] if text in known else _addressed(site, text, how, list(known))
-    return found
+        tags += [known[text]] if text in known else _addressed(site, text, how, list(known))
+    return tags
 
 
 def _addressed(site: Site, text: str, how: How, known: Sequence[str]) -> list[Tag]:
@@ -87,13 +87,32 @@ async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResul
     raws = await read_raw(site, tags)
     plainly = how.dtype is None and how.bit is None
     if plainly and site.target.capabilities.nodes:
-        raws = [raw if raw.tag in site.target.tags else _by_its_length(raw) for raw in raws]
+        # A bare object is the unsigned number that its bytes make, least first (CiA 301: little-endian); text
+        # where they are too many for a number.
+        for place, raw in enumerate(raws):
+            if raw.raw and raw.tag not in site.target.tags:
+                data = bytes(raw.raw)
+                number = int.from_bytes(data, "little")
+                value = number if len(data) <= _LONGEST_NUMBER else data.decode("latin-1").strip("\0 ")
+                sample = replace(raw.sample, value=value, quality=Quality.GOOD, reason="")
+                raws[place] = replace(raw, sample=sample)
     rows = [_row(raw, plainly=plainly and raw.tag not in site.target.tags) for raw in raws]
     bad = [raw.sample for raw in raws if not raw.sample.quality.is_good]
     if not bad:
         return CommandResult({"readings": rows})
     sentence = f"{len(bad)} of {len(raws)} readings are not good, {bad[0].tag} the first: {bad[0].reason}"
-    return CommandResult({"readings": rows}, _code(raws), sentence)
+    # A device that is away explains a timeout beside it, and a timeout a refusal: the first in this order is the code.
+    qualities = {raw.sample.quality for raw in raws}
+    code = Exit.CHECK_FAILED
+    if any(quality.is_good for quality in qualities):
+        pass
+    elif qualities & {Quality.NOT_CONNECTED, Quality.COMMUNICATION_ERROR, Quality.NO_COMMUNICATION}:
+        code = Exit.CANNOT_CONNECT
+    elif Quality.TIMEOUT in qualities:
+        code = Exit.TIMEOUT
+    elif qualities & {Quality.CONFIGURATION_ERROR, Quality.DEVICE_FAILURE, Quality.NO_DATA}:
+        code = Exit.DEVICE_EXCEPTION
+    return CommandResult({"readings": rows}, code, sentence)
 
 
 async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
@@ -107,51 +126,34 @@ async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
         site.notes.append(f"read through the running gateway (pid {reply['pid']}), which shows values and no raw words")
         by_name = {tag.name: tag for tag in tags}
         return [Raw(by_name[sample.tag], sample, by_name[sample.tag].address, 1) for sample in samples]
+    settings = site.target.settings
     if site.target.capabilities.nodes:
-        return await _by_sdo(site, tags)
+        # The node's objects as they stand, whatever its state; the gateway takes them from PDOs where it can.
+        site.notes.append("asked by SDO; the gateway itself takes what TPDOs carry from those (decanter plc watch)")
+        async with open_bus_survey(site.target.driver, settings, clock=time.time) as bus:
+            try:
+                return await bus.tags(tags, int(settings.get("node", 1)), float(settings.get("timeout", SDO_S)))
+            finally:
+                site.count(bus.statistics())
     if not site.target.capabilities.registers:
-        return await _driven(site, tags)
-    async with open_registers(site.target.driver, site.target.settings, clock=time.time) as survey:
+        async with site.target.opened() as driver:
+            try:
+                # What speaks by itself may not have done so yet: it is waited for, at most FIRST_WAIT_S.
+                samples = await driver.read(tags)
+                until = time.monotonic() + FIRST_WAIT_S
+                while any(sample.quality is _WAITING for sample in samples) and time.monotonic() < until:
+                    await asyncio.sleep(_LOOK_S)
+                    samples = await driver.read(tags)
+                if isinstance(driver, Explains):
+                    site.notes.extend(line for line in driver.explain(tags) if line.kind is PlanKind.HEARD)
+            finally:
+                site.count(driver.statistics())
+        return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
+    async with open_registers(site.target.driver, settings, clock=time.time) as survey:
         try:
             return await survey.tags(tags)
         finally:
             site.count(survey.statistics())
-
-
-async def _by_sdo(site: Site, tags: Sequence[Tag]) -> list[Raw]:
-    """The node's objects as they stand, whatever its state; the gateway takes them from PDOs where it can."""
-    settings = site.target.settings
-    site.notes.append("asked by SDO; the gateway itself takes what TPDOs carry from those (decanter plc watch)")
-    async with open_bus_survey(site.target.driver, settings, clock=time.time) as survey:
-        try:
-            return await survey.tags(tags, int(settings.get("node", 1)), float(settings.get("timeout", SDO_S)))
-        finally:
-            site.count(survey.statistics())
-
-
-async def _driven(site: Site, tags: Sequence[Tag]) -> list[Raw]:
-    """Read by the driver: what speaks by itself is waited for, at most FIRST_WAIT_S."""
-    async with site.target.opened() as driver:
-        try:
-            samples = await driver.read(tags)
-            until = time.monotonic() + FIRST_WAIT_S
-            while any(sample.quality is _WAITING for sample in samples) and time.monotonic() < until:
-                await asyncio.sleep(_LOOK_S)
-                samples = await driver.read(tags)
-            if isinstance(driver, Explains):
-                site.notes.extend(line for line in driver.explain(tags) if line.kind is PlanKind.HEARD)
-        finally:
-            site.count(driver.statistics())
-    return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
-
-
-def _by_its_length(raw: Raw) -> Raw:
-    """A bare object as the unsigned number that its bytes make, least first; text where they are too many."""
-    if not raw.raw:
-        return raw
-    data = bytes(raw.raw)
-    value = int.from_bytes(data, "little") if len(data) <= _LONGEST_NUMBER else data.decode("latin-1").strip("\0 ")
-    return replace(raw, sample=replace(raw.sample, value=value, quality=Quality.GOOD, reason=""))
 
 
 def _row(raw: Raw, *, plainly: bool) -> dict[str, Any]:
@@ -171,21 +173,10 @@ def _row(raw: Raw, *, plainly: bool) -> dict[str, Any]:
         "reason": sample.reason,
     }
     if plainly and words is not None and len(words) == 1 and raw.tag.dtype is not DType.BOOL:
+        # Two's complement of the same bits.
         row["int16"] = struct.unpack(">h", struct.pack(">H", words[0]))[0]
         row["bits"] = f"{words[0]:016b}"
     return row
-
-
-def _code(raws: Sequence[Raw]) -> Exit:
-    qualities = {raw.sample.quality for raw in raws}
-    if any(quality.is_good for quality in qualities):
-        return Exit.CHECK_FAILED
-    if qualities & {Quality.NOT_CONNECTED, Quality.COMMUNICATION_ERROR, Quality.NO_COMMUNICATION}:
-        return Exit.CANNOT_CONNECT
-    if Quality.TIMEOUT in qualities:
-        return Exit.TIMEOUT
-    refused = {Quality.CONFIGURATION_ERROR, Quality.DEVICE_FAILURE, Quality.NO_DATA}
-    return Exit.DEVICE_EXCEPTION if qualities & refused else Exit.CHECK_FAILED
 
 
 TYPES = (

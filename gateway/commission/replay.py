@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from drivers.driver import Driver, open_driver
+from drivers.driver import open_driver
 from gateway.commission.files import SiteRecording, read_recording
 from gateway.commission.session import CommandResult, SharedOptions, Site, Target, check_writable, link_options, perform
 from gateway.console import progress, table
@@ -91,7 +91,26 @@ async def replay_recording(site: Site, config: Config, recording: SiteRecording,
     with tempfile.TemporaryDirectory(prefix="decanter-replay-") as folder:
         kept = Path(folder) / "historian.sqlite"
         seen = await _through(_shadow(config, kept, missing), recording, progress)
-        data = _data(config, recording, missing, seen, kept)
+        scores = scorecard(kept)
+    data = {
+        "recording": str(recording.path),
+        "rows": len(recording.times),
+        "seconds": recording.duration,
+        "scans": seen.scans,
+        "missing_tags": missing,
+        "not_good": {name: count for name, count in seen.not_good.most_common() if name not in missing},
+        "events": scores.events,
+        "locations": dict(seen.locations.most_common()),
+        "zones": dict(seen.zones.most_common()),
+        "one_step": asdict(scores.one_step),
+        "free_run": asdict(scores.free_run),
+        "band90": scores.band90,
+        "forecasts": [asdict(forecast) for forecast in scores.forecasts],
+        "alarms": seen.alarms,
+        "blocks": seen.blocks,
+        "blocks_valid": seen.valid,
+        "model": str(config.model.path) if config.model.path is not None else None,
+    }
     needed = [name for name in missing if name in {*config.watched, config.model.temperature}]
     if needed:
         complaint = f"the recording lacks {', '.join(needed)}, which the gateway needs: nothing could be predicted"
@@ -116,25 +135,22 @@ def _shadow(config: Config, kept: Path, missing: list[str]) -> Config:
     )
 
 
-def _driver(recording: SiteRecording, clock: SteppedClock) -> Driver:
+async def _through(config: Config, recording: SiteRecording, progress: Progress) -> ReplayTally:
+    clock = SteppedClock(recording.times[0])
+    seen, stop = ReplayTally(), asyncio.Event()
     columns = {
         name: [value if isfinite(value) else None for value in column] for name, column in recording.columns.items()
     }
     settings = {"times": list(recording.times), "columns": columns, "max_gap": GAP_S}
-    return open_driver("soft", settings, clock=clock.now)
-
-
-async def _through(config: Config, recording: SiteRecording, progress: Progress) -> ReplayTally:
-    clock = SteppedClock(recording.times[0])
-    seen, stop = ReplayTally(), asyncio.Event()
     with open_log(config.log.path, config.log.level) as log:
-        machine = Machine(config, driver=_driver(recording, clock), clock=clock, log=log)
+        machine = Machine(config, driver=open_driver("soft", settings, clock=clock.now), clock=clock, log=log)
         try:
             await machine.driver.open()
             rules = QualityRules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period)
             async with aclosing(scans(machine.driver, config.map.tags, clock, rules, stop=stop)) as stream:
                 async for scan in stream:
                     await machine.take(scan)
+                    # The clock stands still meanwhile: a forecast is done before the next scan, on any machine.
                     if machine.model is not None:
                         await machine.model.outlook.finished()
                     seen.take(machine, scan.time)
@@ -148,31 +164,6 @@ async def _through(config: Config, recording: SiteRecording, progress: Progress)
             await machine.driver.close()
             await asyncio.to_thread(machine.close)
     return seen
-
-
-def _data(
-    config: Config, recording: SiteRecording, missing: list[str], seen: ReplayTally, kept: Path
-) -> dict[str, Any]:
-    scores = scorecard(kept)
-    return {
-        "recording": str(recording.path),
-        "rows": len(recording.times),
-        "seconds": recording.duration,
-        "scans": seen.scans,
-        "missing_tags": missing,
-        "not_good": {name: count for name, count in seen.not_good.most_common() if name not in missing},
-        "events": scores.events,
-        "locations": dict(seen.locations.most_common()),
-        "zones": dict(seen.zones.most_common()),
-        "one_step": asdict(scores.one_step),
-        "free_run": asdict(scores.free_run),
-        "band90": scores.band90,
-        "forecasts": [asdict(one) for one in scores.forecasts],
-        "alarms": seen.alarms,
-        "blocks": seen.blocks,
-        "blocks_valid": seen.valid,
-        "model": str(config.model.path) if config.model.path is not None else None,
-    }
 
 
 @click.command(short_help="Send a recording through the gateway, without a PLC.")

@@ -29,7 +29,7 @@ def _numbers(low: int, high: int) -> Callable[[click.Context, click.Parameter, s
             try:
                 span = range(int(first), int(last if dash else first) + 1)
             except ValueError:
-                span = range(0)
+                span = range(0)  # refused below, as an empty or a reversed span is
             if not span or span[0] < low or span[-1] > high:
                 raise click.BadParameter(f"{part!r}: give numbers from {low} to {high}, such as 1-32 or 1,2,17")
             found += [number for number in span if number not in found]
@@ -106,27 +106,24 @@ def registers(given: SharedOptions, stretch: str, requests: int) -> None:
     with sentences():
         first, count = parse_stretch(stretch)
 
+    def show(data: Mapping[str, Any]) -> None:
+        keys = ("first", "last", "reference", "count")
+        states = ("readable", "refused", "unknown")
+        rows = [(state, *(row[key] for key in keys)) for state in states for row in data[state]]
+        rows.sort(key=lambda row: int(row[1].partition(":")[2]))
+        table(f"{data['requests']} requests", ("state", "from", "to", "reference", "count"), rows)
+        longer = f"; {data['too_long']} are refused" if data["too_long"] else " (no longer range to try, or no limit)"
+        click.echo(f"largest block: {data['largest_block']}{longer}")
+        if data["seams"]:
+            click.echo(f"not read across: {', '.join(data['seams'])}")
+        if data["refusals"]:
+            click.echo("refusals: " + ", ".join(f"{count} {reason}" for reason, count in data["refusals"].items()))
+
     def work(site: Site) -> Awaitable[CommandResult]:
         return _with_bar("registers", lambda report: scan_registers(site, first, count, requests, report))
 
     _only(given, "registers", "registers are Modbus's")
-    perform(given, "scan registers", {"stretch": stretch, "requests": requests}, work, _show_registers)
-
-
-def _show_registers(data: Mapping[str, Any]) -> None:
-    rows = [
-        (state, row["first"], row["last"], row["reference"], row["count"])
-        for state in ("readable", "refused", "unknown")
-        for row in data[state]
-    ]
-    rows.sort(key=lambda row: int(row[1].partition(":")[2]))
-    table(f"{data['requests']} requests", ("state", "from", "to", "reference", "count"), rows)
-    longer = f"; {data['too_long']} are refused" if data["too_long"] else " (no longer range to try, or no limit)"
-    click.echo(f"largest block: {data['largest_block']}{longer}")
-    if data["seams"]:
-        click.echo(f"not read across: {', '.join(data['seams'])}")
-    if data["refusals"]:
-        click.echo("refusals: " + ", ".join(f"{count} {reason}" for reason, count in data["refusals"].items()))
+    perform(given, "scan registers", {"stretch": stretch, "requests": requests}, work, show)
 
 
 def _only(given: SharedOptions, command: str, sentence: str) -> None:

@@ -121,18 +121,16 @@ async def _opened(site: Site) -> AsyncIterator[Driver]:
             while site.target.capabilities.speaks and not driver.connected and time.monotonic() < until:
                 await asyncio.sleep(0.02)
             if not driver.connected:
-                raise _with_complaints(error, driver) from None
+                # What the device says of itself tells more, where it is heard and cannot be used: a node that no master
+                # has started.
+                complaints = driver.complaints() if isinstance(driver, Complains) else ()
+                if not complaints or str(error) in complaints:
+                    raise
+                remedy = "start it at its master, or let this program do it (--set configure=true)"
+                raise LinkDown(f"{complaints[0]}: {remedy}") from None
         yield driver
     finally:
         await driver.close()
-
-
-def _with_complaints(error: DriverError, driver: Driver) -> DriverError:
-    """What the device says of itself, where it is heard and cannot be used (a node that no master has started)."""
-    complaints = driver.complaints() if isinstance(driver, Complains) else ()
-    if not complaints or str(error) in complaints:
-        return error
-    return LinkDown(f"{complaints[0]}: start it at its master, or let this program do it (--set configure=true)")
 
 
 def _summary(
@@ -141,6 +139,9 @@ def _summary(
     seconds, scans = tally.seconds, len(tally.seconds)
     if not seconds:
         return CommandResult({"scans": 0}, 1, "no scan was finished; give a longer --seconds")
+    # A cycle with the write-back is longer than a scan, by the number of its requests.
+    plan = read_plan(site.target.driver, site.target.settings, site.target.tags, words_of(site))
+    factor = 1.0 if plan is None or not plan.requests else 1.0 + len(plan.writes) / len(plan.requests)
     found: dict[str, Any] = {
         "scans": scans,
         "period_s": period,
@@ -152,25 +153,25 @@ def _summary(
         "timeouts": int(counted.get("timeouts", 0)),
         "mismatches": int(counted.get("mismatches", 0)),
         "reconnects": int(counted.get("reconnects", 0)),
-        "recommended_period_s": recommended(seconds, _with_writes(site)),
+        "recommended_period_s": recommended(seconds, factor),
         "recording": str(record) if record is not None else None,
     }
     if site.target.capabilities.speaks:
         ages = {name: 1e3 * percentile(tally.ages, share) for name, share in _SHARES.items()} if tally.ages else None
         found["age_ms"], found["recommended_period_s"] = ages, None
         site.notes.append("this device speaks by itself: a scan takes what it has said, so that what counts is its age")
-    complaint = _complaint(tally, scans)
+    complaint = ""  # the worst alone: missed ticks follow from a device that does not answer
+    if tally.all_bad == scans:
+        complaint = f"no scan had a good reading: {tally.reasons.most_common(1)[0][0]}"
+    elif tally.with_bad:
+        tag, times = tally.bad.most_common(1)[0]
+        complaint = f"{tally.with_bad} of {scans} scans had a tag that was not good, mostly {tag} ({times} times)"
+    elif tally.missed:
+        complaint = f"{tally.missed} ticks were missed in {scans} scans: the period is too short for this device"
     return CommandResult(found, int(bool(complaint)), complaint)
 
 
 _SHARES = {"p50": 0.5, "p95": 0.95, "max": 1.0}
-
-
-def _with_writes(site: Site) -> float:
-    """By how much a cycle with the write-back is longer than a scan, by the number of its requests."""
-    target = site.target
-    plan = read_plan(target.driver, target.settings, target.tags, words_of(site))
-    return 1.0 if plan is None or not plan.requests else 1.0 + len(plan.writes) / len(plan.requests)
 
 
 def recommended(seconds: Sequence[float], factor: float = 1.0) -> float:
@@ -180,17 +181,6 @@ def recommended(seconds: Sequence[float], factor: float = 1.0) -> float:
     """
     needed = factor * max(SPARE * percentile(list(seconds), 0.95), max(seconds))
     return next((period for period in PERIODS_S if period >= needed), 60.0 * ceil(needed / 60.0))
-
-
-def _complaint(tally: SoakTally, scans: int) -> str:
-    if tally.all_bad == scans:
-        return f"no scan had a good reading: {tally.reasons.most_common(1)[0][0]}"
-    if tally.with_bad:
-        tag, times = tally.bad.most_common(1)[0]
-        return f"{tally.with_bad} of {scans} scans had a tag that was not good, mostly {tag} ({times} times)"
-    if tally.missed:
-        return f"{tally.missed} ticks were missed in {scans} scans: the period is too short for this device"
-    return ""
 
 
 @click.command(short_help="Read for a longer time: cycle times, losses, the period to be recommended.")

@@ -71,16 +71,37 @@ async def against(
     """
     now = time.time()
     known = {tag.name: tag for tag in device_of(site).tags}
-    shown = [one for one in read_hmi_list(path, tuple(known.values()), now) if one.tag in {tag.name for tag in tags}]
+    wanted = {tag.name for tag in tags}
+    shown = [reading for reading in read_hmi_list(path, tuple(known.values()), now) if reading.tag in wanted]
     if not shown:
         raise ListError(f"{path}: has no reading of a tag that is to be verified; give rows of tag and value")
-    present = [one for one in shown if one.time is None]
-    live = await _window(site, [known[name] for name in dict.fromkeys(one.tag for one in present)]) if present else {}
-    past = _recorded(site, readings, shown) if len(present) < len(shown) else None
+    present = dict.fromkeys(reading.tag for reading in shown if reading.time is None)
+    live = await _window(site, [known[name] for name in present]) if present else {}
+    times = [reading.time for reading in shown if reading.time is not None]
+    config, past = site.target.config, SiteRecording(path, (), {})
+    if times and readings is not None:
+        past = read_recording(readings)
+    elif times and config is not None and config.historian.path.is_file():
+        # An hour more on both sides: the HMI's clock may be off, and what held then may have been recorded well before.
+        past = read_recording(config.historian.path, min(times) - _HOUR, max(times) + _HOUR)
+    elif times:
+        raise ListError(
+            f"{shown[0].where}: the readings have times, and nothing was recorded to compare them with; give "
+            "--readings FILE (see soak --record), or take the times out to compare with the PLC now"
+        )
     points = []
-    for one in shown:
-        values = live.get(one.tag, []) if one.time is None else _at(past, one, one.time - clock_offset, within)
-        points.append(compare(known[one.tag], one, values, now, slack))
+    for reading in shown:
+        if reading.time is None:
+            values = live.get(reading.tag, [])
+        else:
+            # What was recorded within so many seconds of the moment; where all of that came later, also what held then.
+            moment, column = reading.time - clock_offset, past.columns.get(reading.tag)
+            first, last = bisect_left(past.times, moment - within), bisect_right(past.times, moment + within)
+            held = max(0, bisect_right(past.times, moment) - 1)
+            near = range(min(first, held), last) if first < last else range(0)
+            # NaN, a gap in the recording, does not equal itself.
+            values = [column[at] for at in near if column[at] == column[at]] if column is not None else []
+        points.append(compare(known[reading.tag], reading, values, now, slack))
     return outcome(tags, points, before, complete=complete)
 
 
@@ -94,31 +115,6 @@ async def _window(site: Site, tags: Sequence[Tag]) -> dict[str, list[Value]]:
             if raw.sample.quality.is_good and raw.sample.value is not None:
                 found[raw.tag.name].append(raw.sample.value)
     return found
-
-
-def _recorded(site: Site, readings: Path | None, shown: Sequence[HmiReading]) -> SiteRecording:
-    """From the file that is given, else from the gateway's historian. Raises ListError or HistorianError."""
-    config = site.target.config
-    if readings is not None:
-        return read_recording(readings)
-    if config is not None and config.historian.path.is_file():
-        times = [one.time for one in shown if one.time is not None]
-        return read_recording(config.historian.path, min(times) - _HOUR, max(times) + _HOUR)
-    raise ListError(
-        f"{shown[0].where}: the readings have times, and nothing was recorded to compare them with; give --readings "
-        "FILE (see soak --record), or take the times out to compare with the PLC now"
-    )
-
-
-def _at(past: SiteRecording | None, shown: HmiReading, moment: float, within: float) -> list[Value]:
-    """What was recorded within so many seconds of a moment, and what held then."""
-    if past is None or shown.tag not in past.columns:
-        return []
-    first, last = bisect_left(past.times, moment - within), bisect_right(past.times, moment + within)
-    column = past.columns[shown.tag]
-    held = max(0, bisect_right(past.times, moment) - 1)
-    near = range(min(first, held), last) if first < last else range(0)
-    return [column[at] for at in near if column[at] == column[at]]
 
 
 # ---------------------------------------------------------------- by questions
@@ -213,10 +209,13 @@ def verify(
     for, round by round. What was proved before counts as long as the tag lies where it lay (see --anew).
     """
 
+    def tell(sentence: str) -> None:
+        click.echo(sentence, err=True)
+
     async def work(site: Site) -> CommandResult:
         tags, before = to_prove(site, only), [] if anew else earlier(given.records)
         if listed is None:
-            return await by_questions(site, tags, before, _ask, _tell, slack=slack, complete=complete)
+            return await by_questions(site, tags, before, _ask, tell, slack=slack, complete=complete)
         past: dict[str, Any] = {"readings": readings, "within": within, "clock_offset": clock_offset}
         return await against(site, listed, tags, before, slack=slack, complete=complete, **past)
 
@@ -235,10 +234,6 @@ def _ask(question: str) -> str:
         return str(click.prompt(question, default="", show_default=False, err=True))
     except click.Abort:
         return "q"
-
-
-def _tell(sentence: str) -> None:
-    click.echo(sentence, err=True)
 
 
 def _show(data: Mapping[str, Any]) -> None:

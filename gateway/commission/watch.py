@@ -164,6 +164,7 @@ async def watch_tags(
         raws = await look()
         by_name = {raw.tag.name: raw for raw in raws}
         show([one for one in seen if one.tag.name in by_name and one.take(by_name[one.tag.name])])
+        # Deadlines are absolute, so that the period holds on average; those that a slow reading overran are dropped.
         due = max(due + period, time.monotonic())
         try:
             async with asyncio.timeout(due - time.monotonic()):
@@ -197,37 +198,38 @@ def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: flo
     arguments = {"what": list(what), "period": period, "seconds": seconds}
 
     async def work(site: Site) -> CommandResult:
-        return await _watched(site, what, period=period, seconds=seconds, quiet=given.as_json)
+        seen = [WatchedTag(tag) for tag in tags_of(site, what, How())]
+        marks: list[Mark] = []
+        live = sys.stdout.isatty() and not given.as_json
+
+        def mark() -> bool:
+            entered = bool(sys.stdin.readline())  # "" is the end of the input: Enter is not listened for any more
+            if entered:
+                marks.append(marked(seen, len(marks) + 1, time.time()))
+            return entered
+
+        with _ending(seconds, mark if live and sys.stdin.isatty() else None) as stop:
+            async with looking(site, [watched.tag for watched in seen]) as look:
+                if live:
+                    # Drawn when a reading comes, not by rich's own thread: the view is of one moment.
+                    with Live(auto_refresh=False) as screen:
+
+                        def draw(_: Sequence[WatchedTag]) -> None:
+                            view = _view(site.target.place, seen, marks, screen.console.width)
+                            screen.update(view, refresh=True)
+
+                        await watch_tags(look, seen, period, stop, draw)
+                else:
+                    # With --json the end alone is printed.
+                    await watch_tags(look, seen, period, stop, (lambda _: None) if given.as_json else _lines)
+        rows = [watched.plain() for watched in seen]
+        data = {"tags": rows, "marks": [{"number": m.number, "time": m.time, "values": dict(m.values)} for m in marks]}
+        never = next((row for row in rows if not row["good"] and row["quality"] != "GOOD"), None)
+        if never is None:
+            return CommandResult(data)
+        return CommandResult(data, Exit.CHECK_FAILED, f"{never['tag']} was never good: {never['reason']}")
 
     perform(given, "watch", arguments, work, _show_end)
-
-
-async def _watched(
-    site: Site, what: Sequence[str], *, period: float, seconds: float | None, quiet: bool
-) -> CommandResult:
-    """Watch until the end; gives what each tag did, and the marks."""
-    seen = [WatchedTag(tag) for tag in tags_of(site, what, How())]
-    marks: list[Mark] = []
-    live = sys.stdout.isatty() and not quiet
-
-    def mark() -> bool:
-        entered = bool(sys.stdin.readline())
-        if entered:
-            marks.append(marked(seen, len(marks) + 1, time.time()))
-        return entered
-
-    with _ending(seconds, mark if live and sys.stdin.isatty() else None) as stop:
-        async with looking(site, [one.tag for one in seen]) as look:
-            if live:
-                await _live(site.target.place, seen, marks, lambda show: watch_tags(look, seen, period, stop, show))
-            else:
-                await watch_tags(look, seen, period, stop, _nothing if quiet else _lines)
-    rows = [one.plain() for one in seen]
-    data = {"tags": rows, "marks": [{"number": m.number, "time": m.time, "values": dict(m.values)} for m in marks]}
-    never = next((row for row in rows if not row["good"] and row["quality"] != "GOOD"), None)
-    if never is None:
-        return CommandResult(data)
-    return CommandResult(data, Exit.CHECK_FAILED, f"{never['tag']} was never good: {never['reason']}")
 
 
 @contextmanager
@@ -254,20 +256,6 @@ def _ending(seconds: float | None, on_enter: Callable[[], bool] | None) -> Itera
             loop.remove_reader(sys.stdin)
 
 
-def _nothing(_: Sequence[WatchedTag]) -> None:
-    """With --json the end alone is printed."""
-
-
-async def _live(place: str, seen: Sequence[WatchedTag], marks: Sequence[Mark], run: Callable[[Any], Any]) -> None:
-    """The view that is drawn anew with each reading."""
-    with Live(auto_refresh=False) as live:
-
-        def show(_: Sequence[WatchedTag]) -> None:
-            live.update(_view(place, seen, marks, live.console.width), refresh=True)
-
-        await run(show)
-
-
 def _view(place: str, seen: Sequence[WatchedTag], marks: Sequence[Mark], width: int) -> Table:
     caption = "Enter: mark   Ctrl-C: end"
     if marks:
@@ -281,37 +269,33 @@ def _view(place: str, seen: Sequence[WatchedTag], marks: Sequence[Mark], width: 
     if marks:
         grid.add_column("at mark", justify="right", no_wrap=True)
     grid.add_column("last readings", no_wrap=True)
-    for one in seen:
-        good = one.last is not None and one.last.sample.quality.is_good
-        cells = _cells(one, marks, wide=wide)
-        spark = sparkline_of(one, width)
-        grid.add_row(*(Text(cell, style="" if good else "red") for cell in (*cells, spark)))
+    for watched in seen:
+        tag, last = watched.tag, watched.last
+        sample = last.sample if last else None
+        cells = [tag.name]
+        if wide:
+            raw = " ".join(f"{word:04X}" for word in last.raw) if last and last.raw else ""
+            cells += [" ".join(filter(None, (tag.address, reference_of(tag.address)))), raw]
+        cells += [" ".join(filter(None, (_cell(sample.value if sample else None), tag.unit)))]
+        # The device's clock may be ahead of this one, and an age is not negative.
+        cells += ["", ""] if sample is None else [sample.quality.name, f"{max(0.0, time.time() - sample.time):.1f} s"]
+        cells += [_cell(watched.low), _cell(watched.high)]
+        if marks:
+            cells += [_cell(marks[-1].values.get(tag.name))]
+        cells += [sparkline_of(watched, width)]
+        style = "" if sample is not None and sample.quality.is_good else "red"
+        grid.add_row(*(Text(cell, style=style) for cell in cells))
     return grid
 
 
-def sparkline_of(one: WatchedTag, width: int) -> str:
+def sparkline_of(watched: WatchedTag, width: int) -> str:
     """As much of the last readings as a terminal of this width has room for."""
-    return sparkline(one.history, max(8, min(WIDTH, width - (110 if width >= _WIDE else 70))))
-
-
-def _cells(one: WatchedTag, marks: Sequence[Mark], *, wide: bool) -> list[str]:
-    sample = one.last.sample if one.last else None
-    cells = [one.tag.name]
-    if wide:
-        raw = " ".join(f"{word:04X}" for word in one.last.raw) if one.last and one.last.raw else ""
-        cells += [" ".join(filter(None, (one.tag.address, reference_of(one.tag.address)))), raw]
-    cells += [" ".join(filter(None, (_cell(sample.value if sample else None), one.tag.unit)))]
-    cells += ["", ""] if sample is None else [sample.quality.name, _age(sample.time)]
-    cells += [_cell(one.low), _cell(one.high)]
-    return cells + ([_cell(marks[-1].values.get(one.tag.name))] if marks else [])
+    # The other columns take about 70 characters, and 40 more with raw words and reference numbers.
+    return sparkline(watched.history, max(8, min(WIDTH, width - (110 if width >= _WIDE else 70))))
 
 
 def _cell(value: Any) -> str:
     return "" if value is None else str(shown_value(value))
-
-
-def _age(moment: float) -> str:
-    return f"{max(0.0, time.time() - moment):.1f} s"
 
 
 def clock_time(moment: float) -> str:
@@ -320,13 +304,14 @@ def clock_time(moment: float) -> str:
 
 
 def _lines(changed: Sequence[WatchedTag]) -> None:
-    """One line for each tag that changed."""
-    for one in changed:
-        if one.last is None:
+    """A line for each tag that changed."""
+    for watched in changed:
+        tag, last = watched.tag, watched.last
+        if last is None:
             continue
-        sample = one.last.sample
-        raw = " ".join(f"{word:04X}" for word in one.last.raw) if one.last.raw else ""
-        words = (clock_time(sample.time), one.tag.name, _cell(sample.value), one.tag.unit, sample.quality.name)
+        sample = last.sample
+        raw = " ".join(f"{word:04X}" for word in last.raw) if last.raw else ""
+        words = (clock_time(sample.time), tag.name, _cell(sample.value), tag.unit, sample.quality.name)
         click.echo("  ".join(filter(None, (*words, raw, sample.reason))))
 
 

@@ -31,17 +31,13 @@ def held(folder: Path) -> Iterator[None]:
         reason = (error.strerror or str(error)).lower()
         raise ValueError(f"{folder}: cannot be used ({reason}); give --out a folder that this user may write") from None
     try:
-        _lock(lock, folder)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{folder}: another demo is running there; wait, or give --out another folder") from None
         yield
     finally:
         os.close(lock)
-
-
-def _lock(descriptor: int, folder: Path) -> None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise ValueError(f"{folder}: another demo is running there; wait, or give --out another folder") from None
 
 
 def clear(folder: Path) -> None:

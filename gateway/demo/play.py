@@ -2,10 +2,9 @@
 
 import subprocess
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console, RenderableType
 from rich.live import Live
@@ -35,34 +34,29 @@ def play(setting: DemoRun, console: Console, *, quiet: bool) -> tuple[Path, Path
         plc = running.enter_context(software_plc(setting, recording))
         write_plant(setting, link.settings(folder, plc.ready))
         process = running.enter_context(gateway(setting, plc.ready, status))
-        _wait_for_readings(status, process, folder)
+        # The replay stands until the gateway reads: else its first seconds would be lost, on a slow machine the most.
+        deadline = time.monotonic() + READY_S
+        while (seen := read_status(status)) is None or not seen["link"]["alive"]:
+            if process.poll() is not None or time.monotonic() >= deadline:
+                raise DemoError(f"the gateway did not get a good reading: {last_words(folder / 'gateway.out')}")
+            time.sleep(0.02)
         plc.command("start")
         plc.command("fault", fault={"kind": "refuse", "start": OUTAGE_AT * setting.seconds, "duration": OUTAGE_S})
-        watch = _watch_live if console.is_terminal and not quiet else _watch_plainly
-        watch(_states(setting, plc, process, status), console if not quiet else Console(quiet=True))
+        states = _states(setting, plc, process, status)
+        if console.is_terminal and not quiet:
+            with Live(console=console, refresh_per_second=8) as screen:
+                for _, table in states:
+                    screen.update(table)
+        else:
+            # Off a terminal: the table once for each phase.
+            shown: DemoPhase | None = None
+            for phase, table in states:
+                if phase != shown and not quiet:
+                    console.print(table)
+                shown = phase
     if process.returncode != 0:
         raise DemoError(f"the gateway ended with code {process.returncode}: {last_words(folder / 'gateway.out')}")
     return recording, historian
-
-
-def _wait_for_readings(status: Path, process: subprocess.Popen[bytes], folder: Path) -> None:
-    deadline = time.monotonic() + READY_S
-    while time.monotonic() < deadline:
-        seen = read_status(status)
-        if seen is not None and seen["link"]["alive"]:
-            return
-        if process.poll() is not None:
-            break
-        time.sleep(0.02)
-    raise DemoError(f"the gateway did not get a good reading: {last_words(folder / 'gateway.out')}")
-
-
-def _phase(account: Mapping[str, Any], status: Mapping[str, Any]) -> DemoPhase:
-    if account["ended"]:
-        return DemoPhase.ENDED
-    if any(fault["in_force"] for fault in account["faults"]):
-        return DemoPhase.OUTAGE
-    return DemoPhase.RUNNING if status["link"]["alive"] else DemoPhase.RECOVERING
 
 
 def _states(
@@ -77,21 +71,12 @@ def _states(
         account, seen = plc.command("status"), read_status(status)
         ended = bool(account["ended"])
         if seen is not None and seen["prediction"]:
-            phase = _phase(account, seen)
+            # A fault outranks what the gateway says, which learns of it a scan later.
+            if ended:
+                phase = DemoPhase.ENDED
+            elif any(fault["in_force"] for fault in account["faults"]):
+                phase = DemoPhase.OUTAGE
+            else:
+                phase = DemoPhase.RUNNING if seen["link"]["alive"] else DemoPhase.RECOVERING
             yield phase, live_table(seen, account, setting.model.temperature, phase)
         time.sleep(0.0 if ended else REFRESH_S)
-
-
-def _watch_live(states: Iterator[tuple[DemoPhase, RenderableType]], console: Console) -> None:
-    with Live(console=console, refresh_per_second=8) as screen:
-        for _, table in states:
-            screen.update(table)
-
-
-def _watch_plainly(states: Iterator[tuple[DemoPhase, RenderableType]], console: Console) -> None:
-    """Off a terminal: the table once for each phase."""
-    shown: DemoPhase | None = None
-    for phase, table in states:
-        if phase != shown:
-            console.print(table)
-            shown = phase

@@ -15,7 +15,7 @@ from gateway.demo.child import DemoError
 from gateway.demo.prepare import DemoRun
 from gateway.machine.reading import STALE_PERIODS
 from gateway.settings import load_device
-from gateway.store import Scorecard, events, history, matured, samples, scorecard, to_trace
+from gateway.store import events, history, matured, samples, scorecard, to_trace
 from sim.sha import Array, Mask
 from sim.validation import Curve, Picture, draw
 
@@ -97,6 +97,19 @@ def _first(times: Array, after: float) -> float:
 def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) -> dict[str, Any]:
     """The demonstration's figures as one object; errors in degC."""
     card = scorecard(historian)
+    # By horizon in seconds. Persistence's CRPS is its `persistence_mae` (a single value's CRPS is its absolute error);
+    # `crps` is the model's, from five quantiles, which comes out 3 % too low for a Gaussian and so favours the model by
+    # as much.
+    forecasts = {
+        f"{forecast.horizon:g}": {
+            "mae": forecast.mae,
+            "persistence_mae": forecast.persistence_mae,
+            "crps": forecast.crps,
+            "coverage90": forecast.coverage90,
+            "count": forecast.count,
+        }
+        for forecast in card.forecasts
+    }
     account, seen = judge(setting, recording, historian), history(historian)
     return {
         "synthetic": setting.trace.synthetic,
@@ -111,7 +124,7 @@ def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) ->
             "free_run": {"rmse": card.free_run.rmse, "mae": card.free_run.mae},
             "one_step": {"rmse": card.one_step.rmse, "mae": card.one_step.mae},
         },
-        "forecast": _forecasts(card),
+        "forecast": forecasts,
         "guards": dict(card.guards),
         "writeback": {
             "accepted": account["blocks_accepted"],
@@ -124,21 +137,6 @@ def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) ->
         "notes": list(setting.notes),
         "picture": str(picture),
         "log": str(setting.folder / "gateway.log.jsonl"),
-    }
-
-
-def _forecasts(card: Scorecard) -> dict[str, dict[str, float]]:
-    """By horizon in seconds. Persistence's CRPS is its `persistence_mae`; `crps` is the model's, from five quantiles,
-    which comes out 3 % too low for a Gaussian and so favours the model by as much."""
-    return {
-        f"{one.horizon:g}": {
-            "mae": one.mae,
-            "persistence_mae": one.persistence_mae,
-            "crps": one.crps,
-            "coverage90": one.coverage90,
-            "count": one.count,
-        }
-        for one in card.forecasts
     }
 
 
@@ -155,14 +153,9 @@ def findings(data: Mapping[str, Any]) -> list[str]:
             f"{one['persistence_mae']:.3f} °C: {wins}",
             f"  the 90 % band held {100 * one['coverage90']:.0f} % of {one['count']} readings",
         ]
-    return lines + _guarded(data["guards"])
-
-
-def _guarded(guards: Mapping[str, Any]) -> list[str]:
-    """What the model's guards had to say, if anything."""
-    lines = []
+    guards = data["guards"]
     if guards.get("review"):
-        flagged = ", ".join(name for name, one in guards["reviews"].items() if one["flagged"])
+        flagged = ", ".join(name for name, review in guards["reviews"].items() if review["flagged"])
         lines.append(f"REVIEW: readings lie beyond 3 sigma of the model too often ({flagged})")
     left = sum(guards.get("clamps", {}).values())
     if left:
@@ -211,6 +204,7 @@ def _outages(times: Array, good: Mask) -> list[tuple[float, float]]:
     """Stretches without a good reading of the temperature, as (start, end)."""
     if not times.size:
         return []
+    # Good before the first scan and after the last, so that each beginning has its end: edges come in pairs.
     edges = np.flatnonzero(np.diff(np.concatenate([[1], good.astype(int), [1]])))
     return [
         (float(times[start]), float(times[min(end, times.size - 1)]))

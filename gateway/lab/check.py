@@ -3,9 +3,8 @@
 import csv
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import isfinite, nan
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -18,7 +17,7 @@ from sim.artefacts.formats import find_model
 from sim.checking.language import parse_query
 from sim.checking.query import Simulation, Symbolic
 from sim.checking.smc import Answer, QuerySettings, Rule, Start, answer, believed, decided, initial
-from sim.sha import Alphabet, Model, Trace, encode
+from sim.sha import Model, Trace, encode
 from sim.validation import ENDINGS
 
 HISTORY = 24 * 3600.0
@@ -125,8 +124,28 @@ def check(
     settings = QuerySettings(alpha, epsilon, rule, runs, delta, seed=seed, rare=rare)
     with sentences(), progress("checking") as report:
         found = _answered(model_name, query_text, _Origin(events, map_name, origin, future), settings, report)
-        _written(found, query_text, csv, picture)
-    emit(_plain(found, query_text, csv, picture), lambda: _say(found, query_text, csv, picture), as_json_line=as_json)
+        if csv is not None:
+            if not found.courses:
+                raise ValueError("--csv writes the courses of a simulate query; this query has none")
+            _write_csv(found, csv)
+        if picture is not None:
+            draw_answer(found, query_text, picture)
+    data = {
+        "query": query_text,
+        "kind": found.kind,
+        "answer": found.sentence,
+        "verdict": found.verdict,
+        "numbers": dict(found.numbers),
+        "rule": found.rule,
+        "runs": found.runs,
+        "seed": found.seed,
+        "start": found.start,
+        "levels": [{"temperature": level, "chance": chance} for level, chance in found.levels],
+        "notes": list(found.notes),
+        "csv": csv and str(csv),
+        "picture": picture and str(picture),
+    }
+    emit(data, lambda: _say(found, query_text, csv, picture), as_json_line=as_json)
     if found.kind in ("hypothesis", "comparison", "symbolic") and found.verdict is not True:
         raise SystemExit(int(Exit.CHECK_FAILED))
 
@@ -146,22 +165,22 @@ def _answered(
 ) -> Answer:
     """The answer. Raises ValueError, the sentences' way."""
     report("model and query", 0.0)
-    trace, alphabet, temperature = _trace(origin)
-    found = find_model(name) if trace is None else find_model(name, alphabet=alphabet, temperature=temperature)
+    trace = None
+    if origin.events is None:
+        found = find_model(name)
+    else:
+        # The trace comes first: a set of artefacts is read by its column map's alphabet.
+        traces, column_map = load([origin.events], origin.map_name)
+        if len(traces) != 1:
+            raise ValueError(
+                f"{origin.events} holds {len(traces)} traces; --events takes one, whose events drive the runs"
+            )
+        trace = traces[0]
+        found = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature)
     query = parse_query(text, found.model if found.model is not None else found.structure)
     if isinstance(query, Symbolic):
         return decided(query, found.structure)
     return answer(query, _start(found.runnable(), origin, trace), settings, report)
-
-
-def _trace(origin: _Origin) -> tuple[Trace | None, Alphabet | None, str]:
-    """The one trace that --events names, encoded by its column map, with the map's alphabet and temperature."""
-    if origin.events is None:
-        return None, None, ""
-    traces, column_map = load([origin.events], origin.map_name)
-    if len(traces) != 1:
-        raise ValueError(f"{origin.events} holds {len(traces)} traces; --events takes one, whose events drive the runs")
-    return traces[0], column_map.alphabet, column_map.temperature
 
 
 def _start(model: Model, origin: _Origin, trace: Trace | None) -> Start:
@@ -178,7 +197,12 @@ def _start(model: Model, origin: _Origin, trace: Trace | None) -> Start:
     if kind == "trace":
         if trace is None:
             raise ValueError("--from trace:TIME needs the trace: name it with --events")
-        seconds = _seconds(value)
+        try:
+            seconds = float(value)
+        except ValueError:
+            seconds = nan
+        if not (isfinite(seconds) and seconds >= 0):
+            raise ValueError(f"--from trace:{value}: give the seconds since the trace's first row, such as trace:600")
         recorded = origin.future != "semi-markov"
         return believed(model, trace, float(trace.times[0]) + seconds, recorded=recorded)
     if kind == "historian" and value:
@@ -186,16 +210,6 @@ def _start(model: Model, origin: _Origin, trace: Trace | None) -> Start:
             raise ValueError("what comes after a historian's end is not recorded: leave --events and --future out")
         return believed(model, _history(Path(value), model))
     raise ValueError(f"--from {origin.origin!r}: write initial, location:NAME, trace:SECONDS or historian:FILE")
-
-
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = float("nan")
-    if not (isfinite(seconds) and seconds >= 0):
-        raise ValueError(f"--from trace:{text}: give the seconds since the trace's first row, such as trace:600")
-    return seconds
 
 
 def _history(path: Path, model: Model) -> Trace:
@@ -206,16 +220,6 @@ def _history(path: Path, model: Model) -> Trace:
         raise ValueError(f"{path}: this historian has no scans yet; let the gateway run first")
     trace = to_trace(path, path.name, start=last - HISTORY)
     return replace(trace, events=encode(trace, model.alphabet))
-
-
-def _written(found: Answer, text: str, csv: Path | None, picture: Path | None) -> None:
-    """The files that were asked for. Raises ValueError where the query has nothing for them."""
-    if csv is not None:
-        if not found.courses:
-            raise ValueError("--csv writes the courses of a simulate query; this query has none")
-        _write_csv(found, csv)
-    if picture is not None:
-        draw_answer(found, text, picture)
 
 
 def _write_csv(found: Answer, path: Path) -> None:
@@ -229,29 +233,20 @@ def _write_csv(found: Answer, path: Path) -> None:
                 writer.writerow([number, repr(time), *(repr(value) for value in course.values[:, row].tolist())])
 
 
-def _plain(found: Answer, text: str, csv: Path | None, picture: Path | None) -> dict[str, Any]:
-    return {
-        "query": text,
-        "kind": found.kind,
-        "answer": found.sentence,
-        "verdict": found.verdict,
-        "numbers": dict(found.numbers),
-        "rule": found.rule,
-        "runs": found.runs,
-        "seed": found.seed,
-        "start": found.start,
-        "levels": [{"temperature": level, "chance": chance} for level, chance in found.levels],
-        "notes": list(found.notes),
-        "csv": csv and str(csv),
-        "picture": picture and str(picture),
-    }
-
-
 def _say(found: Answer, text: str, csv: Path | None, picture: Path | None) -> None:
     """The answer on one screen: what was asked, the answer, how it came about, what limits it."""
     click.echo(text)
     click.secho(f"  {found.sentence}", bold=True)
-    _say_rows(found)
+    if isinstance(found.query, Simulation):
+        kinds = ("least", "greatest", "mean at the end")
+        named = [(label, [found.numbers[f"{label}: {kind}"] for kind in kinds]) for label in found.query.labels]
+        courses = [[label, *(f"{number:.5g}" for number in numbers)] for label, numbers in named]
+        table("courses", ["expression", *kinds], courses)
+    if found.levels:
+        # The levels lead to the event; of an invariant that is its violation, and `probability` is the complement.
+        chance = found.numbers.get("violation", found.numbers["probability"])
+        rows = [[f"{level:.4g} °C", f"{share:.2e}"] for level, share in found.levels]
+        table("way", ["level", "chance to reach it"], [*rows, ["the event", f"{chance:.2e}"]])
     click.echo(f"  method   {found.rule}")
     if found.runs:
         click.echo(f"  runs     {found.runs}, seed {found.seed}")
@@ -262,15 +257,3 @@ def _say(found: Answer, text: str, csv: Path | None, picture: Path | None) -> No
     for name, path in (("csv", csv), ("picture", picture)):
         if path is not None:
             click.echo(f"{name}: {path}")
-
-
-def _say_rows(found: Answer) -> None:
-    """The figures of a simulation's expressions, or the levels of importance splitting."""
-    if isinstance(found.query, Simulation):
-        kinds = ("least", "greatest", "mean at the end")
-        named = [(label, [found.numbers[f"{label}: {kind}"] for kind in kinds]) for label in found.query.labels]
-        table("courses", ["expression", *kinds], [[label, *(f"{one:.5g}" for one in own)] for label, own in named])
-    if found.levels:
-        chance = found.numbers.get("violation", found.numbers["probability"])
-        rows = [[f"{level:.4g} °C", f"{share:.2e}"] for level, share in found.levels]
-        table("way", ["level", "chance to reach it"], [*rows, ["the event", f"{chance:.2e}"]])

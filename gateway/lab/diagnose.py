@@ -95,7 +95,25 @@ def run(
     reasons = None if new is None else verify(new).reasons
     after = None if new is None else str(request.out / MODEL)
     diagnosis = replace(outcome.diagnosis, model_before=request.where, model_after=after)
-    occasion = _occasion(request, model, traces, roles, reasons)
+    made = sum(trace.synthetic for trace in traces)
+    synthetic = [f"{made} of {len(traces)} traces are synthetic"] if made else []
+    synthetic += ["the model was learned from synthetic traces"] if model.provenance.synthetic else []
+    rows = sum(trace.times.size for trace in traces)
+    occasion = Occasion(
+        name=model.sha.name,
+        temperature=model.temperature,
+        created=datetime.fromtimestamp(request.created, UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        facts={
+            "model": request.where,
+            "traces": f"{len(traces)} with {rows} rows from {request.source}",
+            "seed": str(request.seed),
+            "decanter": version("decanter-gateway"),
+        },
+        roles={role: signal for role, signal in roles.items() if any(signal in trace.signals for trace in traces)},
+        folder=request.out,
+        synthetic="; ".join(synthetic),
+        verification=reasons,
+    )
     write_diagnosis(diagnosis, occasion, new, report=request.report)
     return DiagnosisResult(diagnosis, reasons)
 
@@ -118,34 +136,6 @@ def new_model(
         parent=model_hash(model),
     )
     return replace(new, provenance=origin)
-
-
-def _occasion(
-    request: DiagnosisRequest,
-    model: Model,
-    traces: Sequence[Trace],
-    roles: Mapping[str, str],
-    verification: tuple[str, ...] | None,
-) -> Occasion:
-    made = sum(trace.synthetic for trace in traces)
-    parts = [f"{made} of {len(traces)} traces are synthetic"] if made else []
-    parts += ["the model was learned from synthetic traces"] if model.provenance.synthetic else []
-    rows = sum(trace.times.size for trace in traces)
-    return Occasion(
-        name=model.sha.name,
-        temperature=model.temperature,
-        created=datetime.fromtimestamp(request.created, UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        facts={
-            "model": request.where,
-            "traces": f"{len(traces)} with {rows} rows from {request.source}",
-            "seed": str(request.seed),
-            "decanter": version("decanter-gateway"),
-        },
-        roles={role: signal for role, signal in roles.items() if any(signal in trace.signals for trace in traces)},
-        folder=request.out,
-        synthetic="; ".join(parts),
-        verification=verification,
-    )
 
 
 RECENT = "14d"
@@ -202,31 +192,21 @@ def diagnose(
             report=not no_report,
         )
         report("reading", 0.0)
-        model, traces, column_map = _read(request, sources, historian, since, map_name)
+        # The model before the traces: it is refused in a moment, and a historian of weeks takes its time.
+        model = model_of(request, load_map(shipped("traces", map_name)))
+        column_map: ColumnMap | None = None  # a historian's signals have the plant's own names
+        if historian is None:
+            traces, column_map = load(sources, map_name)
+        else:
+            traces = [recent(historian, since or RECENT)]
         if found := overlapping(traces):
             click.echo(f"{found}: the traces are taken one after the other, as given (a folder by names)", err=True)
         result = run(request, model, traces, roles_of(column_map), report)
-    emit(_data(result, out), lambda: show(result, out), as_json_line=as_json)
-
-
-def _read(
-    request: DiagnosisRequest, sources: Sequence[str], historian: Path | None, since: str | None, map_name: str
-) -> tuple[Model, list[Trace], ColumnMap | None]:
-    """The model, its traces, and the map that names their roles (a historian's have the plant's names)."""
-    model = model_of(request, load_map(shipped("traces", map_name)))
-    if historian is None:
-        traces, column_map = load(sources, map_name)
-        return model, traces, column_map
-    return model, [recent(historian, since or RECENT)], None
-
-
-def _data(result: DiagnosisResult, out: Path) -> dict[str, Any]:
-    verification = result.verification
     page = out / "report.html"
-    more: dict[str, Any] = {"out": str(out), "report": str(page) if page.exists() else None}
-    if verification is not None:
-        more |= {"verified": not verification, "refused": list(verification)}
-    return document(result.diagnosis) | more
+    data: dict[str, Any] = {"out": str(out), "report": str(page) if page.exists() else None}
+    if result.verification is not None:
+        data |= {"verified": not result.verification, "refused": list(result.verification)}
+    emit(document(result.diagnosis) | data, lambda: show(result, out), as_json_line=as_json)
 
 
 def show(result: DiagnosisResult, out: Path) -> None:

@@ -62,7 +62,15 @@ def export_uppaal(
     """
     found: FoundModel = find_model(where, alphabet=column_map.alphabet, temperature=column_map.temperature)
     model = found.runnable()
-    _check_names(model, traces)
+    # Looked at before anything is written. Two file names that differ by case alone are one on some systems.
+    files: dict[str, str] = {}
+    for trace in traces:
+        name = base_name(model.sha.name, trace.name).casefold()
+        if name in files:
+            raise ValueError(
+                f"the traces {files[name]!r} and {trace.name!r} would both be written to {name}.xml; rename one of them"
+            )
+        files[name] = trace.name
     engine, missing = None, ""
     if order.engine is not None:
         try:
@@ -77,18 +85,6 @@ def export_uppaal(
         except ValueError as error:
             rows.append({"trace": trace.name, "error": str(error)})
     return rows
-
-
-def _check_names(model: Model, traces: Sequence[Trace]) -> None:
-    """Raises ValueError when two traces would be written to one file."""
-    seen: dict[str, str] = {}
-    for trace in traces:
-        name = base_name(model.sha.name, trace.name).casefold()
-        if name in seen:
-            raise ValueError(
-                f"the traces {seen[name]!r} and {trace.name!r} would both be written to {name}.xml; rename one of them"
-            )
-        seen[name] = trace.name
 
 
 def _one(model: Model, trace: Trace, order: ExportOptions, engine: Path | None, missing: str) -> dict[str, Any]:
@@ -214,10 +210,10 @@ def _show(data: dict[str, Any]) -> None:
             click.echo(f"{row['trace']}: {note}")
         if row["comparison"]:
             headings = ("quantity", "native", "UPPAAL", "difference", "native 95 %", "UPPAAL 95 %", "agree", "note")
-            table(f"{row['trace']}: native against UPPAAL", headings, [_cells(one) for one in row["comparison"]])
-
-
-def _cells(row: dict[str, Any]) -> list[Any]:
-    spans = [f"{row[name][0]:.4g} to {row[name][1]:.4g}" for name in ("native_interval", "uppaal_interval")]
-    agree = {True: "yes", False: "NO", None: ""}[row["agree"]]
-    return [row["quantity"], row["native"], row["uppaal"], row["difference"], *spans, agree, row["note"]]
+            lines, intervals = [], ("native_interval", "uppaal_interval")
+            for line in row["comparison"]:
+                spans = [f"{line[name][0]:.4g} to {line[name][1]:.4g}" for name in intervals]
+                agree = {True: "yes", False: "NO", None: ""}[line["agree"]]
+                numbers = (line["native"], line["uppaal"], line["difference"])
+                lines.append([line["quantity"], *numbers, *spans, agree, line["note"]])
+            table(f"{row['trace']}: native against UPPAAL", headings, lines)

@@ -74,21 +74,39 @@ def compared(request: RankingRequest, progress: Progress) -> RankingInput:
 
     Raises ValueError or OSError for what cannot be read, and for a model at hand that has no results in the folders.
     """
-    return _earlier(request) if request.folders else _fresh(request, progress)
-
-
-def _fresh(request: RankingRequest, progress: Progress) -> RankingInput:
-    column_map = load_map(request.map_file)
-    traces, report = load_traces(list(request.paths), column_map)
-    training = load_traces(list(request.training), column_map)[0] if request.training else None
-    prepared = _prepared(request, training)
-    run = run_here(request.jobs or len(os.sched_getaffinity(0)))
-    settings = TraceRunSettings(request.runs, seed=request.seed)
-    by_model = outcomes_by_model(
-        prepared, traces, without=unread(report, traces), settings=settings, run=run, progress=progress
-    )
-    results = [outcome.result for _, outcomes in by_model for outcome in outcomes]
-    return RankingInput(results, _by_entrant(results, {one.label: _facts(one, traces) for one in prepared}))
+    if not request.folders:
+        column_map = load_map(request.map_file)
+        traces, report = load_traces(list(request.paths), column_map)
+        training = load_traces(list(request.training), column_map)[0] if request.training else None
+        prepared = _prepared(request, training)
+        run = run_here(request.jobs or len(os.sched_getaffinity(0)))
+        settings = TraceRunSettings(request.runs, seed=request.seed)
+        by_model = outcomes_by_model(
+            prepared, traces, without=unread(report, traces), settings=settings, run=run, progress=progress
+        )
+        results = [outcome.result for _, outcomes in by_model for outcome in outcomes]
+        return RankingInput(results, _by_entrant(results, {model.label: _facts(model, traces) for model in prepared}))
+    results = [result for folder in request.folders for result in read_results(folder)]
+    names, labels = {result.trace for result in results}, sorted({result.model for result in results})
+    facts: dict[str, dict[str, Facts]] = {}
+    for given in request.folders:
+        # What the campaign's records say of its models, by label and semantics; a missing or odd record says nothing.
+        folder = given if given.is_dir() else given.parent
+        for label, place in _document(folder / CAMPAIGN).get("folders", {}).items():
+            facts[label] = {}
+            for semantics, row in _document(folder / place / GENERATION).get("variants", {}).items():
+                trained = set(row.get("training_traces", ()))
+                known = bool(row.get("data_hash") or trained)
+                seen: dict[str, Seen] = {name: "name" for name in names if name in trained}
+                facts[label][semantics] = Facts(synthetic=bool(row.get("synthetic")) if known else None, seen=seen)
+    # A model at hand is that of the results with its name: it is verified, which the records cannot say.
+    for at_hand in _prepared(request, None):
+        if at_hand.label not in labels:
+            raise ValueError(
+                f"{at_hand.where}: the results have no model {at_hand.label!r}; they have {', '.join(labels) or 'none'}"
+            )
+        facts[at_hand.label] = _joined(facts.get(at_hand.label, {}), at_hand, names)
+    return RankingInput(results, _by_entrant(results, facts))
 
 
 def _prepared(request: RankingRequest, training: Sequence[Trace] | None) -> list[Prepared]:
@@ -100,22 +118,6 @@ def _prepared(request: RankingRequest, training: Sequence[Trace] | None) -> list
             for where in request.models
         ]
     )
-
-
-def _earlier(request: RankingRequest) -> RankingInput:
-    """The results of the folders, with what their records say; a model at hand is that of the results with its name."""
-    results = [result for folder in request.folders for result in read_results(folder)]
-    names, labels = {result.trace for result in results}, sorted({result.model for result in results})
-    facts: dict[str, dict[str, Facts]] = {}
-    for folder in request.folders:
-        facts |= _recorded(folder if folder.is_dir() else folder.parent, names)
-    for one in _prepared(request, None):
-        if one.label not in labels:
-            raise ValueError(
-                f"{one.where}: the results have no model {one.label!r}; they have {', '.join(labels) or 'none'}"
-            )
-        facts[one.label] = _joined(facts.get(one.label, {}), one, names)
-    return RankingInput(results, _by_entrant(results, facts))
 
 
 def _joined(recorded: Mapping[str, Facts], at_hand: Prepared, names: Iterable[str]) -> dict[str, Facts]:
@@ -164,22 +166,6 @@ def _origin(model: Model, seen: Mapping[str, Seen]) -> Facts:
     """Artefacts and models by hand do not say what they were learned from."""
     known = bool(model.provenance.data_hash or model.provenance.traces)
     return Facts(synthetic=model.provenance.synthetic if known else None, seen=seen)
-
-
-def _recorded(folder: Path, names: Iterable[str]) -> dict[str, dict[str, Facts]]:
-    """What a campaign's records say of its models, by label and semantics; a missing or odd record says nothing."""
-    found: dict[str, dict[str, Facts]] = {}
-    for label, place in _document(folder / CAMPAIGN).get("folders", {}).items():
-        variants = _document(folder / place / GENERATION).get("variants", {})
-        found[label] = {semantics: _fact(row, names) for semantics, row in variants.items()}
-    return found
-
-
-def _fact(row: Mapping[str, Any], names: Iterable[str]) -> Facts:
-    trained = set(row.get("training_traces", ()))
-    known = bool(row.get("data_hash") or trained)
-    seen: dict[str, Seen] = {name: "name" for name in names if name in trained}
-    return Facts(synthetic=bool(row.get("synthetic")) if known else None, seen=seen)
 
 
 def _document(file: Path) -> dict[str, Any]:
@@ -295,19 +281,14 @@ def rank(
             )
             seen = compared(request, report)
             found = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed)
-            data = _written(found, seen, page, picture)
+            if page is not None:
+                write_page(found, seen.results, page)
+            if picture is not None:
+                draw_ranking(found, seen.results, picture)
+            data = {**as_plain(found), "page": page and str(page), "picture": picture and str(picture)}
     except KeyboardInterrupt:
         fail("stopped before the end; nothing was written", Exit.INTERRUPTED)
     emit(data, lambda: _show(found, page, picture), as_json_line=as_json)
-
-
-def _written(found: Ranking, seen: RankingInput, page: Path | None, picture: Path | None) -> dict[str, Any]:
-    """Write what was asked for; the ranking as plain values."""
-    if page is not None:
-        write_page(found, seen.results, page)
-    if picture is not None:
-        draw_ranking(found, seen.results, picture)
-    return {**as_plain(found), "page": page and str(page), "picture": picture and str(picture)}
 
 
 def _show(found: Ranking, page: Path | None, picture: Path | None) -> None:

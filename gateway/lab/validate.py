@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import click
 
@@ -76,13 +75,30 @@ def campaign(
     column_map = load_map(request.map_file)
     workers = request.jobs or len(os.sched_getaffinity(0))
     with nullcontext(run_here(workers)) if request.address is None else cluster(request.address) as run:
-        training = _training(request, column_map)
-        ready = _ready(request, column_map, training, progress)
+        # The models come before the traces and the learning after both: what can be refused at once is refused first.
+        unlearned = to_learn(request.models)
+        if unlearned and not request.training:
+            raise ValueError(
+                f"{unlearned[0]}: there is no such model; to learn one by this method give --training TRACES"
+            )
+        training = load_traces(list(request.training), column_map)[0] if request.training else None
+        ready: list[tuple[str, Prepared | None]] = []
+        for number, where in enumerate(request.models):
+            progress(where, number / len(request.models))
+            ready.append((where, None if where in unlearned else _prepared(where, request, column_map, training)))
         progress("reading traces", 0.0)
         begin = perf_counter()
         traces, report = load_traces(list(request.paths), column_map)
         loading = load_stage(report, perf_counter() - begin)
-        facts = _facts(request, traces)
+        facts = {
+            "traces": f"{len(traces)} from {', '.join(request.paths)}",
+            "map": request.map_file.stem,
+            "runs": str(request.settings.runs),
+            "policy": request.settings.policy,
+            "semantics": request.wanted,
+            "seed": str(request.settings.seed),
+            "decanter": version("decanter-gateway"),
+        }
         created = datetime.fromtimestamp(request.created, UTC).strftime("%Y-%m-%d %H:%M UTC")
         plan = CampaignPlan(
             settings=request.settings,
@@ -96,9 +112,9 @@ def campaign(
             stale = check_folder(request.out, overwrite=request.overwrite)  # again: nobody else can write there now
             folder = claim_folder(request.out, stale, (), {"created": created, **facts})
             known = training or ()
-            made = [one or _learned(where, request, column_map, known, progress) for where, one in ready]
-            prepared = relabelled(made)
-            folder.assign([one.label for one in prepared])
+            models = [model or _learned(where, request, column_map, known, progress) for where, model in ready]
+            prepared = relabelled(models)
+            folder.assign([model.label for model in prepared])
             return prepared, conduct(
                 prepared,
                 traces,
@@ -114,26 +130,6 @@ def campaign(
 def to_learn(models: Sequence[str]) -> list[str]:
     """Those of the MODEL arguments that name a method of learning and nothing that is there."""
     return [name for name in models if name in METHODS and not Path(name).exists()]
-
-
-def _training(request: ValidationRequest, column_map: ColumnMap) -> list[Trace] | None:
-    """Raises ValueError where they cannot be read, or are not given and a model is to be learned from them."""
-    wanted = to_learn(request.models)
-    if wanted and not request.training:
-        raise ValueError(f"{wanted[0]}: there is no such model; to learn one by this method give --training TRACES")
-    return load_traces(list(request.training), column_map)[0] if request.training else None
-
-
-def _ready(
-    request: ValidationRequest, column_map: ColumnMap, training: Sequence[Trace] | None, progress: Progress
-) -> list[tuple[str, Prepared | None]]:
-    """Each model argument with its model after stages 1 to 4, None where it is to be learned. Raises ValueError."""
-    unlearned = to_learn(request.models)
-    ready: list[tuple[str, Prepared | None]] = []
-    for number, where in enumerate(request.models):
-        progress(where, number / len(request.models))
-        ready.append((where, None if where in unlearned else _prepared(where, request, column_map, training)))
-    return ready
 
 
 def _prepared(
@@ -154,25 +150,13 @@ def _learned(
 ) -> Prepared:
     """A model learned by the method `name` with its defaults, written to the campaign's folder, and then prepared."""
     progress(f"learning by {name}", 0.0)
+    # The method encodes the events itself, by the alphabet that it is given.
     silent = [replace(trace, events=()) for trace in training]
     task = Task(silent, column_map.alphabet, column_map.temperature, request.settings.seed, name)
     learned = METHODS[name].learn(task, {})
     place = request.out / LEARNED / name
     write_model_directory(place, learned.model, learned.values)
     return _prepared(str(place), request, column_map, training)
-
-
-def _facts(request: ValidationRequest, traces: Sequence[Trace]) -> dict[str, str]:
-    settings = request.settings
-    return {
-        "traces": f"{len(traces)} from {', '.join(request.paths)}",
-        "map": request.map_file.stem,
-        "runs": str(settings.runs),
-        "policy": settings.policy,
-        "semantics": request.wanted,
-        "seed": str(settings.seed),
-        "decanter": version("decanter-gateway"),
-    }
 
 
 MOST_REASONS = 5
@@ -251,31 +235,24 @@ def validate(
                 pictures=pictures,
                 created=time.time(),
             )
-            _, results = campaign(request, _quiet if as_json else click.echo, report)
+            # With --json the stages are in the folder alone.
+            _, results = campaign(request, (lambda _: None) if as_json else click.echo, report)
     except KeyboardInterrupt:
         begun = (out / "campaign.json").is_file()
         left = f"what was done lies in {out}, and --overwrite begins anew there" if begun else "nothing was written"
         fail(f"stopped before the end; {left}", Exit.INTERRUPTED)
-    emit(_data(out, results), lambda: _show(out, results), as_json_line=as_json)
-    if all(one.failure for one in results):
-        fail(f"no model could be run along any trace; {results[0].trace}: {results[0].failure}", Exit.CHECK_FAILED)
-
-
-def _quiet(_: str) -> None:
-    """With --json the stages are in the folder alone."""
-
-
-def _data(out: Path, results: Sequence[TraceResult]) -> dict[str, Any]:
-    """What --json gives: summaries, gains, verdicts and results."""
-    models = list(dict.fromkeys(one.model for one in results))
-    gains = {name: gain([one for one in results if one.model == name]) for name in models}
-    return {
+    names = dict.fromkeys(run.model for run in results)
+    gains = {name: gain([run for run in results if run.model == name]) for name in names}
+    data = {
         "out": str(out),
         "report": str(out / "index.html"),
-        "summaries": [asdict(one) for one in summaries(results)],
+        "summaries": [asdict(summary) for summary in summaries(results)],
         "gains": {name: asdict(found) | {"sentence": found.sentence} for name, found in gains.items() if found},
-        "results": [asdict(one) | {"verdict": asdict(verdict(one))} for one in results],
+        "results": [asdict(run) | {"verdict": asdict(verdict(run))} for run in results],
     }
+    emit(data, lambda: _show(out, results), as_json_line=as_json)
+    if all(one.failure for one in results):
+        fail(f"no model could be run along any trace; {results[0].trace}: {results[0].failure}", Exit.CHECK_FAILED)
 
 
 def _show(out: Path, results: Sequence[TraceResult]) -> None:

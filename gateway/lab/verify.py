@@ -13,10 +13,10 @@ from gateway.console import emit, finite, json_option, map_option, shipped, tabl
 from gateway.entry import Exit, sentences
 from gateway.lab.traces.load import load
 from sim.artefacts.formats import FoundModel, find_model
-from sim.checking.proof import DAY, Assumptions, Check, Sojourn, TimedWord, Verification, word_text
+from sim.checking.proof import DAY, Assumptions, Sojourn, TimedWord, Verification, word_text
 from sim.checking.proof import verify as check
 from sim.engine import Policy
-from sim.traces import ColumnMap, load_map
+from sim.traces import load_map
 
 GROWS = "A flow that relaxes cannot grow: learn with --method bins, or with --method lsha --default-flow exponential."
 STAYS, CASES, WIDTH = 12, 4, 150
@@ -106,7 +106,12 @@ def verify(
     range given by --bounds must be proven too. `decanter model simulate MODEL --word ...` replays a counterexample.
     """
     with sentences():
-        traces, column_map = load(paths, map_name) if paths else ([], _named_map(map_name))
+        traces, column_map = load(paths, map_name) if paths else ([], None)
+        # Artefacts take their alphabet from a column map that was named, also without a trace; --map has a default,
+        # which says nothing about a model that has an alphabet of its own.
+        source = click.get_current_context().get_parameter_source("map_name")
+        if not paths and source is ParameterSource.COMMANDLINE:
+            column_map = load_map(shipped("traces", map_name))
         if column_map is None:
             found = find_model(model)
         else:
@@ -120,36 +125,23 @@ def verify(
             unknown=not known,
             horizon=None if wear is None else wear * DAY,
         )
-        result = _verified(found, traces, bounds, assumptions)
+        # The alphabet of artefacts is the one that their report lists, if it lists one.
+        reported = tuple(name for name, _ in found.artefacts.report.events) if found.artefacts else ()
+        result = check(
+            found.model or found.structure,
+            symbols=reported or None,
+            traces=traces,
+            bounds=bounds,
+            assumptions=assumptions,
+            refusal=found.refusal,
+            clock=perf_counter,
+        )
         worst = _counterexample(result)
         if out is not None and worst is not None:
             out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
     emit(plain(result, found), lambda: _show(result, found, model, out), as_json_line=as_json)
     if not result.deployable:
         sys.exit(Exit.CHECK_FAILED)
-
-
-def _named_map(map_name: str) -> ColumnMap | None:
-    """The column map, if it was named: artefacts take their alphabet from it, also without a trace."""
-    if click.get_current_context().get_parameter_source("map_name") is not ParameterSource.COMMANDLINE:
-        return None
-    return load_map(shipped("traces", map_name))
-
-
-def _verified(
-    found: FoundModel, traces: Sequence[Any], bounds: tuple[float, float] | None, assumptions: Assumptions
-) -> Verification:
-    """The verification; the alphabet of artefacts is the one that their report lists, if it lists one."""
-    reported = tuple(name for name, _ in found.artefacts.report.events) if found.artefacts else ()
-    return check(
-        found.model or found.structure,
-        symbols=reported or None,
-        traces=traces,
-        bounds=bounds,
-        assumptions=assumptions,
-        refusal=found.refusal,
-        clock=perf_counter,
-    )
 
 
 def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
@@ -178,17 +170,34 @@ def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
 
 
 def _show(result: Verification, found: FoundModel, model: str, out: Path | None) -> None:
-    seconds = sum(one.seconds for one in result.checks)
-    rows = [[one.name, one.verdict, "" if one.blocking else "no", f"{1e3 * one.seconds:.1f}"] for one in result.checks]
+    seconds = sum(each.seconds for each in result.checks)
+    rows = [
+        [each.name, each.verdict, "" if each.blocking else "no", f"{1e3 * each.seconds:.1f}"] for each in result.checks
+    ]
     table(f"{found.name}: verified in {seconds:.2f} s", ("check", "verdict", "decides", "ms"), rows)
-    for one in result.checks:
-        _show_check(one)
+    for each in result.checks:
+        click.echo(f"{each.name}: {each.evidence}")
+        # The cases, where there is something to look for; those of `bounds` are its intervals, and are long.
+        if each.verdict == "proven" or each.name == "bounds" or len(each.details) < 2:
+            continue
+        for detail in each.details[:CASES]:
+            click.echo(f"    {detail if len(detail) <= WIDTH else detail[:WIDTH] + ' ...'}")
+        if len(each.details) > CASES:
+            click.echo(f"    ... and {len(each.details) - CASES} more (--json has them all)")
     if result.bounds is not None:
         click.echo(f"assumed: {'; '.join(result.assumptions)}")
     worst = _counterexample(result)
     if worst is not None:
-        _show_word(*worst, model, out)
-    against = [one.name for one in result.checks if one.blocking and one.verdict != "proven"]
+        name, word = worst
+        size = f"{len(word.steps)} stays"
+        if out is not None:
+            replayed = f"decanter model simulate {model} --word {out}"
+            click.echo(f"counterexample to {name}, of {size}: {out}; replay it: {replayed}")
+        elif len(word.steps) <= STAYS:
+            click.echo(f"counterexample to {name}: decanter model simulate {model} --word '{word_text(word)}'")
+        else:
+            click.echo(f"a counterexample to {name}, of {size}, was found; --word FILE writes it, for model simulate")
+    against = [each.name for each in result.checks if each.blocking and each.verdict != "proven"]
     sentence = f"NOT deployable: {'; '.join(against)}" if against else "deployable"
     click.secho(sentence, fg="red" if against else "green", bold=True)
     if "growth" in against and result.executable:
@@ -199,24 +208,3 @@ def _counterexample(result: Verification) -> tuple[str, TimedWord] | None:
     """(check, word) of the first counterexample: one that decides comes before one that only informs."""
     ordered = sorted(result.checks, key=lambda one: not one.blocking)
     return next(((one.name, word) for one in ordered for word in one.words), None)
-
-
-def _show_check(one: Check) -> None:
-    click.echo(f"{one.name}: {one.evidence}")
-    if one.verdict == "proven" or one.name == "bounds" or len(one.details) < 2:
-        return
-    for detail in one.details[:CASES]:
-        click.echo(f"    {detail if len(detail) <= WIDTH else detail[:WIDTH] + ' ...'}")
-    if len(one.details) > CASES:
-        click.echo(f"    ... and {len(one.details) - CASES} more (--json has them all)")
-
-
-def _show_word(check: str, word: TimedWord, model: str, out: Path | None) -> None:
-    text, size = word_text(word), f"{len(word.steps)} stays"
-    if out is not None:
-        replayed = f"decanter model simulate {model} --word {out}"
-        click.echo(f"counterexample to {check}, of {size}: {out}; replay it: {replayed}")
-    elif len(word.steps) <= STAYS:
-        click.echo(f"counterexample to {check}: decanter model simulate {model} --word '{text}'")
-    else:
-        click.echo(f"a counterexample to {check}, of {size}, was found; --word FILE writes it, for model simulate")

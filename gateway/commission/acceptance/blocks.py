@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -65,7 +65,7 @@ def at(moment: float | None) -> str:
 
 def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
     """The whole report; `digest` is the SHA-256 of its JSON file."""
-    return [*_front(data, digest), *_checks(data), *_audit(data), *_files(data), *_records(data), *_end(digest)]
+    return [*_front(data, digest), *_checks(data), *_audit(data), *_evidence(data, digest)]
 
 
 def _front(data: Mapping[str, Any], digest: str) -> Iterator[Block]:
@@ -134,17 +134,15 @@ def _audit(data: Mapping[str, Any]) -> Iterator[Block]:
     yield ReportTable(("row", "time", "what", "who", "reason", "until"), rows, widths=widths)
 
 
-def _files(data: Mapping[str, Any]) -> Iterator[Block]:
+def _evidence(data: Mapping[str, Any], digest: str) -> Iterator[Block]:
+    """The files of configuration, every record in full, and the lines to sign on."""
     yield Heading("Configuration", 2)
-    rows = [(one["path"], one["sha256"], "yes" if one["changed"] else "no") for one in data["configuration"]]
-    if not rows:
+    rows = [(file["path"], file["sha256"], "yes" if file["changed"] else "no") for file in data["configuration"]]
+    if rows:
+        widths, mono = (0.36, 0.54, 0.1), frozenset({1})
+        yield ReportTable(("file", "SHA-256 when last used", "changed since"), tuple(rows), widths=widths, mono=mono)
+    else:
         yield Text("No file of configuration was used.")
-        return
-    widths, mono = (0.36, 0.54, 0.1), frozenset({1})
-    yield ReportTable(("file", "SHA-256 when last used", "changed since"), tuple(rows), widths=widths, mono=mono)
-
-
-def _records(data: Mapping[str, Any]) -> Iterator[Block]:
     yield Heading("Records", 2)
     records = data["records"]
     chain = "whole" if records["broken_at"] is None else f"broken at line {records['broken_at']}"
@@ -152,6 +150,12 @@ def _records(data: Mapping[str, Any]) -> Iterator[Block]:
     for record in records["rows"]:
         yield Heading(f"{record['number']}. {record['command']}", 2)
         yield from _record(record)
+    yield Heading("Signatures", 2)
+    yield Text(
+        f"Those who sign have seen this report. Its data has the SHA-256 {digest}; the seal that `decanter plc report` "
+        "printed covers all files, and `decanter plc report --verify` checks them."
+    )
+    yield Signatures(("commissioning engineer", "plant operator"))
 
 
 def _record(record: Mapping[str, Any]) -> Iterator[Block]:
@@ -170,53 +174,34 @@ def _record(record: Mapping[str, Any]) -> Iterator[Block]:
         ("raw frames", f"SHA-256 {frames.get('sha256', '')}"),
         *((f"file {path}", f"SHA-256 {digest}") for path, digest in record["configuration"].items()),
     ]
-    scalars, tables = _divided(record["result"])
-    facts += [(name, _cell(value)) for name, value in scalars.items()]
+    # Of the result a list of objects is a table of its own, everything else a row of the facts.
+    tables: dict[str, list[Mapping[str, Any]]] = {}
+    for name, value in record["result"].items():
+        if isinstance(value, list) and value and all(isinstance(row, dict) for row in value):
+            tables[name] = value
+        elif value not in (None, "", [], {}):
+            facts.append((name, _cell(value)))
     shown = tuple((name, value) for name, value in facts if value)
     yield ReportTable(("what", "value"), shown, widths=(0.2, 0.8))
     for name, rows in tables.items():
         yield Text(f"{name} ({len(rows)})")
-        yield _grid(rows)
+        columns = tuple(dict.fromkeys(key for row in rows for key in row))
+        cells = tuple(tuple(_cell(row.get(column)) for column in columns) for row in rows[:MOST_ROWS])
+        states = []
+        for row in rows[:MOST_ROWS]:
+            state = {"ok": "good", "failed": "bad", "warning": "open"}.get(str(row.get("state")), "")
+            for key in ("passed", "ok"):
+                if isinstance(row.get(key), bool):
+                    state = "good" if row[key] else "bad"
+            states.append("open" if row.get("skipped") else state)
+        # Shares of the width by the longest text of each column, so that no word has to be broken without need. The
+        # power below 1 takes from the long columns what the short ones need: text wraps, numbers do not.
+        longest = [max(map(len, column)) for column in zip(columns, *cells, strict=True)]
+        wanted = [min(max(length, 4), 60) ** 0.75 for length in longest]
+        widths = tuple(share / sum(wanted) for share in wanted)
+        yield ReportTable(columns, cells, tuple(states), widths)
         if len(rows) > MOST_ROWS:
             yield Text(f"The first {MOST_ROWS} of {len(rows)} are shown; report.json has them all.")
-
-
-def _divided(result: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, list[Mapping[str, Any]]]]:
-    """What of a result is one value, and what is a table: a list of objects."""
-    scalars: dict[str, Any] = {}
-    tables: dict[str, list[Mapping[str, Any]]] = {}
-    for name, value in result.items():
-        if isinstance(value, list) and value and all(isinstance(one, dict) for one in value):
-            tables[name] = value
-        elif value not in (None, "", [], {}):
-            scalars[name] = value
-    return scalars, tables
-
-
-def _grid(rows: Sequence[Mapping[str, Any]]) -> ReportTable:
-    columns = tuple(dict.fromkeys(key for row in rows for key in row))
-    shown = rows[:MOST_ROWS]
-    cells = tuple(tuple(_cell(row.get(column)) for column in columns) for row in shown)
-    return ReportTable(columns, cells, tuple(map(_state, shown)), _widths(columns, cells))
-
-
-def _widths(columns: Sequence[str], cells: Sequence[Sequence[str]]) -> tuple[float, ...]:
-    """Shares of the width by the length of what is in the columns, so that no word has to be broken without need."""
-    longest = [
-        max(len(column), *(len(row[index]) for row in cells)) if cells else len(column)
-        for index, column in enumerate(columns)
-    ]
-    wanted = [min(max(length, 4), 60) ** 0.75 for length in longest]
-    return tuple(one / sum(wanted) for one in wanted)
-
-
-def _state(row: Mapping[str, Any]) -> str:
-    if row.get("skipped"):
-        return "open"
-    for key in ("ok", "passed"):
-        if isinstance(row.get(key), bool):
-            return "good" if row[key] else "bad"
-    return {"ok": "good", "failed": "bad", "warning": "open"}.get(str(row.get("state")), "")
 
 
 def _cell(value: object) -> str:
@@ -234,12 +219,3 @@ def _cell(value: object) -> str:
     else:
         text = value if isinstance(value, str) else json.dumps(value, default=str)
     return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
-
-
-def _end(digest: str) -> Iterator[Block]:
-    yield Heading("Signatures", 2)
-    yield Text(
-        f"Those who sign have seen this report. Its data has the SHA-256 {digest}; the seal that `decanter plc report` "
-        "printed covers all files, and `decanter plc report --verify` checks them."
-    )
-    yield Signatures(("commissioning engineer", "plant operator"))

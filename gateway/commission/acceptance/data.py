@@ -1,12 +1,12 @@
 """The site acceptance report as data: every check, its evidence, what is open; from the commands' own records."""
 
-import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from gateway.commission.acceptance.blocks import at
 from gateway.commission.session import CommandRecord, broken_at, read_records, versions
 from gateway.store import ARMED, DISARMED, EXPIRED, hash_of, read, standing, verify
 
@@ -59,12 +59,36 @@ def gather(
     chain = broken_at(records_path)
     audit = _audit(audit_path, now)
     configuration = _configuration(records)
-    points = [*_chain_points(records_path, chain, audit), *_points(checks, records, configuration), *remarks]
+    points: list[str] = []
+    # The gravest first: what makes the records themselves doubtful, what failed, what is missing, what is merely open.
+    if chain is not None:
+        points.append(f"line {chain} of {records_path} does not follow the line before it: the records were changed")
+    if audit["problem"]:
+        points.append(f"the audit log is not whole: {audit['problem']}")
+    if audit["standing"]:
+        points.append(f"still armed: {audit['standing']}")
+    failed = [check for check in checks if check["state"] == "failed"]
+    missing = [check for check in checks if check["state"] == "not done" and check["required"]]
+    points += [f"{check['command']} failed: {check['reason'] or 'see its record'}" for check in failed]
+    points += [f"{check['command']} was not done: {check['shows']}" for check in missing]
+    for check in checks:
+        if check["record"] is not None and check["state"] == "passed":
+            points += _left(check["command"], records[check["record"] - 1])
+    for file in configuration:
+        if file["changed"]:
+            points.append(f"{file['path']} was changed after it was last used ({file['changed']})")
+    points += remarks
+    if failed or chain is not None or audit["problem"]:
+        result = FAILED
+    elif missing:
+        result = INCOMPLETE
+    else:
+        result = OPEN if points else PASSED
     return {
         "format": FORMAT,
         "site": site,
         "made": {"time": now, "by": by, "versions": versions()},
-        "verdict": _verdict(checks, chain, audit, points),
+        "verdict": result,
         "checks": checks,
         "open_points": points,
         "clock": _clock(records),
@@ -97,43 +121,6 @@ def _checked(check: ReportCheck, records: Sequence[CommandRecord], *, writing: b
     number, last = own[-1]
     state = "failed" if last.code else "passed"
     return {**row, "state": state, "record": number, "time": last.time, "who": last.who, "reason": last.reason}
-
-
-def _verdict(
-    checks: Sequence[Mapping[str, Any]], chain: int | None, audit: Mapping[str, Any], points: Sequence[str]
-) -> str:
-    failed = any(check["state"] == "failed" for check in checks)
-    if failed or chain is not None or audit["problem"]:
-        return FAILED
-    if any(check["state"] == "not done" and check["required"] for check in checks):
-        return INCOMPLETE
-    return OPEN if points else PASSED
-
-
-def _chain_points(path: Path, chain: int | None, audit: Mapping[str, Any]) -> Iterator[str]:
-    if chain is not None:
-        yield f"line {chain} of {path} does not follow the line before it: the records were changed"
-    if audit["problem"]:
-        yield f"the audit log is not whole: {audit['problem']}"
-    if audit["standing"]:
-        yield f"still armed: {audit['standing']}"
-
-
-def _points(
-    checks: Sequence[Mapping[str, Any]], records: Sequence[CommandRecord], configuration: Sequence[Mapping[str, Any]]
-) -> Iterator[str]:
-    for check in checks:
-        if check["state"] == "failed":
-            yield f"{check['command']} failed: {check['reason'] or 'see its record'}"
-    for check in checks:
-        if check["state"] == "not done" and check["required"]:
-            yield f"{check['command']} was not done: {check['shows']}"
-    for check in checks:
-        if check["record"] is not None and check["state"] == "passed":
-            yield from _left(check["command"], records[check["record"] - 1])
-    for one in configuration:
-        if one["changed"]:
-            yield f"{one['path']} was changed after it was last used ({one['changed']})"
 
 
 def _left(command: str, record: CommandRecord) -> Iterator[str]:
@@ -192,7 +179,7 @@ def _audit(path: Path, now: float) -> dict[str, Any]:
     rows = [] if checked.problem else read(path)
     armings = [{"row": row.id, **asdict(row.entry)} for row in rows if row.entry.kind in (ARMED, DISARMED, EXPIRED)]
     row = None if checked.problem else standing(path, now)
-    sentence = f"by {row.entry.who} ({row.entry.reason}) until {_at(row.entry.detail['until'])}" if row else ""
+    sentence = f"by {row.entry.who} ({row.entry.reason}) until {at(row.entry.detail['until'])}" if row else ""
     return {
         **empty,
         **asdict(checked),
@@ -201,7 +188,3 @@ def _audit(path: Path, now: float) -> dict[str, Any]:
         "standing": sentence,
         "names": sorted({one["who"] for one in armings if one["who"]}),
     }
-
-
-def _at(moment: float) -> str:
-    return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(moment))

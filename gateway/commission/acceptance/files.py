@@ -51,7 +51,17 @@ def verify(folder: Path, seal: str = "") -> tuple[str, list[dict[str, Any]]]:
     list cannot be read at all.
     """
     listed, found = _listed(folder / LIST)
-    rows = [_file(folder, name, listed.get(name)) for name in dict.fromkeys((*FILES, *listed))]
+    rows = []
+    # The files of every report and those of the list: neither a file nor its line can be taken out unseen.
+    for name in dict.fromkeys((*FILES, *listed)):
+        file = folder / name
+        if name not in listed:
+            problem = "is not in the list of hashes"
+        elif not file.is_file():
+            problem = "is missing"
+        else:
+            problem = "" if hash_of(file.read_bytes()) == listed[name] else "was changed"
+        rows.append({"file": name, "ok": not problem, "problem": problem})
     lines = "".join(f"{digest}  {name}\n" for name, digest in listed.items())
     own = hash_of(lines.encode())
     problem = "" if own == found else "its seal is not that of its lines: the list was changed"
@@ -72,14 +82,3 @@ def _listed(path: Path) -> tuple[dict[str, str], str]:
     if rest or seal is None or not all(matches):
         raise ValueError(f"{path}: is not as a report's list of hashes is made; it was changed")
     return {match[2]: match[1] for match in matches if match}, seal[1]
-
-
-def _file(folder: Path, name: str, listed: str | None) -> dict[str, Any]:
-    file = folder / name
-    if listed is None:
-        problem = "is not in the list of hashes"
-    elif not file.is_file():
-        problem = "is missing"
-    else:
-        problem = "" if hash_of(file.read_bytes()) == listed else "was changed"
-    return {"file": name, "ok": not problem, "problem": problem}

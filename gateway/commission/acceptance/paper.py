@@ -8,7 +8,7 @@ from fpdf import FPDF
 from fpdf.fonts import FontFace
 from matplotlib import get_data_path
 
-from gateway.commission.acceptance.blocks import Block, Heading, ReportTable, Signatures, Text
+from gateway.commission.acceptance.blocks import Block, Heading, ReportTable, Text
 
 _FILL = {"good": (227, 243, 230), "bad": (251, 224, 222), "open": (253, 241, 211)}
 _HEAD, _PLAIN = (238, 242, 245), (255, 255, 255)
@@ -22,13 +22,34 @@ def paper(made: Sequence[Block], title: str, footer: str, moment: float) -> byte
     sheet = _sheet(title, footer, moment)
     for block in made:
         if isinstance(block, Heading):
-            _heading(sheet, block)
+            sheet.ln(1 if block.level == 1 else 4)
+            if sheet.will_page_break(24):  # a heading does not stand alone at the foot of a page
+                sheet.add_page()
+            sheet.set_font(_FONT, "B", _LARGE if block.level == 1 else 11)
+            sheet.set_text_color(*_BLUE)
+            sheet.multi_cell(0, None, block.text, new_x="LMARGIN", new_y="NEXT")
+            sheet.set_text_color(0)
+            sheet.ln(1.5)
         elif isinstance(block, Text):
-            _text(sheet, block)
+            sheet.set_font(_FONT, "B" if block.state else "", _BODY)
+            if block.state:
+                sheet.set_fill_color(*_FILL[block.state])
+            sheet.multi_cell(0, 5.5, block.text, fill=bool(block.state), new_x="LMARGIN", new_y="NEXT", align="L")
+            sheet.ln(1)
         elif isinstance(block, ReportTable):
             _grid(sheet, block)
         else:
-            _signatures(sheet, block)
+            if sheet.will_page_break(28):  # the lines to sign on stay together
+                sheet.add_page()
+            sheet.ln(18)
+            sheet.set_font(_FONT, size=8.5)
+            width = sheet.epw / len(block.roles)
+            top = sheet.get_y()
+            for index, role in enumerate(block.roles):
+                left = sheet.l_margin + index * width
+                sheet.line(left, top, left + width - 14, top)
+                sheet.set_xy(left, top + 1)
+                sheet.cell(width - 14, 5, f"{role}: name, date, signature")
     return bytes(sheet.output())
 
 
@@ -42,7 +63,8 @@ def _sheet(title: str, footer: str, moment: float) -> FPDF:
             self.set_text_color(0)
 
     sheet = ReportPdf(orientation="landscape", format="A4")
-    fonts = _fonts()
+    # matplotlib brings fonts with the letters of all Latin, Greek and Cyrillic names; those of PDF itself are Latin-1.
+    fonts = Path(get_data_path()) / "fonts" / "ttf"
     sheet.add_font(_FONT, "", fonts / "DejaVuSans.ttf")
     sheet.add_font(_FONT, "B", fonts / "DejaVuSans-Bold.ttf")
     sheet.add_font(_MONO, "", fonts / "DejaVuSansMono.ttf")
@@ -53,30 +75,6 @@ def _sheet(title: str, footer: str, moment: float) -> FPDF:
     sheet.set_draw_color(190)
     sheet.add_page()
     return sheet
-
-
-def _fonts() -> Path:
-    """matplotlib brings fonts with the letters of all Latin, Greek and Cyrillic names."""
-    return Path(get_data_path()) / "fonts" / "ttf"
-
-
-def _heading(sheet: FPDF, block: Heading) -> None:
-    sheet.ln(1 if block.level == 1 else 4)
-    if sheet.will_page_break(24):
-        sheet.add_page()
-    sheet.set_font(_FONT, "B", _LARGE if block.level == 1 else 11)
-    sheet.set_text_color(*_BLUE)
-    sheet.multi_cell(0, None, block.text, new_x="LMARGIN", new_y="NEXT")
-    sheet.set_text_color(0)
-    sheet.ln(1.5)
-
-
-def _text(sheet: FPDF, block: Text) -> None:
-    sheet.set_font(_FONT, "B" if block.state else "", _BODY)
-    if block.state:
-        sheet.set_fill_color(*_FILL[block.state])
-    sheet.multi_cell(0, 5.5, block.text, fill=bool(block.state), new_x="LMARGIN", new_y="NEXT", align="L")
-    sheet.ln(1)
 
 
 def _grid(sheet: FPDF, block: ReportTable) -> None:
@@ -97,17 +95,3 @@ def _grid(sheet: FPDF, block: ReportTable) -> None:
                 family = _MONO if place in block.mono else None
                 row.cell(cell, style=FontFace(family=family, fill_color=fill))
     sheet.ln(2)
-
-
-def _signatures(sheet: FPDF, block: Signatures) -> None:
-    if sheet.will_page_break(28):
-        sheet.add_page()
-    sheet.ln(18)
-    sheet.set_font(_FONT, size=8.5)
-    width = sheet.epw / len(block.roles)
-    top = sheet.get_y()
-    for index, role in enumerate(block.roles):
-        left = sheet.l_margin + index * width
-        sheet.line(left, top, left + width - 14, top)
-        sheet.set_xy(left, top + 1)
-        sheet.cell(width - 14, 5, f"{role}: name, date, signature")

@@ -110,29 +110,24 @@ def _nearest(best: EncodingCandidate, rival: EncodingCandidate, last: Observatio
 
     Infinite where it never does.
     """
-    start = last.shown.value or 100.0 * last.shown.step
+    start = last.shown.value or 100.0 * last.shown.step  # a reading of 0 has no multiples
     agreed = start
     for step in range(1, _STEPS + 1):
         share = step / _STEPS
+        # In equal ratios, as values range over orders of magnitude; through 0 to the other sign in equal steps.
         factor = farthest**share if farthest > 0 else 1.0 + share * (farthest - 1.0)
         if _differ(best, rival, last, start * factor):
-            return abs(_border(best, rival, last, (agreed, start * factor)) - start)
+            # Bisection between the last value at which they agreed and this one; it ends on the side where they differ.
+            same, other = agreed, start * factor
+            for _ in range(_STEPS):
+                middle = (same + other) / 2.0
+                if _differ(best, rival, last, middle):
+                    other = middle
+                else:
+                    same = middle
+            return abs(other - start)
         agreed = start * factor
     return math.inf
-
-
-def _border(
-    best: EncodingCandidate, rival: EncodingCandidate, last: Observation, between: tuple[float, float]
-) -> float:
-    """A value just on the side of `between` where they differ."""
-    same, other = between
-    for _ in range(_STEPS):
-        middle = (same + other) / 2.0
-        if _differ(best, rival, last, middle):
-            other = middle
-        else:
-            same = middle
-    return other
 
 
 def _differ(best: EncodingCandidate, rival: EncodingCandidate, last: Observation, value: float) -> bool:
@@ -143,20 +138,17 @@ def _differ(best: EncodingCandidate, rival: EncodingCandidate, last: Observation
     try:
         fresh = encode(best.tag(), value)
     except EncodingError:
-        return _holds(rival, value)
+        try:
+            encode(rival.tag(), value)
+        except EncodingError:
+            return False  # neither holds it: such a value cannot come, and tells nothing
+        return True
+    # The registers as they would be: the neighbours stay, which a rival at another address or wider reads with them.
     words = list(last.words)
     first = best.address - last.base
     words[first : first + len(fresh)] = fresh
-    own, other = (_value(one, words, last.base) for one in (best, rival))
+    own, other = (_value(each, words, last.base) for each in (best, rival))
     return own is None or other is None or abs(own - other) > 0.5 * last.shown.step
-
-
-def _holds(one: EncodingCandidate, value: float) -> bool:
-    try:
-        encode(one.tag(), value)
-    except EncodingError:
-        return False
-    return True
 
 
 def _value(one: EncodingCandidate, words: Sequence[int], base: int) -> float | None:

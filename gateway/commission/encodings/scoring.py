@@ -100,6 +100,7 @@ def _shared(
     """The candidates with their share of the belief, of which `chance` (that the value lies elsewhere) has one too."""
     if not found or chance > found[0][0]:
         return []
+    # Relative to the best (log-sum-exp): the weights are sums of many logarithms, and exp of them would be 0.
     best = found[0][0]
     total = sum(math.exp(one[0] - best) for one in found) + math.exp(chance - best)
     return [
@@ -135,7 +136,7 @@ def _grid(*, floats: bool) -> tuple[Vector, Vector, Vector]:
         each = priors.FULL_SCALE_WEIGHT / (len(priors.FULL_SCALE) * len(priors.SPANS))
         for span in priors.SPANS:
             for counts in priors.FULL_SCALE:
-                scales.setdefault(span / counts, each)
+                scales.setdefault(span / counts, each)  # a usual scale keeps its own, greater prior
     offsets = priors.FLOAT_OFFSETS if floats else priors.OFFSETS
     pairs = [(s, o, math.log(p * q)) for s, p in scales.items() for o, q in offsets.items()]
     columns = np.array(pairs, dtype=np.float64).T
@@ -149,7 +150,10 @@ def _weighed(
     raws = [_raw(layout, one) for one in observations]
     if any(raw is None for raw in raws):
         return []
-    total = weights + layout.weight + _log_roomy(layout.dtype, [raw[0] for raw in raws if raw is not None])
+    # A type with more room than any of the numbers needs is less likely to have been chosen.
+    chance, enough = priors.ROOMY.get(layout.dtype, (1.0, 0.0))
+    roomy = math.log(chance) if all(abs(raw[0]) <= enough for raw in raws if raw is not None) else 0.0
+    total = weights + layout.weight + roomy
     # Bayes' rule for all scales and offsets at once: log prior + the log likelihood ratio of each observation against
     # registers that have nothing to do with the value. The likelihood of the words is the density of the value over
     # one raw step; words that were read before are no new evidence.
@@ -157,7 +161,7 @@ def _weighed(
     for raw, one in zip(raws, observations, strict=True):
         number, resolution = raw or (0.0, 1.0)
         words = _covered(layout, one)
-        if abs(number) > _FAR:
+        if abs(number) > _FAR:  # a float's garbage, whose products would overflow
             return []
         total = total + _log_shown(number * scales + offsets, one.shown)
         if words not in before:
@@ -184,12 +188,6 @@ def _raw(layout: _EncodingLayout, one: Observation) -> tuple[float, float] | Non
     if quality is not Quality.GOOD or isinstance(value, bool | str) or value is None:
         return None
     return float(value), _resolution(layout.dtype, float(value))
-
-
-def _log_roomy(dtype: DType, numbers: Sequence[float]) -> float:
-    """log of how likely a type is that has more room than any of the numbers needs."""
-    chance, enough = priors.ROOMY.get(dtype, (1.0, 0.0))
-    return math.log(chance) if all(abs(number) <= enough for number in numbers) else 0.0
 
 
 def _resolution(dtype: DType, value: float) -> float:

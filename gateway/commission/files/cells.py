@@ -78,29 +78,19 @@ def read_sheet(
                 if any(cell.strip() for cell in row)
             )
             return ListSheet(path, number, {name: cells[at].strip() for name, at in columns.items()}, ignored, lines)
-    _check_given(path, rows[:HEADER_WITHIN], given)
-    raise ListError(_no_header(path, rows, synonyms, needed))
-
-
-def _no_header(
-    path: Path, rows: list[tuple[int, list[str]]], synonyms: Mapping[str, Sequence[str]], needed: Sequence[str]
-) -> str:
     if not rows:
-        return f"{path}: is empty; give a list with a header and one row a tag"
-    found = ", ".join(repr(cell.strip()) for cell in rows[0][1] if cell.strip())
-    wanted = " and ".join(f"{name} ({', '.join(synonyms[name][:4])}, ...)" for name in needed)
-    return (
-        f"{path}: no header was recognised in the first {HEADER_WITHIN} lines: the list needs a column for {wanted}; "
-        f"its line {rows[0][0]} has {found}; say which is which, as --column {needed[0]}=HEADER"
-    )
-
-
-def _check_given(path: Path, rows: Sequence[tuple[int, list[str]]], given: Mapping[str, str]) -> None:
-    known = {key_of(cell) for _, cells in rows for cell in cells}
+        raise ListError(f"{path}: is empty; give a list with a header and one row a tag")
+    # What was asked for by --column and is nowhere explains more than a header that was not recognised.
+    first, headers = rows[0][0], ", ".join(repr(cell.strip()) for cell in rows[0][1] if cell.strip())
+    known = {key_of(cell) for _, cells in rows[:HEADER_WITHIN] for cell in cells}
     for name, header in given.items():
-        if rows and key_of(header) not in known:
-            listed = ", ".join(repr(cell.strip()) for cell in rows[0][1] if cell.strip())
-            raise ListError(f"{path}: no column is called {header!r} (--column {name}); line {rows[0][0]} has {listed}")
+        if key_of(header) not in known:
+            raise ListError(f"{path}: no column is called {header!r} (--column {name}); line {first} has {headers}")
+    wanted = " and ".join(f"{name} ({', '.join(synonyms[name][:4])}, ...)" for name in needed)
+    raise ListError(
+        f"{path}: no header was recognised in the first {HEADER_WITHIN} lines: the list needs a column for {wanted}; "
+        f"its line {first} has {headers}; say which is which, as --column {needed[0]}=HEADER"
+    )
 
 
 def _recognised(
@@ -115,20 +105,20 @@ def _recognised(
     for name, header in given.items():
         if (wanted := key_of(header)) in keys:
             taken[name] = keys.index(wanted)
+    # All exact names first: "offset" must not be taken by the column of "offset modbus" that stands before it.
     for exactly in (True, False):
         for name, words in synonyms.items():
-            place = _place(keys, words, set(taken.values()), exactly=exactly)
-            if name not in taken and place is not None:
+            if name in taken:
+                continue
+            places = (
+                at
+                for word in words
+                for at, key in enumerate(keys)
+                if at not in taken.values() and key and (key == word if exactly else f" {word} " in f" {key} ")
+            )
+            if (place := next(places, None)) is not None:
                 taken[name] = place
     return dict(sorted(taken.items(), key=lambda item: item[1]))
-
-
-def _place(keys: Sequence[str], words: Sequence[str], used: set[int], *, exactly: bool) -> int | None:
-    for word in words:
-        for at, key in enumerate(keys):
-            if at not in used and key and (key == word if exactly else f" {word} " in f" {key} "):
-                return at
-    return None
 
 
 def key_of(text: str) -> str:
@@ -149,28 +139,24 @@ def _rows(path: Path, sheet: str | None) -> Iterator[tuple[int, list[str]]]:
         raise ListError(
             f"{path}: cannot be read ({(error.strerror or str(error)).lower()}); give a CSV or XLSX file"
         ) from None
-    if data[:2] == b"PK":
+    if data[:2] == b"PK":  # a ZIP archive, which an XLSX file is
         yield from _xlsx_rows(path, data, sheet)
         return
-    if data[:4] == b"\xd0\xcf\x11\xe0":
+    if data[:4] == b"\xd0\xcf\x11\xe0":  # an OLE2 compound file
         raise ListError(f"{path}: is an old Excel file (.xls); save it as .xlsx or .csv")
-    yield from _csv_rows(path, _text(data))
-
-
-def _text(data: bytes) -> str:
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return data.decode("utf-16", errors="replace")
-    for encoding in _ENCODINGS:
-        try:
-            return data.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-    return data.decode("latin-1")
-
-
-def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):  # Excel's "Unicode text"
+        text = data.decode("utf-16", errors="replace")
+    else:
+        text = ""
+        for encoding in _ENCODINGS:  # the last one, latin-1, decodes everything
+            try:
+                text = data.decode(encoding)
+            except UnicodeDecodeError:
+                continue
+            break
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter_of(text))
     try:
+        # A quoted cell may hold line breaks: a row is called by the line at which it begins.
         before = 0
         for row in reader:
             if any(cell.strip() for cell in row):
@@ -201,18 +187,13 @@ def _xlsx_rows(path: Path, data: bytes, sheet: str | None) -> Iterator[tuple[int
         raise ListError(f"{path}: has no sheet {sheet!r}; it has {', '.join(map(repr, book.sheetnames))}")
     page = book[sheet] if sheet is not None else book.worksheets[0]
     for number, row in enumerate(page.iter_rows(values_only=True), start=1):
-        cells = [_cell(value) for value in row]
+        # As it would be typed: XLSX knows no whole numbers, and 40101.0 is no address.
+        cells = [
+            str(int(value)) if isinstance(value, float) and value.is_integer() and abs(value) < 1e15 else str(value)
+            for value in ("" if value is None else value for value in row)
+        ]
         if any(cells):
             yield number, cells
-
-
-def _cell(value: object) -> str:
-    """A cell as it would be typed: a whole number without a fraction, nothing as ""."""
-    if value is None:
-        return ""
-    if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
-        return str(int(value))
-    return str(value)
 
 
 def number_of(text: str) -> float:

@@ -13,6 +13,7 @@ from gateway.commission.files.plan_files import Files, device_edit, plant_edit, 
 
 _LAYOUT, _TIMER_S = 1, 5.0
 _MOST_WORDS = 123
+"""Registers in one write by the protocol (MODBUS Application Protocol V1.1b3, 6.12)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +58,19 @@ def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool
             set_device(document, {"heartbeat": wanted.heartbeat or None})
         for tag in wanted.tags:
             set_tag(document, tag.name, _keys(tag))
-        if wanted.block is not None:
-            _put_block(document, wanted.block, template)
+        block = wanted.block
+        if block is not None:
+            table: Any = document.get("writeback", {})
+            names = block.fields
+            if names is None and "fields" not in table:
+                # As many as the device takes in one write: the block goes out in one request or not at all.
+                own: Any = document.get("device", {})
+                most = min(_MOST_WORDS, own.get("max_registers", _MOST_WORDS))
+                names = fields_that_fit(int(own.get("max_write_registers", most)))
+            version = block.version if block.version is not None else table.get("layout_version", _LAYOUT)
+            timer = block.timer if block.timer is not None else table.get("timeout_s", _TIMER_S)
+            head = {"address": block.address, "layout_version": version, "timeout_s": timer}
+            set_block(document, head, names, template)
 
     device = device_edit(files, change)
     plant = plant_edit(files, wanted.plant)
@@ -80,19 +92,3 @@ def _keys(tag: Binding) -> dict[str, Any]:
     rest = {key: value for key, value in tag.keys.items() if key not in encoding({})}
     own = encoding(tag.keys)
     return {**(own if tag.place else {key: own[key] for key in own if key in tag.keys}), **rest}
-
-
-def _put_block(document: tomlkit.TOMLDocument, block: BlockPlace, template: Path) -> None:
-    table: Any = document.get("writeback", {})
-    names = block.fields
-    if names is None and "fields" not in table:
-        names = fields_that_fit(_room(document))
-    version = block.version if block.version is not None else table.get("layout_version", _LAYOUT)
-    timer = block.timer if block.timer is not None else table.get("timeout_s", _TIMER_S)
-    set_block(document, {"address": block.address, "layout_version": version, "timeout_s": timer}, names, template)
-
-
-def _room(document: tomlkit.TOMLDocument) -> int:
-    """How many words the device takes in one write, by its settings."""
-    device: Any = document.get("device", {})
-    return int(device.get("max_write_registers", min(_MOST_WORDS, device.get("max_registers", _MOST_WORDS))))

@@ -62,7 +62,18 @@ def set_tag(document: tomlkit.TOMLDocument, name: str, given: Mapping[str, Any])
     table = tomlkit.table()
     table["name"] = name
     _fill(table, given)
-    _append(tags, table)
+    # After the last tag, and before the blank lines and comments at its end: TOML counts them to that tag, and a person
+    # to the table that follows.
+    if len(tags):
+        body = tags[-1].value.body
+        following: list[Comment | Whitespace] = []
+        while body and body[-1][0] is None and isinstance(item := body[-1][1], Comment | Whitespace):
+            following.insert(0, item)
+            body.pop()
+        tags[-1].add(tomlkit.nl())
+        for item in following:
+            table.add(item)
+    tags.append(table)
 
 
 def _fill(table: Table, given: Mapping[str, Any]) -> None:
@@ -77,11 +88,10 @@ def _fill(table: Table, given: Mapping[str, Any]) -> None:
 
 def encoding(given: Mapping[str, Any]) -> dict[str, Any]:
     """The keys of a place as a tag has them: what is the default is not written."""
-    return {key: _unless_default(given.get(key), default) for key, default in ENCODING.items()}
-
-
-def _unless_default(value: Any, default: Any) -> Any:
-    return None if value is None or value == default else value
+    return {
+        key: None if given.get(key) is None or given[key] == default else given[key]
+        for key, default in ENCODING.items()
+    }
 
 
 def _tags(document: tomlkit.TOMLDocument) -> AoT:
@@ -92,26 +102,6 @@ def _tags(document: tomlkit.TOMLDocument) -> AoT:
     if not isinstance(found, AoT):
         raise ConfigError(["tags: is written as a plain list; write each as a [[tags]] table"])
     return found
-
-
-def _append(tags: AoT, table: Table) -> None:
-    """A new tag after the last one, before the comments that lead on to what follows it."""
-    if len(tags):
-        rest = _leading_on(tags[-1])
-        tags[-1].add(tomlkit.nl())
-        for item in rest:
-            table.add(item)
-    tags.append(table)
-
-
-def _leading_on(table: Table) -> list[Comment | Whitespace]:
-    """Take the blank lines and comments at the end of a table out of it."""
-    body = table.value.body
-    rest: list[Comment | Whitespace] = []
-    while body and body[-1][0] is None and isinstance(item := body[-1][1], Comment | Whitespace):
-        rest.insert(0, item)
-        body.pop()
-    return rest
 
 
 # ---------------------------------------------------------------- the block

@@ -74,12 +74,18 @@ def _show(data: Mapping[str, Any]) -> None:
         if data["ignored_columns"]:
             click.echo(f"columns without use: {', '.join(map(repr, data['ignored_columns']))}")
         keys = [key for key in _COLUMNS if any(tag.get(key) not in (None, "") for tag in data["tags"])]
-        rows = [[_text(tag.get(key, "")) for key in keys] for tag in data["tags"]]
+        cells = [[tag.get(key, "") for key in keys] for tag in data["tags"]]
+        rows = [[f"{cell:.10g}" if isinstance(cell, float) else cell for cell in row] for row in cells]
         table(f"{len(rows)} tags", keys, rows)
     for problem in data.get("problems", ()):
         click.secho(problem, fg="red")
     for change in data.get("changes", ()):
-        _show_change(change["diff"].splitlines(), most=_NEW_LINES if change["new"] else None)
+        lines = change["diff"].splitlines()
+        shown = lines[:_NEW_LINES] if change["new"] else lines  # of a new file only how it begins
+        for line in shown:
+            click.secho(line, fg={"+": "green", "-": "red", "@": "cyan"}.get(line[:1]))
+        if len(lines) > len(shown):
+            click.echo(f"... and {len(lines) - len(shown)} lines more, as the table above says")
     if data["written"]:
         kept = f" (before: {', '.join(data['backups'])})" if data["backups"] else ""
         click.echo(f"written and in order: {', '.join(data['files'])}{kept}")
@@ -89,17 +95,5 @@ def _show(data: Mapping[str, Any]) -> None:
         click.echo("nothing to change: the files say so already")
 
 
-def _show_change(lines: list[str], most: int | None) -> None:
-    """The diff; of a new file only how it begins."""
-    for line in lines[:most]:
-        click.secho(line, fg={"+": "green", "-": "red", "@": "cyan"}.get(line[:1]))
-    if most is not None and len(lines) > most:
-        click.echo(f"... and {len(lines) - most} lines more, as the table above says")
-
-
 _NEW_LINES = 30
 _COLUMNS = ("line", "name", "address", "dtype", "order", "bit", "scale", "offset", "unit", "low", "high", "sentinel")
-
-
-def _text(value: Any) -> Any:
-    return f"{value:.10g}" if isinstance(value, float) else value

@@ -1,7 +1,8 @@
 """An I/O list as tags: each row gives one, or one sentence that says what is wrong with it."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -82,25 +83,22 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
 
 
 def _listed(sheet: ListSheet, line: ListRow, how: Reading, before: Sequence[Listed]) -> Listed:
-    found = line.get("name")
-    if not found:
+    listed = line.get("name")
+    if not listed:
         raise _RowError("name", "is empty; give the tag's name, or take the row out")
-    name = how.rename.get(found, found)
-    if twice := next((one for one in before if one.name == name), None):
+    name = how.rename.get(listed, listed)
+    if twice := next((tag for tag in before if tag.name == name), None):
         raise _RowError("name", f"{name!r} is in line {twice.line} already; give each tag a name of its own")
     keys = _keys(sheet, line, how)
-    if other := next((one for one in before if _collide(keys, one.keys)), None):
-        sentence = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
-        raise _RowError(
-            "address", f"{sentence}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)"
-        )
+    for other in before:
+        # Two tags may share a register only where each takes another bit of it.
+        bits = (keys["bit"], other.keys["bit"])
+        if keys["address"] == other.keys["address"] and (None in bits or bits[0] == bits[1]):
+            sentence = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
+            raise _RowError(
+                "address", f"{sentence}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)"
+            )
     return Listed(name, keys, line.number)
-
-
-def _collide(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether two tags claim the same register; two different bits of it do not."""
-    bits = (one["bit"], other["bit"])
-    return bool(one["address"] == other["address"] and (None in bits or bits[0] == bits[1]))
 
 
 def _keys(sheet: ListSheet, line: ListRow, how: Reading) -> dict[str, Any]:
@@ -110,25 +108,26 @@ def _keys(sheet: ListSheet, line: ListRow, how: Reading) -> dict[str, Any]:
     scale, offset = _scaling(line, low, high)
     if low is not None and high is not None and not low < high:
         raise _RowError("low", f"{low:g} is not below the highest value {high:g}; swap or correct them")
-    numeric = dtype not in ("bool", "string")
+    numeric, order = dtype not in ("bool", "string"), None
+    if dtype not in _SINGLE:  # one register alone has no order of words, and its bytes are Modbus's
+        text = line.get("order")
+        order = ORDERS.get(key_of(text)) if text and text != "-" else how.order
+        if order is None:
+            raise _RowError("order", f"{text!r} is no order that is known here; give ABCD, CDAB, BADC or DCBA")
+    unit = line.get("unit")
     return {
         "address": address,
         "dtype": dtype,
-        "order": None if dtype in _SINGLE else _order(line, how),
+        "order": order,
         "scale": scale if numeric else None,
         "offset": offset if numeric else None,
         "bit": bit,
         "length": length or None,
-        "unit": _unit(line) if numeric else None,
+        "unit": _UNITS.get(key_of(unit), unit) if numeric and unit not in ("", "-") else None,
         "low": low if numeric else None,
         "high": high if numeric else None,
         "sentinel": _whole(line, "sentinel") if numeric else None,
     }
-
-
-def _unit(line: ListRow) -> str | None:
-    text = line.get("unit")
-    return _UNITS.get(key_of(text), text) if text not in ("", "-") else None
 
 
 def _number(line: ListRow, column: str) -> float | None:
@@ -164,16 +163,6 @@ def _scaling(line: ListRow, low: float | None, high: float | None) -> tuple[floa
         raise _RowError("raw_high", "the raw range or the range in units is empty; give two different ends")
     found = (high - (low or 0.0)) / span
     return round(found, _DIGITS), round((low or 0.0) - found * (raw_low or 0.0), _DIGITS)
-
-
-def _order(line: ListRow, how: Reading) -> str:
-    text = line.get("order")
-    if not text or text == "-":
-        return how.order
-    found = ORDERS.get(key_of(text))
-    if found is None:
-        raise _RowError("order", f"{text!r} is no order that is known here; give ABCD, CDAB, BADC or DCBA")
-    return found
 
 
 def _type(line: ListRow, address: str, bit: int | None) -> tuple[str, int]:
@@ -225,9 +214,15 @@ def _bit(line: ListRow) -> int | None:
 
 def _register(sheet: ListSheet, line: ListRow, plain: str, text: str, how: Reading) -> Register:
     """A place by whatever notation: holding:100, 40101, 4x101, %MW100, 0x64, or a bare number in a table."""
-    for read in _NOTATIONS:
-        if (found := read(plain)) is not None:
-            return _within(found, text)
+    if ":" in plain or len(plain) >= 5:  # fewer digits are no reference number, but a bare address
+        with suppress(AddressTextError):
+            return _within(parse_register(plain), text)
+    # 4x101 counts from 1, as reference numbers do; %MW100 from 0.
+    if (match := _SHORT.fullmatch(plain)) and match[2] != "0":
+        return _within(Register(_REFERENCE_TABLES[match[1]], int(match[2]) - 1), text)
+    if match := _IEC.fullmatch(plain):
+        return _within(Register(_IEC_TABLES[match[1]], int(match[2])), text)
+    # The table's own column is looked at last: an address that says its table needs none.
     table = _table(sheet, line) or how.table
     if match := _HEX.fullmatch(plain):
         return _within(Register(table, int(match[1] or match[2], 16)), text)
@@ -240,27 +235,6 @@ def _within(register: Register, text: str) -> Register:
     if not 0 <= register.number <= 65535:
         raise _RowError("address", f"{text!r} is outside the addresses, which are 0 to 65535")
     return register
-
-
-def _usual(plain: str) -> Register | None:
-    """holding:100 and 5- or 6-digit reference numbers."""
-    try:
-        return parse_register(plain) if ":" in plain or len(plain) >= 5 else None
-    except AddressTextError:
-        return None
-
-
-def _short(plain: str) -> Register | None:
-    match = _SHORT.fullmatch(plain)
-    return Register(_REFERENCE_TABLES[match[1]], int(match[2]) - 1) if match and match[2] != "0" else None
-
-
-def _iec(plain: str) -> Register | None:
-    match = _IEC.fullmatch(plain)
-    return Register(_IEC_TABLES[match[1]], int(match[2])) if match else None
-
-
-_NOTATIONS: tuple[Callable[[str], Register | None], ...] = (_usual, _short, _iec)
 
 
 def _table(sheet: ListSheet, line: ListRow) -> str:

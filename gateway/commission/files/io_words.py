@@ -122,23 +122,22 @@ def type_of(key: str) -> tuple[str, int] | None:
     compact = key.replace(" ", "")
     if compact in _TYPES:
         return _TYPES[compact], 0
+    # `32 bit float`, `16-bit unsigned integer` and the like: the kind by its words, the width by its number. Unsigned
+    # comes before signed, because both have the word integer.
     match = _BITS.search(key)
-    return _by_width(key, match[1]) if match else None
-
-
-def _by_width(key: str, bits: str) -> tuple[str, int] | None:
-    """`32 bit float`, `16-bit unsigned integer` and the like."""
-    words = set(key.split())
+    if match is None:
+        return None
+    bits, words = match[1], set(key.split())
+    widths: tuple[str, ...] = ("8", "16", "32", "64")
     if words & {"float", "real", "reale", "floating", "ieee"}:
-        kind = "float"
+        kind, widths = "float", ("32", "64")
     elif words & {"unsigned", "uint", "word"} or "senza segno" in key:
         kind = "uint"
     elif words & {"signed", "int", "integer", "intero"}:
         kind = "int"
     else:
         return None
-    known = {"float": ("32", "64"), "int": ("8", "16", "32", "64"), "uint": ("8", "16", "32", "64")}
-    return (f"{kind}{bits}", 0) if bits in known[kind] else None
+    return (f"{kind}{bits}", 0) if bits in widths else None
 
 
 def flag_of(key: str) -> bool | None:

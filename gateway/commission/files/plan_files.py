@@ -157,8 +157,11 @@ def _place(document: tomlkit.TOMLDocument, files: Files, *, new: bool) -> None:
             put(row, key, value)
         return
     folder = (files.plant or Path()).parent
-    place = {key: _complete(key, value) for key, value in files.place.items()}
-    file = _relative(files.device, folder)
+    # Relative paths in a plant file are relative to it, and those on the command line to where one stands.
+    place = {key: str(Path(value).absolute()) if key == "certificates" else value for key, value in files.place.items()}
+    device = files.device.absolute()
+    beside = device.is_relative_to(folder.absolute())
+    file = (device.relative_to(folder.absolute()) if beside else device).as_posix()
     if capabilities(files.driver).networked and set(place) <= _SHORT_FORM:
         table.update({"file": file, **place})
         return
@@ -167,18 +170,6 @@ def _place(document: tomlkit.TOMLDocument, files: Files, *, new: bool) -> None:
     row.update({"name": files.link or files.driver, "file": file, **place})
     rows.append(row)
     table["links"] = rows
-
-
-def _complete(key: str, value: Any) -> Any:
-    return str(Path(value).absolute()) if key == "certificates" else value
-
-
-def _relative(path: Path, folder: Path) -> str:
-    """The path as it is written in a file of this folder."""
-    try:
-        return path.absolute().relative_to(folder.absolute()).as_posix()
-    except ValueError:
-        return path.absolute().as_posix()
 
 
 def save(device: Edit, plant: Edit | None) -> list[Path]:

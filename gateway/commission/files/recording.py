@@ -37,20 +37,20 @@ def read_recording(path: Path, start: float = -1e18, end: float = 1e18) -> SiteR
     try:
         with path.open("rb") as stream:
             historian = stream.read(len(_SQLITE)) == _SQLITE
-        found = _from_historian(path, start, end) if historian else _from_csv(path, start, end)
+        if historian:
+            trace = to_trace(path, path.stem, start, end)
+            columns = {name: column.tolist() for name, column in trace.signals.items()}
+            recording = SiteRecording(path, trace.times.tolist(), columns)
+        else:
+            recording = _from_csv(path, start, end)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise ListError(f"{path}: cannot be read ({reason}); give a recording (soak --record) or a historian") from None
     except UnicodeDecodeError as error:
         raise ListError(f"{path}: is no text (byte {error.start}); give a recording or a historian") from None
-    if not found.times:
+    if not recording.times:
         raise ListError(f"{path}: has no reading in that time; give a longer recording")
-    return found
-
-
-def _from_historian(path: Path, start: float, end: float) -> SiteRecording:
-    trace = to_trace(path, path.stem, start, end)
-    return SiteRecording(path, trace.times.tolist(), {name: column.tolist() for name, column in trace.signals.items()})
+    return recording
 
 
 def _from_csv(path: Path, start: float, end: float) -> SiteRecording:
@@ -64,7 +64,12 @@ def _from_csv(path: Path, start: float, end: float) -> SiteRecording:
                 continue
             where, cells = f"{path}: line {number}", next(csv.reader([line]))
             if not names:
-                names = _header(where, cells)
+                header = [cell.strip() for cell in cells]
+                if header[0] != "time" or len(header) < 2 or len(set(header)) < len(header) or not all(header):
+                    raise ListError(
+                        f"{where}: is no header; the first column is 'time', each other one a tag, none twice"
+                    )
+                names = header[1:]
                 columns = [[] for _ in names]
                 continue
             if len(cells) != len(names) + 1:
@@ -75,15 +80,14 @@ def _from_csv(path: Path, start: float, end: float) -> SiteRecording:
             if start <= moment <= end:
                 times.append(moment)
                 for column, name, cell in zip(columns, names, cells[1:], strict=True):
-                    column.append(_number(where, name, cell))
+                    word = cell.strip().lower()
+                    try:
+                        column.append(_WORDS[word] if word in _WORDS else float(word))
+                    except ValueError:
+                        raise ListError(
+                            f"{where}, {name!r}: {cell!r} is no number; give one, or leave it empty"
+                        ) from None
     return SiteRecording(path, times, dict(zip(names, columns, strict=True)))
-
-
-def _header(where: str, cells: Sequence[str]) -> list[str]:
-    names = [cell.strip() for cell in cells]
-    if names[0] != "time" or len(names) < 2 or len(set(names)) < len(names) or not all(names):
-        raise ListError(f"{where}: is no header; the first column is 'time', each other one a tag, none twice")
-    return names[1:]
 
 
 def _time(where: str, cell: str) -> float:
@@ -101,16 +105,6 @@ def _time(where: str, cell: str) -> float:
     return moment
 
 
-def _number(where: str, name: str, cell: str) -> float:
-    word = cell.strip().lower()
-    if word in _WORDS:
-        return _WORDS[word]
-    try:
-        return float(word)
-    except ValueError:
-        raise ListError(f"{where}, {name!r}: {cell!r} is no number; give one, or leave it empty") from None
-
-
 class ScanRecorder:
     """Writes one row a scan: time and the value of every tag, nothing where it was not good. Raises OSError."""
 
@@ -124,17 +118,18 @@ class ScanRecorder:
     def take(self, time: float, samples: Sequence[Sample]) -> None:
         """One scan."""
         by_name = {sample.tag: sample for sample in samples}
-        self._writer.writerow([f"{time:.3f}", *(_cell(by_name[name]) for name in self._names)])
+        cells = []
+        for name in self._names:
+            sample = by_name[name]
+            value = sample.value
+            if not sample.quality.is_good or value is None or isinstance(value, str):
+                cells.append("")  # text too is left out: a recording holds numbers only
+            else:
+                cells.append(str(int(value)) if isinstance(value, bool) else repr(value))
+        self._writer.writerow([f"{time:.3f}", *cells])
+        # What was read stands in the file even when the program is killed.
         self._stream.flush()
 
     def close(self) -> None:
         """Close the file."""
         self._stream.close()
-
-
-def _cell(sample: Sample) -> str:
-    """The value as a number; text is left out, as a recording holds numbers only."""
-    value = sample.value
-    if not sample.quality.is_good or value is None or isinstance(value, str):
-        return ""
-    return str(int(value)) if isinstance(value, bool) else repr(value)

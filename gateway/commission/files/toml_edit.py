@@ -62,6 +62,7 @@ def _spaced(text: str, before: str | None) -> str:
     """One blank line before each table; more of them only where the file has such already."""
     spaced = _CROWDED.sub(r"\1\n\n", text)
     spaced = spaced if before is not None and _WIDE.search(before) else _WIDE.sub("\n\n", spaced)
+    # A line of a multi-line string may look like a table: then the text stays as it is.
     return spaced if tomllib.loads(spaced) == tomllib.loads(text) else text
 
 
@@ -89,7 +90,8 @@ def commit(
             # The sentences are about the file that the person knows, not about the copy that was checked.
             problems = [problem.replace(str(fresh), str(path)) for problem in error.problems]
             raise ConfigError([f"{problem} ({so_far})" for problem in problems]) from None
-        if _content(path) != edit.before:
+        # As late as can be: what somebody else saved since the file was read must not be lost.
+        if (path.read_bytes().decode("utf-8") if path.exists() else None) != edit.before:
             raise ConfigError([f"{path}: was changed by somebody else meanwhile; {so_far}, try again"])
         backup = _backup(edit, now()) if edit.before is not None else None
         if backup is not None:
@@ -98,12 +100,13 @@ def commit(
     finally:
         with suppress(FileNotFoundError):
             fresh.unlink()
-    _settle(path.parent)
+    # The new name is on the disk only when the folder is (fsync(2), notes).
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
     return backup
-
-
-def _content(path: Path) -> str | None:
-    return path.read_bytes().decode("utf-8") if path.exists() else None
 
 
 def _backup(edit: Edit, now: float) -> Path:
@@ -120,15 +123,6 @@ def _write(path: Path, text: str) -> None:
         stream.write(text.encode("utf-8"))
         stream.flush()
         os.fsync(stream.fileno())
-
-
-def _settle(folder: Path) -> None:
-    """The new name on the disk too."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def put(table: Any, key: str, value: object) -> None:

@@ -56,7 +56,14 @@ def append(path: Path, record: CommandRecord) -> str:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        plain = {**asdict(record), "previous": _last_hash(file.fileno())}
+        # The last line is read backwards in blocks: a file of records grows for years, and an append must not.
+        start, tail = os.lseek(file.fileno(), 0, os.SEEK_END), b""
+        while start > 0 and tail.count(b"\n", 0, -1) < 1:
+            size = min(65536, start)
+            start -= size
+            tail = os.pread(file.fileno(), size, start) + tail
+        lines = tail.splitlines()
+        plain = {**asdict(record), "previous": hash_of(lines[-1]) if lines else ""}
         line = json_text(plain).encode()
         file.write(line + b"\n")
         file.flush()
@@ -113,15 +120,3 @@ def versions(libraries: Sequence[str] = LIBRARIES) -> dict[str, str]:
 
 def _lines(path: Path) -> list[bytes]:
     return path.read_bytes().splitlines()
-
-
-def _last_hash(descriptor: int) -> str:
-    """The hash of the last complete line; "" for an empty file. Raises OSError."""
-    end = os.lseek(descriptor, 0, os.SEEK_END)
-    tail, start = b"", end
-    while start > 0 and tail.count(b"\n", 0, -1) < 1:
-        size = min(65536, start)
-        start -= size
-        tail = os.pread(descriptor, size, start) + tail
-    lines = tail.splitlines()
-    return hash_of(lines[-1]) if lines else ""

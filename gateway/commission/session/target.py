@@ -11,7 +11,7 @@ from drivers.capabilities import Capabilities
 from drivers.driver import LINKS, Driver, capabilities, link_of, open_driver
 from drivers.tag import Tag
 from drivers.tap import Medium
-from gateway.settings import Config, DeviceLink, DeviceMap, load_config, load_device
+from gateway.settings import Config, DeviceMap, load_config, load_device
 
 OPTION_OF: dict[str, str] = {"certificates": "--tls"}
 """Where a setting is given by an option of another name."""
@@ -109,9 +109,18 @@ def make_target(
 
 def _of_plant(path: Path, name: str | None, settings: Mapping[str, Any]) -> Target:
     config = load_config(path)
-    link = _chosen(config.links, name)
+    link = config.links[0]
+    if name is not None:
+        # By its own name, else by its kind; of several of a kind the first one is meant (hence the reversal).
+        known = {each.name: each for each in reversed(config.links)}
+        kinds = {link_of(each.map.driver, each.settings): each for each in reversed(config.links)}
+        chosen = known.get(name) or kinds.get(name)
+        if chosen is None:
+            names = ", ".join(dict.fromkeys(known))
+            raise TargetError(f"--link: the plant file has no link {name!r}; it has {names}")
+        link = chosen
     kind = link_of(link.map.driver, link.settings)
-    files = (path, *(one.map.path for one in config.links))
+    files = (path, *(each.map.path for each in config.links))
     return _complete(
         Target(
             kind=kind,
@@ -122,17 +131,6 @@ def _of_plant(path: Path, name: str | None, settings: Mapping[str, Any]) -> Targ
             files=files,
         )
     )
-
-
-def _chosen(links: Sequence[DeviceLink], name: str | None) -> DeviceLink:
-    if name is None:
-        return links[0]
-    known = {link.name: link for link in reversed(links)}
-    kinds = {link_of(link.map.driver, link.settings): link for link in reversed(links)}
-    found = known.get(name) or kinds.get(name)
-    if found is None:
-        raise TargetError(f"--link: the plant file has no link {name!r}; it has {', '.join(dict.fromkeys(known))}")
-    return found
 
 
 def _of_device(path: Path, link: str | None, settings: Mapping[str, Any]) -> Target:

@@ -23,7 +23,18 @@ async def probe_bus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -
             steps.append(ok("bus", f"{settings.get('interface', 'socketcan')} {settings['channel']} is open"))
             try:
                 frames = await survey.listen(LISTEN_S)
-                steps.append(_traffic(site, frames, facts))
+                ids = {(frame.id, frame.extended) for frame in frames}
+                facts["heard"], facts["ids"] = len(frames), len(ids)
+                silence = (
+                    f"no frame in {LISTEN_S:g} s: another bit rate, no device on the bus, or one that speaks only when "
+                    "asked"
+                )
+                if frames:
+                    steps.append(ok("traffic", f"{len(frames)} frames of {len(ids)} ids in {LISTEN_S:g} s"))
+                elif site.target.capabilities.nodes:  # the node is asked next, and may answer
+                    steps.append(warning("traffic", silence))
+                else:
+                    steps.append(failed("traffic", silence, ReplyTimeout(silence)))
                 if site.target.capabilities.nodes:
                     await _node(survey, int(settings.get("node", 1)), frames, steps, facts)
             finally:
@@ -34,25 +45,12 @@ async def probe_bus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -
         steps.append(failed("bus", f"{error}: {hint}", error))
 
 
-def _traffic(site: Site, frames: list[BusFrame], facts: dict[str, Any]) -> CheckStep:
-    ids = {(frame.id, frame.extended) for frame in frames}
-    facts["heard"], facts["ids"] = len(frames), len(ids)
-    if frames:
-        return ok("traffic", f"{len(frames)} frames of {len(ids)} ids in {LISTEN_S:g} s")
-    sentence = f"no frame in {LISTEN_S:g} s: another bit rate, no device on the bus, or one that speaks only when asked"
-    return (
-        warning("traffic", sentence)
-        if site.target.capabilities.nodes
-        else failed("traffic", sentence, ReplyTimeout(sentence))
-    )
-
-
 async def _node(
     survey: ListensToBus, node: int, frames: list[BusFrame], steps: list[CheckStep], facts: dict[str, Any]
 ) -> None:
     beats = [frame for frame in frames if not frame.extended and frame.id == HEARTBEAT + node and frame.data]
     if beats:
-        state = beats[-1].data[0] & 0x7F
+        state = beats[-1].data[0] & 0x7F  # bit 7 is the toggle bit of node guarding (CiA 301)
         steps.append(ok("heartbeat", f"node {node} is {STATES.get(state, f'in state {state}')}"))
     else:
         steps.append(warning("heartbeat", f"node {node} sent no heartbeat in {LISTEN_S:g} s (object 0x1017 may be 0)"))

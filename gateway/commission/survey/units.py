@@ -6,7 +6,7 @@ from typing import Any
 
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, ReplyMismatch, ReplyTimeout
-from drivers.survey import AsksRegisters, ListensToBus, open_bus_survey, open_registers
+from drivers.survey import AsksRegisters, open_bus_survey, open_registers
 from gateway.commission.session import CommandResult, Site, mention_gateway
 from gateway.commission.survey.addresses import Register
 from gateway.commission.survey.bus_probe import HEARTBEAT, STATES, identity_of
@@ -24,6 +24,7 @@ async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> Co
     """Every unit asked once, and once more if silent; a refusal is an answer too, except a gateway's own."""
     mention_gateway(site)
     given = site.target.settings
+    # Silence is the usual answer here, and 247 usual timeouts would take minutes.
     hurried = {"timeout": given.get("timeout", UNIT_S)}
     if site.target.kind in LINKS and LINKS[site.target.kind].line:
         hurried["longest_reply"] = given.get("longest_reply", hurried["timeout"])
@@ -89,7 +90,15 @@ async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, li
             rows: list[dict[str, Any]] = []
             for place, node in enumerate(nodes):
                 progress(f"node {node}", place / len(nodes))
-                answers = not listen_only and await _answers(survey, node)
+                # Every CANopen node has its device type (CiA 301, 7.5.2.1): an answer counts, whatever it says.
+                answers = not listen_only
+                try:
+                    if answers:
+                        await survey.object(node, 0x1000, 0, NODE_S)
+                except ReplyTimeout:
+                    answers = False
+                except (DeviceException, ReplyMismatch):
+                    pass
                 identity = await identity_of(survey, node) if answers else None
                 if identity is not None or node in beats:
                     state = beats.get(node)
@@ -101,14 +110,3 @@ async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, li
         sentence = f"none of {len(nodes)} nodes: {len(frames)} frames were heard; check the bit rate and the wiring"
         return CommandResult({"nodes": rows, "asked": len(nodes)}, Exit.TIMEOUT, sentence)
     return CommandResult({"nodes": rows, "asked": len(nodes)})
-
-
-async def _answers(survey: ListensToBus, node: int) -> bool:
-    """Whether the node answers a request for its device type, whatever it says. Raises LinkDown."""
-    try:
-        await survey.object(node, 0x1000, 0, NODE_S)
-    except ReplyTimeout:
-        return False
-    except (DeviceException, ReplyMismatch):
-        return True
-    return True

@@ -46,26 +46,18 @@ async def alarm_loop(writer: BlockWriter, progress: Progress) -> CommandResult:
             "name": name or "none",
             "meaning": ALARM_MEANINGS.get(name),
         }
-        row |= {"accepted": _accepted(before, after, 1), "seen": _seen(writer, bit, name)}
-        row["acknowledge_bits"] = await _acknowledged(writer)
+        seen: bool | None = None  # nobody was asked
+        if writer.ask is not None and name:
+            seen = writer.ask(f"Does the HMI show bit {bit}, {name} ({ALARM_MEANINGS[name]}), and no other?")
+        elif writer.ask is not None:
+            seen = writer.ask("Does the HMI show no alarm of the gateway now?")
+        row |= {"accepted": _accepted(before, after, 1), "seen": seen}
+        # After the question: what the person acknowledged at the HMI meanwhile shows in it.
+        known = "AcknowledgeBits" in writer.device.by_name
+        row["acknowledge_bits"] = (await writer.numbers("AcknowledgeBits"))[0] if known else None
         rows.append({**row, "ok": row["accepted"] and row["seen"] is not False})
         before = after
     return _outcome(rows, {"asked": writer.ask is not None}, "alarm bits")
-
-
-def _seen(writer: BlockWriter, bit: int, name: str) -> bool | None:
-    """What the person sees at the HMI; None where nobody was asked."""
-    if writer.ask is None:
-        return None
-    if not name:
-        return writer.ask("Does the HMI show no alarm of the gateway now?")
-    return writer.ask(f"Does the HMI show bit {bit}, {name} ({ALARM_MEANINGS[name]}), and no other?")
-
-
-async def _acknowledged(writer: BlockWriter) -> int | None:
-    if "AcknowledgeBits" not in writer.device.by_name:
-        return None
-    return (await writer.numbers("AcknowledgeBits"))[0]
 
 
 async def heartbeat_loop(
@@ -129,6 +121,7 @@ async def _timer(writer: BlockWriter) -> dict[str, Any]:
     """The PLC's timer runs out when the blocks cease."""
     name, timeout = "the PLC's timer runs out when the blocks cease", writer.layout.timeout
     await writer.block(_HARMLESS, _USABLE)
+    # Timed from the block: the wait until the PLC holds it for usable is part of what its timer has counted.
     begun = time.monotonic()
     while not (await writer.numbers("PredictionUsable"))[0]:
         if time.monotonic() - begun > SETTLE_S:
@@ -150,6 +143,7 @@ def _row(name: str, ok: bool, sentence: str, **more: Any) -> dict[str, Any]:
 
 
 def _accepted(before: Account, after: Account, blocks: int) -> bool:
+    # The PLC's counters are words that begin anew at 65536: differences are taken modulo that.
     return after.accepted - before.accepted & 0xFFFF == blocks and after.refused == before.refused
 
 
@@ -167,17 +161,16 @@ def _outcome(rows: list[dict[str, Any]], more: dict[str, Any], what: str) -> Com
 def alarms(given: SharedOptions, ask: bool, audit: Path | None) -> None:
     """Set each alarm bit alone, then none: the PLC has to accept the block, and the HMI to show it (--ask)."""
 
+    def show(data: Mapping[str, Any]) -> None:
+        seen = {True: "yes", False: "NO", None: "not asked"}
+        rows = []
+        for row in data["rows"]:
+            accepted = "accepted" if row["accepted"] else "NOT ACCEPTED"
+            rows.append([_state(row), row["name"], accepted, seen[row["seen"]], row["meaning"]])
+        table("loop test of the alarm bits", ("", "bit", "the PLC", "seen at the HMI", "meaning"), rows)
+
     work = with_block_writer(given, audit, "loop alarms", alarm_loop, ask=ask)
-    perform(given, "loop alarms", {"ask": ask}, work, _show_alarms)
-
-
-def _show_alarms(data: Mapping[str, Any]) -> None:
-    seen = {True: "yes", False: "NO", None: "not asked"}
-    rows = [
-        [_state(row), row["name"], "accepted" if row["accepted"] else "NOT ACCEPTED", seen[row["seen"]], row["meaning"]]
-        for row in data["rows"]
-    ]
-    table("loop test of the alarm bits", ("", "bit", "the PLC", "seen at the HMI", "meaning"), rows)
+    perform(given, "loop alarms", {"ask": ask}, work, show)
 
 
 @click.command(short_help="Both heartbeats, and the PLC's timer.")
@@ -187,13 +180,12 @@ def _show_alarms(data: Mapping[str, Any]) -> None:
 def heartbeat(given: SharedOptions, watchdog: bool, audit: Path | None) -> None:
     """Both heartbeats move and are checked; the PLC's timer runs out when the blocks cease."""
 
+    def show(data: Mapping[str, Any]) -> None:
+        rows = [[_state(row), row["step"], row["sentence"]] for row in data["rows"]]
+        table("loop test of the heartbeats", ("", "step", "seen"), rows)
+
     work = with_block_writer(given, audit, "loop heartbeat", partial(heartbeat_loop, watchdog=watchdog))
-    perform(given, "loop heartbeat", {"watchdog": watchdog}, work, _show_steps)
-
-
-def _show_steps(data: Mapping[str, Any]) -> None:
-    rows = [[_state(row), row["step"], row["sentence"]] for row in data["rows"]]
-    table("loop test of the heartbeats", ("", "step", "seen"), rows)
+    perform(given, "loop heartbeat", {"watchdog": watchdog}, work, show)
 
 
 def _state(row: Mapping[str, Any]) -> str:

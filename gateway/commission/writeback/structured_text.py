@@ -100,7 +100,11 @@ def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, A
     codes = refusal_codes(device)
     index = {field.name: place for place, field in enumerate(layout.fields)}
     outputs = [_output(field, place, layout) for place, field in enumerate(layout.fields) if field.name not in FRAME]
-    advice = next((one for one in outputs if one["name"] == "p_limit"), None)
+    advice = next((output for output in outputs if output["name"] == "p_limit"), None)
+    bits = [
+        {"number": bit, "mask": 1 << bit, "output": name, "index": index.get("alarms"), "meaning": ALARM_MEANINGS[name]}
+        for bit, name in enumerate(ALARM_BITS)
+    ]
     return {
         "name": name,
         "source": _said(device.path.name),
@@ -113,7 +117,7 @@ def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, A
         "codes": {key: codes[reason] for key, reason in (*_KEYS.items(), ("still", _STILL))},
         **{field: {"index": index[field], "output": _camel(field)} for field in FRAME},
         "outputs": outputs,
-        "alarm_bits": _alarm_bits(index),
+        "alarm_bits": bits if "alarms" in index else [],
         "advises": advice is not None,
         "advice": advice,
     }
@@ -132,15 +136,6 @@ def _output(field: BlockField, place: int, layout: WritebackLayout) -> dict[str,
         "unknown": "" if field.name in ALWAYS_KNOWN else f"{unknown_word(field, layout):04X}",
         "note": described(field.name),
     }
-
-
-def _alarm_bits(index: Mapping[str, int]) -> list[dict[str, Any]]:
-    if "alarms" not in index:
-        return []
-    return [
-        {"number": bit, "mask": 1 << bit, "output": name, "index": index["alarms"], "meaning": ALARM_MEANINGS[name]}
-        for bit, name in enumerate(ALARM_BITS)
-    ]
 
 
 def _said(text: str) -> str:
@@ -199,8 +194,20 @@ def _registers(device: DeviceMap, program: Program) -> Iterator[dict[str, Any]]:
     answered = [tag for tag in device.tags if tag.name in numbers or tag.name in _TRUTHS]
     for address in dict.fromkeys(tag.address for tag in answered):
         own = [tag for tag in answered if tag.address == address]
-        bits = [{"source": _TRUTHS[tag.name], "mask": _mask(tag)} for tag in own if tag.name in _TRUTHS]
-        number = next((_number(tag, numbers[tag.name]) for tag in own if tag.name in numbers), "")
+        bits, number = [], ""
+        for tag in own:
+            # The tag's bit is counted after the bytes were put in order; in the PLC's own word they are swapped.
+            swapped = tag.order in _SWAPPED
+            if tag.name in _TRUTHS:
+                bit = tag.bit or 0
+                bits.append({"source": _TRUTHS[tag.name], "mask": 1 << (bit ^ 8 if swapped else bit)})
+            if tag.name in numbers and not number:
+                if tag.dtype is not DType.UINT16 or tag.scale != 1 or tag.offset != 0:
+                    raise ValueError(
+                        f"{tag.name} is no plain uint16; leave dtype, scale and offset out for the program to fill it"
+                    )
+                word = f"UINT_TO_WORD({numbers[tag.name]})"
+                number = f"ROL({word}, 8)" if swapped else word
         yield {
             "variable": f"Own{identifier(own[0].name).capitalize()}",
             "tags": _said(", ".join(tag.name for tag in own)),
@@ -209,16 +216,3 @@ def _registers(device: DeviceMap, program: Program) -> Iterator[dict[str, Any]]:
             "bits": bits,
             "number": number,
         }
-
-
-def _mask(tag: Tag) -> int:
-    bit = tag.bit or 0
-    return 1 << ((bit ^ 8) if tag.order in _SWAPPED else bit)
-
-
-def _number(tag: Tag, source: str) -> str:
-    """The number as the word of its register. Raises ValueError for a tag that is no plain word."""
-    if tag.dtype is not DType.UINT16 or tag.scale != 1 or tag.offset != 0:
-        raise ValueError(f"{tag.name} is no plain uint16; leave dtype, scale and offset out for the program to fill it")
-    word = f"UINT_TO_WORD({source})"
-    return f"ROL({word}, 8)" if tag.order in _SWAPPED else word

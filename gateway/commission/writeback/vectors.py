@@ -105,8 +105,7 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
         SuiteStep("once the timer has run out nothing is usable", wait_s=1.3 * layout.timeout, permit=True),
         SuiteStep("a whole new block is accepted", story.block(), accepted=1, usable=True),
         *_refusals(story),
-        *_validity(story),
-        *_permit(story),
+        *_usability(story),
         *_timer(story, layout.timeout),
         *_ends(story),
         *_turned(story, flips),
@@ -119,7 +118,7 @@ def _whole(story: _Story) -> SuiteStep:
 
 def _refusals(story: _Story) -> Iterator[SuiteStep]:
     version = (story.layout.version + 1) & 0xFFFF
-    part = story.index["crc"] // 2
+    part = story.index["crc"] // 2  # in the middle of the block, where none begins
     torn = ("sequence and its copy differ",)
     yield from _refused(story, "another layout version", story.bent("layout_version", version, sealed=True), _VERSION)
     yield from _refused(story, "a torn block", story.bent("sequence_copy", 7), torn)
@@ -136,14 +135,12 @@ def _refused(story: _Story, name: str, words: tuple[int, ...], reasons: tuple[st
     yield _whole(story)
 
 
-def _validity(story: _Story) -> Iterator[SuiteStep]:
+def _usability(story: _Story) -> Iterator[SuiteStep]:
+    """What makes a block that was accepted unusable: its own validity, and the plant's permit."""
     for bits in (0, 0b11110, 0b0010):
         sentence = f"validity {bits:05b} is accepted and nothing of it is usable"
         yield SuiteStep(sentence, story.block(Validity(bits)), accepted=1)
     yield SuiteStep("a valid block is usable again", story.block(), accepted=1, usable=True)
-
-
-def _permit(story: _Story) -> Iterator[SuiteStep]:
     yield SuiteStep("without the permit nothing is usable", permit=False)
     yield SuiteStep("a block without the permit is not usable", story.block(), permit=False, accepted=1)
     yield SuiteStep("with the permit it is", permit=True, usable=True)
@@ -174,6 +171,7 @@ def _ends(story: _Story) -> Iterator[SuiteStep]:
     most = {name: 1e9 for name in _CALM if name not in ("alarms", "model_hash")}
     yield SuiteStep("the least numbers are accepted", story.block(values=least), accepted=1, usable=True)
     yield SuiteStep("the greatest numbers are accepted", story.block(values=most), accepted=1, usable=True)
+    # Over the end of both words: the sequence goes on at 0, the heartbeat, which is never 0, at 1.
     story.sequence = story.heartbeat = 0xFFFE
     for name in ("sequence 65535", "sequence 0 after 65535", "sequence 1"):
         yield SuiteStep(f"{name} is accepted", story.block(), accepted=1, usable=True)

@@ -39,8 +39,24 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
     problems = list(problems_of(site, device, layout))
     row = standing(audit_path, time.time())
     config = site.target.config
+    words = []
+    for field, tag in zip(layout.fields, layout.words, strict=True):
+        unit, meaning = MEANINGS[field.name]
+        unknown = None if field.name in ALWAYS_KNOWN else unknown_word(field, layout)
+        words.append(
+            {
+                "field": field.name,
+                "address": tag.address,
+                "reference": reference_of(tag.address),
+                "type": "int16" if field.signed else "uint16",
+                "scale": field.scale,
+                "unit": unit,
+                "unknown": "" if unknown is None else f"0x{unknown:04X}",
+                "meaning": meaning,
+            }
+        )
     data: dict[str, Any] = {
-        "words": _words(layout),
+        "words": words,
         "alarm_bits": [
             {"bit": bit, "name": name, "meaning": ALARM_MEANINGS[name]} for bit, name in enumerate(ALARM_BITS)
         ],
@@ -55,26 +71,6 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
     }
     complaint = f"{len(problems)} things stand in the way of writing: {problems[0]}" if problems else ""
     return CommandResult(data, int(bool(problems)), complaint)
-
-
-def _words(layout: WritebackLayout) -> list[dict[str, Any]]:
-    rows = []
-    for field, tag in zip(layout.fields, layout.words, strict=True):
-        unit, meaning = MEANINGS[field.name]
-        unknown = None if field.name in ALWAYS_KNOWN else unknown_word(field, layout)
-        rows.append(
-            {
-                "field": field.name,
-                "address": tag.address,
-                "reference": reference_of(tag.address),
-                "type": "int16" if field.signed else "uint16",
-                "scale": field.scale,
-                "unit": unit,
-                "unknown": "" if unknown is None else f"0x{unknown:04X}",
-                "meaning": meaning,
-            }
-        )
-    return rows
 
 
 def problems_of(site: Site, device: DeviceMap, layout: WritebackLayout) -> Iterator[str]:
