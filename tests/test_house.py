@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
-from benchmarks.house import FLOORS, measure
+from benchmarks.house import FLOORS, Figures, measure
 from gateway.cli.main import main
 from gateway.entry.lazy import LazyGroup
 
@@ -87,8 +87,13 @@ def test_the_tables_line_of_a_command_is_the_commands_own() -> None:
     assert different == {}
 
 
-def test_a_class_name_stands_for_one_class() -> None:
-    shared = {name: places for name, places in measure(ROOT, FLOORS).classes.items() if len(places) > 1}
+@pytest.fixture(scope="module")
+def figures() -> Figures:
+    return measure(ROOT, FLOORS)
+
+
+def test_a_class_name_stands_for_one_class(figures: Figures) -> None:
+    shared = {name: places for name, places in figures.classes.items() if len(places) > 1}
     assert shared == {}
 
 
@@ -99,6 +104,6 @@ POSITIONAL = {
 """Modules in which a call may have more than five positional arguments, each with its reason."""
 
 
-def test_no_call_has_more_than_five_positional_arguments() -> None:
-    places = [place for place in measure(ROOT, FLOORS).positional if place.partition(":")[0] not in POSITIONAL]
+def test_no_call_has_more_than_five_positional_arguments(figures: Figures) -> None:
+    places = [place for place in figures.positional if place.partition(":")[0] not in POSITIONAL]
     assert places == []
