@@ -35,9 +35,9 @@ types: $(STAMP)
 contracts: $(STAMP)
 	$(BIN)/lint-imports
 
-# A file's tests stay in one process, so that what they share is made once. Three processes on two cores: many tests wait.
+# A file's tests stay in one process, so that what they share is made once.
 unit: $(STAMP)
-	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # The locks are made anew by hand, when a dependency is raised on purpose.
 lock: $(STAMP)
