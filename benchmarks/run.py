@@ -1,9 +1,9 @@
 """All benchmarks one after another, each in a process of its own: one table of figures, and the machine they are from.
 
-`python -m benchmarks.run [--json] [--thorough]` takes three minutes on two quiet cores; `--thorough` repeats more, goes
-to greater sizes, and takes a quarter of an hour. A benchmark's figures are shown as soon as it has them. What is no
-matter of speed has a command of its own: `python -m benchmarks.fault_matrix`, `benchmarks.canopen_rig` (the same over
-CANopen), `benchmarks.commissioning` (the engineer's hour), `benchmarks.discrepancy` (hidden effects) and
+`python -m benchmarks.run [--json] [--thorough]`: the short form of each; `--thorough` repeats more and goes to greater
+sizes. A benchmark's figures are shown as soon as it has them. What is no matter of speed has a command of its own:
+`python -m benchmarks.fault_matrix`, `benchmarks.canopen_rig` (the same over CANopen), `benchmarks.commissioning` (the
+engineer's hour), `benchmarks.discrepancy` (hidden effects), `benchmarks.engines` (pairs of engines) and
 `benchmarks.house` (the code itself).
 """
 
