@@ -17,7 +17,7 @@ from gateway.store.audit import (
 from gateway.store.chain import first_break, hash_of
 from gateway.store.historian import Historian, Row, open_historian, saved_state
 from gateway.store.read_back import events, history, matured, reading, recent, samples, to_trace
-from gateway.store.score import Scorecard, percentile, scorecard
+from gateway.store.score import percentile, scorecard
 
 __all__ = [
     "ARMED",
@@ -28,7 +28,6 @@ __all__ = [
     "AuditRow",
     "Historian",
     "Row",
-    "Scorecard",
     "events",
     "first_break",
     "hash_of",

@@ -2,6 +2,6 @@
 
 from gateway.commission.encodings.advice import advise
 from gateway.commission.encodings.reading import ReadingError, ShownNumber, parse_shown
-from gateway.commission.encodings.scoring import EncodingCandidate, Observation, rank
+from gateway.commission.encodings.scoring import Observation, rank
 
-__all__ = ["EncodingCandidate", "Observation", "ReadingError", "ShownNumber", "advise", "parse_shown", "rank"]
+__all__ = ["Observation", "ReadingError", "ShownNumber", "advise", "parse_shown", "rank"]

@@ -2,14 +2,13 @@
 
 from sim.checking.proof.envelope import DAY, Assumptions, Sojourn
 from sim.checking.proof.symbolic import decide
-from sim.checking.proof.verification import Check, Verification, verify
+from sim.checking.proof.verification import Verification, verify
 from sim.checking.proof.word import TimedWord, parse_word, word_text
 from sim.checking.proof.word_replay import WordReplay, replay
 
 __all__ = [
     "DAY",
     "Assumptions",
-    "Check",
     "Sojourn",
     "TimedWord",
     "Verification",
