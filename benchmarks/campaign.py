@@ -142,11 +142,11 @@ def long_trace(model: Model, rows: int) -> list[Figure]:
     ]
 
 
-def measure(folder: Path, repeats: int, count: int, rows: int) -> list[Figure]:
-    """All figures; `count` traces, a long trace of `rows`."""
+def measure(folder: Path, *, repeats: int, count: int, runs: int, rows: int) -> list[Figure]:
+    """All figures; `count` traces, each simulated `runs` times by each model, and a long trace of `rows`."""
     named = models(folder)
     traces = [scenario(name) for name in list(SCENARIOS)[:count]]
-    figures, outcomes = speeds(jobs(named, traces, RUNS), repeats)
+    figures, outcomes = speeds(jobs(named, traces, runs), repeats)
     return [*figures, pictures(outcomes, folder / "pictures"), *long_trace(named["own"], rows)]
 
 
@@ -155,11 +155,18 @@ def measure(folder: Path, repeats: int, count: int, rows: int) -> list[Figure]:
 @click.option("--quick", is_flag=True, help="Four traces, once, and a shorter long trace.")
 @click.option("--model-folder", type=click.Path(path_type=Path), help="Where the learned model is kept between runs.")
 @click.option("--repeats", default=3, show_default=True, type=click.IntRange(1), help="Repetitions; the best counts.")
-def main(as_json: bool, quick: bool, model_folder: Path | None, repeats: int) -> None:
+@click.option("--traces", type=click.IntRange(1, len(SCENARIOS)), help="So many traces.  [default: all, or 4]")
+@click.option("--runs", default=RUNS, show_default=True, type=click.IntRange(2), help="Runs of a model along a trace.")
+def main(as_json: bool, quick: bool, model_folder: Path | None, repeats: int, traces: int | None, runs: int) -> None:
     with tempfile.TemporaryDirectory(prefix="decanter-bench-") as own:
-        folder = model_folder or Path(own)
-        found = measure(folder, 1 if quick else repeats, 4 if quick else 17, 50_000 if quick else LONG_ROWS)
-    give("validation campaign", found, as_json=as_json)
+        figures = measure(
+            model_folder or Path(own),
+            repeats=1 if quick else repeats,
+            count=traces or (4 if quick else len(SCENARIOS)),
+            runs=runs,
+            rows=50_000 if quick else LONG_ROWS,
+        )
+    give("validation campaign", figures, as_json=as_json)
 
 
 if __name__ == "__main__":

@@ -49,6 +49,7 @@ def measure(root: Path, folders: tuple[str, ...]) -> Figures:
 def _count(path: Path, place: str, figures: Figures) -> None:
     text = path.read_text(encoding="utf-8")
     tree = ast.parse(text)
+    nodes = list(ast.walk(tree))  # once: walking is what this module's time goes to
     room = str(Path(place).parent)
     figures.modules[room] += 1
     figures.lines[room] += len(text.splitlines())
@@ -60,12 +61,12 @@ def _count(path: Path, place: str, figures: Figures) -> None:
     skipped = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
     documented = {
         line
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
         for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
     }
     figures.code += len({token.start[0] for token in tokens if token.type not in skipped} - documented)
-    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    functions = [node for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
     figures.lengths += [(node.end_lineno or node.lineno) - node.lineno + 1 for node in functions]
     names = [node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
     hidden = [name for name in names if name.startswith("_") and not name.startswith("__")]
@@ -73,14 +74,18 @@ def _count(path: Path, place: str, figures: Figures) -> None:
     for name in hidden:
         uses = len(re.findall(rf"\b{re.escape(name)}\b", text)) - 1  # the definition itself
         figures.called_once += uses == 1
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Call) and len(node.args) > POSITIONAL:
             figures.positional.append(f"{place}:{node.lineno}")
         if isinstance(node, ast.ClassDef):
             figures.classes[node.name].append(place)
-    for function in functions:
+    # What a function imports is indented; most modules have no such import, and need no second walk.
+    if any(isinstance(node, ast.Import | ast.ImportFrom) and node.col_offset for node in nodes):
         figures.inner_imports += [
-            f"{place}:{node.lineno}" for node in ast.walk(function) if isinstance(node, ast.Import | ast.ImportFrom)
+            f"{place}:{node.lineno}"
+            for function in functions
+            for node in ast.walk(function)
+            if isinstance(node, ast.Import | ast.ImportFrom)
         ]
 
 

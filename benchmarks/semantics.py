@@ -40,10 +40,9 @@ def compare(known: Sequence[Trace], asked: Sequence[Trace], alphabet: Alphabet, 
     return {name: [held_out(one, trace) for trace in asked] for name, one in both.items()}
 
 
-def scenarios(seed: int, quick: bool) -> Scores:
-    """Every trace held out once: the odd ones by a model of the even ones, and the other way round."""
-    names = list(SCENARIOS)[: 4 if quick else None]
-    traces = [scenario(name, seed) for name in names]
+def scenarios(seed: int, count: int) -> Scores:
+    """Each of `count` traces held out once: the odd ones by a model of the even ones, and the other way round."""
+    traces = [scenario(name, seed) for name in list(SCENARIOS)[:count]]
     found: Scores = {}
     for known, asked in ((traces[1::2], traces[::2]), (traces[::2], traces[1::2])):
         for name, scores in compare(known, asked, DECANTER, "TCuscinettiRiduttore", seed).items():
@@ -90,9 +89,11 @@ def figures_of(what: str, scores: Scores, seed: int) -> list[Figure]:
 @click.command(help=__doc__)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
 @click.option("--quick", is_flag=True, help="Four traces only: whether it works.")
+@click.option("--traces", type=click.IntRange(2, len(SCENARIOS)), help="So many traces.  [default: all, or 4]")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the scenarios.")
-def main(as_json: bool, quick: bool, seed: int) -> None:
-    figures = figures_of("cd1..cd17, held out", scenarios(seed, quick), seed)
+def main(as_json: bool, quick: bool, traces: int | None, seed: int) -> None:
+    count = traces or (4 if quick else len(SCENARIOS))
+    figures = figures_of("cd1..cd17, held out", scenarios(seed, count), seed)
     if SKAB.is_file() and not quick:
         try:
             figures += figures_of("SKAB, held out", skab(seed), seed)

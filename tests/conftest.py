@@ -1,6 +1,7 @@
 """What holds for all tests: one thread for matrices, and the inner loop that starts no processes."""
 
 import os
+import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,11 @@ import pytest
 # processes that tests start inherit it. `gateway.entry.threads` does the same for the product's commands.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+# A shell that starts a command in the background lets it ignore Control-C, and its children inherit that; the tests of
+# Control-C speak of a command in the foreground.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 INTEGRATION = Path(__file__).parent / "integration"
 

@@ -57,6 +57,23 @@ def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> N
 
 
 @pytest.mark.slow
+def test_the_campaigns_benchmark_times_all_four_models(model_folder: Path) -> None:
+    options = ("--quick", "--traces", "1", "--runs", "50", "--model-folder", str(model_folder))
+    figures = said("campaign", *options)["figures"]
+    assert {"s", "MB"} == {one["unit"] for one in figures} and all(one["value"] > 0 for one in figures)
+    assert sum("4 jobs" in one["name"] for one in figures) == 4
+
+
+@pytest.mark.slow
+def test_the_semantics_benchmark_holds_each_trace_out_once_and_gives_the_gain_with_its_interval() -> None:
+    figures = {one["name"]: one for one in said("semantics", "--quick", "--traces", "2")["figures"]}
+    carried = figures["cd1..cd17, held out: MAE, carried"]
+    (gain,) = (one for name, one in figures.items() if "gain in MAE, 2 traces" in name)
+    assert gain["value"] == pytest.approx(carried["other"] - carried["value"])
+    assert figures["cd1..cd17, held out: carried is better (MAE)"]["other"] == 2
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options"),
     [

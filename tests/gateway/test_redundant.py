@@ -417,6 +417,17 @@ async def test_a_refused_write_and_a_tag_without_address_are_raised_as_they_are(
         await p.both.write([(Tag("Writeback.other", "x"), 1)])
 
 
+async def test_a_link_without_an_address_for_the_block_confirms_nothing_and_hides_no_loss() -> None:
+    device = Device(now())
+    first, second = Path("first", device, fate="stored, reply lost"), Path("second", device)
+    reads_only = RedundantPath("second", second, {tag.name: Tag(tag.name, f"second:{tag.address}") for tag in TAGS})
+    both = Redundant([way(first), reads_only], RedundancyRules(0.05, 0.1, BEAT, 0.05), now)
+    await both.open()
+    await scan(both)
+    with pytest.raises(ReplyTimeout):  # and not "nothing was sent": the block may be in the device
+        await both.write(block(7))
+
+
 async def test_a_strange_link_confirms_nothing() -> None:
     p = await pair()
     p.first.fate, p.second.down = "stored, reply lost", True

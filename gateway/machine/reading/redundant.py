@@ -325,9 +325,9 @@ class Redundant:
             active.reason = str(error)
 
     async def _stands(self, values: Sequence[tuple[Tag, Value]], active: _PathState) -> bool:
-        """True if another link that is well shows the values in the device."""
+        """True if another link that is well, and knows all of the tags, shows the values in the device."""
         for state in self._states:
-            if state is active or state.well_since is None:
+            if state is active or state.well_since is None or any(tag.name not in state.path.tags for tag, _ in values):
                 continue
             own = [_own(state, tag) for tag, _ in values]
             samples = await state.path.driver.read(own)
