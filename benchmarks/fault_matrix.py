@@ -175,7 +175,7 @@ def _judged(rig: Rig, names: Sequence[str], failures: int, tolerance: float) -> 
     assert len(spans) == len(names), f"{len(spans)} faults were recorded for {len(names)} ordered"
     ends = [*(began for began, _ in spans[1:]), inf]
     rows = tuple(
-        _row(name, span, until, read, unconfirmed, [one.sample for one in wrong])
+        judged_row(name, span, until, read=read, unconfirmed=unconfirmed, wrong=[one.sample for one in wrong])
         for name, span, until in zip(names, spans, ends, strict=True)
     )
     return Matrix(
@@ -198,22 +198,24 @@ def _spans(events: Iterable[EventRow]) -> list[tuple[float, float]]:
     return [(began[number], ended[number]) for number in sorted(began)]
 
 
-def _row(
+def judged_row(
     name: str,
     span: tuple[float, float],
     until: float,
+    *,
     read: Sequence[Sample],
     unconfirmed: Sequence[float],
     wrong: Sequence[Sample],
 ) -> Row:
-    """The plant's clock runs at real speed here, so its seconds are real ones."""
+    """The row of a fault that lay in `span` and had the stage to itself until the next began at `until` (plant s).
+
+    The plant's clock runs at real speed here, so its seconds are real ones.
+    """
     began, ended = span
     mine = [sample for sample in read if began <= sample.time < until]
-    # A scan that is under way when the next fault strikes shows that one, though it has the time at which it began.
-    newest = max((sample.time for sample in mine), default=until)
-    struck = min(newest, until - PERIOD) if isfinite(until) else until
-    bad = [sample for sample in mine if sample.time < struck and not sample.quality.is_good]
-    lost = [moment for moment in unconfirmed if began <= moment < struck]
+    since, struck = _under_way(read, began), _under_way(mine, until)
+    bad = [sample for sample in read if since <= sample.time < struck and not sample.quality.is_good]
+    lost = [moment for moment in unconfirmed if since <= moment < struck]
     noticed = min([sample.time for sample in bad] + lost, default=None)
     last = max([sample.time for sample in bad], default=None)
     back = None if last is None else max(0.0, _all_good_after(mine, last) - ended)
@@ -221,13 +223,24 @@ def _row(
         name,
         began,
         ended,
-        None if noticed is None else noticed - began,
+        None if noticed is None else max(0.0, noticed - began),
         back,
         Counter(sample.tag for sample in bad),
         len(lost),
         sum(sample.quality.is_good for sample in mine),
         sum(began <= sample.time < until for sample in wrong),
     )
+
+
+def _under_way(read: Sequence[Sample], moment: float) -> float:
+    """From when on a scan may show a fault that struck at `moment`: what is under way has the time at which it began.
+
+    The scan before may have read all it wanted, and its block be the first to meet the fault.
+    """
+    if not isfinite(moment):
+        return moment
+    newest = max((sample.time for sample in read if sample.time < moment), default=moment)
+    return min(newest, moment - PERIOD)
 
 
 def _all_good_after(mine: Iterable[Sample], moment: float) -> float:

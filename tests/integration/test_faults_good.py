@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.fault_matrix import FAULTS, OUTAGES, TOLERATED, Matrix, Row, measure, outside, repeated
+from benchmarks.fault_matrix import FAULTS, OUTAGES, TOLERATED, Matrix, Row, judged_row, measure, outside, repeated
+from drivers.tag import Quality, Sample
 from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.recording import PlcRecording, RequestRow
@@ -81,6 +82,16 @@ def test_the_judge_finds_the_wrong_values_of_a_gateway_that_does_not_watch_the_h
     device.write_text("\n".join(line for line in lines if not line.startswith("heartbeat =")), encoding="utf-8")
     matrix: Matrix = measure(tmp_path, {"frozen image": FAULTS["frozen image"]}, device)
     assert matrix.rows[0].wrong_good > 10
+
+
+def test_a_block_that_meets_the_fault_after_its_scan_has_read_is_the_faults() -> None:
+    """The connection went deaf between the reading, 1 ms before the fault began, and the block of the same scan."""
+    moments = (9.7, 9.8, 9.9, 9.999, 10.6, 10.7, 10.8, 10.9, 11.0)
+    read = [Sample("TCuscinettiRiduttore", 40.0, Quality.GOOD, moment) for moment in moments]
+    before = judged_row("before", (9.0, 9.1), 10.0, read=read, unconfirmed=[9.999], wrong=())
+    half_open = judged_row("half_open", (10.0, 10.1), 11.05, read=read, unconfirmed=[9.999], wrong=())
+    assert (before.unconfirmed, before.detected_s) == (0, None)
+    assert (half_open.unconfirmed, half_open.detected_s, half_open.judged) == (1, 0.0, 5)
 
 
 def written(transaction: int, address: int, sequence: int, function: int = 16) -> RequestRow:
