@@ -52,59 +52,56 @@ def score_forecasts(
 
     The belief is filtered over each whole trace, as it would be on the plant; isolated spikes are no outcomes.
     """
+    # The factors of an earlier calibration would widen the very bands that are judged here.
     tracker = compiled(replace(model, calibration={}))
     usable = [max(float(trace.times[-1]) - first, 0.0) for trace, first in zip(traces, since, strict=True)]
     every = max(sum(usable) / origins, 1e-9)
     stride = max(sum(trace.times.size for trace in traces) // MOST_ROWS, 1)
     scored: list[Scored] = []
     for trace, first in zip(traces, since, strict=True):
-        scored += _scored(tracker, trace, first=first, every=every, stride=stride, rng=rng)
+        raw = trace.signals[tracker.model.temperature]
+        reading = without_spikes(raw, resolution(raw))
+        finite = np.isfinite(reading)
+        times, values = trace.times[finite], reading[finite]
+        rows = np.arange(0, trace.times.size, stride)
+        inputs = {name: trace.signals[name][rows].tolist() for name in sorted(tracker.inputs) if name in trace.signals}
+        # The last event never comes: it spares the loop a look at the end of the list.
+        events, upcoming = [*trace.events, Event(inf, UNKNOWN)], 0
+        belief = start(tracker, min(float(trace.times[0]), events[0].time))
+        following = max(first, float(trace.times[0]) + every / 2)
+        for row, (time, value) in enumerate(zip(trace.times[rows].tolist(), raw[rows].tolist(), strict=True)):
+            while events[upcoming].time <= time:
+                belief = on_event(tracker, belief, events[upcoming])
+                upcoming += 1
+            belief = with_inputs(tracker, belief, time, {name: column[row] for name, column in inputs.items()})
+            # The filter gets the raw reading, spikes included: on the plant nobody takes them out beforehand.
+            belief = observe(tracker, belief, time, value)
+            if time >= following and belief.seen:
+                scored += _score(tracker, belief, times, values, rng)
+                following = max(following + every, time)
     return scored
 
 
-def _scored(
-    tracker: Tracker, trace: Trace, *, first: float, every: float, stride: int, rng: np.random.Generator
-) -> list[Scored]:
-    raw = trace.signals[tracker.model.temperature]
-    reading = without_spikes(raw, resolution(raw))
-    there = np.isfinite(reading)
-    outcomes = (trace.times[there], reading[there])
-    rows = np.arange(0, trace.times.size, stride)
-    inputs = {name: trace.signals[name][rows].tolist() for name in sorted(tracker.inputs) if name in trace.signals}
-    events, upcoming = [*trace.events, Event(inf, UNKNOWN)], 0
-    belief = start(tracker, min(float(trace.times[0]), events[0].time))
-    following, found = max(first, float(trace.times[0]) + every / 2), list[Scored]()
-    for row, (time, value) in enumerate(zip(trace.times[rows].tolist(), raw[rows].tolist(), strict=True)):
-        while events[upcoming].time <= time:
-            belief = on_event(tracker, belief, events[upcoming])
-            upcoming += 1
-        belief = with_inputs(tracker, belief, time, {name: column[row] for name, column in inputs.items()})
-        belief = observe(tracker, belief, time, value)
-        if time >= following and belief.seen:
-            found += _score(tracker, belief, outcomes, rng)
-            following = max(following + every, time)
-    return found
-
-
-def _score(tracker: Tracker, belief: Belief, outcomes: tuple[Array, Array], rng: np.random.Generator) -> list[Scored]:
+def _score(tracker: Tracker, belief: Belief, times: Array, values: Array, rng: np.random.Generator) -> list[Scored]:
+    """The forecast from `belief` at every horizon whose outcome is among the readings `values` at `times`."""
     gap = tracker.model.alphabet.gap
-    known = {horizon: _outcome(outcomes, belief.time + horizon, gap) for horizon in HORIZONS}
-    asked = [horizon for horizon, value in known.items() if value is not None]
-    if not asked:
+    outcomes = {horizon: _outcome(times, values, belief.time + horizon, gap) for horizon in HORIZONS}
+    horizons = [horizon for horizon, value in outcomes.items() if value is not None]
+    if not horizons:
         return []
-    fan = forecast(tracker, belief, asked, rng, runs=RUNS)
+    fan = forecast(tracker, belief, horizons, rng, runs=RUNS)
     low, median, high = (fan.quantiles[LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
-    found = []
-    for column, horizon in enumerate(asked):
-        error = (known[horizon] or 0.0) - median[column]
+    scored = []
+    for column, horizon in enumerate(horizons):
+        error = (outcomes[horizon] or 0.0) - median[column]
+        # The law need not be symmetric: an error counts in units of the half of the band on whose side it lies.
         edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
-        found.append(Scored(horizon, belief.time + horizon, float(_Z90 * abs(error) / max(edge, 1e-9))))
-    return found
+        scored.append(Scored(horizon, belief.time + horizon, float(_Z90 * abs(error) / max(edge, 1e-9))))
+    return scored
 
 
-def _outcome(outcomes: tuple[Array, Array], due: float, gap: float) -> float | None:
+def _outcome(times: Array, values: Array, due: float, gap: float) -> float | None:
     """The temperature at `due`, interpolated between readings at most `gap` seconds apart; None without them."""
-    times, values = outcomes
     after = int(np.searchsorted(times, due))
     if after == 0 or after == times.size or times[after] - times[after - 1] > gap:
         return None
@@ -120,10 +117,11 @@ def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
     """
     table = []
     for horizon in HORIZONS:
-        mine = sorted((one for one in scored if one.horizon == horizon), key=lambda one: one.due)
+        mine = sorted((forecast for forecast in scored if forecast.horizon == horizon), key=lambda each: each.due)
         if not mine:
             continue
-        due, z = np.array([one.due for one in mine]), np.array([one.z for one in mine])
+        due, z = np.array([each.due for each in mine]), np.array([each.z for each in mine])
+        # The span that the forecasts cover, gaps cut to one horizon: beyond that they have nothing in common anyway.
         independent = 1.0 + float(np.minimum(np.diff(due), horizon).sum()) / horizon
         level = min(0.9 * (1.0 + 1.0 / independent), 0.97)
         seen = min(max(float(np.quantile(z, level)) / _Z90, LEAST), MOST)
@@ -142,4 +140,5 @@ def calibrate(
     """
     begins = [-inf] * len(traces) if since is None else since
     first = [max(begin, float(trace.times[0])) for trace, begin in zip(traces, begins, strict=True)]
-    return {one.horizon: one.factor for one in coverage_of(score_forecasts(model, traces, first, rng))}
+    coverage = coverage_of(score_forecasts(model, traces, first, rng))
+    return {row.horizon: row.factor for row in coverage}

@@ -105,25 +105,35 @@ def learn_correction(
     """
     if not forms:
         raise LearningError("no form of correction was asked for; give gain, affine or both")
-    told = progress or (lambda _stage, _share: None)
+    report = progress or (lambda _stage, _share: None)
     runs, skipped = _runs(traces, model.temperature)
     if len(runs) < 2:
         raise LearningError(
             f"{len(runs)} usable run(s) of {model.temperature!r} in {len(traces)} traces: a correction is judged by "
             f"runs that it was not learned from, so at least 2 with {LEAST_READINGS} readings each are needed"
         )
-    told("running the model", 0.0)
+    report("running the model", 0.0)
     bare = replace(model, correction=Correction())
     rows = [_regressors(bare, run) for run in runs]
     before = np.array([_error(model, run) for run in runs])
-    found: list[tuple[CorrectionFit, Array]] = []
+    fits: list[tuple[CorrectionFit, Array]] = []
     for number, form in enumerate(forms):
-        told(f"fitting {form}", 0.2 + 0.8 * number / len(forms))
-        found.append(_fit(form, bare, runs, rows, before))
-    told("done", 1.0)
-    chosen = _choose(found)
+        report(f"fitting {form}", 0.2 + 0.8 * number / len(forms))
+        fits.append(_fit(form, bare, runs, rows, before))
+    report("done", 1.0)
+    accepted = sorted((pair for pair in fits if pair[0].accepted), key=lambda pair: FORMS.index(pair[0].form))
+    chosen: CorrectionFit | None = None
+    if accepted:
+        # The one-standard-error rule, run by run: the simplest form that is not worse than the best by more than that.
+        best, best_errors = min(accepted, key=lambda pair: pair[0].after)
+        chosen = best
+        for fit, errors_of_runs in accepted:
+            gap, error = _mean_and_error(errors_of_runs - best_errors)
+            if gap <= error:
+                chosen = fit
+                break
     correction = chosen.correction if chosen else model.correction
-    return LearnedCorrection(correction, tuple(fit for fit, _ in found), chosen.form if chosen else None, skipped)
+    return LearnedCorrection(correction, tuple(fit for fit, _ in fits), chosen.form if chosen else None, skipped)
 
 
 def _runs(traces: Sequence[Trace], temperature: str) -> tuple[list[Trace], tuple[str, ...]]:
@@ -138,9 +148,21 @@ def _runs(traces: Sequence[Trace], temperature: str) -> tuple[list[Trace], tuple
         runs.append(replace(trace, signals={**trace.signals, temperature: cleaned}))
     while 0 < len(runs) < CLUSTERS:
         place = max(range(len(runs)), key=lambda number: _readings(runs[number], temperature))
-        if _readings(runs[place], temperature) < 2 * PIECE_READINGS:
+        longest = runs[place]
+        if _readings(longest, temperature) < 2 * PIECE_READINGS:
             break
-        runs[place : place + 1] = _halves(runs[place], temperature)
+        # Both halves keep all events and inputs, which say where the automaton is; only the readings are shared out.
+        column = longest.signals[temperature]
+        middle = np.flatnonzero(np.isfinite(column))[_readings(longest, temperature) // 2]
+        early = np.arange(column.size) < middle
+        runs[place : place + 1] = [
+            replace(
+                longest,
+                name=f"{longest.name}, part",
+                signals={**longest.signals, temperature: np.where(half, column, np.nan)},
+            )
+            for half in (early, ~early)
+        ]
     return runs, tuple(skipped)
 
 
@@ -148,24 +170,13 @@ def _readings(trace: Trace, temperature: str) -> int:
     return int(np.count_nonzero(np.isfinite(trace.signals[temperature])))
 
 
-def _halves(trace: Trace, temperature: str) -> list[Trace]:
-    """Two runs over one trace: all events and inputs stay, the readings are the first half's and the second's."""
-    column = trace.signals[temperature]
-    middle = np.flatnonzero(np.isfinite(column))[_readings(trace, temperature) // 2]
-    early = np.arange(column.size) < middle
-    return [
-        replace(
-            trace, name=f"{trace.name}, part", signals={**trace.signals, temperature: np.where(mine, column, np.nan)}
-        )
-        for mine in (early, ~early)
-    ]
-
-
 def _regressors(bare: Model, run: Trace) -> _Regressors:
+    # Limits and the clamp are taken away: only without them is the course affine in its start.
     free = replace(bare, sha=replace(bare.sha, max_rate=inf, low=-inf, high=inf))
     times, values = measured(run, bare.temperature)
     steps = open_loop_schedule(free, run, "resync")
     mean = moments(steps, float(values[0])).mean
+    # D(t) as the difference between two courses whose starts are one degree apart.
     forgotten = 1.0 - (moments(steps, float(values[0]) + 1.0).mean - mean)
     keep = np.unique(np.linspace(1, times.size - 1, min(times.size - 1, MOST_READINGS)).astype(int))
     row = np.searchsorted(steps.times, times[keep], side="right") - 1
@@ -175,8 +186,8 @@ def _regressors(bare: Model, run: Trace) -> _Regressors:
 
 def _solve(form: Form, rows: Sequence[_Regressors]) -> tuple[float, float] | None:
     """(gain, offset) by iteratively reweighted least squares; None where the runs cannot tell them apart."""
-    gain, left = np.concatenate([one.gain for one in rows]), np.concatenate([one.left for one in rows])
-    columns = [gain] if form == "gain" else [gain, np.concatenate([one.offset for one in rows])]
+    gain, left = np.concatenate([row.gain for row in rows]), np.concatenate([row.left for row in rows])
+    columns = [gain] if form == "gain" else [gain, np.concatenate([row.offset for row in rows])]
     scale = [max(float(np.sqrt(np.mean(column**2))), 1e-12) for column in columns]
     X = np.column_stack([column / size for column, size in zip(columns, scale, strict=True)])
     if not np.any(X) or np.linalg.cond(X) > WORST_CONDITION:
@@ -190,8 +201,8 @@ def _solve(form: Form, rows: Sequence[_Regressors]) -> tuple[float, float] | Non
         weight = np.minimum(1.0, limit / np.maximum(error, limit * 1e-9))
         if np.allclose(before, solved, rtol=1e-9, atol=1e-12):
             break
-    found = (solved / np.array(scale)).tolist()
-    return found[0], found[1] if form == "affine" else 0.0
+    values = (solved / np.array(scale)).tolist()
+    return values[0], values[1] if form == "affine" else 0.0
 
 
 def _fit(
@@ -207,9 +218,12 @@ def _fit(
             reason = f"a gain of {whole[0]:.3g} is no calibration ({LEAST_GAIN:g} to {MOST_GAIN:g}): learn a new model"
         figures = (nan, nan, float(before.mean()), nan, nan, nan, count, readings)
         return CorrectionFit(form, Correction(), *figures, accepted=False, reason=reason), np.full(count, nan)
+    # The jackknife's variance: (n - 1)/n times the squares of the fits that each lack one run.
     left_out = np.array([part for part in parts if part is not None])
     spread = np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0))
-    after = np.array([_error(_with(bare, *part), run) for part, run in zip(left_out.tolist(), runs, strict=True)])
+    # Each run is judged by the fit that lacks it. A fit without one run may lie beyond a possible gain: it is held in.
+    held_in = [Correction(min(max(part[0], LEAST_GAIN), MOST_GAIN), part[1]) for part in left_out.tolist()]
+    after = np.array([_error(replace(bare, correction=each), run) for each, run in zip(held_in, runs, strict=True)])
     gain, error = _mean_and_error(before - after)
     accepted = gain > error
     better = f"the held-out error falls by {gain:.3g} +- {error:.2g} degC"
@@ -230,10 +244,6 @@ def _fit(
     return fit, after
 
 
-def _with(bare: Model, gain: float, offset: float) -> Model:
-    return replace(bare, correction=Correction(min(max(gain, LEAST_GAIN), MOST_GAIN), offset))
-
-
 def _error(model: Model, run: Trace) -> float:
     """Mean absolute open-loop error (degC) at the readings of a run."""
     return errors(open_loop(model, run, "resync"), run, model.temperature).at_samples.mae
@@ -241,19 +251,6 @@ def _error(model: Model, run: Trace) -> float:
 
 def _mean_and_error(values: Array) -> tuple[float, float]:
     return float(values.mean()), float(values.std(ddof=1)) / sqrt(values.size)
-
-
-def _choose(found: Sequence[tuple[CorrectionFit, Array]]) -> CorrectionFit | None:
-    """The simplest accepted fit that is not worse than the best by more than a standard error; None without one."""
-    good = [(fit, after) for fit, after in found if fit.accepted]
-    if not good:
-        return None
-    best = min(good, key=lambda one: one[0].after)
-    for fit, after in sorted(good, key=lambda one: FORMS.index(one[0].form)):
-        gap, error = _mean_and_error(after - best[1])
-        if gap <= error:
-            return fit
-    return best[0]
 
 
 def corrected_model(model: Model, learned: LearnedCorrection, data_hash: str, parent: str) -> Model:

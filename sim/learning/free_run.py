@@ -126,8 +126,8 @@ def loads(runs: FreeRuns, shape: FitShape) -> Array:
 
 
 def _add(total: Array, rows: Indices, columns: Indices, values: Array) -> None:
-    there = columns >= 0
-    total[rows[there], columns[there]] += values[there]
+    known = columns >= 0
+    total[rows[known], columns[known]] += values[known]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,6 +163,24 @@ class _Problem:
         part = np.add.reduceat(weighted * columns, self.bounds) / np.maximum(norm, 1e-300)
         sizes = np.diff(np.append(self.bounds, self.rows.size))
         return columns - start[:, None] * np.repeat(part, sizes, axis=0), part
+
+
+def _problem_of(runs: FreeRuns, shape: FitShape) -> _Problem:
+    """The problem before there is a residual: all readings weigh the same."""
+    rows = np.flatnonzero(np.isfinite(runs.reading))
+    reading = runs.reading[rows]
+    return _Problem(
+        runs=runs,
+        shape=shape,
+        load=loads(runs, shape),
+        rows=rows,
+        reading=reading,
+        bounds=np.flatnonzero(np.concatenate([[True], np.diff(runs.run[rows]) != 0])),
+        weight=np.ones(rows.size),
+        # Until there are residuals, a tenth of the readings' variance: the priors must neither rule nor vanish
+        # meanwhile.
+        noise=0.1 * float(np.var(reading - np.median(reading))) + 1e-6,
+    )
 
 
 def _solve(problem: _Problem, log_rates: Array) -> _Linear:
@@ -258,7 +276,7 @@ def _best_rates(problem: _Problem, begin: Array) -> Array:
     def slopes(log_rates: Array) -> Array:
         return _jacobian(problem, log_rates, solved(log_rates))
 
-    found = least_squares(
+    search = least_squares(
         residuals,
         np.clip(begin, low + 1e-6, high - 1e-6),
         jac=slopes,
@@ -267,15 +285,7 @@ def _best_rates(problem: _Problem, begin: Array) -> Array:
         ftol=1e-6,
         max_nfev=40,
     )
-    return np.asarray(found.x)
-
-
-def _first_rates(problem: _Problem) -> Array:
-    """The best of nine shifts of all rates together from the prior's centre, two spreads to each side."""
-    shape = problem.shape
-    trials = [shape.rate_centre + shift * shape.rate_spread for shift in np.linspace(-2.0, 2.0, 9)]
-    costs = [float(np.sum(_stacked(problem, trial, _solve(problem, trial)) ** 2)) for trial in trials]
-    return np.asarray(trials[int(np.argmin(costs))])
+    return np.asarray(search.x)
 
 
 def robust_sigma(residual: Array) -> float:
@@ -312,24 +322,18 @@ def fit_free_run(runs: FreeRuns, shape: FitShape, *, begin: Array | None = None,
     `begin` (r,) are the rates from which the search starts (default: the best of a coarse scan). With `huber` a reading
     further than 1.345 robust standard deviations from the free run pulls no stronger than one at that distance.
     """
-    rows = np.flatnonzero(np.isfinite(runs.reading))
-    begins = np.concatenate([[True], np.diff(runs.run[rows]) != 0])
-    reading = runs.reading[rows]
-    load = loads(runs, shape)
-    bounds = np.flatnonzero(begins)
-    # Until there are residuals, a tenth of the readings' variance: the priors must neither rule nor vanish meanwhile.
-    noise = 0.1 * float(np.var(reading - np.median(reading))) + 1e-6
-    problem = _Problem(
-        runs=runs,
-        shape=shape,
-        load=load,
-        rows=rows,
-        reading=reading,
-        bounds=bounds,
-        weight=np.ones(rows.size),
-        noise=noise,
-    )
-    log_rates = _first_rates(problem) if begin is None else np.log(begin)
+    problem = _problem_of(runs, shape)
+    rows, reading = problem.rows, problem.reading
+    begins = np.zeros(rows.size, dtype=bool)
+    begins[problem.bounds] = True
+    if begin is None:
+        # The search is local, so it starts at the best of nine shifts of all rates together from the prior's centre,
+        # two spreads to each side.
+        trials = [shape.rate_centre + shift * shape.rate_spread for shift in np.linspace(-2.0, 2.0, 9)]
+        costs = [float(np.sum(_stacked(problem, trial, _solve(problem, trial)) ** 2)) for trial in trials]
+        log_rates = np.asarray(trials[int(np.argmin(costs))])
+    else:
+        log_rates = np.log(begin)
     sigma = float("inf")
     # Iteratively reweighted least squares (Holland & Welsch 1977): rates and linear parameters under fixed weights,
     # then the weights from their residuals. Errors of neighbouring readings are correlated, so the likelihood is
@@ -373,27 +377,19 @@ def fit_at_rates(
 
     `loss` is the mean of Huber's loss at `scale` (degC; default: the fit's own), so that rates can be compared.
     """
-    rows = np.flatnonzero(np.isfinite(runs.reading))
-    bounds = np.flatnonzero(np.concatenate([[True], np.diff(runs.run[rows]) != 0]))
-    reading, logs = runs.reading[rows], np.log(rates)
-    noise = 0.1 * float(np.var(reading - np.median(reading))) + 1e-6
-    problem = _Problem(
-        runs=runs,
-        shape=shape,
-        load=loads(runs, shape),
-        rows=rows,
-        reading=reading,
-        bounds=bounds,
-        weight=np.ones(rows.size),
-        noise=noise,
-    )
+    problem, log_rates = _problem_of(runs, shape), np.log(rates)
     for _ in range(rounds):
-        solved = _solve(problem, logs)
-        error = reading - solved.mean[rows]
+        solved = _solve(problem, log_rates)
+        error = problem.reading - solved.mean[problem.rows]
         sigma = robust_sigma(error)
+        # Readings count as independent here: only losses at one scale are compared, and no standard error is asked for.
         problem = replace(problem, weight=_weights(error, sigma, "huber"), noise=sigma**2)
-    z = np.abs(error) / (scale or sigma)
-    return LinearFit(solved.linear, sigma, float(np.mean(np.where(z < HUBER, 0.5 * z * z, HUBER * z - 0.5 * HUBER**2))))
+    return LinearFit(solved.linear, sigma, float(np.mean(huber_loss(np.abs(error) / (scale or sigma)))))
+
+
+def huber_loss(z: Array) -> Array:
+    """Huber's loss of standardised distances z >= 0: z^2 / 2 up to 1.345, a straight line from there on."""
+    return np.where(z < HUBER, 0.5 * z * z, HUBER * z - 0.5 * HUBER**2)
 
 
 def _weights(error: Array, sigma: float, loss: Loss) -> Array:
@@ -437,6 +433,7 @@ def predict(runs: FreeRuns, shape: FitShape, linear: Array, rates: Array, sigma:
     begun = linear_recursion(decay, runs.first.astype(float), 0.0)
     order = np.cumsum(runs.first) - 1
     weight, mean = np.ones(rows.size), still
+    # Four rounds of reweighting, each solved run by run: there is one unknown in each, and nothing joins them.
     for _ in range(4):
         missing, start = runs.reading[rows] - still[rows], begun[rows]
         norm = np.add.reduceat(weight * start**2, bounds)

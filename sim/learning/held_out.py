@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.learning.free_run import HUBER, FitShape, FreeRunFit, fit_at_rates, fit_free_run, predict
+from sim.learning.free_run import HUBER, FitShape, FreeRunFit, fit_at_rates, fit_free_run, huber_loss, predict
 from sim.learning.runs import FreeRuns, pieces
 from sim.sha import Array
 
@@ -30,7 +30,10 @@ class HeldOutErrors:
 
         The scale is not the training folds': a candidate would be judged by its opinion of itself.
         """
-        return np.bincount(self.run, _log_huber(self.error, huber_scale(self.error))) / self.readings
+        scale = huber_scale(self.error)
+        # Up to the density's constant, which is the same for all candidates.
+        density = np.asarray(-np.log(scale) - huber_loss(np.abs(self.error) / scale))
+        return np.bincount(self.run, density) / self.readings
 
     @property
     def readings(self) -> NDArray[np.intp]:
@@ -74,8 +77,8 @@ def cross_validate(runs: FreeRuns, shape: FitShape, begin: Array, *, fixed: bool
         mine = order % FOLDS == held
         rest = runs.where(~mine)
         if fixed:
-            given = fit_at_rates(rest, shape, begin)
-            mean[mine] = predict(runs.where(mine), shape, given.linear, begin, given.sigma)
+            at_rates = fit_at_rates(rest, shape, begin)
+            mean[mine] = predict(runs.where(mine), shape, at_rates.linear, begin, at_rates.sigma)
         else:
             fit = fit_free_run(rest, shape, begin=begin)
             mean[mine] = predict(runs.where(mine), shape, fit.linear, fit.rates, fit.sigma)
@@ -96,12 +99,6 @@ def huber_scale(error: Array) -> float:
     return max(scale, 1e-6)
 
 
-def _log_huber(error: Array, sigma: float) -> Array:
-    """Log of Huber's density, up to its constant: Gaussian to 1.345 sigma, exponential beyond."""
-    z = np.abs(error) / sigma
-    return np.asarray(-np.log(sigma) - np.where(z < HUBER, 0.5 * z * z, HUBER * z - 0.5 * HUBER**2))
-
-
 def choose(scores: Sequence[HeldOutErrors], size: Sequence[int]) -> int:
     """The simplest candidate that the held-out likelihood does not tell from the best one.
 
@@ -109,19 +106,21 @@ def choose(scores: Sequence[HeldOutErrors], size: Sequence[int]) -> int:
     error of the mean difference is as good (the one-standard-error rule, Breiman et al. 1984). Among those the one
     with the fewest parameters (`size`) is taken, then the one with the higher score.
     """
-    best = max(range(len(scores)), key=lambda number: scores[number].score)
-    equal = [number for number in range(len(scores)) if _not_worse(scores[number], scores[best])]
-    return min(equal, key=lambda number: (size[number], -scores[number].score))
-
-
-def _not_worse(one: HeldOutErrors, best: HeldOutErrors) -> bool:
-    weight = best.readings / best.readings.sum()
-    gap = best.likelihood - one.likelihood
-    mean = float(weight @ gap)
-    if gap.size < 2:
-        return mean <= 0
-    error = float(np.sqrt(np.sum(weight**2 * (gap - mean) ** 2) * gap.size / (gap.size - 1)))
-    return mean <= error
+    # Each score solves for a scale by fifty rounds over all errors: once for each candidate is enough.
+    likelihoods = [each.likelihood for each in scores]
+    means = [float(np.average(each, weights=rows.readings)) for each, rows in zip(likelihoods, scores, strict=True)]
+    best = max(range(len(scores)), key=lambda number: means[number])
+    weight = scores[best].readings / scores[best].readings.sum()
+    equal: list[int] = []
+    for number, likelihood in enumerate(likelihoods):
+        gap = likelihoods[best] - likelihood
+        mean, error = float(weight @ gap), 0.0
+        # Differences run by run: what is hard for all candidates is no part of the error. A single run shows none.
+        if gap.size > 1:
+            error = float(np.sqrt(np.sum(weight**2 * (gap - mean) ** 2) * gap.size / (gap.size - 1)))
+        if mean <= error:
+            equal.append(number)
+    return min(equal, key=lambda number: (size[number], -means[number]))
 
 
 def training_errors(runs: FreeRuns, fit: FreeRunFit) -> tuple[float, float]:

@@ -58,9 +58,18 @@ def learn_max_rate(traces: Sequence[Trace], temperature: str, *, margin: float =
     for trace in traces:
         column = trace.signals.get(temperature)
         if column is not None and np.count_nonzero(np.isfinite(column)) >= WINDOW_READINGS:
-            span, found = _rates(trace.times, without_spikes(column, resolution(column)))
+            cleaned = without_spikes(column, resolution(column))
+            finite = np.isfinite(cleaned)
+            times, values = trace.times[finite], cleaned[finite]
+            span = max(WINDOW_SECONDS, WINDOW_READINGS * float(np.median(np.diff(times))))
             spans.append(span)
-            rates += found
+            cuts = np.searchsorted(times, np.arange(times[0], times[-1] + span, span))
+            # A window with half of its readings still has a slope; with fewer than three none has a standard error.
+            rates += [
+                _vouched(times[begin:end], values[begin:end])
+                for begin, end in pairwise(cuts.tolist())
+                if end - begin >= max(WINDOW_READINGS // 2, 3)
+            ]
     if len(rates) < 10 * REACHED:
         raise LearningError(f"{len(rates)} windows of {temperature!r} are too few for a greatest rate; 30 are needed")
     observed = sorted(rates)[-REACHED]
@@ -69,21 +78,8 @@ def learn_max_rate(traces: Sequence[Trace], temperature: str, *, margin: float =
     return MaxRate(margin * observed, observed, margin, len(rates), float(np.median(spans)))
 
 
-def _rates(times: Array, column: Array) -> tuple[float, list[float]]:
-    """(seconds of a window, |slope| less two standard errors of each window that is full enough)."""
-    there = np.isfinite(column)
-    times, values = times[there], column[there]
-    span = max(WINDOW_SECONDS, WINDOW_READINGS * float(np.median(np.diff(times))))
-    edges = np.arange(times[0], times[-1] + span, span)
-    cuts = np.searchsorted(times, edges)
-    found = []
-    for begin, end in pairwise(cuts.tolist()):
-        if end - begin >= max(WINDOW_READINGS // 2, 3):
-            found.append(_vouched(times[begin:end], values[begin:end]))
-    return span, found
-
-
 def _vouched(times: Array, values: Array) -> float:
+    """|slope| of the readings less two standard errors, degC/s: the rate that they vouch for; 0 at least."""
     t, y = times - times.mean(), values - values.mean()
     room = float(t @ t)
     if room == 0:
@@ -93,10 +89,10 @@ def _vouched(times: Array, values: Array) -> float:
     return max(abs(slope) - 2.0 * float(error), 0.0)
 
 
-def with_max_rate(model: Model, found: MaxRate) -> Model:
+def with_max_rate(model: Model, limit: MaxRate) -> Model:
     """The model with the limit, which is the sensor's and so divided by the correction's gain."""
-    sha = replace(model.sha, max_rate=found.rate / model.correction.gain)
-    settings = {**model.provenance.settings, "max_rate_observed": found.observed, "max_rate_margin": found.margin}
+    sha = replace(model.sha, max_rate=limit.rate / model.correction.gain)
+    settings = {**model.provenance.settings, "max_rate_observed": limit.observed, "max_rate_margin": limit.margin}
     return replace(model, sha=sha, provenance=replace(model.provenance, settings=settings))
 
 

@@ -6,7 +6,7 @@ scored one step ahead and at 60, 300 and 900 s (events and inputs known): a comp
 the bands at 15 minutes would be whatever comes out of it. Errors beyond three standard deviations count linearly.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import log, sqrt
 
@@ -16,12 +16,15 @@ from scipy.optimize import minimize
 from sim.learning.data import resolution
 from sim.learning.free_run import RATES, FitShape, FreeRunFit, loads
 from sim.learning.runs import FreeRuns, Indices, sampled
-from sim.sha import FLOWS, Array, Flow, Mask, coefficients
+from sim.sha import FLOWS, Array, Flow, coefficients
 
 HORIZONS = (60.0, 300.0, 900.0)
 CHUNK = 150
+"""Knots of a chunk at most: the filter's loop has so many rounds, however long the runs are."""
 ORIGINS = 400
+"""Pairs of readings by which each horizon is judged, at most."""
 STEP = 1e-4
+"""Of the logarithms, for the gradient by forward differences."""
 DRIFT_SPAN = 300.0
 """The changes over so many seconds set the noise of locations in which nothing is known."""
 
@@ -100,21 +103,19 @@ def _chunks(steps: _AffineSteps) -> Indices:
         begin = int(low)
         while begin < high - 1:
             end = min(begin + CHUNK, int(high))
-            there = np.flatnonzero(np.isfinite(steps.reading[begin:end]))
-            if there.size < 2:
+            known = np.flatnonzero(np.isfinite(steps.reading[begin:end]))
+            if known.size < 2:
                 break
-            end = begin + int(there[-1]) + 1
+            # A chunk ends at its last reading, where the next one begins: that knot belongs to both.
+            end = begin + int(known[-1]) + 1
             columns.append(np.arange(begin, end))
             begin = end - 1
+    # The longest first: those that go on are then always the first columns of a row.
     columns.sort(key=lambda column: (-column.size, column[0]))
     table = np.full((columns[0].size if columns else 0, len(columns)), -1, dtype=np.intp)
     for number, column in enumerate(columns):
         table[: column.size, number] = column
     return table
-
-
-FilterState = tuple[Array, Array, Array, Array, Array]
-"""Means of X and m - mu, then xx, xm, mm of their covariance, each (C, Q)."""
 
 
 def _filtered(
@@ -123,52 +124,39 @@ def _filtered(
     """(log-likelihoods (n, Q), states (5, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ...
 
     The Kalman filter on (X, m - mu), vectorised twice: over the chunks, which begin at a reading and so need nothing of
-    one another, and over the Q sets of noises that a gradient takes.
+    one another, and over the Q sets of noises that a gradient takes. A state is the means of X and m - mu, then xx, xm
+    and mm of their covariance.
     """
     n, width = steps.run.size, sensor.size
     scores, states = np.full((n, width), np.nan), np.full((5, n, width), np.nan)
     x = np.repeat(steps.reading[table[0]][:, None], width, axis=1)
-    nothing = np.zeros_like(x)
-    state: FilterState = (x, nothing, nothing + sensor**2, nothing, nothing)
+    m = np.zeros_like(x)
+    xx, xm, mm = m + sensor**2, m, m
     for row in range(1, table.shape[0]):
         knots = table[row][table[row] >= 0]
-        # A new stay draws its m anew, and so does a chunk's first step: what the stay before it knew is given up.
-        fresh = (steps.stay[knots] != steps.stay[knots - 1]) | (row == 1)
-        state = _predicted(
-            steps, knots, fresh=fresh, state=[part[: knots.size] for part in state], process=process, scatter=scatter
-        )
-        error = steps.reading[knots][:, None] - state[0]
-        scores[knots] = _log_score(error, state[2] + sensor**2)
-        state = _updated(state, np.nan_to_num(error), np.isfinite(error), sensor)
-        for part, value in zip(states, state, strict=True):
+        x, m, xx, xm, mm = (part[: knots.size] for part in (x, m, xx, xm, mm))
+        # A new stay draws its m anew, and so does a chunk's first step: what the stay before it knew is given up. A
+        # fresh m is independent of X: mean 0, variance that of its location, no covariance with what went before.
+        fresh = ((steps.stay[knots] != steps.stay[knots - 1]) | (row == 1))[:, None]
+        m, xm = np.where(fresh, 0.0, m), np.where(fresh, 0.0, xm)
+        mm = np.where(fresh, scatter[steps.place[knots]] ** 2, mm)
+        # The prediction, by the step's own closed form.
+        a, p = steps.decay[knots][:, None], steps.pull[knots][:, None]
+        added = steps.density[knots][:, None] * process[steps.group[knots]] ** 2
+        x = a * x + p * m + steps.drift[knots][:, None]
+        xx, xm = a * a * xx + 2 * a * p * xm + p * p * mm + added, a * xm + p * mm
+        # The innovation is scored before the reading is taken in.
+        innovation = steps.reading[knots][:, None] - x
+        variance = xx + sensor**2
+        scores[knots] = _log_score(innovation, variance)
+        # Without a reading gain and turn are 0, and the prediction stands. The scalar update needs no inverse.
+        known, error = np.isfinite(innovation), np.nan_to_num(innovation)
+        gain, turn = np.where(known, xx / variance, 0.0), np.where(known, xm / variance, 0.0)
+        x, m, mm = x + gain * error, m + turn * error, mm - turn * xm
+        xx, xm = (1 - gain) * xx, (1 - gain) * xm
+        for part, value in zip(states, (x, m, xx, xm, mm), strict=True):
             part[knots] = value
     return scores, states
-
-
-def _predicted(
-    steps: _AffineSteps, knots: Indices, *, fresh: Mask, state: Sequence[Array], process: Array, scatter: Array
-) -> FilterState:
-    # A fresh m is independent of X: mean 0, variance that of its location, no covariance with what went before.
-    x, m, xx, xm, mm = state
-    at = fresh[:, None]
-    m, xm, mm = np.where(at, 0.0, m), np.where(at, 0.0, xm), np.where(at, scatter[steps.place[knots]] ** 2, mm)
-    a, p = steps.decay[knots][:, None], steps.pull[knots][:, None]
-    added = steps.density[knots][:, None] * process[steps.group[knots]] ** 2
-    return (
-        a * x + p * m + steps.drift[knots][:, None],
-        m,
-        a * a * xx + 2 * a * p * xm + p * p * mm + added,
-        a * xm + p * mm,
-        mm,
-    )
-
-
-def _updated(state: FilterState, error: Array, there: Mask, sensor: Array) -> FilterState:
-    x, m, xx, xm, mm = state
-    variance = xx + sensor**2
-    gain, turn = np.where(there, xx / variance, 0.0), np.where(there, xm / variance, 0.0)
-    # Without a reading gain and turn are 0, and the prediction stands. The scalar update needs no inverse.
-    return x + gain * error, m + turn * error, (1 - gain) * xx, (1 - gain) * xm, mm - turn * xm
 
 
 def _log_score(error: Array, variance: Array) -> Array:
@@ -177,28 +165,26 @@ def _log_score(error: Array, variance: Array) -> Array:
     return np.asarray(-0.5 * np.log(2 * np.pi * variance) - np.where(z < 3, 0.5 * z * z, 3 * z - 4.5))
 
 
-def _aims(steps: _AffineSteps, horizon: float) -> tuple[Indices, Indices]:
-    """Up to ORIGINS pairs (origin, outcome) of readings of one run, `horizon` to 1.2 times as far apart."""
-    there = np.flatnonzero(np.isfinite(steps.reading))
-    found: list[Indices] = []
-    for run in np.unique(steps.run[there]):
-        mine = there[steps.run[there] == run]
-        place = np.searchsorted(steps.time[mine], steps.time[mine] + horizon)
-        inside = place < mine.size
-        found.append(np.column_stack([mine[inside], mine[place[inside]]]))
-    pairs = np.concatenate(found)
-    ahead = steps.time[pairs[:, 1]] - steps.time[pairs[:, 0]]
-    pairs = pairs[ahead <= 1.2 * horizon]
-    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), ORIGINS)).astype(np.intp))
-    return pairs[chosen, 0], pairs[chosen, 1]
-
-
 def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ahead | None:
-    """The predictions over `horizon`, or None when no two readings are so far apart."""
-    origin, end = _aims(steps, horizon)
-    if not origin.size:
-        return None
+    """The predictions over `horizon`, or None when no two readings are so far apart.
+
+    They are made for ORIGINS pairs at most of readings of one run, `horizon` to 1.2 times as far apart.
+    """
+    known = np.flatnonzero(np.isfinite(steps.reading))
+    of_runs: list[Indices] = []
+    for run in np.unique(steps.run[known]):
+        mine = known[steps.run[known] == run]
+        outcome = np.searchsorted(steps.time[mine], steps.time[mine] + horizon)
+        inside = outcome < mine.size
+        of_runs.append(np.column_stack([mine[inside], mine[outcome[inside]]]))
+    pairs = np.concatenate(of_runs)
+    # After a gap the next reading may come much later: that would be another horizon.
+    pairs = pairs[steps.time[pairs[:, 1]] - steps.time[pairs[:, 0]] <= 1.2 * horizon]
+    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), ORIGINS)).astype(np.intp))
+    origin, end = pairs[chosen, 0], pairs[chosen, 1]
     size = origin.size
+    if not size:
+        return None
     decay, own, drift, fresh = np.ones(size), np.zeros(size), np.zeros(size), np.zeros(size)
     process, scatter = np.zeros((size, groups)), np.zeros((size, places))
     # All origins walk on together, one knot a round, until each is at its outcome. The m of the stay in which an
@@ -235,16 +221,6 @@ def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ah
     )
 
 
-def _ahead_score(ahead: _Ahead, states: Array, sensor: Array, process: Array, scatter: Array) -> Array:
-    """(Q,) the mean log-likelihood of the predictions from origins with a state."""
-    x, m, xx, xm, mm = (part[ahead.origin] for part in states)
-    a, own = ahead.decay[:, None], ahead.own[:, None]
-    mean = a * x + own * m + ahead.drift[:, None]
-    variance = a * a * xx + 2 * a * own * xm + own * own * mm
-    variance = variance + ahead.process @ process**2 + ahead.scatter @ scatter**2 + sensor**2
-    return _mean_known(_log_score(ahead.outcome[:, None] - mean, variance))
-
-
 def _mean_known(scores: Array) -> Array:
     """(Q,) the mean of the rows (n, Q) that are known; 0, which prefers nothing, where none is."""
     return np.asarray(np.nansum(scores, axis=0) / np.maximum(np.sum(~np.isnan(scores), axis=0), 1))
@@ -272,9 +248,17 @@ class _Task:
     def scores(self, theta: Array) -> list[Array]:
         """(Q,) the mean log-likelihood one step ahead, then at each horizon."""
         sensor, process, scatter = self.unpack(theta)
-        one, states = _filtered(self.steps, self.table, sensor, process, scatter)
-        later = [_ahead_score(ahead, states, sensor, process, scatter) for ahead in self.aheads]
-        return [_mean_known(one), *later]
+        one_step, states = _filtered(self.steps, self.table, sensor, process, scatter)
+        scores = [_mean_known(one_step)]
+        for ahead in self.aheads:
+            # An origin outside all chunks has no state: NaN, which the mean leaves out.
+            x, m, xx, xm, mm = (part[ahead.origin] for part in states)
+            a, own = ahead.decay[:, None], ahead.own[:, None]
+            mean = a * x + own * m + ahead.drift[:, None]
+            variance = a * a * xx + 2 * a * own * xm + own * own * mm
+            variance = variance + ahead.process @ process**2 + ahead.scatter @ scatter**2 + sensor**2
+            scores.append(_mean_known(_log_score(ahead.outcome[:, None] - mean, variance)))
+        return scores
 
     def loss(self, theta: Array, weight: float) -> Array:
         """(Q,) minus the composite log-likelihood and the log-prior.
@@ -324,7 +308,7 @@ def fit_noise(
     )
     # As many independent looks as the data have stretches of 300 s, spread over one step and the horizons.
     weight = max(float(few.dt.sum()) / 300.0, 10.0)
-    found = minimize(
+    search = minimize(
         _value_and_slope,
         task.start(),
         args=(task, weight),
@@ -333,9 +317,10 @@ def fit_noise(
         bounds=task.bounds(),
         options={"maxiter": 60, "ftol": 1e-7},
     )
-    sensor, process, scatter = task.unpack(np.asarray(found.x)[:, None])
+    best = np.asarray(search.x)[:, None]
+    sensor, process, scatter = task.unpack(best)
     horizons = [0.0, *(ahead.horizon for ahead in task.aheads)]
-    score = {h: float(value[0]) for h, value in zip(horizons, task.scores(np.asarray(found.x)[:, None]), strict=True)}
+    score = {horizon: float(value[0]) for horizon, value in zip(horizons, task.scores(best), strict=True)}
     return NoiseLevels(float(sensor[0]), process[:, 0], scatter[:, 0], score)
 
 
@@ -356,6 +341,7 @@ def drift_noise(runs: FreeRuns) -> float:
     time, reading = (column[np.isfinite(runs.reading)] for column in (runs.time, runs.reading))
     run = runs.run[np.isfinite(runs.reading)]
     squares: list[float] = []
+    # A random walk's variance grows with time, so a squared change counts by the second that it took.
     for number in np.unique(run):
         mine = run == number
         at, value = time[mine], reading[mine]

@@ -71,16 +71,17 @@ def splits(traces: Sequence[Trace]) -> list[Split]:
     if len(usable) >= 6:
         parts = [(usable[third::3], [t for n, t in enumerate(usable) if n % 3 != third]) for third in range(3)]
         return [(others, part, [float(trace.times[0]) for trace in part]) for part, others in parts]
-    found: list[Split] = []
+    quarters: list[Split] = []
     for share in (0.5, 0.75):
         cuts = [_moment(trace, share) for trace in usable]
         ends = [_moment(trace, share + 0.25) for trace in usable]
         known = [trace.between(trace.times[0], cut) for trace, cut in zip(usable, cuts, strict=True)]
-        asked = [
+        # Forecasts of the third quarter must not be judged by the fourth; the row at the end itself still counts.
+        ahead = [
             trace.between(trace.times[0], np.nextafter(end, np.inf)) for trace, end in zip(usable, ends, strict=True)
         ]
-        found.append(([trace for trace in known if trace.times.size], asked, cuts))
-    return found
+        quarters.append(([trace for trace in known if trace.times.size], ahead, cuts))
+    return quarters
 
 
 def _moment(trace: Trace, share: float) -> float:

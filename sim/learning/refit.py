@@ -56,12 +56,10 @@ def refit(
     if not seen:
         raise LearningError(f"the traces stay in no location of SHA {sha.name!r} that has something to fit")
     reading = runs.reading[np.isfinite(runs.reading)]
-    prior = Prior((float(np.median(reading)), SPREAD), _gain_spreads(runs, signals))
+    known = {signal: runs.inputs[np.isfinite(runs.inputs[:, n]), n] for n, signal in enumerate(signals)}
+    # An input that never moves says nothing of its gain, and would divide by 0 here.
+    spreads = {signal: SWING / float(np.std(values)) for signal, values in known.items() if np.ptp(values) > 0}
+    prior = Prior((float(np.median(reading)), SPREAD), spreads)
     shape, names = shape_of(sha, seen, signals, prior, rates=rates, gains=gains)
     fit = fit_free_run(runs, shape, loss=loss)
     return Refit(with_parameters(sha, shape, fit), fit, shape, names, runs)
-
-
-def _gain_spreads(runs: FreeRuns, signals: Sequence[str]) -> dict[str, float]:
-    known = {signal: runs.inputs[np.isfinite(runs.inputs[:, n]), n] for n, signal in enumerate(signals)}
-    return {signal: SWING / float(np.std(values)) for signal, values in known.items() if np.ptp(values) > 0}

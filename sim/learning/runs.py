@@ -49,50 +49,16 @@ class FreeRuns:
         return FreeRuns(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
 
 
-@dataclass(frozen=True, slots=True)
-class _Path:
-    """A trace's way through the locations: `place[i]` and `entered[i]` hold after `i` events; where knowledge ended."""
-
-    times: Array
-    place: Indices
-    entered: Array
-    broken: Array
-    started: Array
-
-
-def _path(trace: Trace, sha: SHA, moves: Mapping[tuple[str, str], str], rising: str | None) -> _Path:
-    index = {location.name: place for place, location in enumerate(sha.locations)}
-    here, since = sha.initial, float(trace.times[0])
-    places, entered, broken, started = [index[here]], [since], [], []
-    for number, event in enumerate(trace.events):
-        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
-        if target is None:
-            raise LearningError(
-                f"trace {trace.name!r}: event {number} ({event.symbol!r}) has no edge from location {here!r}, so the "
-                f"trace cannot be followed through SHA {sha.name!r}"
-            )
-        if event.symbol == UNKNOWN:
-            broken.append(event.time)
-        elif event.symbol == rising:
-            started.append(event.time)
-        if target != here:
-            here, since = target, event.time
-        places.append(index[here])
-        entered.append(since)
-    times = np.array([event.time for event in trace.events], dtype=float)
-    return _Path(times, np.array(places, dtype=np.intp), np.array(entered), np.array(broken), np.array(started))
-
-
 def _held(column: Array) -> Array:
     """Each reading held until the next; NaN before the first."""
     last = np.maximum.accumulate(np.where(np.isnan(column), -1, np.arange(column.size)))
     return np.where(last < 0, np.nan, column[last])
 
 
-def _cycle_starts(started: Array, begins: Array, least: float) -> Array:
+def _cycle_starts(started: Sequence[float], begins: Array, least: float) -> Array:
     """The start-ups at which a new run begins: those at least `least` seconds after the run before them began."""
     chosen: list[float] = []
-    for moment in started.tolist():
+    for moment in started:
         place = int(np.searchsorted(begins, moment, side="right")) - 1
         before = max(float(begins[place]) if place >= 0 else -np.inf, chosen[-1] if chosen else -np.inf)
         if moment - before >= least:
@@ -107,27 +73,60 @@ def _cut(time: Array, moments: Array) -> Mask:
 
 
 def _of_trace(
-    trace: Trace, path: _Path, *, signals: Sequence[str], modelled: Mask, reading: Array, cycle: float
+    trace: Trace,
+    sha: SHA,
+    moves: Mapping[tuple[str, str], str],
+    *,
+    rising: str | None,
+    signals: Sequence[str],
+    modelled: Mask,
+    reading: Array,
+    cycle: float,
 ) -> FreeRuns:
-    extra = np.setdiff1d(path.times, trace.times)
+    """The runs of one trace with its cleaned `reading`; raises LearningError where an event has no edge."""
+    # The way through the locations: `places[i]` and `entered[i]` hold after i events.
+    index = {location.name: place for place, location in enumerate(sha.locations)}
+    here, since = sha.initial, float(trace.times[0])
+    places, entered, broken, started = [index[here]], [since], list[float](), list[float]()
+    for number, event in enumerate(trace.events):
+        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
+        if target is None:
+            raise LearningError(
+                f"trace {trace.name!r}: event {number} ({event.symbol!r}) has no edge from location {here!r}, so the "
+                f"trace cannot be followed through SHA {sha.name!r}"
+            )
+        if event.symbol == UNKNOWN:
+            broken.append(event.time)
+        elif event.symbol == rising:
+            started.append(event.time)
+        # An announcement that changes nothing begins no stay: its m and its age go on.
+        if target != here:
+            here, since = target, event.time
+        places.append(index[here])
+        entered.append(since)
+    happened = np.array([event.time for event in trace.events], dtype=float)
+    # Events between rows become knots without a reading, so that no step has an event inside.
+    extra = np.setdiff1d(happened, trace.times)
     extra = extra[(extra > trace.times[0]) & (extra < trace.times[-1])]
     time = np.concatenate([trace.times, extra])
     order = np.argsort(time, kind="stable")
     time = time[order]
     nothing = np.full(extra.size, np.nan)
+    # A step is made in the location in which it begins, under the inputs that were read by then.
     begin = np.concatenate([time[:1], time[:-1]])
-    done = np.searchsorted(path.times, begin, side="right")
-    place = path.place[done]
+    done = np.searchsorted(happened, begin, side="right")
+    place, since_when = np.array(places, dtype=np.intp)[done], np.array(entered)[done]
     columns = [_held(np.concatenate([trace.signals[name], nothing])[order]) for name in signals]
     inputs = np.column_stack(columns) if columns else np.empty((time.size, 0))
-    cut = _cut(time, path.broken) | ~modelled[place]
+    cut = _cut(time, np.array(broken)) | ~modelled[place]
     cut[0] = True
-    cut |= _cut(time, _cycle_starts(path.started, time[cut], cycle))
-    stay = np.cumsum(cut | (np.diff(path.entered[done], prepend=-np.inf) != 0)) - 1
+    # Start-ups last: which of them count depends on where the runs begin without them.
+    cut |= _cut(time, _cycle_starts(started, time[cut], cycle))
+    stay = np.cumsum(cut | (np.diff(since_when, prepend=-np.inf) != 0)) - 1
     return FreeRuns(
         time=time,
         dt=np.where(cut, 0.0, time - begin),
-        age=begin - path.entered[done],
+        age=begin - since_when,
         place=place,
         inputs=np.concatenate([inputs[:1], inputs[:-1]]),
         reading=np.concatenate([reading, nothing])[order],
@@ -139,13 +138,14 @@ def _of_trace(
 
 def _trimmed(runs: FreeRuns) -> FreeRuns:
     """Each run from its first reading to its last one; runs with fewer than two readings are left out."""
-    there = np.isfinite(runs.reading)
-    upto = np.cumsum(there)
-    count = np.bincount(runs.run, weights=there, minlength=int(runs.run[-1]) + 1 if len(runs) else 1)
+    known = np.isfinite(runs.reading)
+    upto = np.cumsum(known)
+    count = np.bincount(runs.run, weights=known, minlength=int(runs.run[-1]) + 1 if len(runs) else 1)
     before = np.concatenate([[0.0], np.cumsum(count)])[runs.run]
     total = count[runs.run]
+    # `seen` readings of the run up to a knot: 0 before its first one, and after its last one all, without one here.
     seen = upto - before
-    last = (seen < total) | ((seen == total) & there)
+    last = (seen < total) | ((seen == total) & known)
     kept = runs.where((total >= 2) & (seen >= 1) & last)
     return replace(kept, dt=np.where(kept.first, 0.0, kept.dt))
 
@@ -206,31 +206,23 @@ def free_runs(
             continue
         cleaned = without_spikes(reading, resolution(reading))
         if jumps:
-            cleaned = np.where(_eventful(trace), reading, cleaned)
-        known = replace(trace, signals={**_missing(trace, signals), **trace.signals})
-        parts.append(
-            _trimmed(
-                _of_trace(
-                    known,
-                    _path(known, sha, moves, rising),
-                    signals=signals,
-                    modelled=modelled,
-                    reading=cleaned,
-                    cycle=cycle,
-                )
-            )
+            # Rows with an event since the row before them, up to their own time.
+            times = np.array([event.time for event in trace.events], dtype=float)
+            eventful = np.diff(np.searchsorted(times, trace.times, side="right"), prepend=0) > 0
+            cleaned = np.where(eventful, reading, cleaned)
+        missing = {name: np.full(trace.times.shape, np.nan) for name in signals if name not in trace.signals}
+        runs = _of_trace(
+            replace(trace, signals={**missing, **trace.signals}),
+            sha,
+            moves,
+            rising=rising,
+            signals=signals,
+            modelled=modelled,
+            reading=cleaned,
+            cycle=cycle,
         )
+        parts.append(_trimmed(runs))
     return _joined(parts)
-
-
-def _eventful(trace: Trace) -> Mask:
-    """(n,) whether an event happened since the row before, up to the row's own time."""
-    times = np.array([event.time for event in trace.events], dtype=float)
-    return np.asarray(np.diff(np.searchsorted(times, trace.times, side="right"), prepend=0) > 0)
-
-
-def _missing(trace: Trace, signals: Sequence[str]) -> dict[str, Array]:
-    return {name: np.full(trace.times.shape, np.nan) for name in signals if name not in trace.signals}
 
 
 def thinned(runs: FreeRuns, budget: int) -> FreeRuns:
@@ -241,19 +233,28 @@ def thinned(runs: FreeRuns, budget: int) -> FreeRuns:
     window). Knots without a reading inside a stay are merged as well.
     """
     ends = np.append((np.diff(runs.stay) != 0) | runs.first[1:], True)
-    there = np.isfinite(runs.reading)
+    known = np.isfinite(runs.reading)
     must = runs.first | ends
     room = max(budget - int(must.sum()), budget // 4)
-    window = float(runs.dt.sum()) / room if np.count_nonzero(there) > room else 0.0
-    keep = must | there
+    window = float(runs.dt.sum()) / room if np.count_nonzero(known) > room else 0.0
+    keep = must | known
     if window > 0:
         start = runs.time[runs.first][np.cumsum(runs.first) - 1]
         cell = np.floor((runs.time - start) / window)
-        readings = np.flatnonzero(there)
+        readings = np.flatnonzero(known)
         moved = (np.diff(cell[readings]) != 0) | (np.diff(runs.run[readings]) != 0)
         keep = must.copy()
         keep[readings[np.append(moved, True)]] = True
-    return _merged(runs, keep)
+    # Steps are merged up to each kept knot, the first of them giving the age. Inputs are averaged over the time in
+    # which they were known; where that is none, the last step's value stands.
+    lasts = np.flatnonzero(keep)
+    begins = np.concatenate([[0], lasts[:-1] + 1])
+    weight = np.where(np.isnan(runs.inputs), 0.0, runs.dt[:, None])
+    share = np.add.reduceat(weight, begins, axis=0)
+    mass = np.add.reduceat(weight * np.nan_to_num(runs.inputs), begins, axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        inputs = np.where(share > 0, mass / share, runs.inputs[lasts])
+    return replace(runs.where(keep), dt=np.add.reduceat(runs.dt, begins), inputs=inputs, age=runs.age[begins])
 
 
 def sampled(runs: FreeRuns, budget: int) -> FreeRuns:
@@ -267,23 +268,11 @@ def sampled(runs: FreeRuns, budget: int) -> FreeRuns:
     count = WINDOWS * max(len(few) // budget, 1)
     window = np.arange(len(few)) * count // len(few)
     kept = np.unique(np.linspace(0, int(window[-1]), WINDOWS).astype(np.intp))
-    part = few.where(np.isin(window, kept))
-    mark = part.run * (int(window[-1]) + 1) + window[np.isin(window, kept)]
+    inside = np.isin(window, kept)
+    part = few.where(inside)
+    # A run may span several windows, and a window several runs: each pair of the two is a run of its own.
+    mark = part.run * (int(window[-1]) + 1) + window[inside]
     return _trimmed(replace(part, run=np.cumsum(np.diff(mark, prepend=mark[:1]) != 0)))
-
-
-def _merged(runs: FreeRuns, keep: Mask) -> FreeRuns:
-    """Steps merged up to each kept knot; the first of the merged steps gives the age."""
-    ends = np.flatnonzero(keep)
-    begins = np.concatenate([[0], ends[:-1] + 1])
-    dt = np.add.reduceat(runs.dt, begins)
-    weight = np.where(np.isnan(runs.inputs), 0.0, runs.dt[:, None])
-    share = np.add.reduceat(weight, begins, axis=0)
-    mass = np.add.reduceat(weight * np.nan_to_num(runs.inputs), begins, axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        inputs = np.where(share > 0, mass / share, runs.inputs[ends])
-    kept = runs.where(keep)
-    return replace(kept, dt=dt, inputs=inputs, age=runs.age[begins])
 
 
 def pieces(runs: FreeRuns, least: int) -> FreeRuns:
@@ -291,15 +280,15 @@ def pieces(runs: FreeRuns, least: int) -> FreeRuns:
 
     A piece begins at a reading and has at least ten of them; its first knot has no step.
     """
-    there = np.isfinite(runs.reading)
+    known = np.isfinite(runs.reading)
     bounds = [*np.flatnonzero(runs.first).tolist(), len(runs)]
     while len(bounds) - 1 < least:
-        sizes = np.add.reduceat(there, bounds[:-1])
+        sizes = np.add.reduceat(known, bounds[:-1])
         longest = int(np.argmax(sizes))
         if sizes[longest] < 20:
             break
         low, high = bounds[longest : longest + 2]
-        half = int(np.searchsorted(np.cumsum(there[low:high]), sizes[longest] // 2 + 1))
+        half = int(np.searchsorted(np.cumsum(known[low:high]), sizes[longest] // 2 + 1))
         bounds.insert(longest + 1, low + half)
     first = np.zeros(len(runs), dtype=bool)
     first[bounds[:-1]] = True

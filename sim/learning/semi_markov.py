@@ -16,7 +16,7 @@ from scipy.special import log_ndtr
 
 from sim.effects import signals_of
 from sim.engine import Tracker, compiled, next_location
-from sim.sha import SHA, UNKNOWN, Array, Distribution, Mask, Model, Stay, Trace
+from sim.sha import UNKNOWN, Array, Distribution, Mask, Model, Stay, Trace
 
 LEAST_ENDED = 12
 """Ended stays below which a location's sojourn law is exponential: two parameters are not to be had from so few."""
@@ -62,22 +62,15 @@ def sojourns(model: Model | Tracker, trace: Trace) -> tuple[Sojourn, ...]:
         lost = event.symbol == UNKNOWN
         if event.time > since:
             stays.append(Sojourn(here, since, event.time, None if lost else target, gap))
-            since, gap = event.time, lost
-        else:
-            stays = _folded(stays, since, None if lost else target)
-            gap = lost
-        here = target
+            since = event.time
+        elif stays and stays[-1].end == since:
+            # The plant moves on at the very instant at which the newest stay ended: that one leads to where the last
+            # of these moves ends. Unless it was cut off by an UNKNOWN: what is announced after that follows from it.
+            last = stays[-1]
+            stays[-1] = replace(last, to=None if lost or last.to is None else target)
+        here, gap = target, lost
     end = float(trace.times[-1])
     return (*stays, Sojourn(here, since, end, None, gap)) if end > since else tuple(stays)
-
-
-def _folded(stays: list[Sojourn], time: float, to: str | None) -> list[Sojourn]:
-    """The stays when the plant moves on at the instant at which the newest of them ended."""
-    if not stays or stays[-1].end != time:
-        return stays
-    last = stays[-1]
-    cut = last.to is None and to is not None
-    return [*stays[:-1], Sojourn(last.location, last.start, last.end, None if cut else to, last.gap)]
 
 
 def fit_law(lengths: Sequence[float], ended: Sequence[bool], typical: float) -> Distribution:
@@ -109,6 +102,8 @@ def _fit_weibull(times: Array, seen: Mask) -> tuple[Distribution, float]:
     logs, count = np.log(times), float(seen.sum())
     centre = float(logs[seen].mean())
 
+    # At a given shape the scale of greatest likelihood is known: scale^shape is the sum of all t^shape (cut off ones
+    # too) by the number of ended stays. Logarithms are taken about their mean, or t^20 would overflow.
     def scaled(shape: float) -> float:
         return float(np.log(np.exp(shape * (logs - centre)).sum() / count))
 
@@ -116,10 +111,10 @@ def _fit_weibull(times: Array, seen: Mask) -> tuple[Distribution, float]:
         shape = exp(float(point[0]))
         return count * (scaled(shape) - log(shape) + 1.0 + centre)
 
-    found = minimize(loss, [0.0], method="L-BFGS-B", bounds=[(log(0.2), log(20.0))])
-    shape = exp(float(found.x[0]))
+    search = minimize(loss, [0.0], method="L-BFGS-B", bounds=[(log(0.2), log(20.0))])
+    shape = exp(float(search.x[0]))
     scale = exp(centre + scaled(shape) / shape)
-    return Distribution("weibull", {"shape": shape, "scale": scale}), float(found.fun)
+    return Distribution("weibull", {"shape": shape, "scale": scale}), float(search.fun)
 
 
 def _fit_lognormal(times: Array, seen: Mask) -> tuple[Distribution, float]:
@@ -130,12 +125,13 @@ def _fit_lognormal(times: Array, seen: Mask) -> tuple[Distribution, float]:
     def loss(point: Array) -> float:
         mu, sigma = float(point[0]), exp(float(point[1]))
         density = 0.5 * ((done - mu) / sigma) ** 2 + log(sigma) + 0.5 * log(2.0 * np.pi) + done
+        # A stay that was cut off counts with its survival; log_ndtr keeps that finite however long it was.
         return float(density.sum() - log_ndtr(-(cut - mu) / sigma).sum())
 
     first = [float(done.mean()), log(min(max(float(done.std()), 0.05), 5.0))]
-    found = minimize(loss, first, method="L-BFGS-B", bounds=[(None, None), (log(0.05), log(5.0))])
-    law = Distribution("lognormal", {"mu": float(found.x[0]), "sigma": exp(float(found.x[1]))})
-    return law, float(found.fun)
+    search = minimize(loss, first, method="L-BFGS-B", bounds=[(None, None), (log(0.05), log(5.0))])
+    law = Distribution("lognormal", {"mu": float(search.x[0]), "sigma": exp(float(search.x[1]))})
+    return law, float(search.fun)
 
 
 def fit_stays(model: Model | Tracker, traces: Sequence[Trace]) -> dict[str, Stay]:
@@ -146,19 +142,26 @@ def fit_stays(model: Model | Tracker, traces: Sequence[Trace]) -> dict[str, Stay
     order. Raises ValueError when the model cannot be run or a trace has no rows.
     """
     tracker = compiled(model)
-    found: dict[str, list[tuple[Sojourn, Trace]]] = {}
-    for trace in traces:
-        for stay in sojourns(tracker, trace):
-            if not stay.gap:
-                found.setdefault(stay.location, []).append((stay, trace))
-    lengths = [stay.end - stay.start for stays in found.values() for stay, _ in stays]
-    ends = sum(stay.to is not None for stays in found.values() for stay, _ in stays)
+    by_location = _stays_by_location(tracker, traces)
+    lengths = [stay.end - stay.start for stays in by_location.values() for stay, _ in stays]
+    ends = sum(stay.to is not None for stays in by_location.values() for stay, _ in stays)
+    # Sums run over sorted values here and below: in floating point they would depend on the traces' order otherwise.
     typical = max(float(np.sum(np.sort(lengths))) / max(ends, 1), SHORTEST) if lengths else 1.0
     fitted = {}
-    for location in sorted(found):
-        to = _next(tracker.model.sha, location, [stay for stay, _ in found[location]], set(found))
-        if to:
-            stays = sorted(found[location], key=lambda item: (item[0].end - item[0].start, item[1].name, item[0].start))
+    for location in sorted(by_location):
+        stays = sorted(
+            by_location[location], key=lambda pair: (pair[0].end - pair[0].start, pair[1].name, pair[0].start)
+        )
+        counts = Counter(stay.to for stay, _ in stays if stay.to is not None)
+        possible = {
+            edge.target
+            for edge in tracker.model.sha.edges
+            if edge.source == location != edge.target and edge.symbol != UNKNOWN and edge.target in by_location
+        }
+        targets = sorted(possible | set(counts))
+        if targets:
+            total = sum(counts.values()) + PRIOR_MOVES * len(targets)
+            to = {target: (counts[target] + PRIOR_MOVES) / total for target in targets}
             law = fit_law([s.end - s.start for s, _ in stays], [s.to is not None for s, _ in stays], typical)
             fitted[location] = Stay(law, to, _inputs(tracker, location, stays))
     return fitted
@@ -170,28 +173,22 @@ def with_inputs(model: Model, traces: Sequence[Trace]) -> Model:
     For an automaton that reads more signals than before: an input of which the traces say nothing is kept.
     """
     tracker = compiled(model)
-    found: dict[str, list[tuple[Sojourn, Trace]]] = {}
-    for trace in traces:
-        for stay in sojourns(tracker, trace):
-            if not stay.gap:
-                found.setdefault(stay.location, []).append((stay, trace))
+    by_location = _stays_by_location(tracker, traces)
     stays = {
-        name: replace(stay, inputs={**stay.inputs, **_inputs(tracker, name, found.get(name, []))})
+        name: replace(stay, inputs={**stay.inputs, **_inputs(tracker, name, by_location.get(name, []))})
         for name, stay in model.semi_markov.items()
     }
     return replace(model, semi_markov=stays)
 
 
-def _next(sha: SHA, location: str, stays: Sequence[Sojourn], stayed: set[str]) -> Mapping[str, float]:
-    counts = Counter(stay.to for stay in stays if stay.to is not None)
-    possible = {
-        edge.target
-        for edge in sha.edges
-        if edge.source == location != edge.target and edge.symbol != UNKNOWN and edge.target in stayed
-    }
-    targets = sorted(possible | set(counts))
-    total = sum(counts.values()) + PRIOR_MOVES * len(targets)
-    return {target: (counts[target] + PRIOR_MOVES) / total for target in targets}
+def _stays_by_location(tracker: Tracker, traces: Sequence[Trace]) -> dict[str, list[tuple[Sojourn, Trace]]]:
+    """The stays of all traces, each with its trace; those that begin with an UNKNOWN are left out."""
+    by_location: dict[str, list[tuple[Sojourn, Trace]]] = {}
+    for trace in traces:
+        for stay in sojourns(tracker, trace):
+            if not stay.gap:
+                by_location.setdefault(stay.location, []).append((stay, trace))
+    return by_location
 
 
 def _inputs(
@@ -204,11 +201,12 @@ def _inputs(
     moments = {}
     own = [given.signal for given in tracker.modes[location].location.flow.inputs]
     for signal in dict.fromkeys([*own, *signals_of(tracker.model.sha, location)]):
+        # By the trace's identity: traces are compared by their arrays, and two may have one name.
         read: dict[int, tuple[Array, Array]] = {}
         for _, trace in stays:
             if signal in trace.signals and id(trace) not in read:
-                there = np.isfinite(trace.signals[signal])
-                read[id(trace)] = trace.times[there], trace.signals[signal][there]
+                finite = np.isfinite(trace.signals[signal])
+                read[id(trace)] = trace.times[finite], trace.signals[signal][finite]
         rows = [_average(*read[id(trace)], stay) for stay, trace in stays if id(trace) in read]
         known = np.array([row for row in rows if np.isfinite(row[0])])
         if len(known):
@@ -221,6 +219,7 @@ def _inputs(
 def _average(times: Array, values: Array, stay: Sojourn) -> tuple[float, float, float]:
     """(mean, variance, seconds) of readings over the stay, each one held until the next; NaN without readings."""
     first, last = np.searchsorted(times, [stay.start, stay.end], side="right")
+    # The reading before the stay's first one is held into it.
     rows = slice(max(int(first) - 1, 0), int(last))
     values, begins = values[rows], np.maximum(times[rows], stay.start)
     lasts = np.diff(begins, append=stay.end)

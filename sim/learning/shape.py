@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.learning.free_run import RATES, FitShape, FreeRunFit
-from sim.sha import SHA, Array, Distribution, Flow, Input, Location, distributions
+from sim.sha import SHA, Distribution, Flow, Input, Location, distributions
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +55,9 @@ def shape_of(
     targets = [location.name for location in chosen if location.flow.kind != "constant"]
     group_of_rate = {each.name: (rates or {}).get(each.name, each.name) for each in chosen if each.flow.kind in RATES}
     group_of_gain = {
-        (each.name, given.signal): ((gains or {}).get(each.name, each.name), given.signal)
+        (each.name, driver.signal): ((gains or {}).get(each.name, each.name), driver.signal)
         for each in chosen
-        for given in each.flow.inputs
+        for driver in each.flow.inputs
     }
     names = ParameterNames(
         tuple(dict.fromkeys(group_of_rate.values())), tuple(targets), tuple(dict.fromkeys(group_of_gain.values()))
@@ -65,36 +65,38 @@ def shape_of(
     unknown = [signal for _, signal in names.gains if signal not in signals]
     if unknown:
         raise ValueError(f"SHA {sha.name!r} is driven by {unknown[0]!r}, which is not among the inputs to be fitted")
-    gain, at = _gain_table(sha, group_of_gain, names, signals)
-    centre, spread = _beliefs(sha, names, prior)
+    # The table of gains: their numbers come after those of the targets, and -1 says that there is none.
+    gain = np.full((len(sha.locations), len(signals)), -1, dtype=np.intp)
+    reference = np.zeros(gain.shape)
+    for place, location in enumerate(sha.locations):
+        for driver in location.flow.inputs:
+            if (location.name, driver.signal) in group_of_gain:
+                number = signals.index(driver.signal)
+                group = group_of_gain[location.name, driver.signal]
+                gain[place, number] = len(names.targets) + names.gains.index(group)
+                reference[place, number] = driver.reference
+    # The priors: a target is a temperature unless the flow's m is a drift or a factor, and nothing is known of a
+    # gain's sign. A group's rate is 1/tau or tau, as the flow of its first location wants it.
+    laws = {"linear": (0.0, prior.drift), "logarithmic": (0.0, prior.factor)}
+    by_name = sha.by_name
+    priors = [laws.get(by_name[name].flow.kind, prior.temperature) for name in names.targets]
+    priors += [(0.0, prior.gain.get(signal, 1.0)) for _, signal in names.gains]
+    constant_of_group = {
+        group_of_rate[each.name]: RATES[each.flow.kind] for each in reversed(chosen) if each.flow.kind in RATES
+    }
+    taus = [prior.tau if constant_of_group[group] == "t0" else 1.0 / prior.tau for group in names.rates]
     shape = FitShape(
         kinds=tuple(each.flow.kind if each in chosen else "constant" for each in sha.locations),
         rate=_places(sha, group_of_rate, names.rates),
         target=_places(sha, {name: name for name in targets}, names.targets),
         gain=gain,
-        reference=at,
-        centre=centre,
-        spread=spread,
-        rate_centre=np.array([_rate_centre(sha, group_of_rate, group, prior) for group in names.rates]),
+        reference=reference,
+        centre=np.array([centre for centre, _ in priors]),
+        spread=np.array([spread for _, spread in priors]),
+        rate_centre=np.array([float(np.log(rate)) for rate in taus]),
         rate_spread=np.full(len(names.rates), prior.tau_spread),
     )
     return shape, names
-
-
-def _gain_table(
-    sha: SHA, groups: Mapping[tuple[str, str], tuple[str, str]], names: ParameterNames, signals: Sequence[str]
-) -> tuple[NDArray[np.intp], Array]:
-    """(L, q) the number of each input's gain among the linear parameters, -1 where it has none, and its reference."""
-    gain = np.full((len(sha.locations), len(signals)), -1, dtype=np.intp)
-    at = np.zeros(gain.shape)
-    for place, location in enumerate(sha.locations):
-        for given in location.flow.inputs:
-            if (location.name, given.signal) in groups:
-                number = signals.index(given.signal)
-                group = groups[location.name, given.signal]
-                gain[place, number] = len(names.targets) + names.gains.index(group)
-                at[place, number] = given.reference
-    return gain, at
 
 
 def _places(sha: SHA, groups: Mapping[str, str], order: Sequence[str]) -> NDArray[np.intp]:
@@ -102,43 +104,25 @@ def _places(sha: SHA, groups: Mapping[str, str], order: Sequence[str]) -> NDArra
     return np.array(known, dtype=np.intp)
 
 
-def _rate_centre(sha: SHA, groups: Mapping[str, str], group: str, prior: Prior) -> float:
-    kind = next(each.flow.kind for each in sha.locations if groups.get(each.name) == group)
-    return float(np.log(prior.tau if RATES[kind] == "t0" else 1.0 / prior.tau))
-
-
-def _beliefs(sha: SHA, names: ParameterNames, prior: Prior) -> tuple[Array, Array]:
-    laws = {"linear": (0.0, prior.drift), "logarithmic": (0.0, prior.factor)}
-    by_name = sha.by_name
-    pairs = [laws.get(by_name[name].flow.kind, prior.temperature) for name in names.targets]
-    pairs += [(0.0, prior.gain.get(signal, 1.0)) for _, signal in names.gains]
-    return np.array([centre for centre, _ in pairs]), np.array([spread for _, spread in pairs])
-
-
 def with_parameters(sha: SHA, shape: FitShape, fit: FreeRunFit) -> SHA:
     """`sha` with the fitted m (mean of each location's law), rates and gains; noise and sigma stay what they are."""
-    return replace(
-        sha,
-        locations=tuple(_fitted(location, place, shape, fit) for place, location in enumerate(sha.locations)),
-    )
-
-
-def _fitted(location: Location, place: int, shape: FitShape, fit: FreeRunFit) -> Location:
-    if shape.kinds[place] != location.flow.kind or shape.target[place] < 0:
-        return location
-    flow, params = location.flow, dict(location.flow.params)
-    if shape.rate[place] >= 0:
-        params[RATES[flow.kind]] = float(fit.rates[shape.rate[place]])
-    columns = [column for column in shape.gain[place] if column >= 0]
-    inputs = tuple(
-        Input(given.signal, float(fit.linear[column]), given.reference)
-        for given, column in zip(flow.inputs, columns, strict=True)
-    )
-    law = location.distribution
-    sigma = float(np.sqrt(distributions.variance(law))) if law is not None else 0.0
-    mean = float(fit.linear[shape.target[place]])
-    return replace(
-        location,
-        flow=Flow(flow.kind, params, inputs),
-        distribution=Distribution("normal", {"mu": mean, "sigma": sigma}),
-    )
+    locations: list[Location] = []
+    for place, location in enumerate(sha.locations):
+        # Places that are not free count as constant in the shape, whatever their own flow is.
+        if shape.kinds[place] != location.flow.kind or shape.target[place] < 0:
+            locations.append(location)
+            continue
+        flow, params = location.flow, dict(location.flow.params)
+        if shape.rate[place] >= 0:
+            params[RATES[flow.kind]] = float(fit.rates[shape.rate[place]])
+        columns = [column for column in shape.gain[place] if column >= 0]
+        inputs = tuple(
+            Input(driver.signal, float(fit.linear[column]), driver.reference)
+            for driver, column in zip(flow.inputs, columns, strict=True)
+        )
+        law = location.distribution
+        sigma = float(np.sqrt(distributions.variance(law))) if law is not None else 0.0
+        mean = float(fit.linear[shape.target[place]])
+        distribution = Distribution("normal", {"mu": mean, "sigma": sigma})
+        locations.append(replace(location, flow=Flow(flow.kind, params, inputs), distribution=distribution))
+    return replace(sha, locations=tuple(locations))

@@ -98,7 +98,8 @@ def _day(rng: np.random.Generator) -> list[_Stretch]:
                     _Stretch(float(rng.uniform(600, 1300)), running=True, load=load, pump=bool(rng.random() < 0.5))
                 )
         day.append(_Stretch(float(rng.uniform(3600, 5400)), running=False, load=0.0, pump=bool(rng.random() < 0.3)))
-    day.append(_Stretch(max(DAY - sum(one.seconds for one in day), 600.0), running=False, load=0.0, pump=False))
+    rest = max(DAY - sum(stretch.seconds for stretch in day), 600.0)
+    day.append(_Stretch(rest, running=False, load=0.0, pump=False))
     return day
 
 
@@ -106,11 +107,12 @@ def _rows(
     plant: CooledPlant, day: Sequence[_Stretch], bearing: float, period: float, rng: np.random.Generator
 ) -> tuple[Array, float]:
     """(n, signals) of one day, and the bearing's temperature at its end. Steps of `period`, exact in the losses."""
+    # Every draw comes from one generator: the order of the lines is part of what a seed means.
     count = int(DAY / period)
-    which = np.searchsorted(np.cumsum([one.seconds for one in day]), period * np.arange(count), side="right")
-    running = np.array([one.running for one in day], dtype=float)[which]
-    pump = np.array([one.pump for one in day], dtype=float)[which]
-    current = np.array([one.load for one in day])[which] + 9.0 * _wander(count, period / 90.0, rng)
+    which = np.searchsorted(np.cumsum([each.seconds for each in day]), period * np.arange(count), side="right")
+    running = np.array([each.running for each in day], dtype=float)[which]
+    pump = np.array([each.pump for each in day], dtype=float)[which]
+    current = np.array([each.load for each in day])[which] + 9.0 * _wander(count, period / 90.0, rng)
     current = np.where(running > 0, np.clip(current, 60.0, 340.0), 0.0)
     starts = np.cumsum(np.diff(running, prepend=0.0) > 0)
     friction = (1.0 + plant.cycle_scatter * rng.normal(size=int(starts[-1]) + 1))[starts]
@@ -125,31 +127,23 @@ def _rows(
         rate = plant.loss + cooling
         target = (heat[row] + plant.loss * plant.hall + cooling * plant.water) / rate
         bearing = target + (bearing - target) * float(np.exp(-rate * period))
-    return _readings(plant, running, pump=pump, current=current, temperature=temperature, rng=rng), bearing
 
-
-def _readings(
-    plant: CooledPlant, running: Array, *, pump: Array, current: Array, temperature: Array, rng: np.random.Generator
-) -> Array:
-    """The columns in the order of SIGNALS, with noise and the transmitters' steps."""
-    count = running.size
-
+    # What the transmitters make of it: noise, then their steps. The columns are in the order of SIGNALS.
     def noisy(values: Array, sigma: float, step: float) -> Array:
         return np.round(np.round((values + sigma * rng.normal(size=count)) / step) * step, 6)
 
     speed = running * (11.0 + 1.2 * _wander(count, 1 / 400.0, rng))
-    return np.column_stack(
-        [
-            running,
-            pump,
-            np.maximum(noisy(current, 0.6, 0.1), 0.0) * running,
-            np.maximum(noisy(running * (0.2 * current + 4.0 * _wander(count, 1 / 60.0, rng)), 0.2, 0.1), 0.0),
-            np.maximum(noisy(speed, 0.02, 0.01), 0.0),
-            np.maximum(noisy(0.3 + running * (2.2 + 0.4 * _wander(count, 1 / 250.0, rng)), 0.05, 0.01), 0.0),
-            noisy(temperature, plant.sensor_noise, 0.1),
-            noisy(plant.hall + 0.4 * _wander(count, 1 / 700.0, rng), 0.05, 0.1),
-        ]
-    )
+    readings = [
+        running,
+        pump,
+        np.maximum(noisy(current, 0.6, 0.1), 0.0) * running,
+        np.maximum(noisy(running * (0.2 * current + 4.0 * _wander(count, 1 / 60.0, rng)), 0.2, 0.1), 0.0),
+        np.maximum(noisy(speed, 0.02, 0.01), 0.0),
+        np.maximum(noisy(0.3 + running * (2.2 + 0.4 * _wander(count, 1 / 250.0, rng)), 0.05, 0.01), 0.0),
+        noisy(temperature, plant.sensor_noise, 0.1),
+        noisy(plant.hall + 0.4 * _wander(count, 1 / 700.0, rng), 0.05, 0.1),
+    ]
+    return np.column_stack(readings), bearing
 
 
 def _wander(count: int, share: float, rng: np.random.Generator) -> Array:

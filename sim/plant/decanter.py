@@ -150,6 +150,7 @@ def _mechanical_step(
     state.since_start += dt
     time_constant = plant.spin_up if phase.running else plant.coast_down
     state.speed += (float(phase.running) - state.speed) * -np.expm1(-dt / time_constant)
+    # sqrt(1 - keep^2) holds the standard deviation at `swing` whatever the step is.
     keep = exp(-dt / phase.memory)
     state.wander = keep * state.wander + phase.swing * sqrt(1 - keep**2) * rng.normal()
     keep = exp(-dt / plant.roughness_memory)
@@ -159,12 +160,6 @@ def _mechanical_step(
         inrush = plant.inrush * exp(-state.since_start / plant.inrush_decay)
         wanted = max(plant.idle_current, phase.load + state.wander) + inrush
     state.current += (wanted - state.current) * -np.expm1(-dt / (2.5 if phase.running else 0.4))
-
-
-def _sense(plant: DecanterPlant, state: _PlantState, dt: float) -> None:
-    keep = exp(-dt / plant.sensor_lag)
-    state.gearbox_sensor = state.gearbox + (state.gearbox_sensor - state.gearbox) * keep
-    state.feed_sensor = state.feed + (state.feed_sensor - state.feed) * keep
 
 
 def _reading(value: float, noise: float, step: float, rng: np.random.Generator) -> float:
@@ -202,14 +197,6 @@ def _row(
     ]
 
 
-def _sample_times(duration: float, period: float, jitter: float, rng: np.random.Generator) -> Array:
-    """Sampling instants (s from the start): the period with log-normal scatter, in milliseconds as a PLC stamps."""
-    count = int(duration / period * 1.5) + 10
-    steps = period * np.exp(jitter * rng.normal(size=count) - jitter**2 / 2)
-    times = np.round(np.concatenate([[0.0], np.cumsum(steps)]), 3)
-    return np.asarray(times[times <= duration])
-
-
 def _run(
     plant: DecanterPlant,
     weather: Weather,
@@ -235,7 +222,10 @@ def _run(
                 break
             _mechanical_step(plant, state, phase, dt, rng)
             _thermal_step(plant, state, hall, slurry if phase.pump and phase.running else None, dt)
-            _sense(plant, state, dt)
+            # The sensors follow the bearings with a lag: exact for bearings that stand still during the step.
+            keep = exp(-dt / plant.sensor_lag)
+            state.gearbox_sensor = state.gearbox + (state.gearbox_sensor - state.gearbox) * keep
+            state.feed_sensor = state.feed + (state.feed_sensor - state.feed) * keep
             now += dt
         rows[index] = _row(plant, state, phase=phase, hall=hall, slurry=slurry, rng=rng)
     return rows
@@ -264,7 +254,11 @@ def simulate_decanter(
         raise ValueError("a decanter needs at least one phase, a positive period and a positive step")
     plant, weather = plant or DecanterPlant(), weather or Weather()
     rng = np.random.default_rng(seed)
-    times = _sample_times(sum(phase.seconds for phase in phases), period, jitter, rng)
+    # Sampling instants: the period with log-normal scatter of mean 1, in milliseconds as a PLC stamps them.
+    duration = sum(phase.seconds for phase in phases)
+    steps = period * np.exp(jitter * rng.normal(size=int(duration / period * 1.5) + 10) - jitter**2 / 2)
+    times = np.round(np.concatenate([[0.0], np.cumsum(steps)]), 3)
+    times = times[times <= duration]
     hall = weather.ambient(start % 86400)
     warm = hall if bearing is None else bearing
     state = _PlantState(

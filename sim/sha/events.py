@@ -303,14 +303,15 @@ class Encoder:
 
     def _deadlines(self) -> list[tuple[float, bool, int]]:
         """What time alone will do, as (when, whether knowledge is lost then, channel)."""
-        found = []
+        deadlines = []
         for index, channel in enumerate(self._channels):
             if self._seen[index] is None or self._row is None:
                 continue
-            found.append(((self._row if channel.on_change else self._read[index]) + self._gap, True, index))
+            deadlines.append(((self._row if channel.on_change else self._read[index]) + self._gap, True, index))
+            # A channel that is read all the time is confirmed by a reading, one that is sent on change by time alone.
             if channel.on_change and self._seen[index] != self._announced[index]:
-                found.append((self._since[index] + self._debounce, False, index))
-        return found
+                deadlines.append((self._since[index] + self._debounce, False, index))
+        return deadlines
 
     def _advance(self, time: float) -> list[Event]:
         # One deadline's group at a time, earliest first, because each may move the others: a channel that is lost has
@@ -350,7 +351,11 @@ def encode(trace: Trace, alphabet: Alphabet, mode: Mode = "filtered") -> tuple[E
     encoder = Encoder(alphabet, mode)
     if not trace.times.size:
         return ()
-    columns = [_column(trace, _levels(channel)) for channel in alphabet.channels]
+    columns: list[_Column] = []
+    for channel in map(_levels, alphabet.channels):
+        values = trace.signals.get(channel.signal, np.full(trace.times.shape, np.nan))
+        bad = trace.bad.get(channel.signal, np.zeros(trace.times.shape, dtype=bool)) | np.isinf(values)
+        columns.append(_Column(channel, bad | ~np.isnan(values), np.where(bad, np.nan, values)))
     rows = _rows_that_matter(trace.times, columns, alphabet)
     stamps = trace.times[rows].tolist()
     readings = [(c.channel.signal, c.has_reading[rows].tolist(), c.values[rows].tolist()) for c in columns]
@@ -362,7 +367,7 @@ def encode(trace: Trace, alphabet: Alphabet, mode: Mode = "filtered") -> tuple[E
             symbol = encoder.pass_over(float(trace.times[row - 1]), reads[position])
             if mode == "full":
                 events += [Event(time, symbol) for time in trace.times[previous + 1 : row].tolist()]
-        fresh = {signal: values[position] for signal, there, values in readings if there[position]}
+        fresh = {signal: values[position] for signal, read, values in readings if read[position]}
         events += encoder.feed(stamps[position], fresh)
         previous = row
     return tuple(events)
@@ -375,12 +380,6 @@ class _Column:
     channel: _Levels
     has_reading: Mask
     values: Array
-
-
-def _column(trace: Trace, channel: _Levels) -> _Column:
-    values = trace.signals.get(channel.signal, np.full(trace.times.shape, np.nan))
-    bad = trace.bad.get(channel.signal, np.zeros(trace.times.shape, dtype=bool)) | np.isinf(values)
-    return _Column(channel, bad | ~np.isnan(values), np.where(bad, np.nan, values))
 
 
 def _read_before(column: _Column, times: Array, rows: NDArray[np.intp]) -> list[float | None]:

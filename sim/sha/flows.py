@@ -134,10 +134,10 @@ def check_flow(flow: Flow) -> None:
             raise ValueError(f"flow {flow.kind!r}: {name} must be {right}, got {value}")
     if bool(flow.inputs) != (flow.kind == "driven"):
         raise ValueError("a driven flow needs inputs, every other kind takes none")
-    for given in flow.inputs:
-        if not isfinite(given.gain) or not isfinite(given.reference):
+    for driver in flow.inputs:
+        if not isfinite(driver.gain) or not isfinite(driver.reference):
             raise ValueError(
-                f"input {given.signal!r}: gain {given.gain} and reference {given.reference} must be finite"
+                f"input {driver.signal!r}: gain {driver.gain} and reference {driver.reference} must be finite"
             )
 
 
@@ -177,6 +177,6 @@ def free_distance(flow: Flow, max_rate: float) -> float:
 def offset(flow: Flow, signals: Mapping[str, ArrayLike]) -> Array:
     """What the flow's inputs add to its target (degC): sum of gain * (signal - reference); 0.0 without inputs."""
     total = np.asarray(0.0)
-    for given in flow.inputs:
-        total = total + given.gain * (np.asarray(signals[given.signal], dtype=float) - given.reference)
+    for driver in flow.inputs:
+        total = total + driver.gain * (np.asarray(signals[driver.signal], dtype=float) - driver.reference)
     return total

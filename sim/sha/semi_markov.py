@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sim.sha.automaton import Distribution
 from sim.sha.distributions import check_distribution, draw, draw_remaining
-from sim.sha.model import Model, Stay
+from sim.sha.model import Model
 from sim.sha.trace import Array
 
 Indices = NDArray[np.intp]
@@ -60,25 +60,24 @@ def compile_chain(model: Model) -> Chain:
         raise ValueError(f"model {model.sha.name!r}: the stay of {unknown[0]!r} belongs to no location")
     laws: list[Distribution | None] = []
     chances = np.eye(len(names))
-    for row, name in enumerate(names):
+    for number, name in enumerate(names):
         stay = model.semi_markov.get(name)
-        laws.append(stay.law if stay is not None and stay.to else None)
-        if stay is not None and stay.to:
-            chances[row] = _chances(name, stay, names)
+        if stay is None or not stay.to:
+            laws.append(None)
+            continue
+        laws.append(stay.law)
+        check_distribution(stay.law)
+        strange = sorted(set(stay.to) - set(names))
+        if strange:
+            raise ValueError(f"the stay of location {name!r} leads to {strange[0]!r}, which is not a location")
+        row = np.array([stay.to.get(other, 0.0) for other in names])
+        if np.any(row < 0) or not abs(float(row.sum()) - 1.0) < 1e-6:
+            raise ValueError(f"location {name!r}: the probabilities of the next location sum to {row.sum()}, not 1")
+        chances[number] = row / row.sum()
     cumulative = np.cumsum(chances, axis=1)
+    # A sum of probabilities may end just below 1, and a number drawn above it would lead past the last location.
     cumulative[:, -1] = np.inf
     return Chain(names, tuple(laws), cumulative)
-
-
-def _chances(name: str, stay: Stay, names: tuple[str, ...]) -> Array:
-    check_distribution(stay.law)
-    strange = sorted(set(stay.to) - set(names))
-    if strange:
-        raise ValueError(f"the stay of location {name!r} leads to {strange[0]!r}, which is not a location")
-    row = np.array([stay.to.get(other, 0.0) for other in names])
-    if np.any(row < 0) or not abs(float(row.sum()) - 1.0) < 1e-6:
-        raise ValueError(f"location {name!r}: the probabilities of the next location sum to {row.sum()}, not 1")
-    return np.asarray(row / row.sum())
 
 
 def draw_paths(
@@ -87,12 +86,23 @@ def draw_paths(
     """`runs` independent paths over `horizon` seconds from `location`, in which `age` seconds have passed."""
     law = chain.laws[location]
     left = np.full(runs, np.inf) if law is None else draw_remaining(law, age, runs, rng)
-    places = [np.full((1, runs), location, dtype=np.intp)]
+    places: list[Indices] = [np.full((1, runs), location, dtype=np.intp)]
     clocks = [np.zeros((1, runs))]
     count = 1
+    # Stays are drawn in blocks, because a jump of all runs costs the same whether few of them need it or all: first
+    # where the next _BLOCK jumps of the embedded chain lead, then how long each stay lasts, location by location.
     while count < MOST_STAYS and np.any(left < horizon):
-        block = _next_locations(chain, places[-1][-1], rng)
-        begins = left + np.cumsum(np.vstack([np.zeros(runs), _sojourns(chain, block, rng)]), axis=0)
+        here, u = places[-1][-1], rng.random((_BLOCK, runs))
+        block = np.empty(u.shape, dtype=np.intp)
+        for row in range(_BLOCK):
+            here = (u[row][:, None] >= chain.cumulative[here]).sum(axis=1)
+            block[row] = here
+        lasts = np.full(block.shape, np.inf)
+        for index, next_law in enumerate(chain.laws):
+            if next_law is not None:
+                chosen = block == index
+                lasts[chosen] = draw(next_law, int(chosen.sum()), rng)
+        begins = left + np.cumsum(np.vstack([np.zeros(runs), lasts]), axis=0)
         places.append(block)
         clocks.append(begins[:-1])
         left = begins[-1]
@@ -101,25 +111,6 @@ def draw_paths(
     entered[entered >= horizon] = np.inf
     needed = int((entered < np.inf).sum(axis=0).max())
     return Paths(np.concatenate(places)[:needed], entered[:needed], age, int((left < horizon).sum()))
-
-
-def _next_locations(chain: Chain, here: Indices, rng: np.random.Generator) -> Indices:
-    """(_BLOCK, N) the embedded chain's next locations."""
-    u = rng.random((_BLOCK, here.size))
-    block = np.empty(u.shape, dtype=np.intp)
-    for row in range(_BLOCK):
-        here = (u[row][:, None] >= chain.cumulative[here]).sum(axis=1)
-        block[row] = here
-    return block
-
-
-def _sojourns(chain: Chain, location: Indices, rng: np.random.Generator) -> Array:
-    lasts = np.full(location.shape, np.inf)
-    for index, law in enumerate(chain.laws):
-        if law is not None:
-            there = location == index
-            lasts[there] = draw(law, int(there.sum()), rng)
-    return lasts
 
 
 def known_paths(stays: Sequence[tuple[float, int]], age: float, runs: int) -> Paths:
@@ -140,9 +131,9 @@ def input_moments(model: Model, held: Mapping[str, float]) -> Array:
     for row, location in enumerate(model.sha.locations):
         stay = model.semi_markov.get(location.name)
         learned = stay.inputs if stay is not None else {}
-        for given in location.flow.inputs:
-            mean, sigma = learned.get(given.signal, (held.get(given.signal, given.reference), 0.0))
-            moments[row, 0] += given.gain * (mean - given.reference)
-            moments[row, 1] += (given.gain * sigma) ** 2
+        for driver in location.flow.inputs:
+            mean, sigma = learned.get(driver.signal, (held.get(driver.signal, driver.reference), 0.0))
+            moments[row, 0] += driver.gain * (mean - driver.reference)
+            moments[row, 1] += (driver.gain * sigma) ** 2
     moments[:, 1] = np.sqrt(moments[:, 1])
     return moments

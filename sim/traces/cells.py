@@ -39,19 +39,14 @@ def _number(cell: str, decimal: Decimal) -> float:
         return np.nan
 
 
-def _decimal_of(cells: Sequence[str], decimal: Decimal) -> Decimal:
-    """`auto`: a comma can only be inside a cell as a decimal comma, unless points show that it groups thousands."""
-    if decimal != "auto":
-        return decimal
-    return "," if any("," in cell for cell in cells) and not any("." in cell for cell in cells) else "."
-
-
 def numbers(cells: Sequence[str], decimal: Decimal = "auto") -> tuple[Array, Mask]:
     """Values (NaN where there is none) and a mask of the cells that hold something, but no finite number."""
     plain = _plain_floats(cells)
     if plain is not None:
         return plain, np.zeros(plain.shape, dtype=bool)
-    decimal = _decimal_of(cells, decimal)
+    if decimal == "auto":
+        # A comma can only be inside a cell as a decimal comma, unless points show that it groups thousands.
+        decimal = "," if any("," in cell for cell in cells) and not any("." in cell for cell in cells) else "."
     stripped = [cell.strip() for cell in cells]
     values = np.array([_number(cell, decimal) if cell else np.nan for cell in stripped], dtype=float)
     values[np.isinf(values)] = np.nan
@@ -67,6 +62,7 @@ def _boolean(cell: str) -> float:
 
 def booleans(cells: Sequence[str]) -> tuple[Array, Mask]:
     """As `numbers`, for two-valued signals: 0.0 and 1.0 from True, 1, VERO, on, yes, si ... and their opposites."""
+    # A two-valued column has few different cells, however many rows.
     table = {cell: _boolean(cell.strip()) for cell in set(cells)}
     values = np.array([table[cell] for cell in cells], dtype=float)
     return values, np.isnan(values) & np.array([bool(cell.strip()) for cell in cells], dtype=bool)

@@ -82,18 +82,14 @@ def to_utc(seconds: Array, local: Mask, timezone: str) -> Array:
     naive = pd.DatetimeIndex(np.round(seconds[local] * 1e6).astype("datetime64[us]"))
     ambiguous = naive.tz_localize(timezone, ambiguous="NaT", nonexistent="shift_forward").isna()
     summer = np.ones(naive.shape, dtype=bool)
-    for start, end in _stretches(np.asarray(ambiguous)):
+    # Each run of ambiguous rows is an autumn night of its own.
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], np.asarray(ambiguous), [False])).astype(np.int8)))
+    for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         summer[start:end] = np.cumsum(np.diff(seconds[local][start:end], prepend=-np.inf) < -1800.0) == 0
     utc = naive.tz_localize(timezone, ambiguous=summer, nonexistent="NaT").tz_convert("UTC")
     result = seconds.copy()
     result[local] = _seconds(utc)
     return result
-
-
-def _stretches(mask: Mask) -> list[tuple[int, int]]:
-    """Start and end of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def unroll_midnight(seconds: Array) -> Array:
@@ -110,6 +106,8 @@ def longest_rising(times: Array) -> Mask:
     """A mask that keeps as many rows as can be kept so that the clock never goes back (patience sorting)."""
     if not np.any(np.diff(times) < 0):
         return np.ones(times.shape, dtype=bool)
+    # tails[n] is the earliest time at which a rising row of n + 1 rows can end, ends[n] that row, and before[row] the
+    # row that stands before it there: followed backwards from the longest one, these are the rows to keep.
     tails: list[float] = []
     ends: list[int] = []
     before = np.full(times.shape, -1)

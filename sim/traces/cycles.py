@@ -25,7 +25,12 @@ def split_cycles(trace: Trace, alphabet: Alphabet = DECANTER, gap: float = inf, 
         raise ValueError("the alphabet has no switch: nothing says when a cycle begins")
     if not trace.times.size:
         return []
-    starts = _starts(trace, switch)
+    starts, last = list[float](), ""
+    for event in trace.events:
+        if event.symbol == switch.rising and last != switch.rising:
+            starts.append(event.time)
+        if event.symbol in (switch.rising, switch.falling):
+            last = event.symbol
     after = (np.flatnonzero(np.diff(trace.times) > gap) + 1).tolist()
     breaks = [float(trace.times[row]) for row in after]
     cuts = sorted({*starts, *breaks, *([float(trace.times[0])] if lead else [])})
@@ -33,7 +38,12 @@ def split_cycles(trace: Trace, alphabet: Alphabet = DECANTER, gap: float = inf, 
         cuts = [cut for cut in cuts if starts and cut >= starts[0]]
     times = [event.time for event in trace.events]
     bounds = [*(bisect_left(times, cut) for cut in cuts), len(times)]
-    channels = _channels(alphabet)
+    channels = {
+        symbol: place
+        for place, channel in enumerate(alphabet.channels)
+        for symbol in ((channel.rising, channel.falling) if isinstance(channel, Switch) else channel.symbols)
+    }
+    # What was said before the first cut still holds at it: a level that never changed is announced in the first cycle.
     known: dict[int, str] = {}
     _learn(known, trace.events[: bounds[0]], channels)
     silent, pieces = replace(trace, events=()), []
@@ -44,25 +54,6 @@ def split_cycles(trace: Trace, alphabet: Alphabet = DECANTER, gap: float = inf, 
         pieces.append(replace(piece, name=name, events=_announced(start, known, own, channels)))
         _learn(known, own, channels)
     return pieces
-
-
-def _starts(trace: Trace, switch: Switch) -> list[float]:
-    starts, last = [], ""
-    for event in trace.events:
-        if event.symbol == switch.rising and last != switch.rising:
-            starts.append(event.time)
-        if event.symbol in (switch.rising, switch.falling):
-            last = event.symbol
-    return starts
-
-
-def _channels(alphabet: Alphabet) -> dict[str, int]:
-    """The place in the alphabet of each symbol's channel."""
-    return {
-        symbol: place
-        for place, channel in enumerate(alphabet.channels)
-        for symbol in ((channel.rising, channel.falling) if isinstance(channel, Switch) else channel.symbols)
-    }
 
 
 def _learn(known: dict[int, str], events: Sequence[Event], channels: Mapping[str, int]) -> None:

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 
 DETAILS = 20
@@ -23,10 +24,6 @@ class RefusedRow:
 
     line: int
     reason: str
-
-
-def _line(refused: RefusedRow) -> int:
-    return refused.line
 
 
 @dataclass(slots=True)
@@ -88,7 +85,8 @@ class FileReport:
         ]
         lines = [", ".join([head, *parts])]
         lines += [f"{self.path}: {count} x {reason}" for reason, count in self.reasons.most_common()]
-        lines += [f"{self.path}: line {one.line}: {one.reason}" for one in sorted(self.details, key=_line)]
+        details = sorted(self.details, key=attrgetter("line"))
+        lines += [f"{self.path}: line {refused.line}: {refused.reason}" for refused in details]
         return lines + [f"{self.path}: {note}" for note in self.notes]
 
 
@@ -124,14 +122,17 @@ class LoadReport:
 
     def as_table(self) -> list[dict[str, object]]:
         """The report as plain values for JSON."""
-        return [_plain(file) for file in self.files]
-
-
-def _plain(file: FileReport) -> dict[str, object]:
-    counts = {name: getattr(file, name) for name in ("rows", "used", "aside", "refused", "merged", "bad_cells")}
-    details = [{"line": one.line, "reason": one.reason} for one in file.details]
-    texts = {"reasons": dict(file.reasons), "details": details, "notes": list(file.notes), "error": file.error}
-    return {"file": str(file.path), **counts, **texts}
+        return [
+            {
+                "file": str(file.path),
+                **{name: getattr(file, name) for name in ("rows", "used", "aside", "refused", "merged", "bad_cells")},
+                "reasons": dict(file.reasons),
+                "details": [{"line": refused.line, "reason": refused.reason} for refused in file.details],
+                "notes": list(file.notes),
+                "error": file.error,
+            }
+            for file in self.files
+        ]
 
 
 def listed(names: Iterable[str], limit: int = 30) -> str:

@@ -107,7 +107,7 @@ def _count_faults(report: FileReport, lines: Sequence[int], cells: Sequence[str]
     return bad
 
 
-def _wide_places(layout: TextLayout, column_map: ColumnMap, report: FileReport) -> dict[str, tuple[int, SignalColumn]]:
+def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: FileReport) -> FileReadings:
     places: dict[str, tuple[int, SignalColumn]] = {}
     for name, signal in column_map.signals.items():
         place = place_of(layout.header, column_map.names_of(name))
@@ -124,11 +124,6 @@ def _wide_places(layout: TextLayout, column_map: ColumnMap, report: FileReport) 
     for name, count in Counter(layout.header).items():
         if count > 1:
             report.notes.append(f"there are {count} columns {name!r}; the first is taken")
-    return places
-
-
-def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: FileReport) -> FileReadings:
-    places = _wide_places(layout, column_map, report)
     values: dict[str, list[Array]] = {name: [] for name in places}
     bad: dict[str, list[Mask]] = {name: [] for name in places}
     clock: list[tuple[list[int], Array, Mask]] = []
@@ -142,6 +137,7 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
     series = {}
     for name in places if clock else ():
         column, fault = np.concatenate(values[name]), np.concatenate(bad[name])
+        # An empty cell is no reading; one that holds something unusable is a reading of bad quality.
         present = np.flatnonzero(fault | ~np.isnan(column))
         series[name] = Series(present, column[present], fault[present])
     return _finished(clock, series, layout, column_map, report)
@@ -206,8 +202,8 @@ def _finished(
     mentioned = np.ones(times.shape, dtype=bool)
     if column_map.format == "long":
         mentioned[:] = False
-        for one in series.values():
-            mentioned[one.rows] = True
+        for column in series.values():
+            mentioned[column.rows] = True
     never = np.isnan(times)
     report.refuse(lines[never & mentioned].tolist(), f"its local time never was in {column_map.clock.timezone}")
     everything = FileReadings(times, lines, np.zeros_like(lines), series, layout.comments)
@@ -219,11 +215,12 @@ def select(readings: FileReadings, order: Rows) -> FileReadings:
     place = np.full(readings.times.shape, -1, dtype=np.intp)
     place[order] = np.arange(order.size)
     series = {}
-    for name, one in readings.series.items():
-        rows = place[one.rows]
+    for name, column in readings.series.items():
+        rows = place[column.rows]
         kept = np.flatnonzero(rows >= 0)
+        # Stable: readings of one row keep the order of the file, as the last of them is the one that counts.
         kept = kept[np.argsort(rows[kept], kind="stable")]
-        series[name] = Series(rows[kept], one.values[kept], one.bad[kept])
+        series[name] = Series(rows[kept], column.values[kept], column.bad[kept])
     return FileReadings(readings.times[order], readings.lines[order], readings.files[order], series, readings.comments)
 
 
@@ -232,8 +229,8 @@ def joined(parts: Sequence[FileReadings]) -> FileReadings:
     starts = np.cumsum([0, *(part.times.size for part in parts)])
     pieces: dict[str, list[Series]] = {}
     for part, start in zip(parts, starts.tolist(), strict=False):
-        for name, one in part.series.items():
-            pieces.setdefault(name, []).append(Series(one.rows + start, one.values, one.bad))
+        for name, column in part.series.items():
+            pieces.setdefault(name, []).append(Series(column.rows + start, column.values, column.bad))
     return FileReadings(
         np.concatenate([part.times for part in parts]),
         np.concatenate([part.lines for part in parts]),

@@ -71,11 +71,17 @@ def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], repo
             f"{path}: there is nothing in it but comments and blank lines; give a file with a header and rows"
         )
     # The map's own separator first; of the others any under which the header's names fit.
-    given = SEPARATORS.get(column_map.separator)
-    marks = sorted(SEPARATORS.values(), key=lambda mark: mark != given)
+    own = SEPARATORS.get(column_map.separator)
+    marks = sorted(SEPARATORS.values(), key=lambda mark: mark != own)
     headers = {mark: _header(lines[first : first + MOST_LINES], mark) for mark in marks}
     fits = [mark for mark, (names, _) in headers.items() if all(place_of(names, group) is not None for group in needed)]
-    bare = [mark for mark, (cells, _) in headers.items() if _is_bare_row(cells, column_map)]
+    # Without a header: only where the map names the columns and the first line has one number for each.
+    bare: list[str] = []
+    for mark, (cells, _) in headers.items():
+        if cells and len(cells) == len(column_map.columns):
+            values, _ = numbers(cells, column_map.decimal)
+            if (values == values).all():
+                bare.append(mark)
     if fits:
         separator, (header, span) = fits[0], headers[fits[0]]
         skip = first + span
@@ -83,7 +89,7 @@ def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], repo
         separator, header, skip = bare[0], column_map.columns, first
     else:
         raise TraceError(_no_header(path, first + 1, [names for names, _ in headers.values()], needed, column_map))
-    if given is not None and separator != given:
+    if own is not None and separator != own:
         report.notes.append(f"its separator is {separator!r}, not {column_map.separator!r} as the map says")
     if not fits:
         report.notes.append(f"it has no header; its columns are taken for {listed(column_map.columns)}")
@@ -91,11 +97,14 @@ def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], repo
 
 
 def _decode(path: Path, head: bytes, encoding: str, report: FileReport) -> tuple[str, str]:
+    """(encoding, text of the head). A byte order mark says more than the map; raises TraceError for what is no text."""
     bom = next((name for mark, name in _BOMS if head.startswith(mark)), None)
     chosen = bom or (encoding if encoding != "auto" else "utf-8")
     try:
+        # Incrementally: the head may end in the middle of a character, which is no fault.
         text = codecs.getincrementaldecoder(chosen)("strict").decode(head, False)
     except UnicodeDecodeError:
+        # cp1252 has a character for nearly every byte: umlauts and degree signs of old Windows files come out right.
         chosen = "cp1252" if encoding == "auto" and bom is None else chosen
         text = head.decode(chosen, "replace")
         report.notes.append(f"it is not clean {encoding if bom is None else bom} text; read as {chosen}")
@@ -115,14 +124,6 @@ def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]
     while names and not names[-1]:
         names.pop()
     return tuple(names), reader.line_num
-
-
-def _is_bare_row(cells: Sequence[str], column_map: ColumnMap) -> bool:
-    """Safe only where the map names the columns and the first line has one number for each."""
-    if not cells or len(cells) != len(column_map.columns):
-        return False
-    values, _ = numbers(cells, column_map.decimal)
-    return bool((values == values).all())
 
 
 def _no_header(

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.sha import Array, Mask, Trace
+from sim.sha import Trace
 from sim.traces.traces import SYNTHETIC
 
 
@@ -18,18 +18,17 @@ def write_trace(trace: Trace, path: str | Path) -> None:
     for name in trace.signals:
         if not name or name == "time" or name != name.strip() or any(mark in name for mark in ',"\n\r#'):
             raise ValueError(f"trace {trace.name!r}: {name!r} cannot be a column's name; rename the signal")
-    columns = [_texts(values, trace.bad.get(name)) for name, values in trace.signals.items()]
+    columns: list[list[str]] = []
+    for name, values in trace.signals.items():
+        # repr is the shortest text from which the same double is read again.
+        cells = ["" if value != value else repr(value) for value in values.tolist()]
+        for row in np.flatnonzero(trace.bad[name]).tolist() if name in trace.bad else ():
+            cells[row] = "nan"
+        columns.append(cells)
     rows = zip(map(repr, trace.times.tolist()), *columns, strict=True)
     with Path(path).open("w", encoding="utf-8", newline="\n") as stream:
         stream.write(f"# origin: {' '.join((trace.origin or trace.name).split())}\n")
         if trace.synthetic:
             stream.write(f"# {SYNTHETIC}: not measured on a plant\n")
         stream.write(",".join(["time", *trace.signals]) + "\n")
-        stream.writelines(",".join(cells) + "\n" for cells in rows)
-
-
-def _texts(values: Array, bad: Mask | None) -> list[str]:
-    texts = ["" if value != value else repr(value) for value in values.tolist()]
-    for row in np.flatnonzero(bad).tolist() if bad is not None else ():
-        texts[row] = "nan"
-    return texts
+        stream.writelines(",".join(row_of_cells) + "\n" for row_of_cells in rows)

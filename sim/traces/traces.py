@@ -9,7 +9,7 @@ import numpy as np
 
 from sim.sha import Array, Mask, Trace, encode
 from sim.traces.clock import longest_rising, unroll_midnight
-from sim.traces.column_map import ColumnMap, Derived
+from sim.traces.column_map import ColumnMap
 from sim.traces.load_report import FileReport, LoadReport, TraceError
 from sim.traces.readings import FileReadings, Rows, Series, joined, read_file, select
 
@@ -39,34 +39,34 @@ def load_traces(source: Source, column_map: ColumnMap) -> tuple[list[Trace], Loa
             continue
         name = _name(group, taken)
         taken.add(name)
-        traces += [replace(one, name=f"{name}-{n}" if n > 1 else name) for n, one in enumerate(loaded, 1)]
+        traces += [replace(trace, name=f"{name}-{n}" if n > 1 else name) for n, trace in enumerate(loaded, 1)]
     report = LoadReport(tuple(reports))
     if not traces:
-        asked = source if isinstance(source, str | Path) else ", ".join(map(str, source))
-        errors = report.errors or (f"{asked}: there is no CSV file there; give a file, a folder or a pattern",)
+        where = source if isinstance(source, str | Path) else ", ".join(map(str, source))
+        errors = report.errors or (f"{where}: there is no CSV file there; give a file, a folder or a pattern",)
         more = f" (and {len(errors) - 1} more files like it)" if len(errors) > 1 else ""
         raise TraceError(errors[0] + more, report)
     return traces, report
 
 
 def _files(source: Source, column_map: ColumnMap) -> list[Path]:
-    given = [source] if isinstance(source, str | Path) else list(source)
-    found = [path for one in given for path in _expanded(Path(one).expanduser(), column_map.parts)]
-    return list(dict.fromkeys(found))
-
-
-def _expanded(path: Path, parts: str) -> list[Path]:
-    if path.is_dir():
-        return _csv_files(path.iterdir(), parts) or _csv_files(path.rglob("*"), parts)
-    if not path.exists() and any(mark in str(path) for mark in "*?["):
-        anchor = Path(path.anchor)
-        return sorted(one for one in anchor.glob(str(path.relative_to(anchor))) if one.is_file())
-    return [path]
+    files: list[Path] = []
+    for path in (Path(each).expanduser() for each in ([source] if isinstance(source, str | Path) else source)):
+        if path.is_dir():
+            files += _csv_files(path.iterdir(), column_map.parts) or _csv_files(path.rglob("*"), column_map.parts)
+        elif not path.exists() and any(mark in str(path) for mark in "*?["):
+            # A file may have such a mark in its name: only what is not there is a pattern.
+            anchor = Path(path.anchor)
+            files += sorted(match for match in anchor.glob(str(path.relative_to(anchor))) if match.is_file())
+        else:
+            files.append(path)
+    # A file that is named twice, or by its folder too, is one trace and not two.
+    return list(dict.fromkeys(files))
 
 
 def _csv_files(paths: Iterable[Path], parts: str) -> list[Path]:
-    files = [one for one in paths if one.suffix.lower() == ".csv" and one.is_file() and not one.name.startswith(".")]
-    return sorted([one for one in files if parts and fnmatch.fnmatch(one.name, parts)] or files)
+    files = [path for path in paths if path.suffix.lower() == ".csv" and path.is_file() and path.name[:1] != "."]
+    return sorted([path for path in files if parts and fnmatch.fnmatch(path.name, parts)] or files)
 
 
 def _groups(files: Sequence[Path], column_map: ColumnMap) -> list[list[Path]]:
@@ -105,37 +105,31 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
     readings = joined(parts)
     if column_map.clock.time_of_day is not None:
         readings = replace(readings, times=unroll_midnight(readings.times))
-    origin = _comment_value(readings.comments, "origin:") or _origin([file.path for file in used])
+    first, count = used[0].path, len(used)
+    own = str(first) if count == 1 else f"{first.parent} ({count} files)"
+    # What `write_trace` wrote at a file's head: a trace that goes through our own CSV keeps where it came from.
+    noted = next((c.removeprefix("origin:").strip() for c in readings.comments if c.startswith("origin:")), "")
     synthetic = column_map.synthetic or any(comment.startswith(SYNTHETIC) for comment in readings.comments)
-    traces = []
+    traces, name = list[Trace](), column_map.temperature
     for piece in _in_order(readings, column_map, used):
-        if not _has_temperature(piece, column_map, used):
+        if name not in column_map.derived and (name not in piece.series or piece.series[name].bad.all()):
+            for index, file in enumerate(used):
+                lines = piece.lines[piece.files == index]
+                file.refuse(lines.tolist(), f"there is no reading of {name} in its part of the trace")
             continue
-        trace = Trace(used[0].path.stem, *_merged(piece, column_map, used), origin=origin, synthetic=synthetic)
+        trace = Trace(first.stem, *_merged(piece, column_map, used), origin=noted or own, synthetic=synthetic)
         traces.append(_completed(trace, column_map))
     if not traces:
-        raise TraceError(f"{used[0].path}: there is no reading of {column_map.temperature} in it that can be used")
-    _note(used, traces, column_map)
+        raise TraceError(f"{first}: there is no reading of {name} in it that can be used")
+    # What a reader of the report should know beyond refused rows.
+    gap = column_map.alphabet.gap
+    gaps = sum(int((np.diff(trace.times) > gap).sum()) for trace in traces)
+    if gaps:
+        used[0].notes.append(f"{gaps} gaps of more than {gap:g} s are left open")
+    lacking = [channel.signal for channel in column_map.alphabet.channels if channel.signal not in traces[0].signals]
+    if lacking:
+        used[0].notes.append(f"no signal {', '.join(lacking)}: its events cannot be seen")
     return traces
-
-
-def _has_temperature(piece: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]) -> bool:
-    """Whether there is a temperature in these rows; if not, they are refused."""
-    name = column_map.temperature
-    if name in column_map.derived or (name in piece.series and not piece.series[name].bad.all()):
-        return True
-    for index, file in enumerate(files):
-        lines = piece.lines[piece.files == index]
-        file.refuse(lines.tolist(), f"there is no reading of {name} in its part of the trace")
-    return False
-
-
-def _comment_value(comments: Iterable[str], key: str) -> str:
-    return next((comment.removeprefix(key).strip() for comment in comments if comment.startswith(key)), "")
-
-
-def _origin(paths: Sequence[Path]) -> str:
-    return str(paths[0]) if len(paths) == 1 else f"{paths[0].parent} ({len(paths)} files)"
 
 
 def _in_order(readings: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]) -> list[FileReadings]:
@@ -171,17 +165,14 @@ def _merged(
     times = readings.times[first]
     signals, bad = {}, {}
     for name, series in readings.series.items():
-        known = column_map.signals.get(name)
-        average = column_map.duplicates == "average" and not (known is not None and known.boolean)
-        signals[name], bad[name] = (_average if average else _last)(series, group[series.rows], times.size)
+        known, at = column_map.signals.get(name), group[series.rows]
+        if column_map.duplicates == "average" and not (known is not None and known.boolean):
+            signals[name], bad[name] = _average(series, at, times.size)
+        else:
+            # Of several values assigned to one place numpy keeps the last.
+            signals[name], bad[name] = np.full(times.size, np.nan), np.zeros(times.size, dtype=bool)
+            signals[name][at], bad[name][at] = series.values, series.bad
     return times, signals, (), {name: mask for name, mask in bad.items() if mask.any()}
-
-
-def _last(series: Series, group: Rows, size: int) -> tuple[Array, Mask]:
-    # Of several values assigned to one place numpy keeps the last.
-    values, bad = np.full(size, np.nan), np.zeros(size, dtype=bool)
-    values[group], bad[group] = series.values, series.bad
-    return values, bad
 
 
 def _average(series: Series, group: Rows, size: int) -> tuple[Array, Mask]:
@@ -197,14 +188,32 @@ def _average(series: Series, group: Rows, size: int) -> tuple[Array, Mask]:
 
 def _completed(trace: Trace, column_map: ColumnMap) -> Trace:
     """With held and derived signals, and the events of the map's alphabet."""
-    signals = dict(trace.signals)
-    bad = dict(trace.bad)
+    signals, bad = dict(trace.signals), dict(trace.bad)
+    times, gap = trace.times, column_map.alphabet.gap
     for name, signal in column_map.signals.items():
         if signal.hold and name in signals:
-            signals[name] = _held(trace.times, signals[name], bad.get(name), column_map.alphabet.gap)
+            signals[name] = _held(times, signals[name], bad.get(name), gap)
+    # A derived signal is only there where the file has none of its own and all its sources are.
     for name, derived in column_map.derived.items():
-        if name not in signals:
-            _derive(name, derived, trace.times, (signals, bad), column_map.alphabet.gap)
+        if name in signals:
+            continue
+        if derived.constant is not None:
+            signals[name] = np.full(times.size, derived.constant)
+        elif not all(source in signals for source in derived.sources):
+            continue
+        elif derived.signal is not None and derived.above is not None:
+            source = signals[derived.signal]
+            signals[name] = np.where(np.isnan(source), np.nan, source > derived.above)
+            if derived.signal in bad:
+                bad[name] = bad[derived.signal]
+        else:
+            read = np.any([~np.isnan(signals[source]) for source in derived.product], axis=0)
+            factors = [_held(times, signals[source], bad.get(source), gap) for source in derived.product]
+            signals[name] = np.where(read, derived.scale * np.prod(factors, axis=0), np.nan)
+            faults = [bad[source] for source in derived.product if source in bad]
+            if faults:
+                bad[name] = np.any(faults, axis=0)
+                signals[name][bad[name]] = np.nan
     completed = replace(trace, signals=signals, bad=bad)
     return replace(completed, events=encode(completed, column_map.alphabet))
 
@@ -216,44 +225,8 @@ def _held(times: Array, values: Array, bad: Mask | None, gap: float) -> Array:
     return np.asarray(values[np.maximum.accumulate(np.where(present, np.arange(times.size), 0))])
 
 
-def _derive(
-    name: str, derived: Derived, times: Array, known: tuple[dict[str, Array], dict[str, Mask]], gap: float
-) -> None:
-    """Put a derived signal to the `known` ones (signals, bad), where its sources are among them."""
-    signals, bad = known
-    if derived.constant is not None:
-        signals[name] = np.full(times.size, derived.constant)
-    elif not all(source in signals for source in derived.sources):
-        return
-    elif derived.signal is not None and derived.above is not None:
-        source = signals[derived.signal]
-        signals[name] = np.where(np.isnan(source), np.nan, source > derived.above)
-        if derived.signal in bad:
-            bad[name] = bad[derived.signal]
-    else:
-        read = np.any([~np.isnan(signals[source]) for source in derived.product], axis=0)
-        factors = [_held(times, signals[source], bad.get(source), gap) for source in derived.product]
-        signals[name] = np.where(read, derived.scale * np.prod(factors, axis=0), np.nan)
-        faults = [bad[source] for source in derived.product if source in bad]
-        if faults:
-            bad[name] = np.any(faults, axis=0)
-            signals[name][bad[name]] = np.nan
-
-
-def _note(files: Sequence[FileReport], traces: Sequence[Trace], column_map: ColumnMap) -> None:
-    """What a reader of the report should know beyond refused rows."""
-    gap = column_map.alphabet.gap
-    gaps = sum(int((np.diff(trace.times) > gap).sum()) for trace in traces)
-    lacking = [channel.signal for channel in column_map.alphabet.channels if channel.signal not in traces[0].signals]
-    notes = {
-        f"{gaps} gaps of more than {gap:g} s are left open": gaps > 0,
-        f"no signal {', '.join(lacking)}: its events cannot be seen": bool(lacking),
-    }
-    files[0].notes += [note for note, holds in notes.items() if holds]
-
-
 def units(column_map: ColumnMap) -> Mapping[str, str]:
     """The unit of each signal that has one, for axes and tables."""
-    derived = {name: one.unit for name, one in column_map.derived.items()}
-    read = {name: one.unit for name, one in column_map.signals.items()}
+    derived = {name: column.unit for name, column in column_map.derived.items()}
+    read = {name: column.unit for name, column in column_map.signals.items()}
     return {name: unit for name, unit in (derived | read).items() if unit}

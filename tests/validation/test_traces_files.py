@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from sim.sha.events import DECANTER, Alphabet, Bins, encode
@@ -64,6 +64,7 @@ CELLS = st.sampled_from(["", "0", "1", "20.5", "1e3", "nan", "x", '"', "#", " 7 
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.lists(CELLS, min_size=0, max_size=5), max_size=15))
+@example([["0", "", '"'], ['"', "0"]])
 def test_whatever_the_rows_hold_every_one_is_used_or_refused_with_a_reason(rows: list[list[str]]) -> None:
     lines = [",".join(cells) for cells in rows]
     with TemporaryDirectory() as folder:
@@ -78,7 +79,9 @@ def test_whatever_the_rows_hold_every_one_is_used_or_refused_with_a_reason(rows:
     file = report.files[0]
     if loaded:
         written = sum(1 for line in lines if line.strip() and not line.startswith("#"))
-        assert file.rows == written == file.used + file.refused
+        # A quoted cell may go on over lines, as in the example: then a row is more than one of them.
+        assert file.rows == written or ('"' in "".join(lines) and file.rows < written)
+        assert file.rows == file.used + file.refused
         assert sum(file.reasons.values()) == file.refused + file.bad_cells
         assert loaded[0].times.size == file.used
         assert all(np.isfinite(column[~np.isnan(column)]).all() for column in loaded[0].signals.values())

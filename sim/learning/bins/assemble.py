@@ -77,6 +77,7 @@ def learned_sha(
     """
     groups, drift = process_groups(base.alphabet), drift_noise(runs)
     seen: dict[str, Location] = {}
+    laws: dict[str, Distribution] = {}
     for place, location in enumerate(with_parameters(sha, shape, fit).locations):
         if location.name not in base.seen:
             continue
@@ -86,21 +87,23 @@ def learned_sha(
         sigma = float(np.hypot(scatter, fit.errors_at_rates[column]))
         params = {**location.flow.params, "noise": float(noise.process[groups[place]])}
         law = Distribution("normal", {"mu": float(fit.linear[column]), "sigma": sigma})
+        laws[location.name] = law
         seen[location.name] = replace(location, flow=replace(location.flow, params=params), distribution=law)
-    return replace(sha, name=name, locations=tuple(_filled(each.name, seen, base, drift) for each in sha.locations))
-
-
-def _filled(name: str, seen: Mapping[str, Location], base: Basis, drift: float) -> Location:
-    if name in seen:
-        return seen[name]
-    if None in contexts(base.alphabet)[name]:
-        return Location(name, Flow("constant", {"noise": drift}), entry="none")
-    lender = seen[lender_of(name, base)]
-    laws = {each: location.distribution.params for each, location in seen.items() if location.distribution is not None}
-    doubt = max(float(np.std([law["mu"] for law in laws.values()])), LEAST_DOUBT)
-    law = laws[lender.name]
-    widened = Distribution("normal", {"mu": law["mu"], "sigma": float(np.hypot(2.0 * law["sigma"], doubt))})
-    return Location(name, lender.flow, widened)
+    # What was never seen is as far off as locations differ from one another, besides what the lender does not know.
+    doubt = max(float(np.std([law.params["mu"] for law in laws.values()])), LEAST_DOUBT)
+    known = contexts(base.alphabet)
+    locations: list[Location] = []
+    for title in (each.name for each in sha.locations):
+        if title in seen:
+            locations.append(seen[title])
+        elif None in known[title]:
+            locations.append(Location(title, Flow("constant", {"noise": drift}), entry="none"))
+        else:
+            lender = lender_of(title, base)
+            mu, sigma = laws[lender].params["mu"], laws[lender].params["sigma"]
+            widened = Distribution("normal", {"mu": mu, "sigma": float(np.hypot(2.0 * sigma, doubt))})
+            locations.append(Location(title, seen[lender].flow, widened))
+    return replace(sha, name=name, locations=tuple(locations))
 
 
 def lender_of(name: str, base: Basis) -> str:
@@ -118,34 +121,32 @@ def source_of(name: str, base: Basis) -> str:
 
 def location_fits(sha: SHA, shape: FitShape, fit: FreeRunFit, runs: FreeRuns, base: Basis) -> tuple[LocationFit, ...]:
     """The table of locations, in the automaton's order."""
-    return tuple(
-        _location_fit(location, place, shape=shape, fit=fit, runs=runs, base=base)
-        for place, location in enumerate(sha.locations)
-    )
-
-
-def _location_fit(
-    location: Location, place: int, *, shape: FitShape, fit: FreeRunFit, runs: FreeRuns, base: Basis
-) -> LocationFit:
-    rows = (runs.place == place) & ~runs.first
-    law = location.distribution.params if location.distribution is not None else {}
-    target, rate = int(shape.target[place]), int(shape.rate[place])
-    columns = {base.signals[number]: int(column) for number, column in enumerate(shape.gain[place]) if column >= 0}
-    own, nan = location.name in base.seen, float("nan")
-    return LocationFit(
-        name=location.name,
-        source=source_of(location.name, base),
-        readings=int(np.isfinite(runs.reading[rows]).sum()),
-        seconds=float(runs.dt[rows].sum()),
-        stays=int(np.unique(runs.stay[rows]).size),
-        mu=law.get("mu", nan),
-        mu_error=float(fit.errors[target]) if own else nan,
-        sigma=law.get("sigma", nan),
-        k=location.flow.params.get("k", nan),
-        k_error=float(fit.errors[fit.linear.size + rate]) if own else nan,
-        gains={given.signal: given.gain for given in location.flow.inputs},
-        gain_errors={signal: float(fit.errors[column]) for signal, column in columns.items() if own},
-    )
+    table: list[LocationFit] = []
+    errors, first, nan = fit.errors, runs.first, float("nan")
+    for place, location in enumerate(sha.locations):
+        rows = (runs.place == place) & ~first
+        law = location.distribution.params if location.distribution is not None else {}
+        target, rate = int(shape.target[place]), int(shape.rate[place])
+        columns = {base.signals[number]: int(column) for number, column in enumerate(shape.gain[place]) if column >= 0}
+        # A borrowed location has parameters, but no standard errors: those would be another location's.
+        own = location.name in base.seen
+        table.append(
+            LocationFit(
+                name=location.name,
+                source=source_of(location.name, base),
+                readings=int(np.isfinite(runs.reading[rows]).sum()),
+                seconds=float(runs.dt[rows].sum()),
+                stays=int(np.unique(runs.stay[rows]).size),
+                mu=law.get("mu", nan),
+                mu_error=float(errors[target]) if own else nan,
+                sigma=law.get("sigma", nan),
+                k=location.flow.params.get("k", nan),
+                k_error=float(errors[fit.linear.size + rate]) if own else nan,
+                gains={driver.signal: driver.gain for driver in location.flow.inputs},
+                gain_errors={signal: float(errors[column]) for signal, column in columns.items() if own},
+            )
+        )
+    return tuple(table)
 
 
 def stay_values(
@@ -156,14 +157,14 @@ def stay_values(
     Only stays that tell their m to within twice the location's sigma are there; a location without any gives its mean.
     """
     value, error, place = _stay_parameters(runs, shape, fit, noise, process_groups(base.alphabet)[runs.place])
-    found: dict[str, tuple[float, ...]] = {}
+    values: dict[str, tuple[float, ...]] = {}
     for number, location in enumerate(sha.locations):
         law = location.distribution
         if location.name not in base.seen or law is None:
             continue
         known = (place == number) & (error <= 2.0 * law.params["sigma"])
-        found[location.name] = tuple(value[known].tolist()) or (law.params["mu"],)
-    return found
+        values[location.name] = tuple(value[known].tolist()) or (law.params["mu"],)
+    return values
 
 
 def _stay_parameters(
@@ -172,6 +173,8 @@ def _stay_parameters(
     """(m, its standard error, location) of each stay: X = decayed start + pulled m + pushed inputs, two unknowns."""
     decay, pull = steps(runs, shape, np.log(fit.rates))
     begins = (np.diff(runs.stay, prepend=-1) != 0) | runs.first
+    # Decay 0 where a stay begins: one recursion over all knots starts anew in each. `start` and `mode` are the courses
+    # that a unit of a stay's start temperature and of its m would make.
     inside = np.where(begins, 0.0, decay)
     start = linear_recursion(inside, np.where(runs.first, 1.0, np.where(begins, decay, 0.0)), 0.0)
     mode = linear_recursion(inside, pull, 0.0)
@@ -191,6 +194,7 @@ def _stay_parameters(
         )
     )
     seconds = np.add.reduceat(runs.dt, np.flatnonzero(begins))
+    # The two unknowns' normal equations, the start eliminated: what is left is the information that m has of its own.
     with np.errstate(divide="ignore", invalid="ignore"):
         information = mm - sm**2 / ss
         value = (my - sm * sy / ss) / information

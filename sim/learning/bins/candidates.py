@@ -88,8 +88,8 @@ def modelled_places(runs: FreeRuns, alphabet: Alphabet) -> Mask:
 
 def readings_by_place(runs: FreeRuns, places: int) -> Indices:
     """(L,) how many readings end a step made in each location."""
-    there = np.isfinite(runs.reading) & ~runs.first
-    return np.bincount(runs.place[there], minlength=places)
+    ending = np.isfinite(runs.reading) & ~runs.first
+    return np.bincount(runs.place[ending], minlength=places)
 
 
 def basis_of(runs: FreeRuns, alphabet: Alphabet) -> Basis:
@@ -124,22 +124,20 @@ def _scatter(runs: FreeRuns, number: int, rows: Mask) -> float:
 
 def build(candidate: BinsCandidate, base: Basis) -> tuple[SHA, FitShape, ParameterNames]:
     """The candidate's automaton, still without values, and its parameter vector."""
-    sha = product_sha(
-        base.alphabet, {name: _location(name, candidate, base) for name in contexts(base.alphabet)}, "bins"
-    )
+    locations: dict[str, Location] = {}
+    for name, context in contexts(base.alphabet).items():
+        if name not in base.seen:
+            locations[name] = Location(name, Flow("constant", {"noise": 0.0}), entry="none")
+            continue
+        params = {"k": 1.0 / base.prior.tau, "noise": 0.0}
+        # An input that hardly moves in a location cannot show its gain there: that location is not driven by it.
+        moving = base.moving[name] if candidate.flow == "driven" else ()
+        inputs = tuple(Input(signal, 0.0, reference(context, base.alphabet, signal)) for signal in moving)
+        locations[name] = Location(name, Flow("driven" if inputs else "exponential", params, inputs))
+    sha = product_sha(base.alphabet, locations, "bins")
     rates = {name: _group(name, candidate.rates, base.alphabet) for name in base.seen}
     gains = {name: _group(name, candidate.gains, base.alphabet) for name in base.seen}
     return sha, *shape_of(sha, base.seen, base.signals, base.prior, rates=rates, gains=gains)
-
-
-def _location(name: str, candidate: BinsCandidate, base: Basis) -> Location:
-    if name not in base.seen:
-        return Location(name, Flow("constant", {"noise": 0.0}), entry="none")
-    params = {"k": 1.0 / base.prior.tau, "noise": 0.0}
-    moving = base.moving[name] if candidate.flow == "driven" else ()
-    context = contexts(base.alphabet)[name]
-    inputs = tuple(Input(signal, 0.0, reference(context, base.alphabet, signal)) for signal in moving)
-    return Location(name, Flow("driven" if inputs else "exponential", params, inputs))
 
 
 def _group(name: str, sharing: Sharing, alphabet: Alphabet) -> str:

@@ -123,8 +123,8 @@ def learn_bins(
     """
     report = progress or (lambda _stage, _share: None)
     check_alphabet(alphabet)
-    given = [encoded(trace, alphabet) for trace in traces if trace.times.size]
-    ordered, digest = in_order(given)
+    with_events = [encoded(trace, alphabet) for trace in traces if trace.times.size]
+    ordered, digest = in_order(with_events)
     report("reading the traces", 0.0)
     runs, base = _ground(ordered, alphabet, temperature)
     scores, chosen, begin = _select(runs, base, candidates, report)
@@ -149,17 +149,17 @@ def learn_bins(
         )
         for candidate, held, size, (train_rmse, train_mae) in scores
     )
-    row = next(row for row in table if row.chosen)
+    winner = next(row for row in table if row.chosen)
     figures = {
-        "held_out_log_likelihood": row.likelihood,
-        "held_out_rmse": row.held_out_rmse,
-        "held_out_mae": row.held_out_mae,
-        "train_rmse": row.train_rmse,
-        "train_mae": row.train_mae,
+        "held_out_log_likelihood": winner.likelihood,
+        "held_out_rmse": winner.held_out_rmse,
+        "held_out_mae": winner.held_out_mae,
+        "train_rmse": winner.train_rmse,
+        "train_mae": winner.train_mae,
         "residual_sigma": fitted.fit.sigma,
     }
-    figures |= {f"coverage90_before_{one.horizon:.0f}s": one.covered for one in coverage}
-    borrowed = [f"{one.name} {one.source}" for one in fitted.locations if one.source.startswith("borrowed")]
+    figures |= {f"coverage90_before_{row.horizon:.0f}s": row.covered for row in coverage}
+    borrowed = [f"{each.name} {each.source}" for each in fitted.locations if each.source.startswith("borrowed")]
     provenance = Provenance(
         method="bins",
         data_hash=data_hash or digest,
@@ -173,13 +173,13 @@ def learn_bins(
             "gains": chosen.gains,
             "loss": "huber",
             "cycle_s": CYCLE,
-            "copies_left_out": len(given) - len(ordered),
+            "copies_left_out": len(with_events) - len(ordered),
             "borrowed": "; ".join(borrowed),
         },
         # JSON has no NaN: a figure for which there were too few data is left out of the model's file.
         scores={name: value for name, value in figures.items() if np.isfinite(value)},
     )
-    factors = {one.horizon: one.factor for one in coverage}
+    factors = {row.horizon: row.factor for row in coverage}
     model = replace(fitted.model, calibration=factors, provenance=provenance)
     return Learned(
         model=model,
@@ -280,7 +280,8 @@ def _held_out_forecasts(
     """
     rng = np.random.default_rng(seed)
     scored: list[Scored] = []
-    for known, asked, since in splits(traces):
+    for known, ahead, since in splits(traces):
+        # A part of the data may teach nothing although the whole does: the other parts then judge alone.
         try:
             runs, base = _ground(known, alphabet, temperature)
         except LearningError:
@@ -295,5 +296,5 @@ def _held_out_forecasts(
             temperature=temperature,
             budget=PART_BUDGET,
         ).model
-        scored += score_forecasts(model, asked, since, rng)
+        scored += score_forecasts(model, ahead, since, rng)
     return scored

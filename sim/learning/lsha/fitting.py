@@ -5,7 +5,7 @@ together (levels of a `resample` automaton, or one joint free-run fit), `bands` 
 of the readings, to see how far its forecasts of those parts are off.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,6 @@ from sim.learning import (
     RATES,
     Coverage,
     FitShape,
-    FreeRunFit,
     FreeRuns,
     Indices,
     Scored,
@@ -42,7 +41,7 @@ from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import Structure
 from sim.learning.lsha.teacher import Teacher, alike, placed
 from sim.learning.lsha.words import described
-from sim.sha import SHA, Distribution, Entry, Flow, Input, Location, Mask, Model, Trace
+from sim.sha import SHA, Distribution, Entry, Flow, Input, Location, Model, Trace
 
 FIRST_SCATTER = 1.0
 """degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""
@@ -136,14 +135,15 @@ def _inside(runs: FreeRuns) -> tuple[float, float]:
     """(sensor's sigma, random walk in degC/sqrt(s)) inside segments, by the variogram: from the shortest lag to the
     longest one in each segment."""
     stay, _ = stays_after(runs)
-    there = np.flatnonzero(np.isfinite(runs.reading))
-    same = stay[there[1:]] == stay[there[:-1]]
-    near = np.column_stack([there[:-1], there[1:]])[same]
-    _, first = np.unique(stay[there], return_index=True)
-    ends = np.append(first[1:], there.size) - 1
-    far = np.column_stack([there[first], there[ends]])[ends - first >= 2]
+    known = np.flatnonzero(np.isfinite(runs.reading))
+    same = stay[known[1:]] == stay[known[:-1]]
+    near = np.column_stack([known[:-1], known[1:]])[same]
+    _, first = np.unique(stay[known], return_index=True)
+    ends = np.append(first[1:], known.size) - 1
+    far = np.column_stack([known[first], known[ends]])[ends - first >= 2]
     if not len(near):
         return 1e-3, 1e-3
+    # Half the mean squared difference is sensor^2 at lag 0 and grows by walk^2 / 2 a second: two lags tell both.
     half, lag = _variogram(runs, near)
     sensor = max(float(np.sqrt(half)), 1e-3)
     if len(far) < 3:
@@ -187,17 +187,27 @@ def fit_motion(
         name, teacher, shape=shape, hypothesis=hypothesis, modelled=modelled, unknown=drift_noise(teacher.runs)
     )
     sha = with_parameters(bare, shape, fit)
-    located = hypothesis.place[flowing.sample.segments.place]
+    segments = flowing.sample.segments
+    located, errors = hypothesis.place[segments.place], fit.errors_at_rates
     locations, values, table = [], {}, []
     readings = np.bincount(runs.place[np.isfinite(runs.reading) & ~runs.first], minlength=size)
     for number, location in enumerate(sha.locations):
         mine, law = located == number, (np.nan, np.nan, np.nan)
-        if shape.target[number] >= 0:
+        column = int(shape.target[number])
+        if column >= 0:
+            # The law of m: what is not known of its mean, and the scatter from stay to stay, drawn towards
+            # FIRST_SCATTER as if one stay had shown that.
             stays = np.unique(runs.stay[(runs.place == number) & ~runs.first]).size
-            law = _law(fit, int(shape.target[number]), float(noise.scatter[number]), stays)
-            location = _with_law(location, law, float(noise.process[groups[number]]))
-            own = kinds[number] == flowing.hypothesis.kind
-            values[location.name] = (_well_measured(flowing.sample, mine, law) if own else ()) or (law[0],)
+            scatter = (stays * float(noise.scatter[number]) ** 2 + FIRST_SCATTER**2) / (stays + 1)
+            law = (float(fit.linear[column]), float(errors[column]), float(np.sqrt(scatter)))
+            sigma = float(np.hypot(law[1], law[2]))
+            params = {**location.flow.params, "noise": float(noise.process[groups[number]])}
+            distribution = Distribution("normal", {"mu": law[0], "sigma": sigma})
+            location = replace(location, flow=replace(location.flow, params=params), distribution=distribution)
+            # The histogram's values: the segments that are known to within twice sigma. Under another flow than that
+            # of the segments theirs is another parameter, and the mean has to do.
+            sharp = mine & (np.sqrt(segments.variance) <= 2.0 * sigma) & (kinds[number] == flowing.hypothesis.kind)
+            values[location.name] = tuple(segments.value[sharp].tolist()) or (law[0],)
         locations.append(location)
         table.append(
             _row(
@@ -212,25 +222,6 @@ def fit_motion(
             )
         )
     return FittedHypothesis(_sha(name, locations, hypothesis), noise.sensor, values, tuple(table))
-
-
-def _well_measured(sample: SegmentSample, mine: Mask, law: tuple[float, float, float]) -> tuple[float, ...]:
-    """The parameters of the segments `mine` that are known to within twice the law's sigma."""
-    sigma = float(np.hypot(law[1], law[2]))
-    return tuple(sample.segments.value[mine & (np.sqrt(sample.segments.variance) <= 2.0 * sigma)].tolist())
-
-
-def _law(fit: FreeRunFit, column: int, scatter: float, stays: int) -> tuple[float, float, float]:
-    """(mean, its standard error, scatter between stays); the scatter is drawn towards 1 degC as if one stay had shown
-    that."""
-    shrunk = float(np.sqrt((stays * scatter**2 + FIRST_SCATTER**2) / (stays + 1)))
-    return float(fit.linear[column]), float(fit.errors_at_rates[column]), shrunk
-
-
-def _with_law(location: Location, law: tuple[float, float, float], noise: float) -> Location:
-    distribution = Distribution("normal", {"mu": law[0], "sigma": float(np.hypot(law[1], law[2]))})
-    flow = replace(location.flow, params={**location.flow.params, "noise": noise})
-    return replace(location, flow=flow, distribution=distribution)
 
 
 def _bare(
@@ -319,7 +310,7 @@ def plan_of(
     size, kind = structure.partition.size, flowing.hypothesis.kind
     keys = structure.classes.keys
     words = tuple(
-        tuple(dict.fromkeys(described(keys[one], teacher.alphabet) for one in mine)) for mine in hypothesis.members
+        tuple(dict.fromkeys(described(keys[row], teacher.alphabet) for row in rows)) for rows in hypothesis.members
     )
     plan = FitPlan(
         name=name,
@@ -351,13 +342,13 @@ def _confirmed(plan: FitPlan, answers: tuple[Identified, ...], teacher: Teacher)
         return mixed
     few = sampled(placed(teacher.runs, plan.hypothesis.place), BUDGET)
     cut = folds(few)
-    scores, sizes = [], []
-    for one in (plan, mixed):
-        where = positions(teacher, plan.hypothesis.place, len(plan.kinds))
-        shape, _ = flow_shape(plan.flowing.hypothesis, teacher, where, plan.modelled, one.kinds)
-        sizes.append(shape.centre.size + shape.rate_centre.size)
+    scores = []
+    where = positions(teacher, plan.hypothesis.place, len(plan.kinds))
+    for rival in (plan, mixed):
         if cut is not None:
+            shape, _ = flow_shape(plan.flowing.hypothesis, teacher, where, plan.modelled, rival.kinds)
             scores.append(cross_validate(cut, shape, fit_free_run(few, shape).rates, fixed=True))
+    # The uniform plan counts as the simpler one, whatever the number of rates: mixed flows have to earn their place.
     if len(scores) == 2 and scores[1].score > scores[0].score and choose(scores, [1, 2]) == 1:
         return mixed
     refused = tuple(replace(answer, kept=True, kind=answer.default) for answer in answers)
@@ -415,24 +406,17 @@ def bands(
     `fitted` gives the parameters anew for the readings that are known in each part. The structure stays: what is
     learned here is how wrong flows and laws may be.
     """
-    rng = np.random.default_rng(seed)
+    rng, runs = np.random.default_rng(seed), teacher.runs
+    # `splits` leaves out traces of one row, and runs number the traces that have a temperature: both counts must meet.
     read = [trace for trace in traces if np.isfinite(trace.signals.get(temperature, np.empty(0))).any()]
-    scored: list[Scored] = []
-    for known, asked, since in _parts(teacher, read):
-        if np.isfinite(teacher.runs.reading[known]).sum() >= LEAST_KNOTS:
-            model = fitted(replace(teacher, runs=teacher.runs.where(known), group=teacher.group[known]))
-            scored += score_forecasts(model, asked, since, rng, origins=origins)
-    return coverage_of(scored)
-
-
-def _parts(teacher: Teacher, traces: Sequence[Trace]) -> Iterator[tuple[Mask, Sequence[Trace], Sequence[float]]]:
-    """(knots that are known, traces to forecast, since when) of each part."""
-    runs = teacher.runs
-    usable = np.array([number for number, trace in enumerate(traces) if trace.times.size > 1], dtype=np.intp)
+    usable = np.array([number for number, trace in enumerate(read) if trace.times.size > 1], dtype=np.intp)
     rank = np.searchsorted(usable, runs.trace)
-    for part, (_, asked, since) in enumerate(splits(traces)):
-        if usable.size >= 6:
-            yield rank % 3 != part, asked, since
-        else:
-            # Whole runs have to be kept: one that goes on beyond the cut ends there.
-            yield runs.time < np.asarray(since)[rank], asked, since
+    scored: list[Scored] = []
+    for part, (_, ahead, since) in enumerate(splits(read)):
+        # The same parts as those of `splits`, in knots: every third trace, or the time before the cut, where a run
+        # that goes on beyond it ends.
+        known = rank % 3 != part if usable.size >= 6 else runs.time < np.asarray(since)[rank]
+        if np.isfinite(runs.reading[known]).sum() >= LEAST_KNOTS:
+            model = fitted(replace(teacher, runs=runs.where(known), group=teacher.group[known]))
+            scored += score_forecasts(model, ahead, since, rng, origins=origins)
+    return coverage_of(scored)

@@ -122,21 +122,32 @@ def choose_flow(teacher: Teacher, kind: str | None, alpha: float, n_min: int) ->
     groups, names = coarse(teacher)
     few = sampled(teacher.runs, BUDGET)
     cut = folds(few)
-    rivals = [each for each in FLOW_HYPOTHESES if kind in (None, each.kind) and _possible(each, teacher, names)]
+    # Only what the data can tell from a simpler hypothesis: inputs that move, two positions of the switch.
+    moving = bool(teacher.prior.gain)
+    switched = len({_position(key, teacher) for key in names}) > 1
+    rivals = [
+        rival
+        for rival in FLOW_HYPOTHESES
+        if kind in (None, rival.kind) and (moving or rival.kind != "driven") and (switched or not rival.by_switch)
+    ]
     if not rivals:
         raise LearningError(
             f"the flow {kind!r} needs a level signal of the alphabet that moves, and there is none; "
             "choose another default flow"
         )
-    found = [flowing(each, teacher, groups, names, few) for each in rivals]
+    candidates = [flowing(rival, teacher, groups, names, few) for rival in rivals]
     memories: tuple[Memory, ...] = ("direction", "word") if teacher.words.whole else ("direction",)
-    seen = [classes_of(teacher.words, memory) for memory in memories]
-    scored = [_held_out(each, teacher, seen=seen, cut=cut, alpha=alpha, n_min=n_min) for each in found]
+    views = [classes_of(teacher.words, memory) for memory in memories]
+    scored: list[tuple[HeldOutErrors | None, int]] = []
+    for candidate in candidates:
+        # Each is judged by the memory that suits it best, or a flow would be refused for a structure's sake.
+        over = [_over(candidate, teacher, classes=view, cut=cut, alpha=alpha, n_min=n_min) for view in views]
+        scored.append(max(over, key=lambda pair: pair[0].score if pair[0] is not None else 0.0))
     sizes = [size for _, size in scored]
     known = [held for held, _ in scored if held is not None]
     best = choose(known, sizes) if len(known) == len(scored) else sizes.index(min(sizes))
-    table = (row(each.label, size, held) for each, (held, size) in zip(rivals, scored, strict=True))
-    return found[best], tuple(replace(one, chosen=number == best) for number, one in enumerate(table))
+    table = (row(rival.label, size, held) for rival, (held, size) in zip(rivals, scored, strict=True))
+    return candidates[best], tuple(replace(each, chosen=number == best) for number, each in enumerate(table))
 
 
 def flowing(
@@ -185,10 +196,10 @@ def _rates(runs: FreeRuns, shape: FitShape) -> tuple[Array, LinearFit]:
     for trial in [logs + shift for shift in shifts]:
         logs, best = _better(runs, shape, trial=trial, logs=logs, best=best, scale=scale)
     for step in (0.5, 0.25, 0.12):
-        for one in np.eye(logs.size):
+        for unit in np.eye(logs.size):
             for sign in (-1.0, 1.0):
                 logs, best = _better(
-                    runs, shape, trial=logs + sign * step * one * shape.rate_spread, logs=logs, best=best, scale=scale
+                    runs, shape, trial=logs + sign * step * unit * shape.rate_spread, logs=logs, best=best, scale=scale
                 )
     return np.exp(logs), best
 
@@ -196,24 +207,13 @@ def _rates(runs: FreeRuns, shape: FitShape) -> tuple[Array, LinearFit]:
 def _better(
     runs: FreeRuns, shape: FitShape, *, trial: Array, logs: Array, best: LinearFit, scale: float
 ) -> tuple[Array, LinearFit]:
-    """The trial if its loss, with the prior's, is less."""
-    found = fit_at_rates(runs, shape, np.exp(trial), ROUNDS, scale)
-    return (trial, found) if found.loss < best.loss else (logs, best)
-
-
-def _held_out(
-    one: Flowing, teacher: Teacher, *, seen: Sequence[Classes], cut: FreeRuns | None, alpha: float, n_min: int
-) -> tuple[HeldOutErrors | None, int]:
-    """(held-out free-run errors over the structure that suits the hypothesis, its number of parameters).
-
-    `seen` are the words through several memories; the one of the highest score counts.
-    """
-    found = [_over(one, teacher, classes=classes, cut=cut, alpha=alpha, n_min=n_min) for classes in seen]
-    return max(found, key=lambda each: each[0].score if each[0] is not None else 0.0)
+    """The trial if its loss is less, else what was best before."""
+    fit = fit_at_rates(runs, shape, np.exp(trial), ROUNDS, scale)
+    return (trial, fit) if fit.loss < best.loss else (logs, best)
 
 
 def _over(
-    one: Flowing, teacher: Teacher, *, classes: Classes, cut: FreeRuns | None, alpha: float, n_min: int
+    candidate: Flowing, teacher: Teacher, *, classes: Classes, cut: FreeRuns | None, alpha: float, n_min: int
 ) -> tuple[HeldOutErrors | None, int]:
     """(held-out errors over the structure by these classes, number of parameters).
 
@@ -221,43 +221,36 @@ def _over(
     each chance meeting of two words, a structure that knows the held-out trace is no judge. Otherwise it is learned
     once, from so many events that one fold hardly changes it.
     """
-    delta = DELTA * one.sample.spread
-    partition = merged(classes, one.sample, teacher, delta=delta, alpha=alpha, n_min=n_min)
+    hypothesis, sample = candidate.hypothesis, candidate.sample
+    delta = DELTA * sample.spread
+    partition = merged(classes, sample, teacher, delta=delta, alpha=alpha, n_min=n_min)
     place = partition.location[classes.of_state]
     size = partition.laws
-    if one.shape is not None:
-        shape, rated = flow_shape(
-            one.hypothesis, teacher, positions(teacher, place, partition.size), partition.modelled
-        )
+    if candidate.shape is not None:
+        shape, rated = flow_shape(hypothesis, teacher, positions(teacher, place, partition.size), partition.modelled)
         size += int((shape.gain >= 0).any()) * shape.gain.shape[1] + shape.rate_centre.size
     if cut is None:
         return None, size
     traces = np.unique(cut.trace)
-    if teacher.words.whole and traces.size >= FOLDS and np.array_equal(teacher.group, teacher.runs.trace):
-        fold, part = (np.searchsorted(traces, each) % FOLDS for each in (cut.trace, one.sample.segments.group))
-        error, kept = np.empty(len(cut)), np.isfinite(cut.reading)
-        for held in range(FOLDS):
-            use = part != held
-            fewer = merged(classes, one.sample, teacher, delta=delta, alpha=alpha, n_min=n_min, use=use)
-            error[fold == held] = _errors(one, teacher, partition=fewer, classes=classes, cut=cut, mine=fold == held)
-        return HeldOutErrors(error[kept], np.unique(cut.run[kept], return_inverse=True)[1]), size
-    if one.shape is None:
-        return hold_out_levels(placed(cut, place)), size
-    return cross_validate(placed(cut, place), shape, one.rates_of(rated), fixed=True), size
-
-
-def _errors(
-    one: Flowing, teacher: Teacher, *, partition: Partition, classes: Classes, cut: FreeRuns, mine: Mask
-) -> Array:
-    """(m,) the errors of the free runs of `mine` (n,), over a given structure, by targets of the other runs."""
-    place = partition.location[classes.of_state]
-    runs = placed(cut, place)
-    if one.shape is None:
-        return _level_errors(runs, mine)
-    shape, rated = flow_shape(one.hypothesis, teacher, positions(teacher, place, partition.size), partition.modelled)
-    rates = one.rates_of(rated)
-    given = fit_at_rates(runs.where(~mine), shape, rates)
-    return runs.reading[mine] - predict(runs.where(mine), shape, given.linear, rates, given.sigma)
+    if not (teacher.words.whole and traces.size >= FOLDS and np.array_equal(teacher.group, teacher.runs.trace)):
+        if candidate.shape is None:
+            return hold_out_levels(placed(cut, place)), size
+        return cross_validate(placed(cut, place), shape, candidate.rates_of(rated), fixed=True), size
+    fold, part = (np.searchsorted(traces, each) % FOLDS for each in (cut.trace, sample.segments.group))
+    error, kept = np.empty(len(cut)), np.isfinite(cut.reading)
+    for held in range(FOLDS):
+        fewer = merged(classes, sample, teacher, delta=delta, alpha=alpha, n_min=n_min, use=part != held)
+        place, mine = fewer.location[classes.of_state], fold == held
+        runs = placed(cut, place)
+        if candidate.shape is None:
+            error[mine] = _level_errors(runs, mine)
+            continue
+        # Targets are those of the other runs; rates stay, as one fold hardly changes what all runs share.
+        shape, rated = flow_shape(hypothesis, teacher, positions(teacher, place, fewer.size), fewer.modelled)
+        rates = candidate.rates_of(rated)
+        fit = fit_at_rates(runs.where(~mine), shape, rates)
+        error[mine] = runs.reading[mine] - predict(runs.where(mine), shape, fit.linear, rates, fit.sigma)
+    return HeldOutErrors(error[kept], np.unique(cut.run[kept], return_inverse=True)[1]), size
 
 
 def merged(
@@ -292,13 +285,6 @@ def row(label: str, size: int, held: HeldOutErrors | None) -> Rival:
     nan = float("nan")
     figures = (held.score, held.rmse, held.mae) if held is not None else (nan, nan, nan)
     return Rival(label, size, *figures, chosen=False)
-
-
-def _possible(hypothesis: FlowHypothesis, teacher: Teacher, names: Sequence[WordHistory]) -> bool:
-    """Whether the data can tell it from a simpler one: inputs that move, two positions of the switch."""
-    if hypothesis.kind == "driven" and not teacher.prior.gain:
-        return False
-    return not hypothesis.by_switch or len({_position(key, teacher) for key in names}) > 1
 
 
 def coarse(teacher: Teacher) -> tuple[Indices, tuple[WordHistory, ...]]:

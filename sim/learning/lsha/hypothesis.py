@@ -15,8 +15,8 @@ import numpy as np
 from sim.learning import Indices
 from sim.learning.lsha.structures import Structure
 from sim.learning.lsha.teacher import Teacher
-from sim.learning.lsha.words import Classes, Word, apart, described, remembered
-from sim.sha import UNKNOWN, Array, Edge, Trace, alphabet_symbols
+from sim.learning.lsha.words import Word, WordHistory, apart, described, remembered
+from sim.sha import UNKNOWN, Edge, Trace, alphabet_symbols
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,43 +56,32 @@ def hypothesis_of(teacher: Teacher, structure: Structure, *, complete: bool) -> 
         observed[here, symbol] = (there, observed.get((here, symbol), (there, 0))[1] + count)
     spent = np.bincount(classes.of_state[teacher.runs.place], teacher.runs.dt, len(classes))
     seconds = np.asarray(spent, dtype=float)
-    names = _names(teacher, classes, members, seconds)
-    default = (
-        _defaults(teacher, classes, structure=structure, members=members, seconds=seconds, observed=observed)
-        if complete
-        else {}
-    )
-    return HypothesisAutomaton(names, place, members, observed, default)
-
-
-def _names(teacher: Teacher, classes: Classes, members: Sequence[Sequence[int]], seconds: Array) -> tuple[str, ...]:
-    """Each location is called by the words it spends most of its time after; equal names are numbered."""
+    # A location is represented by the class in which it spends most of its time, and called by that; equal names are
+    # numbered.
+    typical = [classes.keys[max(rows, key=lambda row: (seconds[row], -row))] for rows in members]
     taken: Counter[str] = Counter()
     names = []
-    for mine in members:
-        name = described(classes.keys[max(mine, key=lambda each: (seconds[each], -each))], teacher.alphabet)
+    for name in (described(key, teacher.alphabet) for key in typical):
         taken[name] += 1
         names.append(name if taken[name] == 1 else f"{name} #{taken[name]}")
-    return tuple(names)
+    default = _defaults(teacher, structure, typical, observed) if complete else {}
+    return HypothesisAutomaton(tuple(names), place, members, observed, default)
 
 
 def _defaults(
     teacher: Teacher,
-    classes: Classes,
-    *,
     structure: Structure,
-    members: Sequence[Sequence[int]],
-    seconds: Array,
+    typical: Sequence[WordHistory],
     observed: Mapping[tuple[int, str], tuple[int, int]],
 ) -> dict[tuple[int, str], int]:
     """Where a symbol that was never seen in a location leads: to the class of words that it would make, or the nearest.
 
-    The location is represented by the class in which it spends most of its time.
+    `typical` (L,) is what is remembered of the words that represent each location.
     """
-    typical = [classes.keys[max(mine, key=lambda each: (seconds[each], -each))] for mine in members]
+    classes = structure.classes
     missing = [
         (number, symbol)
-        for number in range(len(members))
+        for number in range(len(typical))
         for symbol in alphabet_symbols(teacher.alphabet)
         if (number, symbol) not in observed
     ]
@@ -159,9 +148,13 @@ def observation_table(
     hypothesis: HypothesisAutomaton, suffixes: Sequence[Word], evident: Sequence[bool]
 ) -> ObservationTable:
     """The table of an automaton; a location that is not `evident` (L,), without evidence, is an unobserved cell."""
-    after = _successors(hypothesis)
+    after: list[dict[str, int]] = [{} for _ in hypothesis.names]
+    for (source, symbol), (target, _) in hypothesis.observed.items():
+        after[source][symbol] = target
     access: dict[int, Word] = {0: ()}
     queue, extensions = [0], list[tuple[Word, int]]()
+    # Breadth first, and by the alphabet among equals: the first word that gets to a location is a shortest one, and
+    # all its beginnings are access words too. The queue grows while it is walked.
     for here in queue:
         for symbol, target in sorted(after[here].items()):
             word = (*access[here], symbol)
@@ -172,30 +165,17 @@ def observation_table(
                 queue.append(target)
     columns = ((), *sorted({tuple(suffix) for suffix in suffixes if suffix}, key=lambda word: (len(word), word)))
 
-    def row(word: Word, here: int) -> TableRow:
-        ends = [_end(after, here, suffix) for suffix in columns]
-        cells = tuple(hypothesis.names[end] if end is not None and evident[end] else None for end in ends)
-        return TableRow(word, hypothesis.names[here], cells)
+    def row(word: Word, location: int) -> TableRow:
+        cells: list[str | None] = []
+        for suffix in columns:
+            end: int | None = location
+            for symbol in suffix:
+                end = None if end is None else after[end].get(symbol)
+            cells.append(hypothesis.names[end] if end is not None and evident[end] else None)
+        return TableRow(word, hypothesis.names[location], tuple(cells))
 
     return ObservationTable(
         columns,
         tuple(row(word, here) for here, word in access.items()),
         tuple(row(word, here) for word, here in extensions),
     )
-
-
-def _successors(hypothesis: HypothesisAutomaton) -> list[dict[str, int]]:
-    after: list[dict[str, int]] = [{} for _ in hypothesis.names]
-    for (source, symbol), (target, _) in hypothesis.observed.items():
-        after[source][symbol] = target
-    return after
-
-
-def _end(after: Sequence[dict[str, int]], here: int, word: Word) -> int | None:
-    """Where a word leads from `here` along observed edges."""
-    for symbol in word:
-        target = after[here].get(symbol)
-        if target is None:
-            return None
-        here = target
-    return here

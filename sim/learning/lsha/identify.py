@@ -51,20 +51,20 @@ def identify(
     n_min: int,
 ) -> tuple[Identified, ...]:
     """The answers for the locations 0..size-1 that have `n_min` segments of four readings or more."""
-    own = _log_squares(runs, motion)
-    rivals = {kind: _log_squares(runs, _uniform(runs, flow)) for kind, flow in sorted(alternatives.items())}
-    place, count = own[2], own[1]
-    asked = [
+    own, count, place = _log_squares(runs, motion)
+    rivals = {kind: _log_squares(runs, _uniform(runs, flow))[0] for kind, flow in sorted(alternatives.items())}
+    locations = [
         number for number in range(size) if np.count_nonzero((place == number) & (count >= LEAST_READINGS)) >= n_min
     ]
-    queries = max(len(asked) * len(rivals), 1)
+    queries = max(len(locations) * len(rivals), 1)
     answers = []
-    for number in asked:
+    for number in locations:
         rows = (place == number) & (count >= LEAST_READINGS)
-        best = min(
-            (_compared(0.5 * count[rows] * (own[0][rows] - logs[rows]), kind) for kind, (logs, *_) in rivals.items())
+        # A segment's log-likelihood with a noise of its own is -count/2 times the log of its mean squared residual.
+        p, gain, kind = min(
+            _compared(0.5 * count[rows] * (own[rows] - logs[rows]), kind) for kind, logs in rivals.items()
         )
-        p, gain, kind = best
+        # Bonferroni over all locations and rivals: the default is only given up where chance hardly explains it.
         kept = p >= alpha / queries
         answers.append(
             Identified(
@@ -87,8 +87,14 @@ def rate_alone(runs: FreeRuns, kind: str) -> float:
     Nothing is assumed of which segments belong together; slow flows hardly show their rate inside a segment.
     """
     taus = np.geomspace(*TAUS, 2 * ROUGH)
+    # A grid over all time constants, then ever finer ones about its best point, until the points beside that are within
+    # 3 % of each other.
     while True:
-        losses = [_loss(runs, Flow(kind, {RATES[kind]: _rate(kind, tau), "noise": 0.0})) for tau in taus]
+        losses: list[float] = []
+        for tau in taus:
+            motion = _uniform(runs, Flow(kind, {RATES[kind]: _rate(kind, tau), "noise": 0.0}))
+            logs, count, _ = _log_squares(runs, motion)
+            losses.append(float(0.5 * count @ logs))
         best = int(np.argmin(losses))
         low, high = taus[max(best - 1, 0)], taus[min(best + 1, taus.size - 1)]
         if high < 1.03 * low:
@@ -98,12 +104,6 @@ def rate_alone(runs: FreeRuns, kind: str) -> float:
 
 def _rate(kind: str, tau: float) -> float:
     return tau if RATES[kind] == "t0" else 1.0 / tau
-
-
-def _loss(runs: FreeRuns, flow: Flow) -> float:
-    """Minus the log-likelihood of all segments, each with a noise of its own."""
-    logs, count, _ = _log_squares(runs, _uniform(runs, flow))
-    return float(0.5 * count @ logs)
 
 
 def _compared(gain: Array, kind: str) -> tuple[float, float, str]:

@@ -194,7 +194,7 @@ def learn_lsha(
         "held_out_rmse": flow.held_out_rmse,
         "held_out_mae": flow.held_out_mae,
     }
-    figures |= {f"coverage90_before_{one.horizon:.0f}s": one.covered for one in coverage}
+    figures |= {f"coverage90_before_{row.horizon:.0f}s": row.covered for row in coverage}
     provenance = Provenance(
         method="lsha",
         data_hash=data_hash or digest,
@@ -220,7 +220,7 @@ def learn_lsha(
         scores={name: value for name, value in figures.items() if np.isfinite(value)},
     )
     report_progress("done", 1.0)
-    calibration = {one.horizon: one.factor for one in coverage}
+    calibration = {row.horizon: row.factor for row in coverage}
     return LearnedLsha(replace(model, calibration=calibration, provenance=provenance), fitted.values, report)
 
 
@@ -228,8 +228,8 @@ def _rows(teacher: Teacher, structure: Structure, hypothesis: HypothesisAutomato
     """Every class of words: what it is called, where it was seen first, and the location that it leads to."""
     classes, words = structure.classes, teacher.words
     first: dict[int, int] = {}
-    for state, one in enumerate(classes.of_state.tolist()):
-        first.setdefault(one, state)
+    for state, row in enumerate(classes.of_state.tolist()):
+        first.setdefault(row, state)
     names = [hypothesis.names[number] for number in structure.partition.location.tolist()]
     return tuple(
         RowOfWords(described(key, teacher.alphabet), spelled(key, words), *words.first[first[number]], names[number])

@@ -207,7 +207,13 @@ def learn_partition(
             if state.evidence[state.find(row)].count:
                 decisions.append(_decide(state, row, classes, level))
             else:
-                decisions += _follow_neighbours(state, row, classes, level)
+                # Without any evidence it follows the default hypothesis, where determinism and the tests allow it.
+                for neighbour in _neighbours(state, row, classes):
+                    fold = _Fold(state)
+                    if fold.join(state.find(row), neighbour) is None and fold.worst()[0] >= level:
+                        fold.commit()
+                        decisions.append(Decision(row=row, verdict="default", other=neighbour, evidence=0))
+                        break
         state.placed[row] = True
     decisions += _dissolved(state, level)
     # Locations are numbered in the order of their first class, whatever number their set has.
@@ -229,9 +235,10 @@ def _decide(state: _PartitionState, row: int, classes: Classes, level: float) ->
     here = state.find(row)
     mine = state.evidence[here]
     # The row's own segments against those of every location, the most similar first.
-    answers = {one: state.compare(state.evidence[one], mine) for one in state.known}
+    answers = {location: state.compare(state.evidence[location], mine) for location in state.known}
     equal = sorted(
-        (one for one, answer in answers.items() if answer.p >= level), key=lambda one: (-answers[one].p, one)
+        (location for location, answer in answers.items() if answer.p >= level),
+        key=lambda location: (-answers[location].p, location),
     )
     default = _default(state, here, classes)
     if default in equal:
@@ -240,12 +247,12 @@ def _decide(state: _PartitionState, row: int, classes: Classes, level: float) ->
     # Each merge is tried with all that it entails, on a copy: a suffix may tell apart what the row itself does not.
     refused: Query | None = None
     allowed: list[tuple[int, _Fold]] = []
-    for one in equal[:TRIED]:
+    for location in equal[:TRIED]:
         fold = _Fold(state)
-        query = fold.join(here, one)
+        query = fold.join(here, location)
         p, against = fold.worst()
         if query is None and p >= level:
-            allowed.append((one, fold))
+            allowed.append((location, fold))
             if classes.memory != "word":
                 break
         else:
@@ -253,27 +260,17 @@ def _decide(state: _PartitionState, row: int, classes: Classes, level: float) ->
     count = int(mine.count)
     if allowed:
         # A single word says little by itself: of several merges the one for which most of what follows was compared.
-        one, fold = max(allowed, key=lambda candidate: len(candidate[1].answers))
+        location, fold = max(allowed, key=lambda candidate: len(candidate[1].answers))
         fold.commit()
-        verdict: Verdict = "default" if one == default and mine.count < state.n_min else "merged"
-        return Decision(row=row, verdict=verdict, other=one, evidence=count, answer=answers[one])
+        verdict: Verdict = "default" if location == default and mine.count < state.n_min else "merged"
+        return Decision(row=row, verdict=verdict, other=location, evidence=count, answer=answers[location])
     state.known.append(here)
     if refused is not None:
         answer, rival, suffix = refused.answer, equal[0], refused.suffix
         return Decision(row=row, verdict="new", other=here, evidence=count, answer=answer, rival=rival, suffix=suffix)
-    nearest = max(answers, key=lambda one: answers[one].p, default=None)
+    nearest = max(answers, key=lambda location: answers[location].p, default=None)
     test = answers[nearest] if nearest is not None else None
     return Decision(row=row, verdict="new", other=here, evidence=count, answer=test, rival=nearest)
-
-
-def _follow_neighbours(state: _PartitionState, row: int, classes: Classes, level: float) -> list[Decision]:
-    """A row without any evidence follows the default hypothesis, where determinism and the tests allow it."""
-    for one in _neighbours(state, row, classes):
-        fold = _Fold(state)
-        if fold.join(state.find(row), one) is None and fold.worst()[0] >= level:
-            fold.commit()
-            return [Decision(row=row, verdict="default", other=one, evidence=0)]
-    return []
 
 
 def _default(state: _PartitionState, row: int, classes: Classes) -> int | None:
@@ -281,19 +278,19 @@ def _default(state: _PartitionState, row: int, classes: Classes) -> int | None:
     if state.evidence[row].count < state.n_min:
         return next(iter(_neighbours(state, row, classes)), None)
     key = classes.keys[row]
-    same = [one for one in state.known if classes.keys[one].context == key.context]
-    return min(same, key=lambda one: (classes.keys[one].direction != key.direction, one), default=None)
+    same = [location for location in state.known if classes.keys[location].context == key.context]
+    return min(same, key=lambda number: (classes.keys[number].direction != key.direction, number), default=None)
 
 
 def _neighbours(state: _PartitionState, row: int, classes: Classes) -> list[int]:
     """The locations by how near the nearest words are that lead there, TRIED at most."""
     near: dict[int, None] = {}
-    for one in classes.near(row):
-        if state.placed[one]:
-            near.setdefault(state.find(one))
+    for other in classes.near(row):
+        if state.placed[other]:
+            near.setdefault(state.find(other))
             if len(near) == TRIED:
                 break
-    return [one for one in near if one in state.known]
+    return [location for location in near if location in state.known]
 
 
 def _dissolved(state: _PartitionState, level: float) -> list[Decision]:

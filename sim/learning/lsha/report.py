@@ -24,40 +24,39 @@ MOST_ROWS = 400
 
 def report_document(report: LshaReport) -> dict[str, Any]:
     """The whole report as plain values, for JSON: numbers that are none become None."""
-    rows = report.rows
     document = {
         "settings": asdict(report.settings),
-        "flow_hypotheses": [asdict(one) for one in report.flows],
-        "structure_hypotheses": [asdict(one) for one in report.structures],
+        "flow_hypotheses": [asdict(rival) for rival in report.flows],
+        "structure_hypotheses": [asdict(rival) for rival in report.structures],
         "delta": report.delta,
         "parameter_spread": report.spread,
         "parameter_scatter": report.scatter,
         "segments": report.segments,
         "copies_left_out": report.copies,
-        "classes_of_words": [asdict(one) for one in rows],
+        "classes_of_words": [asdict(row) for row in report.rows],
         "hypothesis_test_queries": report.queries,
         "p_below_which_rows_differ": report.level,
-        "decisions": [_decision(one, report) for one in report.decisions],
-        "counterexamples": [_counterexample(one, report) for one in counterexamples(report)],
+        "decisions": [_decision(decision, report) for decision in report.decisions],
+        "counterexamples": [_counterexample(decision, report) for decision in counterexamples(report)],
         "model_identification_queries": [
-            {**asdict(one), "location": report.locations[one.location].name} for one in report.identified
+            {**asdict(query), "location": report.locations[query.location].name} for query in report.identified
         ],
         "observation_table": {
             "suffixes": [list(suffix) for suffix in report.table.suffixes],
-            "upper": [asdict(one) for one in report.table.upper],
-            "lower": [asdict(one) for one in report.table.lower],
+            "upper": [asdict(row) for row in report.table.upper],
+            "lower": [asdict(row) for row in report.table.lower],
         },
-        "locations": [asdict(one) for one in report.locations],
+        "locations": [asdict(location) for location in report.locations],
         "edges": {"observed": report.observed_edges, "default": report.default_edges},
         "acceptance": asdict(report.acceptance),
-        "coverage": [asdict(one) for one in report.coverage],
+        "coverage": [asdict(horizon) for horizon in report.coverage],
     }
     return {key: strict(value) for key, value in document.items()}
 
 
 def counterexamples(report: LshaReport) -> list[Decision]:
     """The decisions by which a word of a trace refuted the hypothesis so far: its row equalled no location."""
-    return [one for one in report.decisions if one.verdict == "new" and one.rival is not None]
+    return [decision for decision in report.decisions if decision.verdict == "new" and decision.rival is not None]
 
 
 def report_text(report: LshaReport, name: str) -> str:
@@ -66,7 +65,7 @@ def report_text(report: LshaReport, name: str) -> str:
 
 
 def _lines(report: LshaReport, name: str) -> Iterator[str]:
-    laws = sum(one.mu == one.mu for one in report.locations)
+    laws = sum(location.mu == location.mu for location in report.locations)  # NaN, which no law has, equals nothing
     accepted = report.acceptance
     yield f"# How {name} was learned (L*_SHA)"
     yield ""
@@ -91,10 +90,7 @@ def _lines(report: LshaReport, name: str) -> Iterator[str]:
     yield ""
     yield from _grid(("hypothesis", "locations", *columns[2:]), _rivals(report.structures))
     yield from _query_lines(report)
-    yield from _refuted_lines(report)
-    yield from _identified_lines(report)
-    yield from _location_lines(report)
-    yield from _table_lines(report)
+    yield from _result_lines(report)
 
 
 def _rivals(rivals: Iterable[Any]) -> list[tuple[object, ...]]:
@@ -105,6 +101,7 @@ def _rivals(rivals: Iterable[Any]) -> list[tuple[object, ...]]:
 
 
 def _query_lines(report: LshaReport) -> Iterator[str]:
+    """What was asked: hypothesis-test queries, the counterexamples among them, model-identification queries."""
     yield ""
     yield "## Hypothesis-test queries"
     yield ""
@@ -122,27 +119,21 @@ def _query_lines(report: LshaReport) -> Iterator[str]:
         "the two differ, where it is not their own segments that do."
     )
     yield ""
-    shown = [_decision(one, report) for one in report.decisions]
     columns = ("words", "verdict", "with", "segments", "difference", "t", "p", "told apart by")
-    yield from _grid(columns, [tuple(one[key] for key in _COLUMNS) for one in shown])
-
-
-def _refuted_lines(report: LshaReport) -> Iterator[str]:
+    keys = ("words", "verdict", "other", "segments", "difference", "statistic", "p", "suffix")
+    shown = [_decision(decision, report) for decision in report.decisions]
+    yield from _grid(columns, [tuple(row[key] for key in keys) for row in shown])
     yield ""
     yield "## Counterexamples"
     yield ""
-    found = counterexamples(report)
+    refuting = [_counterexample(decision, report) for decision in counterexamples(report)]
     yield (
-        f"{len(found)} words of the traces refuted the hypothesis of their time and became locations."
-        if found
+        f"{len(refuting)} words of the traces refuted the hypothesis of their time and became locations."
+        if refuting
         else "None."
     )
-    for one in found:
-        example = _counterexample(one, report)
+    for example in refuting:
         yield f"- {example['words']}: trace {example['trace']}, its first {example['events']} events"
-
-
-def _identified_lines(report: LshaReport) -> Iterator[str]:
     if not report.identified:
         return
     yield ""
@@ -157,22 +148,19 @@ def _identified_lines(report: LshaReport) -> Iterator[str]:
     yield from _grid(("location", "default flow", "best fit", "segments", "gain per segment", "p", ""), rows)
 
 
-_COLUMNS = ("words", "verdict", "other", "segments", "difference", "statistic", "p", "suffix")
-
-
-def _decision(one: Decision, report: LshaReport) -> dict[str, object]:
-    other = one.rival if one.verdict == "new" else one.other
-    answer = one.answer
+def _decision(decision: Decision, report: LshaReport) -> dict[str, object]:
+    other = decision.rival if decision.verdict == "new" else decision.other
+    answer = decision.answer
     return {
-        "words": _named(report.rows[one.row]),
-        "verdict": VERDICTS[one.verdict],
+        "words": _named(report.rows[decision.row]),
+        "verdict": VERDICTS[decision.verdict],
         "other": "" if other is None else _named(report.rows[other]),
-        "location": report.rows[one.row].location,
-        "segments": one.evidence,
+        "location": report.rows[decision.row].location,
+        "segments": decision.evidence,
         "difference": answer.difference if answer else None,
         "statistic": answer.statistic if answer else None,
         "p": answer.p if answer else None,
-        "suffix": _word(one.suffix) if one.suffix else "",
+        "suffix": _word(decision.suffix) if decision.suffix else "",
     }
 
 
@@ -184,26 +172,19 @@ def _named(row: RowOfWords) -> str:
     return f"{row.name} = {_word(short)}"
 
 
-def _counterexample(one: Decision, report: LshaReport) -> dict[str, object]:
-    row = report.rows[one.row]
-    return {"words": _named(row), "trace": row.trace, "events": row.events, "suffix": _word(one.suffix)}
+def _counterexample(decision: Decision, report: LshaReport) -> dict[str, object]:
+    row = report.rows[decision.row]
+    return {"words": _named(row), "trace": row.trace, "events": row.events, "suffix": _word(decision.suffix)}
 
 
-def _location_lines(report: LshaReport) -> Iterator[str]:
+def _result_lines(report: LshaReport) -> Iterator[str]:
+    """What was learned: locations, their bands on held-out data, the observation table."""
     yield ""
     yield "## Locations"
     yield ""
     columns = (
-        "location",
-        "flow",
-        "entry",
-        "mean",
-        "error of it",
-        "scatter",
-        "segments",
-        "readings",
-        "seconds",
-        "words",
+        *("location", "flow", "entry", "mean", "error of it", "scatter"),
+        *("segments", "readings", "seconds", "words"),
     )
     rows = [
         (e.name, e.flow, e.entry, e.mu, e.mu_error, e.scatter, e.segments, e.readings, e.seconds, ", ".join(e.words))
@@ -214,21 +195,18 @@ def _location_lines(report: LshaReport) -> Iterator[str]:
         yield ""
         yield "## Bands on held-out data"
         yield ""
-        bands = [(one.horizon, one.forecasts, one.covered, one.factor) for one in report.coverage]
+        bands = [(row.horizon, row.forecasts, row.covered, row.factor) for row in report.coverage]
         yield from _grid(("horizon, s", "forecasts", "covered by the 90 % band", "factor"), bands)
-
-
-def _table_lines(report: LshaReport) -> Iterator[str]:
     yield ""
     yield "## Observation table"
     yield ""
     yield "Cells are the locations that word and suffix lead to; ε is the empty word, – was not observed."
     yield ""
-    columns = ("word", *(_word(suffix) for suffix in report.table.suffixes))
+    suffixes = ("word", *(_word(suffix) for suffix in report.table.suffixes))
     for title, part in (("Access words", report.table.upper), ("Extensions", report.table.lower)):
         yield f"### {title}"
         yield ""
-        yield from _grid(columns, [(_word(row.word), *(cell or "–" for cell in row.cells)) for row in part])
+        yield from _grid(suffixes, [(_word(row.word), *(cell or "–" for cell in row.cells)) for row in part])
         yield ""
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.engine import linear_recursion
 from sim.learning import FreeRuns, Indices
-from sim.sha import Array, Mask
+from sim.sha import Array
 
 LEAST_INFORMATION = 1e-9
 """A segment tells m if x0 leaves this share of m's information."""
@@ -56,8 +56,8 @@ def stays_after(runs: FreeRuns) -> tuple[Indices, Indices]:
 def levels(runs: FreeRuns, group: Indices) -> TraceSegments:
     """The segments' mean readings: the parameter of `resample` entry under a constant flow."""
     stay, place = stays_after(runs)
-    there = np.isfinite(runs.reading)
-    stay, place, reading = stay[there], place[there], runs.reading[there]
+    known = np.isfinite(runs.reading)
+    stay, place, reading = stay[known], place[known], runs.reading[known]
     _, first, inverse = np.unique(stay, return_index=True, return_inverse=True)
     count = np.bincount(inverse)
     mean = np.asarray(np.bincount(inverse, reading) / count, dtype=float)
@@ -67,10 +67,10 @@ def levels(runs: FreeRuns, group: Indices) -> TraceSegments:
         value=mean,
         variance=noise**2 / count,
         place=place[first],
-        group=group[there][first],
+        group=group[known][first],
         readings=count,
         squares=squares,
-        start=runs.time[there][first],
+        start=runs.time[known][first],
         noise=noise,
     )
 
@@ -102,34 +102,32 @@ def stay_fits(runs: FreeRuns, motion: Motion) -> tuple[Array, Array, Array, Arra
     """Of every stay: m by least squares (NaN where it is not told), its information, the sum of squares that is left,
     the number of readings, and the stay's first knot."""
     begins = (np.diff(runs.stay, prepend=-1) != 0) | runs.first
-    (ss, sm, mm, sy, my, yy, count), begin = _sums(runs, motion, begins)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        information = mm - sm**2 / ss
-        value = np.where(information > LEAST_INFORMATION * mm, (my - sm * sy / ss) / information, np.nan)
-        squares = np.maximum(yy - sy**2 / ss - np.where(np.isnan(value), 0.0, information * value**2), 0.0)
-    return value, information, squares, count, begin
-
-
-def _sums(runs: FreeRuns, motion: Motion, begins: Mask) -> tuple[tuple[Array, ...], Indices]:
-    """The normal equations of every stay, the reading at its beginning included; and the stays' first knots."""
+    # Decay 0 where a stay begins: one recursion over all knots starts anew in each. `start` and `mode` are the courses
+    # that a unit of a stay's start temperature and of its m would make.
     inside = np.where(begins, 0.0, motion.decay)
     start = linear_recursion(inside, np.where(begins, motion.decay, 0.0), 0.0)
     mode = linear_recursion(inside, motion.pull, 0.0)
     pushed = linear_recursion(inside, motion.pull * motion.offset, 0.0)
     stay, begin = np.cumsum(begins) - 1, np.flatnonzero(begins)
     entry = begin[~runs.first[begin]]  # stays that go on from the knot before: its reading is at their beginning
-    there, before = np.isfinite(runs.reading), np.isfinite(runs.reading[entry - 1])
-    of = np.concatenate([stay[there], stay[entry][before]])
-    a = np.concatenate([start[there], np.ones(int(before.sum()))])
-    b = np.concatenate([mode[there], np.zeros(int(before.sum()))])
-    y = np.concatenate([(runs.reading - pushed)[there], runs.reading[entry - 1][before]])
+    known, before = np.isfinite(runs.reading), np.isfinite(runs.reading[entry - 1])
+    of = np.concatenate([stay[known], stay[entry][before]])
+    a = np.concatenate([start[known], np.ones(int(before.sum()))])
+    b = np.concatenate([mode[known], np.zeros(int(before.sum()))])
+    y = np.concatenate([(runs.reading - pushed)[known], runs.reading[entry - 1][before]])
     # Readings are taken relative to the stay's first one, or their squares would drown the residuals.
     size = begin.size
     origin = np.zeros(size)
     origin[of[::-1]] = y[::-1]
     y = y - a * origin[of]
     rows = (a * a, a * b, b * b, a * y, b * y, y * y, np.ones(of.size))
-    return tuple(np.asarray(np.bincount(of, row, size), dtype=float) for row in rows), begin
+    ss, sm, mm, sy, my, yy, count = (np.asarray(np.bincount(of, row, size), dtype=float) for row in rows)
+    # The normal equations of all stays at once, the start eliminated; a stay that does not tell both divides by 0.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        information = mm - sm**2 / ss
+        value = np.where(information > LEAST_INFORMATION * mm, (my - sm * sy / ss) / information, np.nan)
+        squares = np.maximum(yy - sy**2 / ss - np.where(np.isnan(value), 0.0, information * value**2), 0.0)
+    return value, information, squares, count, begin
 
 
 def _noise(squares: Array, freedom: Array) -> float:

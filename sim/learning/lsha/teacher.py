@@ -67,42 +67,40 @@ def teacher_of(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_
             jumps=True,
         )
 
-    something = np.array([any(value is not None for value in state.context) for state in words.states])
+    contexts = [state.context for state in words.states]
+    something = np.array([any(value is not None for value in context) for context in contexts])
     runs = followed(something)
-    modelled = _modelled(words, runs, something)
+    # A law of their own: states in which every channel is known, and those of contexts that hold a tenth of the
+    # readings all the same. It is seen only in the runs, so the runs are made anew where another state cuts them.
+    readings = np.bincount(runs.place[np.isfinite(runs.reading) & ~runs.first], minlength=len(contexts))
+    of_context = dict.fromkeys(contexts, 0)
+    for context, count in zip(contexts, readings.tolist(), strict=True):
+        of_context[context] += count
+    enough = np.array(
+        [None not in context or of_context[context] >= LEAST_SHARE * readings.sum() for context in contexts]
+    )
+    modelled = np.asarray(enough & something)
     if np.any(~modelled[np.unique(runs.place)]):
         runs = followed(modelled)
-    count = int(np.isfinite(runs.reading).sum())
-    if count < LEAST_READINGS or not runs.dt.sum() > 0:
+    reading = runs.reading[np.isfinite(runs.reading)]
+    if reading.size < LEAST_READINGS or not runs.dt.sum() > 0:
         raise LearningError(
-            f"only {count} readings of {temperature!r} fall into known locations, over {runs.dt.sum():.0f} s; "
+            f"only {reading.size} readings of {temperature!r} fall into known locations, over {runs.dt.sum():.0f} s; "
             f"a model needs at least {LEAST_READINGS}, at different times"
         )
     centre, spread = _moments(runs)
-    reading = runs.reading[np.isfinite(runs.reading)]
     gains = {signal: SPREAD / s for signal, s in zip(signals, spread.tolist(), strict=True) if s > 0}
     prior = Prior((float(np.median(reading)), SPREAD), gains)
     return Teacher(
         words=words,
         runs=runs,
         modelled=modelled,
-        group=_groups(runs, split),
+        # Whole traces are held out where there are enough of them; else halves of halves, two for each part.
+        group=runs.trace if np.unique(runs.trace).size >= split else pieces(runs, 2 * split).run,
         signals=signals,
         centre=centre,
         prior=prior,
     )
-
-
-def _modelled(words: TraceWords, runs: FreeRuns, something: Mask) -> Mask:
-    """States in which every channel is known, and those of contexts that hold a tenth of the readings all the same."""
-    there = np.isfinite(runs.reading) & ~runs.first
-    count = np.bincount(runs.place[there], minlength=len(words.states))
-    contexts = [state.context for state in words.states]
-    whole = dict.fromkeys(contexts, 0)
-    for context, readings in zip(contexts, count.tolist(), strict=True):
-        whole[context] += readings
-    enough = np.array([None not in context or whole[context] >= LEAST_SHARE * count.sum() for context in contexts])
-    return np.asarray(enough & something)
 
 
 def _moments(runs: FreeRuns) -> tuple[Array, Array]:
@@ -113,12 +111,6 @@ def _moments(runs: FreeRuns) -> tuple[Array, Array]:
     values = np.nan_to_num(runs.inputs)
     mean = (weight * values).sum(axis=0) / mass
     return mean, np.sqrt((weight * (values - mean) ** 2).sum(axis=0) / mass)
-
-
-def _groups(runs: FreeRuns, split: int) -> Indices:
-    if np.unique(runs.trace).size >= split:
-        return runs.trace
-    return pieces(runs, 2 * split).run
 
 
 def alike(teacher: Teacher) -> Indices:

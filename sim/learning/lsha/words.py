@@ -140,20 +140,20 @@ def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> TraceWo
 
 def _stretches(trace: Trace, table: Meaning) -> list[tuple[str, int, Word]]:
     """(trace, number of events before it, word) of each stretch between UNKNOWNs."""
-    found: list[tuple[str, int, Word]] = []
+    stretches: list[tuple[str, int, Word]] = []
     begin = 0
     symbols = [event.symbol for event in trace.events]
     for number, symbol in enumerate([*symbols, UNKNOWN]):
         if symbol == UNKNOWN:
             if number > begin:
-                found.append((trace.name, begin, tuple(symbols[begin:number])))
+                stretches.append((trace.name, begin, tuple(symbols[begin:number])))
             begin = number + 1
         elif symbol not in table.symbols:
             raise LearningError(
                 f"trace {trace.name!r}: event {number} is {symbol!r}, which the alphabet does not have; encode the "
                 "trace with the alphabet that is learned with"
             )
-    return found
+    return stretches
 
 
 def _tree(words: Sequence[Word], least: int) -> tuple[dict[tuple[int, str], int], list[int]]:
