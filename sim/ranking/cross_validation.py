@@ -39,6 +39,7 @@ def predicted(model: Model, trace: Trace) -> tuple[Array, Array, Array]:
     events = encode(trace, model.alphabet) if model.alphabet.channels else trace.events
     run = open_loop(model, replace(trace, events=events), "resync")
     times, values = measured(trace, model.temperature)
+    # The last output at each reading's time; without the first reading, from which the run starts.
     rows = np.searchsorted(run.times, times, side="right")[1:] - 1
     return values[1:], run.mean[rows], np.sqrt(run.variance[rows] + model.sensor_sigma**2)
 
@@ -47,6 +48,8 @@ def held_out(model: Model, trace: Trace) -> HeldOutFold:
     """The scores of one trace. Raises ValueError as `predicted` does."""
     values, mean, sigma = predicted(model, trace)
     error = mean - values
+    # A model may be certain of itself (sigma 0): the log-likelihood would be infinite, so it gets a least sigma. The
+    # CRPS needs none: there it is the absolute error.
     return HeldOutFold(
         trace=trace.name,
         readings=int(values.size),
@@ -62,15 +65,15 @@ def usable(traces: Sequence[Trace], temperature: str) -> tuple[tuple[Trace, ...]
 
     Copies count once. Traces of equal names but other content get a number, so that scores can be told apart.
     """
-    there, notes = [], []
+    readable, notes = [], []
     for trace in traces:
         readings = int(np.isfinite(trace.signals.get(temperature, np.empty(0))).sum())
         if readings < LEAST_READINGS:
             notes.append(f"{trace.name} is left out: it has {readings} readings of {temperature!r}")
         else:
-            there.append(trace)
-    ordered, digest = in_order(there)
-    copies = len(there) - len(ordered)
+            readable.append(trace)
+    ordered, digest = in_order(readable)
+    copies = len(readable) - len(ordered)
     if copies:
         notes.append(f"{copies} cop{'y is' if copies == 1 else 'ies are'} left out")
     names: dict[str, int] = {}

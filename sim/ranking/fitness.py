@@ -35,8 +35,8 @@ class FitnessLimits:
 
     def __post_init__(self) -> None:
         if not 0 <= self.coverage_low < self.coverage_high <= 1:
-            given = f"{self.coverage_low:g} and {self.coverage_high:g}"
-            raise ValueError(f"the limits of the coverage must be two ascending shares of 0 to 1, got {given}")
+            limits = f"{self.coverage_low:g} and {self.coverage_high:g}"
+            raise ValueError(f"the limits of the coverage must be two ascending shares of 0 to 1, got {limits}")
         if not (self.persistence > 0 and self.largest > 0):
             raise ValueError("the limits of the largest error and of the MAE against persistence must be positive")
         if not min(self.clamps, self.rejecting, self.unseen) >= 0:
@@ -45,7 +45,7 @@ class FitnessLimits:
 
 def limits_of(given: Iterable[tuple[str, str]], *, synthetic: bool = False) -> FitnessLimits:
     """Limits from (name, number as text). Raises ValueError for unknown names and for what is no such number."""
-    names = [one.name for one in fields(FitnessLimits) if one.name != "synthetic"]
+    names = [limit.name for limit in fields(FitnessLimits) if limit.name != "synthetic"]
     values: dict[str, float] = {}
     for name, text in given:
         if name not in names:
@@ -92,6 +92,7 @@ class Case:
 
 def judge(results: Sequence[TraceResult], facts: Facts, limits: FitnessLimits) -> tuple[Finding, ...]:
     """All criteria for one model, in the order of the table."""
+    # What was not trained on, where there is any: errors in sample flatter. Failures count by criteria of their own.
     fresh = [result for result in results if result.trace not in facts.seen]
     done = [result for result in fresh or results if not result.failure]
     case = Case(results, done, facts, limits)
@@ -157,6 +158,7 @@ def _diverging(case: Case) -> Said:
     errors = [(result.max_error, result.trace) for result in case.results if not result.failure]
     if not errors:
         return None, "no trace has an error"
+    # An error that is no number is the largest of all, and no limit is kept with it.
     largest, trace = max(errors, key=lambda pair: pair[0] if isfinite(pair[0]) else float("inf"))
     return largest <= case.limits.largest, f"largest error {largest:.3g} °C on {trace} (limit {case.limits.largest:g})"
 

@@ -47,8 +47,8 @@ def paired(differences: ArrayLike, rng: np.random.Generator, resamples: int = RE
     inside one are not. The test is exact for up to 50 differences without ties (Wilcoxon 1945; differences of 0 are
     shared between both signs, Pratt 1959). With no difference but 0 the p-value is 1.
     """
-    given = np.asarray(differences, dtype=float)
-    values = given[np.isfinite(given)]
+    all_values = np.asarray(differences, dtype=float)
+    values = all_values[np.isfinite(all_values)]
     n = int(values.size)
     if n == 0:
         return Paired(n=0, mean=nan, low=nan, high=nan, error=nan, p=nan, least=1.0)
@@ -63,20 +63,18 @@ def paired(differences: ArrayLike, rng: np.random.Generator, resamples: int = RE
         low=low,
         high=high,
         error=error,
-        p=_signed_rank(values),
+        # With nothing but zeros there are no ranks to test.
+        p=float(wilcoxon(values, zero_method="pratt").pvalue) if np.any(values) else 1.0,
+        # All differences of one sign are one of 2^n equally likely patterns of signs, and there are two such sides.
         least=min(1.0, 2.0 ** (1 - n)),
     )
-
-
-def _signed_rank(values: np.ndarray) -> float:
-    if not np.any(values):
-        return 1.0
-    return float(wilcoxon(values, zero_method="pratt").pvalue)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """Adjusted p-values that keep the chance of any false finding among all tests at the level (Holm 1979)."""
     adjusted, so_far = [1.0] * len(p_values), 0.0
+    # From the smallest p on, each times the number of tests still open; never below the one before it, so that their
+    # order stays.
     for rank, place in enumerate(sorted(range(len(p_values)), key=lambda place: p_values[place])):
         so_far = max(so_far, (len(p_values) - rank) * p_values[place])
         adjusted[place] = min(1.0, so_far)

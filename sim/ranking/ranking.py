@@ -113,22 +113,49 @@ def rank(
     """
     by_entrant = entrants(results)
     used, known = weights or Weights(), facts or {}
-    scores = {name: _scores(own, used) for name, own in by_entrant.items()}
-    common = _common(scores)
-    wins = _wins(scores, common)
-    standings = [
-        _standing(
-            name,
-            own,
-            common=common,
-            weights=used,
-            wins=wins.get(name, 0.0),
-            facts=known.get(name, Facts()),
-            limits=limits or FitnessLimits(),
+    scores: dict[str, dict[str, float]] = {}
+    for name, own in by_entrant.items():
+        figures = {trace: score(result, used) for trace, result in own.items() if not result.failure}
+        scores[name] = {trace: value for trace, value in figures.items() if isfinite(value)}
+    # Only what has a score somewhere decides which traces are common: a model that failed everywhere would leave none.
+    ranked = [name for name, own in scores.items() if own]
+    first = scores[ranked[0]] if ranked else {}
+    common = tuple(trace for trace in first if all(trace in scores[name] for name in ranked))
+    wins = dict.fromkeys(by_entrant, 0.0)
+    for trace in common:
+        least = min(scores[name][trace] for name in ranked)
+        winners = [name for name in ranked if scores[name][trace] == least]
+        for name in winners:
+            wins[name] += 1.0 / len(winners)
+    standings = []
+    for name, own in by_entrant.items():
+        shared = [own[trace] for trace in common if trace in own and not own[trace].failure]
+        entrant = known.get(name, Facts())
+        standings.append(
+            Standing(
+                entrant=name,
+                rank=None,
+                score=_mean([score(result, used) for result in shared]),
+                mae=_mean([result.at_samples.mae for result in shared]),
+                largest=_mean([result.max_error for result in shared]),
+                scatter=_mean([result.error_sigma for result in shared]),
+                coverage=_mean([result.coverage for result in shared]),
+                crps=_mean([result.crps for result in shared]),
+                persistence=_mean([result.persistence for result in shared]),
+                wins=wins[name],
+                traces=len(own),
+                failed=sum(bool(result.failure) for result in own.values()),
+                seen={trace: reason for trace, reason in entrant.seen.items() if trace in own},
+                findings=judge(list(own.values()), entrant, limits or FitnessLimits()),
+            )
         )
-        for name, own in by_entrant.items()
-    ]
-    placed = _placed(standings)
+    # Best first, those without a score last; the name decides between equal ones, so that the order does not depend on
+    # that of the results. Equal scores share a rank.
+    standings.sort(key=lambda each: (not isfinite(each.score), each.score, each.entrant))
+    placed = tuple(
+        replace(each, rank=1 + sum(rival.score < each.score for rival in standings)) if isfinite(each.score) else each
+        for each in standings
+    )
     return Ranking(
         standings=placed,
         pairs=_pairs([each.entrant for each in placed if scores[each.entrant]], scores, seed),
@@ -173,101 +200,53 @@ def score(result: TraceResult, weights: Weights) -> float:
     )
 
 
-def _scores(results: Mapping[str, TraceResult], weights: Weights) -> dict[str, float]:
-    known = {trace: score(result, weights) for trace, result in results.items() if not result.failure}
-    return {trace: value for trace, value in known.items() if isfinite(value)}
-
-
-def _common(scores: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
-    sets = [own for own in scores.values() if own]
-    return tuple(trace for trace in sets[0] if all(trace in own for own in sets)) if sets else ()
-
-
-def _wins(scores: Mapping[str, Mapping[str, float]], common: Sequence[str]) -> dict[str, float]:
-    wins = {name: 0.0 for name, own in scores.items() if own}
-    for trace in common:
-        least = min(scores[name][trace] for name in wins)
-        winners = [name for name in wins if scores[name][trace] == least]
-        for name in winners:
-            wins[name] += 1.0 / len(winners)
-    return wins
-
-
-def _standing(
-    name: str,
-    results: Mapping[str, TraceResult],
-    *,
-    common: Sequence[str],
-    weights: Weights,
-    wins: float,
-    facts: Facts,
-    limits: FitnessLimits,
-) -> Standing:
-    ranked = [results[trace] for trace in common if trace in results and not results[trace].failure]
-    seen = {trace: reason for trace, reason in facts.seen.items() if trace in results}
-    return Standing(
-        entrant=name,
-        rank=None,
-        score=_mean([score(result, weights) for result in ranked]),
-        mae=_mean([result.at_samples.mae for result in ranked]),
-        largest=_mean([result.max_error for result in ranked]),
-        scatter=_mean([result.error_sigma for result in ranked]),
-        coverage=_mean([result.coverage for result in ranked]),
-        crps=_mean([result.crps for result in ranked]),
-        persistence=_mean([result.persistence for result in ranked]),
-        wins=wins,
-        traces=len(results),
-        failed=sum(bool(result.failure) for result in results.values()),
-        seen=seen,
-        findings=judge(list(results.values()), facts, limits),
-    )
-
-
 def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values)) if values else nan
 
 
-def _placed(standings: Sequence[Standing]) -> tuple[Standing, ...]:
-    """Best first, with ranks; equal scores share one."""
-    ordered = sorted(standings, key=lambda each: (not isfinite(each.score), each.score, each.entrant))
-    return tuple(
-        replace(each, rank=1 + sum(rival.score < each.score for rival in ordered)) if isfinite(each.score) else each
-        for each in ordered
-    )
-
-
 def _pairs(names: Sequence[str], scores: Mapping[str, Mapping[str, float]], seed: int) -> tuple[Pair, ...]:
+    """Every two of `names` on the traces that both have, in the order of the names."""
     couples = list(combinations(names, 2))
     rng = np.random.default_rng(seed)
     differences = []
     for one, other in couples:
         shared = [trace for trace in scores[one] if trace in scores[other]]
         differences.append(np.array([scores[one][trace] - scores[other][trace] for trace in shared]))
-    found = [paired(each, rng) for each in differences]
-    corrected = holm([1.0 if each.n == 0 else each.p for each in found])
-    return tuple(
-        _pair(one, other, values=values, difference=difference, p=p, pairs=len(couples))
-        for (one, other), values, difference, p in zip(couples, differences, found, corrected, strict=True)
-    )
-
-
-def _pair(one: str, other: str, *, values: np.ndarray, difference: Paired, p: float, pairs: int) -> Pair:
-    wins = (float((values < 0).sum() + (values == 0).sum() / 2), float((values > 0).sum() + (values == 0).sum() / 2))
-    better = None
-    if difference.n and pairs * difference.least > LEVEL:
-        sentence = (
-            f"nothing can be told from {difference.n} trace{'' if difference.n == 1 else 's'}: even if one were better "
-            f"on all, p "
-            f"would be {min(1.0, pairs * difference.least):.2g} with {pairs} pair{'' if pairs == 1 else 's'}"
+    tests = [paired(values, rng) for values in differences]
+    # Corrected over all pairs at once, so this cannot be done pair by pair.
+    corrected = holm([1.0 if test.n == 0 else test.p for test in tests])
+    pairs = []
+    for (one, other), values, test, p in zip(couples, differences, tests, corrected, strict=True):
+        below, above, ties = int((values < 0).sum()), int((values > 0).sum()), int((values == 0).sum())
+        better = None
+        if test.n and len(couples) * test.least > LEVEL:
+            # Even all traces on one side would not do: that is said instead of "not told apart", which sounds as if the
+            # two were alike.
+            sentence = (
+                f"nothing can be told from {test.n} trace{'' if test.n == 1 else 's'}: even if one were better "
+                f"on all, p would be {min(1.0, len(couples) * test.least):.2g} with {len(couples)} "
+                f"pair{'' if len(couples) == 1 else 's'}"
+            )
+        elif not test.n:
+            sentence = "nothing can be told: they have no trace in common"
+        elif p < LEVEL and test.excludes_zero:
+            # Both: the signed-rank test knows only order and sign, the interval only the mean.
+            better, worse = (one, other) if test.mean < 0 else (other, one)
+            sentence = f"{better} is better than {worse}"
+        else:
+            sentence = "not told apart"
+        pairs.append(
+            Pair(
+                one=one,
+                other=other,
+                difference=test,
+                p=p,
+                better=better,
+                sentence=sentence,
+                wins=(below + ties / 2, above + ties / 2),
+            )
         )
-    elif not difference.n:
-        sentence = "nothing can be told: they have no trace in common"
-    elif p < LEVEL and difference.excludes_zero:
-        better, worse = (one, other) if difference.mean < 0 else (other, one)
-        sentence = f"{better} is better than {worse}"
-    else:
-        sentence = "not told apart"
-    return Pair(one=one, other=other, difference=difference, p=p, better=better, sentence=sentence, wins=wins)
+    return tuple(pairs)
 
 
 def _notes(

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -39,30 +38,27 @@ class Spread:
 def spreads(ranking: Ranking, results: Sequence[TraceResult]) -> list[Spread]:
     """The pooled error distribution of each ranked model, best first."""
     table = entrants(results)
-    found = []
+    pooled = []
     for standing in ranking.standings:
         own = [table[standing.entrant][trace] for trace in ranking.common if trace in table[standing.entrant]]
         known = [result for result in own if len(result.error_quantiles) == len(QUANTILES)]
-        if standing.rank is not None and known:
-            found.append(_spread(standing.entrant, known))
-    return found
-
-
-def _spread(entrant: str, results: Sequence[TraceResult]) -> Spread:
-    """Quantiles of the mixture of the traces' laws, each linear between its quantiles, weighted by its readings."""
-    rows = np.array([result.error_quantiles for result in results])
-    weights = np.array([max(result.readings, 1) for result in results], dtype=float)
-    grid = np.unique(rows)
-    below = np.array([np.interp(grid, *_ascending(row)) for row in rows])
-    pooled = np.average(below, axis=0, weights=weights)
-    levels = np.interp(SHOWN, pooled, grid)
-    return Spread(entrant, levels, float(grid[0]), float(grid[-1]), rows[:, QUANTILES.index(0.5)])
-
-
-def _ascending(row: Array) -> tuple[Array, Array]:
-    """A trace's distribution function as (errors, shares): of equal quantiles the last share counts."""
-    errors, last = np.unique(row[::-1], return_index=True)
-    return errors, np.asarray(QUANTILES)[::-1][last]
+        if standing.rank is None or not known:
+            continue
+        # The mixture of the traces' laws, weighted by their readings; each law is linear between its quantiles, so the
+        # mixture is linear between all of them together.
+        rows = np.array([result.error_quantiles for result in known])
+        grid = np.unique(rows)
+        below = []
+        for row in rows:
+            # Of equal quantiles the last share counts: the law jumps there.
+            errors, last = np.unique(row[::-1], return_index=True)
+            below.append(np.interp(grid, errors, np.asarray(QUANTILES)[::-1][last]))
+        weights = np.array([max(result.readings, 1) for result in known], dtype=float)
+        shares = np.average(np.array(below), axis=0, weights=weights)
+        levels = np.interp(SHOWN, shares, grid)
+        medians = rows[:, QUANTILES.index(0.5)]
+        pooled.append(Spread(standing.entrant, levels, float(grid[0]), float(grid[-1]), medians))
+    return pooled
 
 
 def figure(ranking: Ranking, results: Sequence[TraceResult]) -> Figure:
@@ -72,22 +68,11 @@ def figure(ranking: Ranking, results: Sequence[TraceResult]) -> Figure:
     canvas = Figure(figsize=(13, 2.2 + 0.55 * rows), layout="constrained")
     FigureCanvasAgg(canvas)
     left, right = canvas.subplots(1, 2, gridspec_kw={"width_ratios": [3, 2]})
-    _errors(left, shown, {each.entrant: each.verdict for each in ranking.standings})
-    _wins(right, ranking)
-    note = f"{len(ranking.common)} traces"
-    origins = {result.synthetic for result in results if result.trace in ranking.common and not result.failure}
-    if True in origins:
-        note += ", some of them SYNTHETIC" if False in origins else ", SYNTHETIC: not measured on a plant"
-    canvas.suptitle("Models compared, best first", fontsize=13, x=0.01, ha="left", parse_math=False)
-    canvas.supxlabel(note, fontsize=9, color=MEASURED, x=0.01, ha="left", parse_math=False)
-    return canvas
-
-
-def _errors(axis: Axes, shown: Sequence[Spread], verdicts: Mapping[str, str]) -> None:
-    for row, one in enumerate(shown):
-        colour = COLOURS[verdicts[one.entrant]]
-        stats = dict(zip(("whislo", "q1", "med", "q3", "whishi"), one.levels.tolist(), strict=True))
-        axis.bxp(
+    verdicts = {standing.entrant: standing.verdict for standing in ranking.standings}
+    for row, spread in enumerate(shown):
+        colour = COLOURS[verdicts[spread.entrant]]
+        stats = dict(zip(("whislo", "q1", "med", "q3", "whishi"), spread.levels.tolist(), strict=True))
+        left.bxp(
             [{**stats, "fliers": []}],
             positions=[row],
             orientation="horizontal",
@@ -97,14 +82,33 @@ def _errors(axis: Axes, shown: Sequence[Spread], verdicts: Mapping[str, str]) ->
             boxprops={"facecolor": colour, "alpha": 0.35, "edgecolor": colour},
             medianprops={"color": colour, "linewidth": 2},
         )
-        axis.plot(one.medians, np.full(one.medians.size, row - 0.36), "|", color=colour, markersize=6)
-        axis.plot([one.low, one.high], [row, row], "x", color=colour, markersize=5)
-    axis.axvline(0.0, color=MEASURED, linewidth=0.8)
-    axis.set_yticks(range(len(shown)), [_label(one.entrant) for one in shown], parse_math=False)
-    axis.set_ylim(max(len(shown), 1) - 0.4, -0.6)
-    axis.set_xlabel("predicted - measured (°C): box 25-75 %, whiskers 5-95 %, x extremes, | medians of the traces")
-    axis.grid(alpha=0.25, axis="x")
-    axis.set_title("errors at the readings (colour: green fit, ochre open, red unfit)", fontsize=10, loc="left")
+        left.plot(spread.medians, np.full(spread.medians.size, row - 0.36), "|", color=colour, markersize=6)
+        left.plot([spread.low, spread.high], [row, row], "x", color=colour, markersize=5)
+    left.axvline(0.0, color=MEASURED, linewidth=0.8)
+    left.set_yticks(range(len(shown)), [_label(spread.entrant) for spread in shown], parse_math=False)
+    left.set_ylim(max(len(shown), 1) - 0.4, -0.6)
+    left.set_xlabel("predicted - measured (°C): box 25-75 %, whiskers 5-95 %, x extremes, | medians of the traces")
+    left.grid(alpha=0.25, axis="x")
+    left.set_title("errors at the readings (colour: green fit, ochre open, red unfit)", fontsize=10, loc="left")
+    names, matrix = win_matrix(ranking)
+    # Coloured by the share of each pair's traces, as two pairs need not have the same ones; written is the count.
+    shares = matrix / np.where(np.isnan(matrix), 1.0, np.maximum(matrix + matrix.T, 1.0))
+    if names:
+        right.imshow(shares, cmap="PiYG", vmin=-0.3, vmax=1.3, aspect="auto")
+    for (row, column), count in np.ndenumerate(matrix):
+        if np.isfinite(count):
+            right.text(column, row, f"{count:g}", ha="center", va="center")
+    labels = [_label(name) for name in names]
+    right.set_xticks(range(len(names)), labels, rotation=25, ha="right", fontsize=8, parse_math=False)
+    right.set_yticks(range(len(names)), labels, fontsize=8, parse_math=False)
+    right.set_title("traces on which the row beats the column", fontsize=10, loc="left")
+    note = f"{len(ranking.common)} traces"
+    origins = {result.synthetic for result in results if result.trace in ranking.common and not result.failure}
+    if True in origins:
+        note += ", some of them SYNTHETIC" if False in origins else ", SYNTHETIC: not measured on a plant"
+    canvas.suptitle("Models compared, best first", fontsize=13, x=0.01, ha="left", parse_math=False)
+    canvas.supxlabel(note, fontsize=9, color=MEASURED, x=0.01, ha="left", parse_math=False)
+    return canvas
 
 
 def win_matrix(ranking: Ranking) -> tuple[tuple[str, ...], Array]:
@@ -117,20 +121,6 @@ def win_matrix(ranking: Ranking) -> tuple[tuple[str, ...], Array]:
             one, other = place[pair.one], place[pair.other]
             matrix[one, other], matrix[other, one] = pair.wins
     return names, matrix
-
-
-def _wins(axis: Axes, ranking: Ranking) -> None:
-    names, matrix = win_matrix(ranking)
-    shares = matrix / np.where(np.isnan(matrix), 1.0, np.maximum(matrix + matrix.T, 1.0))
-    if names:
-        axis.imshow(shares, cmap="PiYG", vmin=-0.3, vmax=1.3, aspect="auto")
-    for (row, column), count in np.ndenumerate(matrix):
-        if np.isfinite(count):
-            axis.text(column, row, f"{count:g}", ha="center", va="center")
-    labels = [_label(name) for name in names]
-    axis.set_xticks(range(len(names)), labels, rotation=25, ha="right", fontsize=8, parse_math=False)
-    axis.set_yticks(range(len(names)), labels, fontsize=8, parse_math=False)
-    axis.set_title("traces on which the row beats the column", fontsize=10, loc="left")
 
 
 def _label(name: str) -> str:
@@ -151,10 +141,10 @@ def draw_ranking(ranking: Ranking, results: Sequence[TraceResult], path: Path) -
     return path
 
 
-def _save(made: Figure, target: Path | StringIO, form: str) -> None:
+def _save(drawn: Figure, target: Path | StringIO, form: str) -> None:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
-        made.savefig(target, format=form, dpi=110, metadata={"Date": None} if form == "svg" else None)
+        drawn.savefig(target, format=form, dpi=110, metadata={"Date": None} if form == "svg" else None)
 
 
 def write_page(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> Path:
@@ -169,14 +159,10 @@ def page(ranking: Ranking, results: Sequence[TraceResult]) -> str:
     places = PackageLoader("sim.ranking")
     environment = Environment(loader=places, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters["figure"] = _figure
-    return environment.get_template("ranking.html").render(ranking=ranking, picture=_svg(ranking, results))
-
-
-def _svg(ranking: Ranking, results: Sequence[TraceResult]) -> str:
-    """The picture's <svg> element."""
     text = StringIO()
     _save(figure(ranking, results), text, "svg")
-    return text.getvalue().partition("<svg")[1] + text.getvalue().partition("<svg")[2]
+    _, tag, rest = text.getvalue().partition("<svg")  # without the XML prologue, which has no place inside HTML
+    return environment.get_template("ranking.html").render(ranking=ranking, picture=tag + rest)
 
 
 def _figure(value: float, digits: int = 3) -> str:

@@ -24,8 +24,6 @@ import numpy as np
 from sim.ranking.tuning_methods import Parameter, Real, Whole
 
 if TYPE_CHECKING:
-    from optuna.distributions import BaseDistribution
-    from optuna.storages import RDBStorage
     from optuna.study import Study
     from optuna.trial import FrozenTrial, Trial
 
@@ -70,6 +68,9 @@ def opened(file: Path, facts: Facts, *, prune: bool) -> Iterator["Study"]:
     if find_spec("optuna") is None:
         raise ValueError(WITHOUT_OPTUNA)
     import optuna
+    from optuna.storages import RDBStorage
+    from sqlalchemy.engine import URL
+    from sqlalchemy.exc import DatabaseError
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     pruner = optuna.pruners.MedianPruner(BEFORE_PRUNING) if prune else optuna.pruners.NopPruner()
@@ -77,7 +78,11 @@ def opened(file: Path, facts: Facts, *, prune: bool) -> Iterator["Study"]:
     _check_file(file)
     with _alone(file):
         with unbroken():
-            storage = _storage(file)
+            try:
+                storage = RDBStorage(str(URL.create("sqlite", database=str(file))))
+            except DatabaseError as error:
+                reason = f"cannot be used as a study ({error.orig}); give another --study file"
+                raise ValueError(f"{file}: {reason}") from None
         try:
             with unbroken():
                 study = optuna.create_study(storage=storage, study_name=NAME, pruner=pruner, load_if_exists=True)
@@ -87,17 +92,6 @@ def opened(file: Path, facts: Facts, *, prune: bool) -> Iterator["Study"]:
         finally:
             storage.remove_session()
             storage.engine.dispose()
-
-
-def _storage(file: Path) -> "RDBStorage":
-    from optuna.storages import RDBStorage
-    from sqlalchemy.engine import URL
-    from sqlalchemy.exc import DatabaseError
-
-    try:
-        return RDBStorage(str(URL.create("sqlite", database=str(file))))
-    except DatabaseError as error:
-        raise ValueError(f"{file}: cannot be used as a study ({error.orig}); give another --study file") from None
 
 
 @contextmanager
@@ -122,10 +116,10 @@ def _check_file(file: Path) -> None:
         return
     try:
         with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as database:
-            found = database.execute("SELECT COUNT(*) FROM sqlite_master WHERE name = 'studies'").fetchone()[0]
+            tables = database.execute("SELECT COUNT(*) FROM sqlite_master WHERE name = 'studies'").fetchone()[0]
     except sqlite3.DatabaseError as error:
         raise ValueError(f"{file}: is no study ({error}); give the file of a study, or one that is not there") from None
-    if not found:
+    if not tables:
         raise ValueError(f"{file}: is a database, but no study; give the file of a study, or one that is not there")
 
 
@@ -138,16 +132,12 @@ def _check_facts(file: Path, study: "Study", facts: Facts) -> None:
     before = study.user_attrs[FACTS]
     other = [name for name in facts if before.get(name) != facts[name]]
     if other:
-        was, now = (_short(source.get(other[0], "not there")) for source in (before, facts))
+        texts = [str(source.get(other[0], "not there")) for source in (before, facts)]
+        was, now = (text if len(text) <= 60 else f"{text[:57]}..." for text in texts)
         raise ValueError(
             f"{file}: is a study of another {' and another '.join(other)} ({other[0]}: {was} then, {now} now); its "
             "trials cannot be compared with new ones: take the old settings, or another --study file"
         )
-
-
-def _short(value: object) -> str:
-    text = str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 @unbroken()
@@ -177,22 +167,18 @@ def ask(study: "Study", space: Sequence[Parameter], place: int, seed: int) -> "T
     The sampler is the tree-structured Parzen estimator (Bergstra et al. 2011), begun anew for each trial with a seed
     of its own: so a study that was interrupted goes on as if it had not been.
     """
+    from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
     from optuna.samplers import TPESampler
 
+    distributions: dict[str, BaseDistribution] = {}
+    for parameter in space if place else ():
+        if isinstance(parameter, Real):
+            distributions[parameter.name] = FloatDistribution(parameter.low, parameter.high, log=parameter.log)
+        elif isinstance(parameter, Whole):
+            distributions[parameter.name] = IntDistribution(parameter.low, parameter.high)
+        else:
+            distributions[parameter.name] = CategoricalDistribution(parameter.options)
+    # Of the pair, not of the sum: trial 1 of seed 0 must not be trial 0 of seed 1.
     own = int(np.random.SeedSequence([seed, place]).generate_state(1)[0])
     study.sampler = TPESampler(seed=own, n_startup_trials=2 * BEFORE_PRUNING)
-    return study.ask(_distributions(space) if place else {})
-
-
-def _distributions(space: Sequence[Parameter]) -> dict[str, "BaseDistribution"]:
-    from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
-
-    made: dict[str, BaseDistribution] = {}
-    for parameter in space:
-        if isinstance(parameter, Real):
-            made[parameter.name] = FloatDistribution(parameter.low, parameter.high, log=parameter.log)
-        elif isinstance(parameter, Whole):
-            made[parameter.name] = IntDistribution(parameter.low, parameter.high)
-        else:
-            made[parameter.name] = CategoricalDistribution(parameter.options)
-    return made
+    return study.ask(distributions)

@@ -133,15 +133,25 @@ def tune(
         plan=plan, traces=kept, parts=parts, alphabet=alphabet, temperature=temperature, jobs=jobs, prune=prune
     )
     stopped = False
-    with opened(study_file, _facts(plan, digest, alphabet, temperature, len(parts)), prune=prune) as study:
+    # All that decides what a score means. Not the number of jobs, which may change what is tried, and no score.
+    facts: Facts = {
+        "method": plan.method,
+        "data": digest[:16],
+        "signal": temperature,
+        "alphabet": sha256(repr(alphabet).encode()).hexdigest()[:16],
+        "search space": "; ".join(map(repr, method_of(plan.method).space)),
+        "objective": plan.objective,
+        "number of folds": len(parts),
+        "seed": plan.seed,
+    }
+    with opened(study_file, facts, prune=prune) as study:
         try:
             _run(study, search, trials, progress or (lambda _what, _share: None))
         except KeyboardInterrupt:
             interrupt(study)
             stopped = True
-        return summary(
-            [_trial(place, one, plan) for place, one in enumerate(finished_trials(study))], notes, stopped=stopped
-        )
+        over = [_trial(place, stored, plan) for place, stored in enumerate(finished_trials(study))]
+        return summary(over, notes, stopped=stopped)
 
 
 def final_model(
@@ -173,13 +183,13 @@ class _TuningSearch:
 
     def fold_jobs(self, settings: Settings) -> list[FoldJob]:
         """One job a fold."""
-        return [self._fold_job(settings, set(part)) for part in self.parts]
-
-    def _fold_job(self, settings: Settings, held: set[int]) -> FoldJob:
-        known = [trace for place, trace in enumerate(self.traces) if place not in held]
-        asked = [trace for place, trace in enumerate(self.traces) if place in held]
-        task = Task(_silent(known), self.alphabet, self.temperature, self.plan.seed)
-        return FoldJob(method_of(self.plan.method), settings, task, _silent(asked))
+        jobs = []
+        for held in map(set, self.parts):
+            known = [trace for place, trace in enumerate(self.traces) if place not in held]
+            asked = [trace for place, trace in enumerate(self.traces) if place in held]
+            task = Task(_silent(known), self.alphabet, self.temperature, self.plan.seed)
+            jobs.append(FoldJob(method_of(self.plan.method), settings, task, _silent(asked)))
+        return jobs
 
 
 def _silent(traces: Sequence[Trace]) -> list[Trace]:
@@ -187,25 +197,17 @@ def _silent(traces: Sequence[Trace]) -> list[Trace]:
     return [replace(trace, events=()) for trace in traces]
 
 
-def _facts(plan: StudyPlan, digest: str, alphabet: Alphabet, temperature: str, parts: int) -> Facts:
-    return {
-        "method": plan.method,
-        "data": digest[:16],
-        "signal": temperature,
-        "alphabet": sha256(repr(alphabet).encode()).hexdigest()[:16],
-        "search space": "; ".join(map(repr, method_of(plan.method).space)),
-        "objective": plan.objective,
-        "number of folds": parts,
-        "seed": plan.seed,
-    }
-
-
 def _run(study: "Study", search: _TuningSearch, trials: int, progress: Progress) -> None:
+    """Trial after trial until the study has as many as are wanted. Raises KeyboardInterrupt."""
     space = method_of(search.plan.method).space
+    # More than one trial at a time only where one alone does not fill the jobs: trials that are asked for together know
+    # nothing of one another. With pruning it is one, and `jobs` of its folds are worked through at a time.
     together = 1 if search.prune else max(1, search.jobs // len(search.parts))
-    while (done := len(finished_trials(study))) < trials:
+    while (done := len(over := finished_trials(study))) < trials:
         asked = [ask(study, space, done + extra, search.plan.seed) for extra in range(min(together, trials - done))]
-        progress(f"trial {done + 1} of {trials}{_best_so_far(study)}", done / trials)
+        values = [trial.value for trial in over if trial.value is not None and trial.state.name == "COMPLETE"]
+        best = f", best so far {min(values):.4g}" if values else ""
+        progress(f"trial {done + 1} of {trials}{best}", done / trials)
         if search.prune:
             _tell(study, asked[0], _pruned_run(asked[0], search), search)
             continue
@@ -216,21 +218,14 @@ def _run(study: "Study", search: _TuningSearch, trials: int, progress: Progress)
             _tell(study, trial, own, search)
 
 
-def _best_so_far(study: "Study") -> str:
-    values = [
-        trial.value for trial in finished_trials(study) if trial.value is not None and trial.state.name == "COMPLETE"
-    ]
-    return f", best so far {min(values):.4g}" if values else ""
-
-
 def _pruned_run(trial: "OptunaTrial", search: _TuningSearch) -> list[FoldResult]:
     """The folds, as many at a time as there are jobs, until the pruner sees enough."""
     work, results = search.fold_jobs(trial.params), list[FoldResult]()
     for first in range(0, len(work), search.jobs):
         results += parallel(run_fold, work[first : first + search.jobs], search.jobs)
-        if any(one.reason for one in results):
+        if any(fold.reason for fold in results):
             return results
-        values = [search.plan.value(score) for one in results for score in one.scores]
+        values = [search.plan.value(score) for fold in results for score in fold.scores]
         with unbroken():
             trial.report(float(np.mean(values)), len(results))
             enough = len(results) < len(work) and trial.should_prune()
@@ -256,10 +251,10 @@ def run_fold(job: FoldJob) -> FoldResult:
 def _tell(study: "Study", trial: "OptunaTrial", results: Sequence[FoldResult], search: _TuningSearch) -> None:
     from optuna.trial import TrialState
 
-    scores = [score for one in results for score in one.scores]
-    trial.set_user_attr(SECONDS, sum(one.seconds for one in results))
+    scores = [score for fold in results for score in fold.scores]
+    trial.set_user_attr(SECONDS, sum(fold.seconds for fold in results))
     trial.set_user_attr(SCORES, [asdict(score) for score in scores])
-    reason = next((one.reason for one in results if one.reason), "")
+    reason = next((fold.reason for fold in results if fold.reason), "")
     if reason:
         trial.set_user_attr(REASON, reason)
         study.tell(trial, state=TrialState.FAIL)
@@ -272,11 +267,11 @@ def _tell(study: "Study", trial: "OptunaTrial", results: Sequence[FoldResult], s
 def _trial(number: int, stored: "FrozenTrial", plan: StudyPlan) -> StudyTrial:
     """The trial as the study's file has it."""
     state = {"COMPLETE": "complete", "PRUNED": "pruned"}.get(stored.state.name, "failed")
-    values = {one["trace"]: plan.value(HeldOutFold(**one)) for one in stored.user_attrs.get(SCORES, ())}
+    values = {row["trace"]: plan.value(HeldOutFold(**row)) for row in stored.user_attrs.get(SCORES, ())}
     seconds = stored.user_attrs.get(SECONDS, nan)
     if state != "complete":
-        said = stored.user_attrs.get(REASON, f"given up after {len(values)} traces")
-        return StudyTrial(number=number, settings=stored.params, state=state, reason=said, seconds=seconds)
+        reason = stored.user_attrs.get(REASON, f"given up after {len(values)} traces")
+        return StudyTrial(number=number, settings=stored.params, state=state, reason=reason, seconds=seconds)
     column = np.array(list(values.values()))
     error = float(np.std(column, ddof=1)) / sqrt(column.size)
     return StudyTrial(
@@ -295,9 +290,28 @@ def summary(trials: Sequence[StudyTrial], notes: Sequence[str] = (), *, stopped:
     complete = [trial for trial in trials if trial.state == "complete"]
     best = min(complete, key=lambda trial: (trial.value, trial.number), default=None)
     default = next((trial for trial in complete if not trial.settings), None)
-    gain = _gain(default, best) if best is not None and default is not None and best is not default else None
+    gain = None
+    if best is not None and default is not None and best is not default:
+        # Paired by trace, which takes out how much harder one trace is than another.
+        before, after = default.by_trace or {}, best.by_trace or {}
+        differences = [before[trace] - after[trace] for trace in before if trace in after]
+        gain = paired(differences, np.random.default_rng(0))
     better = gain is not None and gain.mean > gain.error
-    sentence = _sentence(trials, best, default, gain, better=better)
+    if best is None:
+        failed = next((trial.reason for trial in trials if trial.state == "failed"), "")
+        sentence = f"no trial was completed{f': {failed}' if failed else ''}"
+    elif default is None:
+        sentence = "the defaults cannot be learned from these traces, so the best settings are compared with nothing"
+    elif gain is None:
+        sentence = "no settings were found that are better than the defaults"
+    else:
+        by = f"by {gain.mean:.3g} with a standard error of {gain.error:.2g}, paired over {gain.n} traces"
+        # The best of many trials owes part of its lead to luck: the sentence says so.
+        sentence = (
+            f"the best settings are better than the defaults {by}; as the best of many they look a little too good"
+            if better
+            else f"the best settings are not better than the defaults by more than one standard error ({by})"
+        )
     return Tuning(
         trials=tuple(trials),
         best=best,
@@ -308,30 +322,3 @@ def summary(trials: Sequence[StudyTrial], notes: Sequence[str] = (), *, stopped:
         notes=tuple(notes),
         stopped=stopped,
     )
-
-
-def _gain(default: StudyTrial, best: StudyTrial) -> Paired:
-    before, after = default.by_trace or {}, best.by_trace or {}
-    differences = [before[trace] - after[trace] for trace in before if trace in after]
-    return paired(differences, np.random.default_rng(0))
-
-
-def _sentence(
-    trials: Sequence[StudyTrial],
-    best: StudyTrial | None,
-    default: StudyTrial | None,
-    gain: Paired | None,
-    *,
-    better: bool,
-) -> str:
-    if best is None:
-        failed = next((trial.reason for trial in trials if trial.state == "failed"), "")
-        return f"no trial was completed{f': {failed}' if failed else ''}"
-    if default is None:
-        return "the defaults cannot be learned from these traces, so the best settings are compared with nothing"
-    if gain is None:
-        return "no settings were found that are better than the defaults"
-    by = f"by {gain.mean:.3g} with a standard error of {gain.error:.2g}, paired over {gain.n} traces"
-    if better:
-        return f"the best settings are better than the defaults {by}; as the best of many they look a little too good"
-    return f"the best settings are not better than the defaults by more than one standard error ({by})"

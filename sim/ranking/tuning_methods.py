@@ -85,7 +85,7 @@ def _learn_bins(task: Task, settings: Settings) -> Taught:
         task.temperature,
         seed=task.seed,
         name=task.name,
-        candidates=[one for one in CANDIDATES if _allowed("flow", one.flow) and _allowed("rates", one.rates)],
+        candidates=[each for each in CANDIDATES if _allowed("flow", each.flow) and _allowed("rates", each.rates)],
     )
     return Taught(learned.model, learned.values)
 

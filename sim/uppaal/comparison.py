@@ -92,7 +92,14 @@ def compare(
             case q.Probability() | q.Hypothesis() | q.PairedComparison() if native.answers is not None:
                 rows.append(_checked(question, query, answer, native.answers))
             case _:
-                rows.append(_verdict(question, answer, native))
+                # What only the exported model can be asked: UPPAAL's figure and verdict, and ours about acceptance.
+                figure = answer.mean if answer.mean is not None else nan
+                row = _row(question.formula, uppaal=figure, note=_verdict_words(answer))
+                if question.formula == compatibility().formula:
+                    accepts = "accepts every event" if native.replay.accepted else "does not accept every event"
+                    agree = answer.satisfied == native.replay.accepted
+                    row = replace(row, agree=agree, note=f"{row.note}; native: {accepts}")
+                rows.append(row)
     return rows
 
 
@@ -163,21 +170,19 @@ def _expectation(question: ExportedQuery, answer: VerifytaAnswer, native: Native
     mean, own = _mean_interval(values)
     if answer.mean is None:
         return _row(question.formula, mean, own, note="no estimate was printed")
-    half = answer.half_width if answer.half_width is not None else _half_width(answer)
+    half, bins = answer.half_width, answer.histogram
+    if half is None:
+        # Some versions print the mean alone: then its interval is that of the histogram, whose bins stand for their
+        # middles. Without a histogram there is none.
+        half, total = nan, sum(bins.counts) if bins else 0
+        if bins is not None and total >= 2:
+            counts = np.array(bins.counts)
+            middles = bins.low + bins.width * (np.arange(counts.size) + 0.5)
+            deviations = middles - np.average(middles, weights=counts)
+            spread = float(np.sqrt(np.sum(counts * deviations**2) / (total - 1)))
+            half = float(stats.t.ppf((1 + LEVEL) / 2, total - 1)) * spread / sqrt(total)
     theirs = (answer.mean - half, answer.mean + half)
     return _row(question.formula, mean, own, answer.mean, theirs)
-
-
-def _half_width(answer: VerifytaAnswer) -> float:
-    """From the histogram, whose bins stand for their middles; 0 where all values are one; NaN without a histogram."""
-    bins = answer.histogram
-    total = sum(bins.counts) if bins else 0
-    if bins is None or total < 2:
-        return nan
-    counts = np.array(bins.counts)
-    middles = bins.low + bins.width * (np.arange(counts.size) + 0.5)
-    spread = float(np.sqrt(np.sum(counts * (middles - np.average(middles, weights=counts)) ** 2) / (total - 1)))
-    return float(stats.t.ppf((1 + LEVEL) / 2, total - 1)) * spread / sqrt(total)
 
 
 def _seen(path: q.Eventually | q.Always, native: Native) -> int | None:
@@ -217,13 +222,3 @@ def _checked(question: ExportedQuery, query: q.Query, answer: VerifytaAnswer, st
 
 def _verdict_words(answer: VerifytaAnswer) -> str:
     return {True: "UPPAAL: satisfied", False: "UPPAAL: NOT satisfied", None: "UPPAAL: not decided"}[answer.satisfied]
-
-
-def _verdict(question: ExportedQuery, answer: VerifytaAnswer, native: Native) -> ComparisonRow:
-    """What only the exported model can be asked: UPPAAL's figure and verdict, and ours about acceptance."""
-    figure = answer.mean if answer.mean is not None else nan
-    row = _row(question.formula, uppaal=figure, note=_verdict_words(answer))
-    if question.formula != compatibility().formula:
-        return row
-    accepts = "accepts every event" if native.replay.accepted else "does not accept every event"
-    return replace(row, agree=answer.satisfied == native.replay.accepted, note=f"{row.note}; native: {accepts}")

@@ -29,27 +29,25 @@ def in_a_row(template: Template) -> Template:
 
 def _arrows(places: Sequence[TemplateLocation], arrows: Sequence[Arrow]) -> tuple[Arrow, ...]:
     at = {place.name: place.at for place in places}
-    number: Counter[tuple[str, str]] = Counter()
+    numbers: Counter[tuple[str, str]] = Counter()
     drawn = []
     for arrow in arrows:
         pair = (arrow.source, arrow.target)
-        number[pair] += 1
-        drawn.append(_loop(arrow, at, number[pair]) if pair[0] == pair[1] else _line(arrow, at, number[pair]))
+        numbers[pair] += 1
+        number = numbers[pair]
+        (x0, y0), (x1, y1) = at[arrow.source], at[arrow.target]
+        if arrow.source == arrow.target:
+            # A loop above its location; a later one stands higher.
+            top = y0 - 60 - 60 * number
+            nails: tuple[Point, ...] = ((x0 - 30 - 6 * number, top), (x0 + 30 + 6 * number, top))
+            labels = (x0 - 30, top - 54)
+        else:
+            # A line with one corner beside its middle. The corner lies to one side as seen from the source, so the way
+            # back takes the other side; a second edge lies farther out.
+            length = hypot(x1 - x0, y1 - y0) or 1.0
+            aside = 60.0 * number
+            x = round((x0 + x1) / 2 - (y1 - y0) / length * aside)
+            y = round((y0 + y1) / 2 + (x1 - x0) / length * aside)
+            nails, labels = ((x, y),), (x + 6, y - 8)
+        drawn.append(replace(arrow, nails=nails, labels=labels))
     return tuple(drawn)
-
-
-def _loop(arrow: Arrow, at: dict[str, Point], number: int) -> Arrow:
-    """A loop above its location; a later one stands higher."""
-    x, y = at[arrow.source]
-    top = y - 60 - 60 * number
-    return replace(arrow, nails=((x - 30 - 6 * number, top), (x + 30 + 6 * number, top)), labels=(x - 30, top - 54))
-
-
-def _line(arrow: Arrow, at: dict[str, Point], number: int) -> Arrow:
-    """A line with one corner beside its middle: the way back, and a second edge, take other corners."""
-    (x0, y0), (x1, y1) = at[arrow.source], at[arrow.target]
-    length = hypot(x1 - x0, y1 - y0) or 1.0
-    aside = 60.0 * number
-    x = round((x0 + x1) / 2 - (y1 - y0) / length * aside)
-    y = round((y0 + y1) / 2 + (x1 - x0) / length * aside)
-    return replace(arrow, nails=((x, y),), labels=(x + 6, y - 8))

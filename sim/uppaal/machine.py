@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
-from sim.sha import RELAXING, SHA, Distribution, Flow, Location, drawn_parameter, drawn_temperature, mode_parameter
+from sim.sha import RELAXING, SHA, Distribution, Location, drawn_parameter, drawn_temperature, mode_parameter
 from sim.uppaal.document import Arrow, Template, TemplateLocation, comment_text, number
 from sim.uppaal.effects import EffectTexts
 from sim.uppaal.words import FreshNames, spelled
@@ -78,7 +78,20 @@ def part(location: Location, names: FreshNames, known: Variables, max_rate: floa
 
     flow = location.flow
     own = {kind: constant(kind.upper(), flow.params[kind]) for kind in ("k", "t0") if kind in flow.params}
-    rate = more.rate(location.name, _rate(flow, own, known, constant, more.x))
+    # The flow's own part of the rate of X, then what the effects add, then the limit on both together.
+    rate = "0.0"
+    if flow.kind in RELAXING:
+        target = known.mode
+        for driving in flow.inputs:
+            value, read = known.inputs[driving.signal]
+            gain, reference = constant("GAIN", driving.gain), constant("REF", driving.reference)
+            target += f" + {read} * {gain} * ({value} - {reference})"
+        rate = f"{own['k']} * ({target} - {more.x})"
+    elif flow.kind == "logarithmic":
+        rate = f"{known.mode} / ({own['t0']} + age)"
+    elif flow.kind == "linear":
+        rate = known.mode
+    rate = more.rate(location.name, rate)
     if isfinite(max_rate) and rate != "0.0":
         rate = f"fmax(-{known.max_rate}, fmin({rate}, {known.max_rate}))"
     # The standard deviation of what the noise has added since it was last drawn; empty without noise.
@@ -102,20 +115,6 @@ def part(location: Location, names: FreshNames, known: Variables, max_rate: floa
         tuple(enter),
         bool(deviation),
     )
-
-
-def _rate(flow: Flow, own: Mapping[str, str], known: Variables, constant: Constant, x: str) -> str:
-    """The flow's own part of the rate of X."""
-    if flow.kind in RELAXING:
-        target = known.mode
-        for given in flow.inputs:
-            value, read = known.inputs[given.signal]
-            gain, reference = constant("GAIN", given.gain), constant("REF", given.reference)
-            target += f" + {read} * {gain} * ({value} - {reference})"
-        return f"{own['k']} * ({target} - {x})"
-    if flow.kind == "logarithmic":
-        return f"{known.mode} / ({own['t0']} + age)"
-    return known.mode if flow.kind == "linear" else "0.0"
 
 
 def draw(law: Distribution, constant: Constant) -> str:

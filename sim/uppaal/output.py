@@ -87,18 +87,23 @@ def parse_output(stdout: str, stderr: str = "") -> Output:
     licence = expression = ""
     for line in (*_lines(stdout), *_lines(stderr)):
         # Errors before results: an error may quote a line that looks like one.
-        if found := _FORMULA.search(line):
-            answers.append(VerifytaAnswer(int(found[1]), found[2].strip()))
+        if match := _FORMULA.search(line):
+            answers.append(VerifytaAnswer(int(match[1]), match[2].strip()))
             expression = ""
         elif _ERROR.search(line):
             errors.append(line)
-        elif answers and expression and (found := _COURSE.match(line)):
-            answers[-1] = _course(answers[-1], found, expression)
+        elif answers and expression and (match := _COURSE.match(line)):
+            # The courses of one expression follow one another, a line a run, under the line that names it.
+            points = tuple((float(time), float(value)) for time, value in _POINT.findall(match[2]))
+            courses = dict(answers[-1].courses)
+            courses[expression] = (*courses.get(expression, ()), PrintedCourse(int(match[1]), points))
+            runs = max(answers[-1].runs or 0, len(courses[expression]))
+            answers[-1] = replace(answers[-1], kind="simulate", runs=runs, courses=courses)
         elif answers and (
-            hit := next(((read, found) for pattern, read in READERS if (found := pattern.match(line))), None)
+            hit := next(((read, match) for pattern, read in READERS if (match := pattern.match(line))), None)
         ):
-            read, found = hit
-            answers[-1] = read(answers[-1], found)
+            read, match = hit
+            answers[-1] = read(answers[-1], match)
         elif answers and line.endswith(":") and not _REMARK.match(line):
             expression = line[:-1]
         elif _LICENCE.search(line):
@@ -115,13 +120,13 @@ def _lines(text: str) -> Iterator[str]:
             yield bare
 
 
-def _verdict(answer: VerifytaAnswer, found: re.Match[str]) -> VerifytaAnswer:
-    return replace(answer, satisfied={"is satisfied": True, "is NOT satisfied": False}.get(found[1]))
+def _verdict(answer: VerifytaAnswer, match: re.Match[str]) -> VerifytaAnswer:
+    return replace(answer, satisfied={"is satisfied": True, "is NOT satisfied": False}.get(match[1]))
 
 
-def _estimate(answer: VerifytaAnswer, found: re.Match[str]) -> VerifytaAnswer:
-    counted = replace(answer, successes=None if found[1] is None else int(found[1]), runs=int(found[2]))
-    rest = found[3]
+def _estimate(answer: VerifytaAnswer, match: re.Match[str]) -> VerifytaAnswer:
+    counted = replace(answer, successes=None if match[1] is None else int(match[1]), runs=int(match[2]))
+    rest = match[3]
     if interval := _INTERVAL.match(rest):
         level = None if interval[4] is None else float(interval[4]) / 100
         low, high = float(interval[2]), float(interval[3])
@@ -135,21 +140,14 @@ def _estimate(answer: VerifytaAnswer, found: re.Match[str]) -> VerifytaAnswer:
     return replace(counted, statement=rest)
 
 
-def _confidence(answer: VerifytaAnswer, found: re.Match[str]) -> VerifytaAnswer:
-    return replace(answer, level=float(found[1]))
+def _confidence(answer: VerifytaAnswer, match: re.Match[str]) -> VerifytaAnswer:
+    return replace(answer, level=float(match[1]))
 
 
-def _histogram(answer: VerifytaAnswer, found: re.Match[str]) -> VerifytaAnswer:
-    counts = tuple(int(part) for part in found[5].split() if part.isdecimal())
-    low, high, mean, width = (float(found[group]) for group in range(1, 5))
+def _histogram(answer: VerifytaAnswer, match: re.Match[str]) -> VerifytaAnswer:
+    counts = tuple(int(part) for part in match[5].split() if part.isdecimal())
+    low, high, mean, width = (float(match[group]) for group in range(1, 5))
     return replace(answer, histogram=ValueHistogram(low, high, mean, width, counts))
-
-
-def _course(answer: VerifytaAnswer, found: re.Match[str], expression: str) -> VerifytaAnswer:
-    points = tuple((float(time), float(value)) for time, value in _POINT.findall(found[2]))
-    courses = dict(answer.courses)
-    courses[expression] = (*courses.get(expression, ()), PrintedCourse(int(found[1]), points))
-    return replace(answer, kind="simulate", runs=max(answer.runs or 0, len(courses[expression])), courses=courses)
 
 
 READERS: tuple[tuple[re.Pattern[str], Callable[[VerifytaAnswer, re.Match[str]], VerifytaAnswer]], ...] = (
@@ -166,10 +164,10 @@ def failure(output: Output, wanted: int, code: int) -> str:
         return f"verifyta refuses the model or a query: {_shown(output.errors)}"
     if output.licence and len(output.answers) < wanted:
         return f"verifyta has no valid licence ({output.licence}); set one with verifyta --lease HOURS --key KEY"
-    decided = [one for one in output.answers if one.satisfied is not None or one.kind]
+    decided = [answer for answer in output.answers if answer.satisfied is not None or answer.kind]
     if len(decided) < wanted:
-        said = f"; it printed {_shown(output.unread)}" if output.unread else ""
-        return f"verifyta answered {len(decided)} of {wanted} queries and ended with code {code}{said}"
+        printed = f"; it printed {_shown(output.unread)}" if output.unread else ""
+        return f"verifyta answered {len(decided)} of {wanted} queries and ended with code {code}{printed}"
     return f"verifyta ended with code {code} after its last answer" if code else ""
 
 

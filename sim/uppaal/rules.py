@@ -14,6 +14,7 @@ _DOCTYPE = re.compile(
 )
 _NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 _NUMBER = re.compile(r"(?<![\w.])(?:\d+\.\d*|\d+|\.\d+)(?:[eE][+-]?\d+)?(?![\w.])")
+_DECLARED = re.compile(r"\b(?:const\s+)?(?:hybrid\s+|broadcast\s+|urgent\s+)*(?:int|double|bool|clock|chan)\b([^;]*);")
 _SYMBOLIC = re.compile(r"^\s*(?:[AE]\s*(?:<>|\[\])|.*-->(?!\s*\[))")
 _STATISTICAL = re.compile(r"\b(?:Pr|simulate)\b|\bE\s*\[\s*(?:<=|#)")
 LABELS = ("guard", "synchronisation", "assignment", "invariant")
@@ -61,49 +62,38 @@ def check_rules(xml_text: str, queries: Sequence[str]) -> list[str]:
         root = parser.close()
     except ParseError as error:
         return [f"XML: the document is not well-formed ({error})"]
-    document = _read(root, queries)
-    return [f"{name}: {sentence}" for name, rule in RULES.items() for sentence in rule(document)]
-
-
-def _read(root: Element, queries: Sequence[str]) -> _Document:
-    own = [text for element in root.iterfind("queries/query/formula") if (text := element.text)]
+    formulas = [text for element in root.iterfind("queries/query/formula") if (text := element.text)]
     declarations = [_Label("", "declaration", _bare(root.findtext("declaration") or ""))]
     labels: list[_Label] = []
     locations = {}
     for template in root.iterfind("template"):
         name = template.findtext("name") or ""
         declarations.append(_Label(name, "declaration", _bare(template.findtext("declaration") or "")))
-        locations[name] = frozenset(text for one in template.iterfind("location/name") if (text := one.text))
+        locations[name] = frozenset(text for place in template.iterfind("location/name") if (text := place.text))
         for label in template.iterfind(".//label"):
             if label.get("kind") in LABELS:
                 labels.append(_Label(name, str(label.get("kind")), label.text or ""))
-    system = _bare(root.findtext("system") or "")
-    return _Document(
+    declared = {}
+    for declaration in declarations:
+        lists = _DECLARED.findall(declaration.text)
+        # Without sizes, initial values and braces only the names are left.
+        names = [re.findall(r"[A-Za-z_]\w*", re.sub(r"\{[^}]*\}|\[[^\]]*\]|=[^,]*", "", each)) for each in lists]
+        declared[declaration.template] = frozenset(name for several in names for name in several)
+    document = _Document(
         root=root,
         labels=tuple(labels),
         declarations=tuple(declarations),
-        declared={one.template: frozenset(_declared(one.text)) for one in declarations},
+        declared=declared,
         locations=locations,
-        instances=dict(re.findall(r"(\w+)\s*=\s*(\w+)\s*\(\s*\)\s*;", system)),
-        formulas=tuple(dict.fromkeys([*own, *queries])),
+        instances=dict(re.findall(r"(\w+)\s*=\s*(\w+)\s*\(\s*\)\s*;", _bare(root.findtext("system") or ""))),
+        formulas=tuple(dict.fromkeys([*formulas, *queries])),
     )
+    return [f"{name}: {sentence}" for name, rule in RULES.items() for sentence in rule(document)]
 
 
 def _bare(text: str) -> str:
     """Declarations without comments."""
     return re.sub(r"/\*.*?\*/|//[^\n]*", "", text, flags=re.DOTALL)
-
-
-def _declared(text: str) -> list[str]:
-    """The names that a text declares."""
-    names = []
-    for kind, rest in re.findall(
-        r"\b(?:const\s+)?(?:hybrid\s+|broadcast\s+|urgent\s+)*(int|double|bool|clock|chan)\b([^;]*);", text
-    ):
-        del kind
-        outside = re.sub(r"\{[^}]*\}|\[[^\]]*\]|=[^,]*", "", rest)
-        names += re.findall(r"[A-Za-z_]\w*", outside)
-    return names
 
 
 def _structure(document: _Document) -> list[str]:

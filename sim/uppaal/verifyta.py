@@ -35,25 +35,21 @@ def find_engine(option: str | None, environment: Mapping[str, str]) -> Path:
 
     Raises EngineError, saying what was looked at and what would be right.
     """
-    for source, given in (("--verifyta", option), (VARIABLE, environment.get(VARIABLE))):
-        if given:
-            return _executable(given, source, environment)
-    found = shutil.which("verifyta", path=environment.get("PATH"))
-    if found is None:
+    for source, place in (("--verifyta", option), (VARIABLE, environment.get(VARIABLE))):
+        if place:
+            path = Path(place) / "verifyta" if Path(place).is_dir() else Path(place)
+            executable = shutil.which(str(path), path=environment.get("PATH"))
+            if executable is None:
+                what = "is not an executable file" if path.exists() else "is not there"
+                raise EngineError(f"{source}: {path} {what}; give the path of UPPAAL's bin/verifyta")
+            return Path(executable)
+    executable = shutil.which("verifyta", path=environment.get("PATH"))
+    if executable is None:
         raise EngineError(
             f"no verifyta here: --verifyta is not given, {VARIABLE} is not set and PATH has none; "
             "the exported files can be opened in UPPAAL all the same"
         )
-    return Path(found)
-
-
-def _executable(given: str, source: str, environment: Mapping[str, str]) -> Path:
-    path = Path(given) / "verifyta" if Path(given).is_dir() else Path(given)
-    found = shutil.which(str(path), path=environment.get("PATH"))
-    if found is None:
-        there = "is not an executable file" if path.exists() else "is not there"
-        raise EngineError(f"{source}: {path} {there}; give the path of UPPAAL's bin/verifyta")
-    return Path(found)
+    return Path(executable)
 
 
 def run_engine(engine: Path, model: Path, queries: Path, wanted: int, timeout: float, seed: int = 0) -> Ran:

@@ -83,7 +83,7 @@ def jobs_of(prepared: Prepared, traces: Sequence[Trace], settings: TraceRunSetti
 def slim(trace: Trace, model: Model) -> Trace:
     """The signals that the model can see; events are encoded where the job runs."""
     wanted = {model.temperature, *(channel.signal for channel in model.alphabet.channels)}
-    wanted |= {given.signal for location in model.sha.locations for given in location.flow.inputs}
+    wanted |= {driving.signal for location in model.sha.locations for driving in location.flow.inputs}
     wanted |= set(signals_of(model.sha))
     signals = {name: column for name, column in trace.signals.items() if name in wanted}
     bad = {name: column for name, column in trace.bad.items() if name in wanted}
@@ -100,8 +100,8 @@ def outcomes_by_model(
     progress: Progress,
 ) -> Iterator[tuple[Prepared, list[TraceOutcome]]]:
     """Each model with its outcomes, as soon as they are there; files that gave no trace have failed at stage 5."""
-    jobs = [job for one in prepared for job in jobs_of(one, traces, settings)]
-    by_label = {one.label: one for one in prepared}
+    jobs = [job for model in prepared for job in jobs_of(model, traces, settings)]
+    by_label = {model.label: model for model in prepared}
     running = zip(jobs, run(jobs), strict=True)
     done = 0
     for label, group in groupby(running, key=lambda pair: pair[0].label):
@@ -111,28 +111,22 @@ def outcomes_by_model(
             done += 1
             progress(f"{label}: {job.trace.name}", done / len(jobs))
         for semantics in dict.fromkeys(outcome.result.semantics for outcome in outcomes):
-            outcomes += [_lost(label, semantics, file) for file in without]
+            for file in without:
+                outcomes.append(TraceOutcome(TraceResult(label, file.name, semantics, stage=5, failure=file.reason)))
         yield by_label[label], outcomes
-
-
-def _lost(label: str, semantics: str, file: Unread) -> TraceOutcome:
-    return TraceOutcome(TraceResult(label, file.name, semantics, stage=5, failure=file.reason))
 
 
 def run_here(workers: int) -> Runner:
     """Jobs in this process (one worker, or little to do), else in `workers` processes."""
 
     def run(jobs: Sequence[TraceJob]) -> Iterator[TraceOutcome]:
-        if workers == 1 or _work(jobs) < TINY:
+        work = sum(job.trace.times.size * job.settings.runs for job in jobs if not job.refusal)
+        if workers == 1 or work < TINY:
             yield from map(run_job, jobs)
         else:
             yield from parallel(run_job, jobs, workers, lambda job: _undone(job, KILLED))
 
     return run
-
-
-def _work(jobs: Sequence[TraceJob]) -> int:
-    return sum(job.trace.times.size * job.settings.runs for job in jobs if not job.refusal)
 
 
 def parallel(
@@ -187,7 +181,15 @@ def cluster(address: str) -> Iterator[Runner]:
         raise ValueError(
             "--cluster needs Dask, which is not installed; install the extra: pip install 'decanter-gateway[cluster]'"
         ) from None
-    _check_address(address, distributed.Security)
+    # The address is looked at before a client is made: one that cannot be made waits 20 s and complains when it is
+    # collected.
+    if not ADDRESS.fullmatch(address):
+        raise ValueError(f"{address!r}: no Dask scheduler answers there, as it is no address; give tcp://HOST:PORT")
+    if address.startswith("tls") and distributed.Security().get_connection_args("client").get("ssl_context") is None:
+        raise ValueError(
+            f"{address}: a TLS connection needs its certificates in Dask's configuration (distributed.comm.tls); "
+            "see Dask's documentation on TLS"
+        )
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it would say becomes a sentence here
     try:
         client = distributed.Client(address, timeout=REACHABLE_WITHIN, set_as_default=False)
@@ -197,11 +199,14 @@ def cluster(address: str) -> Iterator[Runner]:
         ) from None
 
     def run(jobs: Sequence[TraceJob]) -> Iterator[TraceOutcome]:
+        # Not pure: Dask takes a pure call with equal arguments for one that it has done already.
         futures = [client.submit(run_job, job, pure=False) for job in jobs]
         for job, future in zip(jobs, futures, strict=True):
             error = waited_for(future, client, address)
-            said = f"the cluster could not run it ({type(error).__name__}: {_reason(error)})" if error else ""
-            yield _undone(job, said) if said else future.result()
+            if error is None:
+                yield future.result()
+            else:
+                yield _undone(job, f"the cluster could not run it ({type(error).__name__}: {_reason(error)})")
 
     with client:
         try:
@@ -230,20 +235,9 @@ def waited_for(future: Any, client: Any, address: str) -> BaseException | None:
     raise ValueError(f"{address}: {gone}; start it again, and the campaign with --overwrite")
 
 
-def _check_address(address: str, security: Callable[[], Any]) -> None:
-    """Before a client is made of it: one that could not be made waits 20 s and complains when it is collected."""
-    if not ADDRESS.fullmatch(address):
-        raise ValueError(f"{address!r}: no Dask scheduler answers there, as it is no address; give tcp://HOST:PORT")
-    if address.startswith("tls") and security().get_connection_args("client").get("ssl_context") is None:
-        raise ValueError(
-            f"{address}: a TLS connection needs its certificates in Dask's configuration (distributed.comm.tls); "
-            "see Dask's documentation on TLS"
-        )
-
-
-def _undone(job: TraceJob, said: str) -> TraceOutcome:
+def _undone(job: TraceJob, reason: str) -> TraceOutcome:
     result = TraceResult(job.label, job.trace.name, job.semantics, synthetic=job.trace.synthetic, stage=5)
-    return TraceOutcome(replace(result, failure=said), rows=job.trace.times.size)
+    return TraceOutcome(replace(result, failure=reason), rows=job.trace.times.size)
 
 
 def _reason(error: BaseException) -> str:

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from sim.sha import Trace
 from sim.validation.campaign import Progress, Runner, Unread, outcomes_by_model, parallel
@@ -51,30 +50,31 @@ def conduct(
     def note(stage: Stage) -> None:
         log.append(stage)
         tell(stage.line)
-        folder.write("campaign.log", "".join(f"{one.line}\n" for one in log))
+        folder.write("campaign.log", "".join(f"{each.line}\n" for each in log))
         if stage.model:
             folder.stage(stage)
 
-    for one in prepared:
-        for stage in one.stages:
+    for model in prepared:
+        for stage in model.stages:
             note(stage)
     note(loading)
     results: list[TraceResult] = []
     entries: list[ReportEntry] = []
-    for one, outcomes in outcomes_by_model(
+    for model, outcomes in outcomes_by_model(
         prepared, traces, without=without, settings=plan.settings, run=plan.run, progress=progress
     ):
-        stages = records(one.label, outcomes)
+        stages = records(model.label, outcomes)
         for stage in stages:
             note(stage)
         results += [outcome.result for outcome in outcomes]
         folder.write(f"{RESULTS}.json", results_json(results))
         folder.write(f"{RESULTS}.csv", results_csv(results))
         last, report = _reported(
-            one, outcomes, before=(*one.stages, loading, *stages), plan=plan, folder=folder, progress=progress
+            model, outcomes, before=(*model.stages, loading, *stages), plan=plan, folder=folder, progress=progress
         )
         note(last)
-        entries.append(ReportEntry(folder.places[one.label], report))
+        entries.append(ReportEntry(folder.places[model.label], report))
+    # Last: whoever finds "complete" finds everything else.
     folder.write("index.html", index_html(plan.campaign, entries, log))
     folder.state(COMPLETE)
     return results
@@ -93,11 +93,20 @@ def _reported(
     last = Stage(9, prepared.label)
     home = folder.path / folder.places[prepared.label]
     with timed(last):
-        files = _draw(prepared, outcomes, plan, home / "pictures", progress) if plan.pictures else {}
-        results = [one.result for one in outcomes]
+        # The PNG of each (semantics, trace); the PDF lies beside it.
+        files = {}
+        if plan.pictures:
+            wanted = drawings(home / "pictures", outcomes, prepared.skeleton.temperature, plan.units)
+            todo = list(wanted.values())
+            here = plan.workers == 1 or len(todo) <= PICTURES_HERE
+            done = map(draw_one, todo) if here else parallel(draw_one, todo, plan.workers)
+            for number, file in enumerate(done, 1):
+                progress(f"{prepared.label}: picture {file.stem}", number / len(todo))
+            files = {key: drawing.png for key, drawing in wanted.items()}
+        results = [outcome.result for outcome in outcomes]
         missing = Counter[str]()
-        for one in outcomes:
-            pairs = one.compatibility.pairs if one.compatibility else {}
+        for outcome in outcomes:
+            pairs = outcome.compatibility.pairs if outcome.compatibility else {}
             missing.update({f"{symbol} in {place}": count for (place, symbol), count in pairs.items()})
         pictures = shown(results, files, home)
         report = ModelReport(
@@ -113,16 +122,3 @@ def _reported(
         last.details = {"report": "report.html", "pictures": [str(file.relative_to(home)) for file in files.values()]}
     folder.write(f"{folder.places[prepared.label]}/report.html", model_html(report))
     return last, report
-
-
-def _draw(
-    prepared: Prepared, outcomes: Sequence[TraceOutcome], plan: CampaignPlan, home: Path, progress: Progress
-) -> dict[tuple[str, str], Path]:
-    """The PNG of each (semantics, trace); the PDF lies beside it."""
-    wanted = drawings(home, outcomes, prepared.skeleton.temperature, plan.units)
-    todo = list(wanted.values())
-    here = plan.workers == 1 or len(todo) <= PICTURES_HERE
-    done = map(draw_one, todo) if here else parallel(draw_one, todo, plan.workers)
-    for number, file in enumerate(done, 1):
-        progress(f"{prepared.label}: picture {file.stem}", number / len(todo))
-    return {key: drawing.png for key, drawing in wanted.items()}

@@ -55,8 +55,12 @@ def compatibility(sha: SHA, events: Sequence[Event], policy: Policy = "ignore") 
     found. Where several edges share a symbol the automaton is in several locations at once, and an event has an edge
     when one of them has; guards are taken as true.
     """
-    moves, fallback = _moves(sha), resync_targets(sha)
-    start = frozenset({sha.initial})
+    # Not `transitions`, which refuses several targets for one symbol: here they are walked side by side.
+    moves: dict[tuple[str, str], list[str]] = {}
+    for edge in sha.edges:
+        moves.setdefault((edge.source, edge.symbol), []).append(edge.target)
+    fallback, start = resync_targets(sha), frozenset({sha.initial})
+    # Few sets of locations come up however long the trace is, so each step is worked out once.
     seen: dict[tuple[Places, str], Places] = {}
     here, missing, named, pairs = start, 0, list[Missing](), Counter[tuple[str, str]]()
     for index, event in enumerate(events):
@@ -78,13 +82,6 @@ def compatibility(sha: SHA, events: Sequence[Event], policy: Policy = "ignore") 
         if policy == "resync":
             here = frozenset({fallback.get(event.symbol, sha.initial)})
     return Compatibility(len(events), missing, tuple(named), dict(pairs))
-
-
-def _moves(sha: SHA) -> dict[tuple[str, str], list[str]]:
-    moves: dict[tuple[str, str], list[str]] = {}
-    for edge in sha.edges:
-        moves.setdefault((edge.source, edge.symbol), []).append(edge.target)
-    return moves
 
 
 def dense_events(sha: SHA, full: Sequence[Event], filtered: Sequence[Event], policy: Policy) -> list[Event]:

@@ -59,16 +59,20 @@ def discover(where: str | Path) -> Discovery:
     """
     path = Path(where)
     base = artefact_base(path)
-    if base is not None:
-        return _artefact_set(*base)
-    kind, directory = _own(path)
-    if directory.is_file():
-        return Discovery(kind, directory.parent, _facts(directory.parent, [directory.name]))
-    names = sorted(file.name for file in directory.iterdir() if file.is_file()) if directory.is_dir() else []
-    return Discovery(kind, directory, _facts(directory, [name for name in names if not name.startswith(".")]))
-
-
-def _artefact_set(directory: Path, name: str) -> Discovery:
+    if base is None:
+        store, at_sign, version = str(path).rpartition("@")
+        kind, directory = "model directory" if path.is_dir() else "model file", path
+        # A path of that very name goes first: an "@" is a sign like others to the file system.
+        if at_sign and not path.exists() and (Path(store) / STORE_FILE).is_file():
+            kind, directory = f"version {version} of a store", version_directory(Path(store), version)
+        elif (path / STORE_FILE).is_file():
+            directory = version_directory(path)
+            kind = f"version {directory.name} (promoted) of a store"
+        if directory.is_file():
+            return Discovery(kind, directory.parent, _facts(directory.parent, [directory.name]))
+        names = sorted(file.name for file in directory.iterdir() if file.is_file()) if directory.is_dir() else []
+        return Discovery(kind, directory, _facts(directory, [name for name in names if not name.startswith(".")]))
+    directory, name = base
     present = {file.name for file in directory.iterdir()}
     folded = {file.casefold(): file for file in sorted(present)}
     names, absent = [], []
@@ -81,30 +85,20 @@ def _artefact_set(directory: Path, name: str) -> Discovery:
         elif kind in OPTIONAL:
             absent.append(file)
         else:
-            others = ", ".join(sorted(one for one in present if one.casefold().startswith(name.casefold())))
+            others = ", ".join(sorted(other for other in present if other.casefold().startswith(name.casefold())))
             raise at(directory, None, f"{file} is missing; of the set {name!r} there is {others or 'nothing'}")
     return Discovery(f"artefacts {name!r}", directory, _facts(directory, names), tuple(absent))
 
 
-def _own(path: Path) -> tuple[str, Path]:
-    store, at_sign, version = str(path).rpartition("@")
-    if at_sign and not path.exists() and (Path(store) / STORE_FILE).is_file():
-        return f"version {version} of a store", version_directory(Path(store), version)
-    if (path / STORE_FILE).is_file():
-        directory = version_directory(path)
-        return f"version {directory.name} (promoted) of a store", directory
-    return ("model directory" if path.is_dir() else "model file"), path
-
-
 def _facts(directory: Path, names: Sequence[str]) -> tuple[FileFacts, ...]:
-    found = []
+    facts = []
     for name in names:
         try:
             content = (directory / name).read_bytes()
         except OSError as error:
             raise at(directory / name, None, f"cannot be read ({error.strerror}); make it a readable file") from None
-        found.append(FileFacts(name, len(content), hashlib.sha256(content).hexdigest()))
-    return tuple(found)
+        facts.append(FileFacts(name, len(content), hashlib.sha256(content).hexdigest()))
+    return tuple(facts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

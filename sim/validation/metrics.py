@@ -48,30 +48,28 @@ def judge_band(rows: Array, readings: Array, sensor_sigma: float, rng: np.random
     of the size of `rows` is allocated. The CRPS is that of the runs' empirical law.
     """
     size = max(1, CELLS // rows.shape[1])
-    parts, scores = [], []
+    laws, scores = [], []
     for first in range(0, rows.shape[0], size):
         part = rows[first : first + size]
+        # The readings have the sensor's noise, so the runs must have it too before the two are compared.
         if sensor_sigma > 0:
             part += sensor_sigma * rng.standard_normal(part.shape)
         part.sort(axis=1)  # once, for the quantiles and for the CRPS
-        parts.append(_law(part))
+        low, high = (_quantile(part, level) for level in BAND)
+        mean = part.mean(axis=1)
+        # Two passes: the mean of the squares less the square of the mean would lose the digits of a narrow band.
+        centred = part - mean[:, None]
+        sigma = np.sqrt(np.einsum("ij,ij->i", centred, centred) / part.shape[1])
+        laws.append((low, high, mean, sigma))
         scores.append(crps_ordered(part, readings[first : first + size]))
-    band = Band(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    band = Band(*(np.concatenate(column) for column in zip(*laws, strict=True)))
     inside = (readings >= band.low) & (readings <= band.high)
     beyond = np.abs(readings - band.mean) > SIGMAS * band.sigma
     return band, Covered(float(inside.mean()), float(np.concatenate(scores).mean()), float(beyond.mean()))
 
 
-def _law(ordered: Array) -> tuple[Array, Array, Array, Array]:
-    """Low and high edge of the band, mean and sigma of each row of `ordered` (m, runs), which ascends."""
-    low, high = (_quantile(ordered, level) for level in BAND)
-    mean = ordered.mean(axis=1)
-    centred = ordered - mean[:, None]
-    return low, high, mean, np.sqrt(np.einsum("ij,ij->i", centred, centred) / ordered.shape[1])
-
-
 def _quantile(ordered: Array, level: float) -> Array:
-    """As `np.quantile` (linear between neighbours), of rows that ascend."""
+    """As `np.quantile` (linear between neighbours), of rows that ascend: nothing is sorted again."""
     place = level * (ordered.shape[1] - 1)
     below = floor(place)
     above = ordered[:, ceil(place)]
@@ -95,6 +93,7 @@ def rmse_interval(errors: Array, rng: np.random.Generator) -> Interval:
 def _bounds(values: Array, rng: np.random.Generator) -> tuple[float, float]:
     if values.size < FEWEST:
         return nan, nan
+    # Neighbouring errors of one run are alike: rows drawn one by one would give an interval far too narrow.
     block = max(block_length(values), ceil(values.size / MOST_BLOCKS))
     return block_bootstrap(values, block, RESAMPLES, rng)
 
@@ -109,6 +108,7 @@ def block_length(values: Array) -> int:
     correlation = autocorrelation(values)
     if correlation.size < 2:
         return 1
+    # M of the paper: twice the lag from which on nothing is correlated, where the window comes down to 0.
     reach = min(2 * _last_correlated(correlation, n), correlation.size - 1)
     if reach == 0:
         return 1
@@ -116,7 +116,7 @@ def block_length(values: Array) -> int:
     window = np.clip(2.0 * (1.0 - lags / reach), 0.0, 1.0)  # the flat-top window: 1 up to a half, then down to 0
     weighted = window * correlation[1 : reach + 1]
     slope, level = 2.0 * float((lags * weighted).sum()), 1.0 + 2.0 * float(weighted.sum())
-    if level <= 0:
+    if level <= 0:  # the spectrum at 0 as estimated; a variance that came out negative gives no length
         return 1
     length = (1.5 * slope**2 / level**2) ** (1 / 3) * n ** (1 / 3)  # 2 G^2 / D with D = 4/3 g(0)^2
     return int(min(max(ceil(length), 1), max(n // 3, 1)))
@@ -124,6 +124,7 @@ def block_length(values: Array) -> int:
 
 def _last_correlated(correlation: Array, n: int) -> int:
     """The lag after which a whole run of lags is within the noise of an uncorrelated series."""
+    # The paper's constants: c = 2 in the threshold c sqrt(log10(n) / n), K = max(5, sqrt(log10 n)) lags in a row.
     quiet = np.abs(correlation[1:]) < 2.0 * sqrt(log10(n) / n)
     run = max(5, ceil(sqrt(log10(n))))
     if quiet.size < run:
@@ -134,11 +135,13 @@ def _last_correlated(correlation: Array, n: int) -> int:
 
 def autocorrelation(values: Array) -> Array:
     """The sample autocorrelation at the lags 0 to n/2; empty for a series that does not vary."""
+    # By the spectrum (Wiener-Khinchin), padded to twice the length so that the end does not run into the beginning.
     centred = values - values.mean()
     n = values.size
     size = 1 << (2 * n - 1).bit_length()
     spectrum = np.fft.rfft(centred, size)
     covariance = np.fft.irfft(spectrum * spectrum.conjugate(), size)[: n // 2 + 1]
+    # Against the square of the values: what rounding leaves of a constant series is no variation.
     return covariance / covariance[0] if covariance[0] > 1e-12 * max(1.0, float(np.mean(values**2))) else np.empty(0)
 
 

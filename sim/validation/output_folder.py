@@ -7,7 +7,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from math import isfinite, nan
 from pathlib import Path
@@ -85,17 +85,25 @@ def check_folder(path: Path, *, overwrite: bool) -> list[Path]:
         raise ValueError(
             f"{path}: the folder has other things in it ({', '.join(present[:3])}); give a new one or an empty one"
         )
-    earlier = _earlier(path / CAMPAIGN)
+    file = path / CAMPAIGN
+    try:
+        earlier = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, OSError):
+        earlier = None
+    if not isinstance(earlier, dict) or earlier.get("format") != FORMAT:
+        raise ValueError(f"{file}: this is no campaign of ours; give a new folder or an empty one")
     if not overwrite:
         state = "an unfinished campaign" if earlier.get("state") != COMPLETE else "a complete campaign"
         raise ValueError(
             f"{path}: holds the results of {state} of {earlier.get('created', 'unknown time')}; "
             "give another folder, or --overwrite to replace them"
         )
+    # What is removed is what a campaign writes, in the folders that its own record names: a name that is no single part
+    # of a path was written by somebody else, and leads out of the folder perhaps.
     folders = earlier.get("folders")
     names = [str(name) for name in folders.values()] if isinstance(folders, dict) else []
     wanted = (*OWN_FILES, *(f"{name}/{pattern}" for name in names if name == slug(name) for pattern in MODEL_FILES))
-    return sorted(file for pattern in wanted for file in path.glob(pattern) if file.is_file())
+    return sorted(present for pattern in wanted for present in path.glob(pattern) if present.is_file())
 
 
 def _earlier(file: Path) -> dict[str, Any]:
@@ -121,18 +129,16 @@ def held(path: Path) -> Iterator[None]:
     except OSError as error:
         raise _unwritable(path, error) from None
     try:
-        with suppress(OSError):
-            _lock(path, handle)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            reason = "another campaign is writing there; give another folder, or wait for it"
+            raise ValueError(f"{path}: {reason}") from None
+        except OSError:
+            pass  # no locks on this file system: better a campaign without one than none
         yield
     finally:
         os.close(handle)
-
-
-def _lock(path: Path, handle: int) -> None:
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise ValueError(f"{path}: another campaign is writing there; give another folder, or wait for it") from None
 
 
 def _unwritable(path: Path, error: OSError) -> ValueError:
@@ -160,7 +166,7 @@ def claim_folder(path: Path, stale: Sequence[Path], labels: Sequence[str], facts
 
 def places(names: Sequence[str], reserved: Iterable[str] = ()) -> dict[str, str]:
     """A folder's or file's name for each of `names`, no two alike whatever the file system thinks of case."""
-    found: dict[str, str] = {}
+    given: dict[str, str] = {}
     taken = set(reserved)
     for name in names:
         place = first = slug(name)
@@ -168,8 +174,8 @@ def places(names: Sequence[str], reserved: Iterable[str] = ()) -> dict[str, str]
         while place.casefold() in taken:
             place, number = f"{first}-{number}", number + 1
         taken.add(place.casefold())
-        found[name] = place
-    return found
+        given[name] = place
+    return given
 
 
 def slug(name: str) -> str:
@@ -179,29 +185,27 @@ def slug(name: str) -> str:
 
 def results_json(results: Iterable[TraceResult]) -> str:
     """All results, field by field as in `TraceResult`; undefined numbers are null."""
-    content = {"format": FORMAT, "version": VERSION, "results": [asdict(one) for one in results]}
+    content = {"format": FORMAT, "version": VERSION, "results": [asdict(result) for result in results]}
     return json_text(content, indent=2) + "\n"
 
 
 def results_csv(results: Iterable[TraceResult]) -> str:
     """One row a result; a score or an interval takes several columns (at_events_mae, mae_low). Undefined is empty."""
-    rows = [_flat(asdict(one)) for one in results]
+    rows: list[dict[str, Any]] = []
+    for result in results:
+        row: dict[str, Any] = {}
+        for name, value in asdict(result).items():
+            if isinstance(value, Mapping):
+                row |= {name if key == "value" else f"{name}_{key}": _cell(inner) for key, inner in value.items()}
+            else:
+                row[name] = _cell(value)
+        rows.append(row)
     text = io.StringIO()
     names = list(rows[0]) if rows else [field.name for field in fields(TraceResult)]
     writer = csv.DictWriter(text, names, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
-
-
-def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in row.items():
-        if isinstance(value, Mapping):
-            flat |= {name if key == "value" else f"{name}_{key}": _cell(inner) for key, inner in value.items()}
-        else:
-            flat[name] = _cell(value)
-    return flat
 
 
 def _cell(value: object) -> object:
@@ -215,7 +219,13 @@ def read_results(path: Path) -> list[TraceResult]:
     file = path / f"{RESULTS}.json" if path.is_dir() else path
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
-        return [_result(row) for row in document["results"]]
+        # Only the fields that this program knows: what a newer one adds is passed over, what an older one lacked keeps
+        # its default.
+        kinds = {field.name: field.type for field in fields(TraceResult)}
+        return [
+            TraceResult(**{name: _restored(row[name], kind) for name, kind in kinds.items() if name in row})
+            for row in document["results"]
+        ]
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise ValueError(f"{file}: cannot be read ({reason}); give the folder of a finished campaign") from None
@@ -223,13 +233,8 @@ def read_results(path: Path) -> list[TraceResult]:
         raise ValueError(f"{file}: these are no results of a campaign ({error!r})") from None
 
 
-def _result(row: Mapping[str, Any]) -> TraceResult:
-    known = {field.name: field.type for field in fields(TraceResult)}
-    values = {name: _restored(row[name], kind) for name, kind in known.items() if name in row}
-    return TraceResult(**values)
-
-
 def _restored(value: Any, kind: Any) -> Any:
+    """A field's value from JSON, where a list stands for a tuple and null for NaN."""
     if kind in (Score, Interval):
         return kind(**{name: nan if inner is None else inner for name, inner in value.items()})
     if isinstance(value, list):

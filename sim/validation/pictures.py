@@ -8,8 +8,7 @@ import numpy as np
 
 from sim.validation.output_folder import places, stopped_at
 from sim.validation.plots import Curve, Picture, draw
-from sim.validation.results import TraceResult
-from sim.validation.trace_run import TraceCourse, TraceOutcome
+from sim.validation.trace_run import TraceOutcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +23,38 @@ def drawings(
     folder: Path, outcomes: Sequence[TraceOutcome], temperature: str, units: Mapping[str, str]
 ) -> dict[tuple[str, str], Drawing]:
     """By semantics and trace, what is to be drawn into `folder` for the outcomes of one model that have a course."""
-    courses = {(one.result.semantics, one.result.trace): one for one in outcomes if one.course is not None}
+    courses = {
+        (outcome.result.semantics, outcome.result.trace): (outcome.result, outcome.course)
+        for outcome in outcomes
+        if outcome.course is not None
+    }
     several = len({semantics for semantics, _ in courses}) > 1
     names = places(list(dict.fromkeys(trace for _, trace in courses)))
-    files = {key: f"{names[key[1]]}.{key[0]}.png" if several else f"{names[key[1]]}.png" for key in courses}
-    return {
-        key: Drawing(_picture(one.result, one.course, temperature, units), folder / files[key])
-        for key, one in courses.items()
-        if one.course is not None
-    }
+    pictures = {}
+    for (semantics, trace), (result, course) in courses.items():
+        notes = ["SYNTHETIC: not measured on a plant"] if result.synthetic else []
+        notes += [
+            f"MAE {result.mae.value:.2f} °C",
+            f"final error {result.final_error:+.2f} °C",
+            f"band covers {result.coverage:.0%}",
+        ]
+        if course.seen > len(course.events):
+            notes.append(f"{len(course.events)} of {course.seen} events shown")
+        # Mean and band were thinned by themselves, so the band is read off where the mean stands.
+        times, mean = course.mean
+        low, high = (np.interp(times, course.band[0], edge) for edge in course.band[1:])
+        picture = Picture(
+            f"{result.model} along {trace}, open loop, semantics {semantics}",
+            Curve(f"measured {temperature}", *course.measured),
+            predicted=Curve("predicted mean, 90 % band", times, mean, low, high),
+            inputs=[Curve(name, *columns) for name, columns in course.inputs.items()],
+            events=course.events,
+            note="; ".join(notes),
+            units=units,
+        )
+        file = f"{names[trace]}.{semantics}.png" if several else f"{names[trace]}.png"
+        pictures[semantics, trace] = Drawing(picture, folder / file)
+    return pictures
 
 
 def draw_one(drawing: Drawing) -> Path:
@@ -41,26 +63,3 @@ def draw_one(drawing: Drawing) -> Path:
         return draw(drawing.picture, drawing.png, drawing.png.with_suffix(".pdf"))
     except OSError as error:
         raise stopped_at(drawing.png, error) from None
-
-
-def _picture(result: TraceResult, course: TraceCourse, temperature: str, units: Mapping[str, str]) -> Picture:
-    said = [
-        f"MAE {result.mae.value:.2f} °C",
-        f"final error {result.final_error:+.2f} °C",
-        f"band covers {result.coverage:.0%}",
-    ]
-    if course.seen > len(course.events):
-        said.append(f"{len(course.events)} of {course.seen} events shown")
-    if result.synthetic:
-        said.insert(0, "SYNTHETIC: not measured on a plant")
-    times, mean = course.mean
-    low, high = (np.interp(times, course.band[0], edge) for edge in course.band[1:])
-    return Picture(
-        f"{result.model} along {result.trace}, open loop, semantics {result.semantics}",
-        Curve(f"measured {temperature}", *course.measured),
-        predicted=Curve("predicted mean, 90 % band", times, mean, low, high),
-        inputs=[Curve(name, *columns) for name, columns in course.inputs.items()],
-        events=course.events,
-        note="; ".join(said),
-        units=units,
-    )

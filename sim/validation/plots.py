@@ -1,7 +1,7 @@
 """Pictures: measured against predicted with band, events and inputs on one time axis; to a file, never shown."""
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
@@ -53,16 +53,8 @@ class Picture:
     units: Mapping[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class _Clock:
-    """The picture's time axis: `unit` of `seconds` each, counted from `origin`."""
-
-    origin: float
-    unit: str
-    seconds: float
-
-    def __call__(self, times: Array) -> Array:
-        return (np.asarray(times, dtype=float) - self.origin) / self.seconds
+Clock = Callable[[Array], Array]
+"""Absolute seconds to places on a picture's time axis."""
 
 
 def draw(picture: Picture, path: Path, *also: Path) -> Path:
@@ -73,24 +65,40 @@ def draw(picture: Picture, path: Path, *also: Path) -> Path:
     for file in (path, *also):
         if file.suffix.lower() not in ENDINGS:
             raise ValueError(f"{file}: cannot be a picture; give a name that ends in {', '.join(ENDINGS)}")
+    # Minutes up to three hours, hours up to three days, then days.
+    times = picture.measured.times
+    origin, span = (float(times[0]), float(times[-1] - times[0])) if times.size else (0.0, 0.0)
+    unit, seconds = TIME_UNITS[(span > 3 * 3600) + (span > 3 * 86_400)]
+
+    def clock(absolute: Array) -> Array:
+        return (np.asarray(absolute, dtype=float) - origin) / seconds
+
     rows = 2 + bool(picture.inputs)
     heights = [4.2] + [1.6] * bool(picture.inputs) + [0.9]
     figure = Figure(figsize=(11, 1.6 + sum(heights)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(rows, 1, sharex=True, gridspec_kw={"height_ratios": heights}, squeeze=False)[:, 0]
-    clock = _clock(picture)
     _temperatures(axes[0], picture, clock)
     if picture.inputs:
-        _inputs(axes[1], picture, clock)
+        for curve, colour in zip(picture.inputs, cycle(EVENT_COLOURS), strict=False):
+            instants, values = _broken(curve.times, curve.values)
+            name = f"{curve.label} ({picture.units[curve.label]})" if picture.units.get(curve.label) else curve.label
+            axes[1].plot(clock(instants), values, color=colour, linewidth=0.9, label=_literal(name))
+        axes[1].grid(alpha=0.25)
+        _legend(axes[1])
     _events(axes[-1], picture.events, clock)
-    axes[-1].set_xlabel(f"{clock.unit} since the first row")
+    axes[-1].set_xlabel(f"{unit} since the first row")
     figure.suptitle(_shortened(picture.title), fontsize=13, x=0.01, ha="left", parse_math=False)
     if picture.note:
         note = _shortened(picture.note)
         figure.supxlabel(note, fontsize=9, color=MEASURED, x=0.01, ha="left", parse_math=False)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
-        _arrange(figure)
+        # Laid out once, and not again for every file, which would take half of a picture's time.
+        engine = figure.get_layout_engine()
+        if engine is not None:
+            engine.execute(figure)
+        figure.set_layout_engine(None)
         for file in (path, *also):
             _save(figure, file)
     return path
@@ -107,24 +115,8 @@ def _save(figure: Figure, file: Path) -> None:
         part.unlink(missing_ok=True)
 
 
-def _arrange(figure: Figure) -> None:
-    """Lays out once what would else be laid out again for every file: half of the time of a picture."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-    figure.set_layout_engine(None)
-
-
 def _shortened(text: str) -> str:
     return shorten(text, LONGEST_TITLE, placeholder=" ...") if len(text) > LONGEST_TITLE else text
-
-
-def _clock(picture: Picture) -> _Clock:
-    """Minutes up to three hours, hours up to three days, then days."""
-    times = picture.measured.times
-    span = float(times[-1] - times[0]) if times.size else 0.0
-    unit, seconds = TIME_UNITS[(span > 3 * 3600) + (span > 3 * 86_400)]
-    return _Clock(float(times[0]) if times.size else 0.0, unit, seconds)
 
 
 def _broken(times: Array, values: Array) -> tuple[Array, Array]:
@@ -137,7 +129,7 @@ def _broken(times: Array, values: Array) -> tuple[Array, Array]:
     return np.insert(seconds, holes, np.nan), np.insert(numbers, holes, np.nan)
 
 
-def _line(axis: Axes, curve: Curve, clock: _Clock, colour: str, width: float = 1.4, style: str = "-") -> None:
+def _line(axis: Axes, curve: Curve, clock: Clock, colour: str, width: float = 1.4, style: str = "-") -> None:
     times, values = _broken(curve.times, curve.values)
     axis.plot(clock(times), values, style, color=colour, label=_literal(curve.label), linewidth=width)
     if curve.low is not None and curve.high is not None:
@@ -145,7 +137,7 @@ def _line(axis: Axes, curve: Curve, clock: _Clock, colour: str, width: float = 1
         axis.fill_between(clock(times), low, high, color=colour, alpha=0.18, linewidth=0)
 
 
-def _temperatures(axis: Axes, picture: Picture, clock: _Clock) -> None:
+def _temperatures(axis: Axes, picture: Picture, clock: Clock) -> None:
     measured = picture.measured
     axis.plot(clock(measured.times), measured.values, ".", color=MEASURED, markersize=3, label=_literal(measured.label))
     if picture.open_loop is not None:
@@ -158,22 +150,19 @@ def _temperatures(axis: Axes, picture: Picture, clock: _Clock) -> None:
         left, right = clock(np.array([start, end]))
         axis.axvspan(left, right, color="#999999", alpha=0.25, linewidth=0)
     if picture.limit is not None:
-        _limit(axis, picture.limit)
+        # A line where it is near the curves; a word where it would press them flat.
+        low, high = axis.get_ylim()
+        text = f"limit {picture.limit:g} °C"
+        if low <= picture.limit <= high + 0.3 * (high - low):
+            axis.axhline(picture.limit, color=ALARM, linewidth=1, linestyle=":", label=text)
+        else:
+            above = picture.limit > high
+            words = f"{text}, {'above' if above else 'below'} this range"
+            height, side = (0.97, "top") if above else (0.03, "bottom")
+            axis.text(0.99, height, words, transform=axis.transAxes, ha="right", va=side, color=ALARM, fontsize=8)
     axis.set_ylabel("temperature (°C)")
     axis.grid(alpha=0.25)
     _legend(axis)
-
-
-def _limit(axis: Axes, limit: float) -> None:
-    """A line where it is near the curves; a word where it would press them flat."""
-    low, high = axis.get_ylim()
-    text = f"limit {limit:g} °C"
-    if low <= limit <= high + 0.3 * (high - low):
-        axis.axhline(limit, color=ALARM, linewidth=1, linestyle=":", label=text)
-        return
-    where, height, side = ("above", 0.97, "top") if limit > high else ("below", 0.03, "bottom")
-    words = f"{text}, {where} this range"
-    axis.text(0.99, height, words, transform=axis.transAxes, ha="right", va=side, color=ALARM, fontsize=8)
 
 
 def _literal(text: str) -> str:
@@ -186,17 +175,7 @@ def _legend(axis: Axes) -> None:
     axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=5, fontsize=8, frameon=False)
 
 
-def _inputs(axis: Axes, picture: Picture, clock: _Clock) -> None:
-    for curve, colour in zip(picture.inputs, cycle(EVENT_COLOURS), strict=False):
-        times, values = _broken(curve.times, curve.values)
-        unit = picture.units.get(curve.label, "")
-        label = f"{curve.label} ({unit})" if unit else curve.label
-        axis.plot(clock(times), values, color=colour, linewidth=0.9, label=_literal(label))
-    axis.grid(alpha=0.25)
-    _legend(axis)
-
-
-def _events(axis: Axes, events: Sequence[Event], clock: _Clock) -> None:
+def _events(axis: Axes, events: Sequence[Event], clock: Clock) -> None:
     """One row of ticks a symbol; "unknown" last and in the alarm's colour."""
     symbols = sorted({event.symbol for event in events}, key=lambda symbol: (symbol == UNKNOWN, symbol))
     for row, symbol in enumerate(symbols):

@@ -4,13 +4,12 @@ import base64
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import ceil, floor, isfinite, log10
+from math import ceil, floor, inf, isfinite, log10
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from sim.sha import Location
 from sim.validation.metrics import QUANTILES
 from sim.validation.results import Interval, TraceResult
 from sim.validation.stages import Prepared, Stage, location_row
@@ -78,9 +77,9 @@ class ModelReport:
     @property
     def judged(self) -> list[tuple[TraceResult, TraceVerdict]]:
         """Each result with its verdict, trace by trace in the order of the numbers in their names (cd2 before cd10)."""
-        places = list(dict.fromkeys(one.semantics for one in self.results))
-        ordered = sorted(self.results, key=lambda one: (places.index(one.semantics), natural(one.trace)))
-        return [(one, verdict(one)) for one in ordered]
+        places = list(dict.fromkeys(result.semantics for result in self.results))
+        ordered = sorted(self.results, key=lambda result: (places.index(result.semantics), natural(result.trace)))
+        return [(result, verdict(result)) for result in ordered]
 
     @property
     def summaries(self) -> list[VerdictSummary]:
@@ -95,28 +94,37 @@ class ModelReport:
     @property
     def synthetic(self) -> str:
         """What of it no plant made; empty when nothing is known to be synthetic."""
-        count = len({one.trace for one in self.results if one.synthetic})
-        said = [f"{count} of {len({one.trace for one in self.results})} traces are SYNTHETIC"] if count else []
+        count = len({result.trace for result in self.results if result.synthetic})
+        parts = [f"{count} of {len({result.trace for result in self.results})} traces are SYNTHETIC"] if count else []
         if self.prepared.skeleton.provenance.synthetic:
-            said.append("the model was learned from SYNTHETIC traces")
-        return "; ".join(said)
+            parts.append("the model was learned from SYNTHETIC traces")
+        return "; ".join(parts)
 
     @property
     def in_sample(self) -> list[str]:
         """The traces that have the name of one that the model was learned from."""
         learned = set(self.prepared.skeleton.provenance.traces)
-        return [name for name in dict.fromkeys(one.trace for one, _ in self.judged) if name in learned]
+        return [name for name in dict.fromkeys(result.trace for result, _ in self.judged) if name in learned]
 
     @property
     def locations(self) -> list[tuple[str, list[dict[str, Any]]]]:
         """The rows of each variant's table of locations."""
-        return [(name, [_row(one) for one in model.sha.locations]) for name, model in self.prepared.variants.items()]
+        tables = []
+        for name, model in self.prepared.variants.items():
+            rows = []
+            for location in model.sha.locations:
+                row = location_row(location)
+                constants = ", ".join(f"{constant}={value:.4g}" for constant, value in row["constants"].items())
+                inputs = ", ".join(f"{driving.signal} ({driving.gain:+.3g})" for driving in location.flow.inputs)
+                rows.append(row | {"constants": constants, "inputs": inputs})
+            tables.append((name, rows))
+        return tables
 
     @property
     def boxes(self) -> Boxes | None:
         """The error distribution by trace, its semantics one below the other; None without figures."""
-        there = [one for one in self.results if one.error_quantiles]
-        return error_boxes(sorted(there, key=lambda one: natural(one.trace)))
+        known = [result for result in self.results if result.error_quantiles]
+        return error_boxes(sorted(known, key=lambda result: natural(result.trace)))
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -124,51 +132,44 @@ def natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name)]
 
 
-def _row(location: Location) -> dict[str, Any]:
-    row = location_row(location)
-    constants = ", ".join(f"{name}={value:.4g}" for name, value in row["constants"].items())
-    driven = ", ".join(f"{one.signal} ({one.gain:+.3g})" for one in location.flow.inputs)
-    return row | {"constants": constants, "inputs": driven}
-
-
 def error_boxes(results: Sequence[TraceResult]) -> Boxes | None:
     """Boxes (quartiles, median), whiskers (5 and 95 %) and ends (0 and 100 %) of predicted - measured, a row each."""
     if not results:
         return None
-    low = min(0.0, *(one.error_quantiles[0] for one in results))
-    high = max(0.0, *(one.error_quantiles[-1] for one in results))
+    # The axis holds 0, at which a prediction is right, and ends at whole steps.
+    low = min(0.0, *(result.error_quantiles[0] for result in results))
+    high = max(0.0, *(result.error_quantiles[-1] for result in results))
     step = _tick(high - low)
     low, high = floor(low / step) * step, -floor(-high / step) * step or step
 
     def place(value: float) -> float:
         return LEFT + (WIDTH - LEFT - RIGHT) * (value - low) / (high - low)
 
-    several = len({one.semantics for one in results}) > 1
-    boxes = tuple(
-        Box(
-            _label(one.trace, f" ({one.semantics})" if several else ""),
-            one.semantics,
-            TOP + ROW * (row + 0.5),
-            tuple(place(value) for value in one.error_quantiles),
-            ", ".join(
-                f"{level:.0%}: {value:+.2f} °C" for level, value in zip(QUANTILES, one.error_quantiles, strict=True)
-            ),
+    several = len({result.semantics for result in results}) > 1
+    boxes = []
+    for row, result in enumerate(results):
+        # A long name is cut before the semantics, which tells two rows of one trace apart.
+        end = f" ({result.semantics})" if several else ""
+        room = LONGEST_LABEL - len(end)
+        name = result.trace if len(result.trace) <= room else f"{result.trace[: room - 1]}…"
+        quantiles = zip(QUANTILES, result.error_quantiles, strict=True)
+        boxes.append(
+            Box(
+                label=name + end,
+                semantics=result.semantics,
+                y=TOP + ROW * (row + 0.5),
+                x=tuple(place(value) for value in result.error_quantiles),
+                text=", ".join(f"{level:.0%}: {value:+.2f} °C" for level, value in quantiles),
+            )
         )
-        for row, one in enumerate(results)
-    )
-    count = round((high - low) / step)
-    first = round(low / step)
-    ticks = tuple((place(low + step * index), _signed((first + index) * step)) for index in range(count + 1))
-    return Boxes(WIDTH, TOP + ROW * len(results) + BOTTOM, boxes, ticks, place(0.0))
-
-
-def _label(name: str, end: str) -> str:
-    room = LONGEST_LABEL - len(end)
-    return (name if len(name) <= room else f"{name[: room - 1]}…") + end
-
-
-def _signed(value: float) -> str:
-    return f"{value:+g}" if value else "0"
+    count, first = round((high - low) / step), round(low / step)
+    ticks = []
+    for index in range(count + 1):
+        # A multiple of the step, not the last tick plus a step: sums of 0.1 would be written with their last digits.
+        value = (first + index) * step
+        ticks.append((place(low + step * index), f"{value:+g}" if value else "0"))
+    height = TOP + ROW * len(results) + BOTTOM
+    return Boxes(WIDTH, height, tuple(boxes), tuple(ticks), place(0.0))
 
 
 def _tick(span: float) -> float:
@@ -185,21 +186,23 @@ def shown(results: Sequence[TraceResult], files: Mapping[tuple[str, str], Path],
 
     The trace with the largest error first; the semantics of one trace stand together. Raises OSError.
     """
-    there = [one for one in results if (one.semantics, one.trace) in files]
-    worst = {one.trace: max(other.mae.value for other in there if other.trace == one.trace) for one in there}
-    there.sort(key=lambda one: (-worst[one.trace], one.trace))
-    made = []
-    for rank, one in enumerate(there):
-        file = files[one.semantics, one.trace]
+    drawn = [result for result in results if (result.semantics, result.trace) in files]
+    worst: dict[str, float] = {}
+    for result in drawn:
+        worst[result.trace] = max(result.mae.value, worst.get(result.trace, -inf))
+    drawn.sort(key=lambda result: (-worst[result.trace], result.trace))
+    figures = []
+    for rank, result in enumerate(drawn):
+        file = files[result.semantics, result.trace]
         content = base64.b64encode(file.read_bytes()).decode() if rank < EMBEDDED else ""
         data = f"data:image/png;base64,{content}" if content else ""
-        made.append(ReportFigure(one, verdict(one), data, str(file.relative_to(base))))
-    return made
+        figures.append(ReportFigure(result, verdict(result), data, str(file.relative_to(base))))
+    return figures
 
 
 def model_html(report: ModelReport) -> str:
     """The report of one model as one HTML file without any external resource."""
-    each = max(1, len(report.summaries))
+    each = max(1, len(report.summaries))  # pictures that one trace has: whole traces are unfolded
     opened = each * ceil(OPEN / each)
     return _environment().get_template("model.html").render(report=report, open=opened, embedded=EMBEDDED)
 

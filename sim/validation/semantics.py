@@ -84,16 +84,14 @@ def carried(model: Model) -> Model:
     law said nothing but where X begins and is left out: under a flow that stands still X then never moves.
     """
     model = in_sensor_scale(model)
-    locations = tuple(_carried(location) for location in model.sha.locations)
-    return _counterpart(model, locations, "own: temperature carried over events", "the flows of the model")
-
-
-def _carried(location: Location) -> Location:
-    if location.entry != "resample":
-        return location
-    if location.flow.kind in RELAXING and FIXED not in location.flow.params:
-        return replace(location, entry="parameter")
-    return replace(location, distribution=None, entry="none")
+    locations = []
+    for location in model.sha.locations:
+        if location.entry == "resample":
+            target = location.flow.kind in RELAXING and FIXED not in location.flow.params
+            law = location.distribution if target else None
+            location = replace(location, distribution=law, entry="parameter" if target else "none")
+        locations.append(location)
+    return _counterpart(model, tuple(locations), "own: temperature carried over events", "the flows of the model")
 
 
 def resampled(model: Model, entries: EntryLaws) -> Model:
@@ -110,23 +108,21 @@ def resampled(model: Model, entries: EntryLaws) -> Model:
             "temperature on entry; give traces in which events happen while the temperature is read"
         )
     spread = float(np.std(pooled))
-    locations = tuple(
-        _resampled(location, entries.temperatures.get(location.name, np.empty(0)), pooled, spread)
-        for location in model.sha.locations
-    )
-    return _counterpart(model, locations, "thesis: temperature drawn on entry", entries.source)
-
-
-def _resampled(location: Location, own: Array, pooled: Array, spread: float) -> Location:
-    unknown = location.distribution is None and location.flow.kind == "constant"
-    if unknown and not own.size:
-        return location
-    values = own if own.size else pooled
-    deviations = float(np.sum((values - values.mean()) ** 2))
-    sigma = sqrt((deviations + spread**2) / values.size) if own.size else spread
-    law = Distribution("normal", {"mu": float(values.mean()), "sigma": sigma})
-    fixed = {**location.flow.params, FIXED: mode_parameter(location)[0]}
-    return Location(location.name, replace(location.flow, params=fixed), law, "resample")
+    locations = []
+    for location in model.sha.locations:
+        own = entries.temperatures.get(location.name, np.empty(0))
+        if not own.size and location.distribution is None and location.flow.kind == "constant":
+            locations.append(location)
+            continue
+        values = own if own.size else pooled
+        deviations = float(np.sum((values - values.mean()) ** 2))
+        # One entry more at the scatter of all: with a single entry of its own the deviations alone would be 0.
+        sigma = sqrt((deviations + spread**2) / values.size) if own.size else spread
+        law = Distribution("normal", {"mu": float(values.mean()), "sigma": sigma})
+        # The location has room for one law, now the temperature's: m stays at its mean.
+        fixed = {**location.flow.params, FIXED: mode_parameter(location)[0]}
+        locations.append(Location(location.name, replace(location.flow, params=fixed), law, "resample"))
+    return _counterpart(model, tuple(locations), "thesis: temperature drawn on entry", entries.source)
 
 
 def _counterpart(model: Model, locations: tuple[Location, ...], semantics: str, laws: str) -> Model:
@@ -142,32 +138,27 @@ def entries_of_traces(model: Model, traces: Sequence[Trace]) -> EntryLaws:
     An event without an edge leads where its symbol does most often (`resync`). Where a trace begins nothing is entered:
     X is given there. A trace without a reading of the model's temperature gives nothing.
     """
-    bare = _skeleton(model.sha)
-    found: dict[str, list[float]] = defaultdict(list)
+    # The same locations and edges without flows, so that walking through them needs no input signal.
+    still = tuple(Location(location.name, STILL, None, "none") for location in model.sha.locations)
+    skeleton = replace(model.sha, locations=still)
+    temperatures: dict[str, list[float]] = defaultdict(list)
     for trace in traces:
         if not np.isfinite(trace.signals.get(model.temperature, np.empty(0))).any():
             continue
-        for name, temperature in _entries(bare, model, trace):
-            found[name].append(temperature)
-    count = sum(map(len, found.values()))
-    columns = {name: np.array(values) for name, values in found.items()}
+        times, values = measured(trace, model.temperature)
+        events = trace.events or (encode(trace, model.alphabet) if model.alphabet.channels else ())
+        steps = schedule(skeleton, events, times, policy="resync")
+        begins = steps.start + np.concatenate([[0.0], np.cumsum(steps.dt[:-1])])
+        # Not the first: there the trace begins, and no location was entered.
+        entered = np.flatnonzero(steps.entry)[1:]
+        # Entry times are sums of steps: one that falls on a row may come out a hair before it, and would then be given
+        # the reading of the row before.
+        held = np.searchsorted(times, begins[entered] + ROUNDING, side="right") - 1
+        for step, row in zip(entered.tolist(), held.tolist(), strict=True):
+            temperatures[still[steps.location[step]].name].append(float(values[row]))
+    count = sum(map(len, temperatures.values()))
+    columns = {name: np.array(entries) for name, entries in temperatures.items()}
     return EntryLaws(columns, f"{count} entries along {len(traces)} traces")
-
-
-def _skeleton(sha: SHA) -> SHA:
-    """The same locations and edges; no flow, so that walking through them needs no input signal."""
-    return replace(sha, locations=tuple(Location(location.name, STILL, None, "none") for location in sha.locations))
-
-
-def _entries(bare: SHA, model: Model, trace: Trace) -> Iterator[tuple[str, float]]:
-    times, values = measured(trace, model.temperature)
-    events = trace.events or (encode(trace, model.alphabet) if model.alphabet.channels else ())
-    steps = schedule(bare, events, times, policy="resync")
-    begins = steps.start + np.concatenate([[0.0], np.cumsum(steps.dt[:-1])])
-    entered = np.flatnonzero(steps.entry)[1:]
-    held = np.searchsorted(times, begins[entered] + ROUNDING, side="right") - 1
-    for step, row in zip(entered.tolist(), held.tolist(), strict=True):
-        yield bare.locations[steps.location[step]].name, float(values[row])
 
 
 def entries_of_runs(model: Model, seed: int) -> EntryLaws:
@@ -184,14 +175,14 @@ def entries_of_runs(model: Model, seed: int) -> EntryLaws:
     initial, model = model.initial, in_sensor_scale(model)
     chain, offsets = compile_chain(model), input_moments(model, {})[:, 0]
     rng = np.random.default_rng(seed)
-    found: dict[int, list[Array]] = defaultdict(list)
+    entered: dict[int, list[Array]] = defaultdict(list)
     for place, law in enumerate(chain.laws):
         if law is None:
             continue
         x0 = distributions.draw(initial, RUNS, rng)
         for location, temperatures in _run(model.sha, chain, start=place, x0=x0, offsets=offsets, rng=rng):
-            found[location].append(temperatures)
-    columns = {chain.names[place]: np.concatenate(parts) for place, parts in found.items()}
+            entered[location].append(temperatures)
+    columns = {chain.names[place]: np.concatenate(parts) for place, parts in entered.items()}
     return EntryLaws(columns, f"semi-Markov runs of the model itself, {RUNS} from each location over {SPAN:g} s")
 
 
@@ -203,18 +194,15 @@ def _run(
     paths = draw_paths(chain, start, age=0.0, horizon=SPAN, runs=RUNS, rng=rng)
     ends = np.minimum(np.vstack([paths.entered[1:], np.full((1, RUNS), np.inf)]), SPAN)
     for stay, (here, begin, end) in enumerate(zip(paths.location, paths.entered, ends, strict=True)):
+        # Beyond the horizon a path's entries are infinite: those runs have no such stay.
         for place in np.unique(here[np.isfinite(begin)]).tolist():
-            there = np.flatnonzero((here == place) & np.isfinite(begin))
-            if stay:
-                yield place, x[there]
-            x[there] = _stepped(sha, place, x=x[there], dt=end[there] - begin[there], offset=offsets[place], rng=rng)
-
-
-def _stepped(sha: SHA, place: int, *, x: Array, dt: Array, offset: float, rng: np.random.Generator) -> Array:
-    """The temperatures after a stay of `dt` seconds in one location, each with an m of its own."""
-    location, age = sha.locations[place], np.zeros(x.size)
-    mean, variance = mode_parameter(location)
-    target = mean + offset + sqrt(variance) * rng.standard_normal(x.size)
-    after = flows.mean_step(location.flow, x, target, age=age, dt=dt, max_rate=sha.max_rate)
-    noise = np.sqrt(flows.coefficients(location.flow, age, dt)[2]) * rng.standard_normal(x.size)
-    return np.asarray(np.clip(after + noise, sha.low, sha.high))
+            runs = np.flatnonzero((here == place) & np.isfinite(begin))
+            if stay:  # the first stay is where the runs were put, not where they went
+                yield place, x[runs]
+            location, age, dt = sha.locations[place], np.zeros(runs.size), end[runs] - begin[runs]
+            mean, variance = mode_parameter(location)
+            # One step for the whole stay: the flow's closed form is as exact for an hour as for a second.
+            target = mean + offsets[place] + sqrt(variance) * rng.standard_normal(runs.size)
+            after = flows.mean_step(location.flow, x[runs], target, age=age, dt=dt, max_rate=sha.max_rate)
+            noise = np.sqrt(flows.coefficients(location.flow, age, dt)[2]) * rng.standard_normal(runs.size)
+            x[runs] = np.clip(after + noise, sha.low, sha.high)

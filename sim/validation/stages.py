@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from sim.artefacts.formats import FoundModel, find_model
 from sim.effects import check_sha
-from sim.sha import SHA, Alphabet, Location, Model, Provenance, Trace, alphabet_symbols, distributions, transitions
+from sim.sha import Alphabet, Location, Model, Provenance, Trace, alphabet_symbols, distributions, transitions
 from sim.validation.discovery import CrossCheck, Discovery, artefacts_beside, cross_check, discover, own_check
 from sim.validation.semantics import semantics_of, side_by_side
 
@@ -96,20 +96,66 @@ def prepare(
     `alphabet` and `temperature` are the column map's, for models that have none of their own. Raises ArtefactError
     where files are missing or cannot be read; an automaton that is read but cannot be run is refused in `refusals`.
     """
-    one, two, three, four = stages = tuple(Stage(number, "") for number in (1, 2, 3, 4))
-    with timed(one):
+    discovering, parsing, checking, generating = stages = tuple(Stage(number, "") for number in (1, 2, 3, 4))
+    with timed(discovering):
         discovery = discover(where)
-        one.found, one.details = discovery.sentence, _discovery_details(where, discovery)
-    with timed(two):
+        discovering.found = discovery.sentence
+        discovering.details = {
+            "where": where,
+            "kind": discovery.kind,
+            "directory": str(discovery.directory),
+            "files": [{"file": file.name, "bytes": file.size, "sha256": file.sha256} for file in discovery.files],
+            "absent": list(discovery.absent),
+        }
+    with timed(parsing):
         found = find_model(where, alphabet=alphabet, temperature=temperature)
-        two.found, two.details = _parsed(found)
-    with timed(three):
-        check = _checked(found, discovery)
-        three.found, three.details = _laws_and_flows(found, check)
-    with timed(four):
-        skeleton = _with_alphabet(found.model or _bare(found.structure, temperature), alphabet)
+        sha = found.structure
+        names = [location.name for location in sha.locations]
+        edges = [{"source": edge.source, "symbol": edge.symbol, "target": edge.target} for edge in sha.edges]
+        symbols = sorted({edge.symbol for edge in sha.edges})
+        parsing.found = f"{len(names)} locations, {len(edges)} edges, {len(symbols)} symbols, start {sha.initial}"
+        parsing.details = {"initial": sha.initial, "locations": names, "symbols": symbols, "edges": edges}
+    with timed(checking):
+        if found.artefacts:
+            check: CrossCheck | None = cross_check(found.artefacts)
+        else:
+            beside = artefacts_beside(discovery)
+            check = own_check(beside, found.model) if beside and found.model else None
+        checked = check.sentence if check else "no artefacts with reported distributions"
+        checking.details = {"cross_check": check, "notes": list(found.notes)}
+        if found.model is None:
+            # There are no flows yet, only what the flow file says; why they cannot be run is told at stage 4.
+            equations = found.artefacts.flows.equations if found.artefacts and found.artefacts.flows else {}
+            written = {str(number): equation.text for number, equation in equations.items()}
+            checking.found = f"{len(written)} flow equations; {checked}"
+            checking.details = {**checking.details, "equations": written}
+        else:
+            rows = [location_row(location) for location in found.model.sha.locations]
+            checking.found = f"flows {', '.join(sorted({row['flow'] for row in rows}))}; {checked}"
+            checking.details = {**checking.details, "locations": rows}
+    with timed(generating):
+        bare = Model(found.structure, Alphabet(()), temperature, 0.0, provenance=Provenance(method="artefacts"))
+        skeleton = _with_alphabet(found.model or bare, alphabet)
         variants, refusals = _variants(found, skeleton, wanted, training, seed)
-        four.found, four.details = _generated(found, variants, refusals)
+        sentences, models = [], {}
+        for name, model in variants.items():
+            laws = model.provenance.settings.get("entry_laws", "")
+            sentences.append(f"runs as {name}{f' (entry laws from {laws})' if laws else ''}")
+            models[name] = {
+                "temperature": model.temperature,
+                "sensor_sigma": model.sensor_sigma,
+                "method": model.provenance.method,
+                "synthetic": model.provenance.synthetic,
+                "training_traces": list(model.provenance.traces),
+                "data_hash": model.provenance.data_hash,
+                "limits": {"low": model.sha.low, "high": model.sha.high, "max_rate": model.sha.max_rate},
+                "entry_laws": laws,
+                "locations": [location_row(location) for location in model.sha.locations],
+            }
+        for name, reason in refusals.items():
+            sentences.append(f"not simulated{f' as {name}' if name else ''}: {reason}")
+        generating.found = "; ".join(sentences)
+        generating.details = {"variants": models, "refusals": dict(refusals), "notes": list(found.notes)}
     for stage in stages:
         stage.model = found.name
     return Prepared(
@@ -127,54 +173,18 @@ def prepare(
 
 def relabelled(prepared: Sequence[Prepared]) -> list[Prepared]:
     """The same with labels that differ: a name that several models share gets the end of its path, then a number."""
-    names = [one.label for one in prepared]
+    names = [model.label for model in prepared]
     done: list[Prepared] = []
-    for one in prepared:
-        label = one.label if names.count(one.label) == 1 else f"{one.label} ({Path(one.where).name})"
+    for model in prepared:
+        label = model.label if names.count(model.label) == 1 else f"{model.label} ({Path(model.where).name})"
         number, first = 2, label
+        # Whatever their case: a label becomes a folder, and some file systems do not tell the two apart.
         while label.casefold() in {other.label.casefold() for other in done}:
             label, number = f"{first} {number}", number + 1
-        for stage in one.stages:
+        for stage in model.stages:
             stage.model = label
-        done.append(replace(one, label=label))
+        done.append(replace(model, label=label))
     return done
-
-
-def _discovery_details(where: str, discovery: Discovery) -> dict[str, Any]:
-    files = [{"file": one.name, "bytes": one.size, "sha256": one.sha256} for one in discovery.files]
-    absent = list(discovery.absent)
-    return {"where": where, "kind": discovery.kind, "directory": str(discovery.directory)} | {
-        "files": files,
-        "absent": absent,
-    }
-
-
-def _parsed(found: FoundModel) -> tuple[str, dict[str, Any]]:
-    sha = found.structure
-    symbols = sorted({edge.symbol for edge in sha.edges})
-    sentence = f"{len(sha.locations)} locations, {len(sha.edges)} edges, {len(symbols)} symbols, start {sha.initial}"
-    edges = [{"source": edge.source, "symbol": edge.symbol, "target": edge.target} for edge in sha.edges]
-    names = [location.name for location in sha.locations]
-    return sentence, {"initial": sha.initial, "locations": names, "symbols": symbols, "edges": edges}
-
-
-def _checked(found: FoundModel, discovery: Discovery) -> CrossCheck | None:
-    if found.artefacts:
-        return cross_check(found.artefacts)
-    beside = artefacts_beside(discovery)
-    return own_check(beside, found.model) if beside and found.model else None
-
-
-def _laws_and_flows(found: FoundModel, check: CrossCheck | None) -> tuple[str, dict[str, Any]]:
-    checked = check.sentence if check else "no artefacts with reported distributions"
-    details: dict[str, Any] = {"cross_check": check, "notes": list(found.notes)}
-    if found.model is None:
-        equations = found.artefacts.flows.equations if found.artefacts and found.artefacts.flows else {}
-        written = {str(number): equation.text for number, equation in equations.items()}
-        return f"{len(written)} flow equations; {checked}", details | {"equations": written}
-    rows = [location_row(location) for location in found.model.sha.locations]
-    kinds = sorted({row["flow"] for row in rows})
-    return f"flows {', '.join(kinds)}; {checked}", details | {"locations": rows}
 
 
 def location_row(location: Location) -> dict[str, Any]:
@@ -190,10 +200,6 @@ def location_row(location: Location) -> dict[str, Any]:
         "sigma": distributions.variance(law) ** 0.5 if law else None,
         "entry": location.entry,
     }
-
-
-def _bare(structure: SHA, temperature: str) -> Model:
-    return Model(structure, Alphabet(()), temperature, 0.0, provenance=Provenance(method="artefacts"))
 
 
 def _with_alphabet(model: Model, alphabet: Alphabet) -> Model:
@@ -227,30 +233,3 @@ def _variants(
         other = "own" if own == "thesis" else "thesis"
         return ({own: model} if wanted == "both" else {}), {other: str(error)}
     return {name: each for name, each in both.items() if wanted in ("both", name)}, {}
-
-
-def _generated(
-    found: FoundModel, variants: Mapping[str, Model], refusals: Mapping[str, str]
-) -> tuple[str, dict[str, Any]]:
-    said = [f"runs as {name}{_entry_laws(model)}" for name, model in variants.items()]
-    said += [f"not simulated{f' as {name}' if name else ''}: {reason}" for name, reason in refusals.items()]
-    models = {
-        name: {
-            "temperature": model.temperature,
-            "sensor_sigma": model.sensor_sigma,
-            "method": model.provenance.method,
-            "synthetic": model.provenance.synthetic,
-            "training_traces": list(model.provenance.traces),
-            "data_hash": model.provenance.data_hash,
-            "limits": {"low": model.sha.low, "high": model.sha.high, "max_rate": model.sha.max_rate},
-            "entry_laws": model.provenance.settings.get("entry_laws", ""),
-            "locations": [location_row(location) for location in model.sha.locations],
-        }
-        for name, model in variants.items()
-    }
-    return "; ".join(said), {"variants": models, "refusals": dict(refusals), "notes": list(found.notes)}
-
-
-def _entry_laws(model: Model) -> str:
-    laws = model.provenance.settings.get("entry_laws", "")
-    return f" (entry laws from {laws})" if laws else ""

@@ -26,7 +26,7 @@ from sim.engine import (
 )
 from sim.sha import Array, Event, Model, Trace, distributions, encode
 from sim.validation.compatibility import Compatibility, compatibility, dense_events, symbols_of
-from sim.validation.metrics import Band, Covered, error_quantiles, judge_band, mae_interval, rmse_interval
+from sim.validation.metrics import error_quantiles, judge_band, mae_interval, rmse_interval
 from sim.validation.results import TraceResult
 
 MEMORY = 128 * 2**20
@@ -108,7 +108,7 @@ class TraceOutcome:
 
 
 @dataclass(slots=True)
-class _Found:
+class _PartialOutcome:
     """What is known so far, so that a failure at any stage loses nothing of the stages before it."""
 
     outcome: TraceOutcome
@@ -129,65 +129,93 @@ class _Found:
         self.outcome = replace(self.outcome, result=replace(self.outcome.result, **figures))
 
 
-@dataclass(frozen=True, slots=True)
-class _Readings:
-    """The encoded trace, the times and values (n,) of its temperature, and the first rows in the full encoding."""
-
-    trace: Trace
-    times: Array
-    values: Array
-    full: Trace
-
-
-@dataclass(frozen=True, slots=True)
-class _Simulated:
-    """The mean at every reading and event; the runs (m, runs) at `times` (m,), where `readings` (m,) were read."""
-
-    mean: Prediction
-    times: Array
-    readings: Array
-    rows: Array
-    clamped: int
-
-
 def run_job(job: TraceJob) -> TraceOutcome:
     """The job done, or the sentence of the stage that could not be passed. Equal jobs give equal results anywhere."""
     result = TraceResult(job.label, job.trace.name, job.semantics, synthetic=job.trace.synthetic)
-    found = _Found(TraceOutcome(result, rows=job.trace.times.size))
+    partial = _PartialOutcome(TraceOutcome(result, rows=job.trace.times.size))
     try:
-        _stages(job, found)
+        _stages(job, partial)
     except TROUBLE as error:
-        found.note(stage=found.stage, failure=str(error) or type(error).__name__)
-    found.note(seconds=sum(found.seconds.values()))
-    return replace(found.outcome, seconds=found.seconds)
+        partial.note(stage=partial.stage, failure=str(error) or type(error).__name__)
+    partial.note(seconds=sum(partial.seconds.values()))
+    return replace(partial.outcome, seconds=partial.seconds)
 
 
-def _stages(job: TraceJob, found: _Found) -> None:
+def _stages(job: TraceJob, partial: _PartialOutcome) -> None:
+    """Stages 5 to 8. Raises TROUBLE; what was noted in `partial` by then stays."""
+    model, settings = job.model, job.settings
     rng = generator(job)
-    with found.at(5):
-        read = _encoded(job)
-        duration = float(read.times[-1] - read.times[0])
-        found.outcome = replace(found.outcome, full=len(read.full.events))
-        found.note(events=len(read.trace.events), readings=read.times.size, duration=duration)
-    with found.at(6):
-        checked = compatibility(job.model.sha, read.trace.events, job.settings.policy)
-        found.outcome = replace(found.outcome, compatibility=checked)
-        found.note(accepted=checked.accepted, rejected=checked.sentence)
+    with partial.at(5):
+        times, values = measured(job.trace, model.temperature)
+        if times.size < 2:
+            raise ValueError(
+                f"trace {job.trace.name!r} has one reading of {model.temperature}; a run needs at least two"
+            )
+        # `between` leaves its end out, so the end lies one float behind the last row that is wanted.
+        end = float(np.nextafter(job.trace.times[min(DENSE_ROWS, job.trace.times.size) - 1], np.inf))
+        full = replace(job.trace, events=()).between(float(job.trace.times[0]), end)
+        full = replace(full, events=encode(full, model.alphabet, "full"))
+        trace = replace(job.trace, events=encode(job.trace, model.alphabet))
+        partial.outcome = replace(partial.outcome, full=len(full.events))
+        partial.note(events=len(trace.events), readings=times.size, duration=float(times[-1] - times[0]))
+    with partial.at(6):
+        checked = compatibility(model.sha, trace.events, settings.policy)
+        partial.outcome = replace(partial.outcome, compatibility=checked)
+        partial.note(accepted=checked.accepted, rejected=checked.sentence)
+        # Only now: a model that cannot be run still says which of the trace's events it has edges for.
         if job.refusal:
-            found.stage = 4
+            partial.stage = 4
             raise ValueError(job.refusal)
-        _refuse(checked, job)
-        runs = _simulate(job, read, rng)
-    with found.at(7):
-        dense, comparison = _dense(job, read, runs.mean)
-        wrong = errors(runs.mean, read.trace, job.model.temperature)
-        found.outcome = replace(found.outcome, comparison=comparison, simulated=runs.times.size)
-        found.note(dense=dense, at_events=wrong.at_events, at_samples=wrong.at_samples)
-        found.note(final_error=wrong.final, final_percent=wrong.final_percent)
-    with found.at(8):
-        band, covered = judge_band(runs.rows, runs.readings, job.model.sensor_sigma, rng)
-        found.note(**_figures(job, read, runs, covered, rng))
-        found.outcome = replace(found.outcome, course=_course(job, read, runs, band))
+        if not checked.accepted and settings.policy == "reject":
+            raise ValueError(f"{checked.sentence}; the policies 'ignore' and 'resync' go on all the same")
+        # A model that knows none of the symbols belongs to another plant or another alphabet: any policy would give
+        # figures, and they would mean nothing.
+        symbols = symbols_of(model.sha)
+        strange = checked.missing == checked.events and not {symbol for _, symbol in checked.pairs} & set(symbols)
+        if not checked.accepted and strange:
+            known = ", ".join(symbols[:12]) + (" ..." if len(symbols) > 12 else "")
+            raise ValueError(f"{checked.sentence}; the model knows none of the trace's events, its own are {known}")
+        law = start_law(model, trace)
+        steps = open_loop_schedule(model, trace, settings.policy)
+        prediction = moments(steps, distributions.mean(law))
+        # The mean is exact at every reading; the runs are drawn at as many of them as MEMORY holds (8 bytes a number).
+        places = _spread(times.size, max(2, MEMORY // (8 * settings.runs)))
+        run_times, first = np.unique(times[places], return_index=True)
+        some = schedule(model, trace.events, run_times, start=steps.start, inputs=trace, policy=settings.policy)
+        runs = np.empty((run_times.size, settings.runs))
+        clamped = int(np.count_nonzero(simulate(some, law, settings.runs, rng, out=runs).clamps))
+    with partial.at(7):
+        dense, comparison = _dense(job, trace, full, prediction)
+        wrong = errors(prediction, trace, model.temperature)
+        partial.outcome = replace(partial.outcome, comparison=comparison, simulated=run_times.size)
+        partial.note(dense=dense, at_events=wrong.at_events, at_samples=wrong.at_samples)
+        partial.note(final_error=wrong.final, final_percent=wrong.final_percent)
+    with partial.at(8):
+        band, covered = judge_band(runs, values[places][first], model.sensor_sigma, rng)
+        residual = prediction.mean[np.searchsorted(prediction.times, times)] - values
+        flags = list(prediction.flags)
+        unheard = [channel.signal for channel in model.alphabet.channels if channel.signal not in job.trace.signals]
+        if unheard:
+            flags.append(f"signals: the trace has no {', '.join(unheard)}, so their events cannot be seen")
+        if clamped > CLAMPED * settings.runs:
+            flags.append(f"runs: {clamped} of {settings.runs} met the border of the model's range")
+        partial.note(
+            # In this order: both intervals draw from the job's one sequence of random numbers.
+            mae=mae_interval(residual, rng),
+            rmse=rmse_interval(residual, rng),
+            max_error=float(np.abs(residual).max()),
+            error_sigma=float(residual.std()),
+            coverage=covered.coverage,
+            crps=covered.crps,
+            beyond=covered.beyond,
+            persistence=float(np.abs(values - values[0]).mean()),
+            clamps=prediction.clamps,
+            limited=prediction.limited,
+            flags=tuple(flags),
+            error_quantiles=error_quantiles(residual),
+        )
+        course = _course(model, trace, prediction, (run_times, band.low, band.high))
+        partial.outcome = replace(partial.outcome, course=course)
 
 
 def generator(job: TraceJob) -> np.random.Generator:
@@ -196,117 +224,52 @@ def generator(job: TraceJob) -> np.random.Generator:
     return np.random.default_rng([job.settings.seed, *sha256(name).digest()])
 
 
-def _encoded(job: TraceJob) -> _Readings:
-    trace, model = job.trace, job.model
-    times, values = measured(trace, model.temperature)
-    if times.size < 2:
-        raise ValueError(f"trace {trace.name!r} has one reading of {model.temperature}; a run needs at least two")
-    end = float(np.nextafter(trace.times[min(DENSE_ROWS, trace.times.size) - 1], np.inf))
-    first = replace(trace, events=()).between(float(trace.times[0]), end)
-    full = replace(first, events=encode(first, model.alphabet, "full"))
-    return _Readings(replace(trace, events=encode(trace, model.alphabet)), times, values, full)
-
-
-def _refuse(checked: Compatibility, job: TraceJob) -> None:
-    """Raises ValueError where it makes no sense to go on."""
-    if checked.accepted:
-        return
-    if job.settings.policy == "reject":
-        raise ValueError(f"{checked.sentence}; the policies 'ignore' and 'resync' go on all the same")
-    symbols = symbols_of(job.model.sha)
-    if not {symbol for _, symbol in checked.pairs} & set(symbols) and checked.missing == checked.events:
-        known = ", ".join(symbols[:12]) + (" ..." if len(symbols) > 12 else "")
-        raise ValueError(f"{checked.sentence}; the model knows none of the trace's events, its own are {known}")
-
-
-def _simulate(job: TraceJob, read: _Readings, rng: np.random.Generator) -> _Simulated:
-    model, settings = job.model, job.settings
-    law = start_law(model, read.trace)
-    steps = open_loop_schedule(model, read.trace, settings.policy)
-    mean = moments(steps, distributions.mean(law))
-    places = _spread(read.times.size, max(2, MEMORY // (8 * settings.runs)))
-    times, first = np.unique(read.times[places], return_index=True)
-    some = schedule(model, read.trace.events, times, start=steps.start, inputs=read.trace, policy=settings.policy)
-    rows = np.empty((times.size, settings.runs))
-    runs = simulate(some, law, settings.runs, rng, out=rows)
-    return _Simulated(mean, times, read.values[places][first], rows, int(np.count_nonzero(runs.clamps)))
-
-
 def _spread(size: int, most: int) -> Indices:
     """At most `most` of `size` places, evenly spread, the first and the last among them."""
     return np.arange(size) if size <= most else np.unique(np.linspace(0, size - 1, most).astype(np.intp))
 
 
-def _dense(job: TraceJob, read: _Readings, sparse: Prediction) -> tuple[Score, Comparison]:
-    """The mean under the full encoding against all readings of its rows (the thesis's second run)."""
+def _dense(job: TraceJob, trace: Trace, full: Trace, sparse: Prediction) -> tuple[Score, Comparison]:
+    """The mean under the full encoding against all readings of its rows (the thesis's second run).
+
+    `trace` has the events of the filtered encoding, `full` its first rows with those of the full one.
+    """
     model, policy = job.model, job.settings.policy
-    end = float(read.full.times[-1])
-    filtered = [event for event in read.trace.events if event.time <= end]
-    events = dense_events(model.sha, read.full.events, filtered, policy)
-    inside = read.times <= end
-    times, values = read.times[inside], read.values[inside]
+    end = float(full.times[-1])
+    filtered = [event for event in trace.events if event.time <= end]
+    events = dense_events(model.sha, full.events, filtered, policy)
+    times, values = measured(trace, model.temperature)
+    inside = times <= end
+    times, values = times[inside], values[inside]
     outputs = np.unique(times)
-    steps = schedule(model, events, outputs, start=float(times[0]), inputs=read.trace, policy=policy)
+    steps = schedule(model, events, outputs, start=float(times[0]), inputs=trace, policy=policy)
     course = moments(steps, float(values[0])).mean
     apart = np.abs(course - sparse.mean[np.searchsorted(sparse.times, outputs)])
     residual = course[np.searchsorted(outputs, times)] - values
-    rows = read.full.times.size
-    return score(residual), Comparison(rows, len(read.full.events), len(events), float(apart.max()))
+    return score(residual), Comparison(full.times.size, len(full.events), len(events), float(apart.max()))
 
 
-def _figures(
-    job: TraceJob, read: _Readings, runs: _Simulated, covered: Covered, rng: np.random.Generator
-) -> dict[str, Any]:
-    """The fields of the result that stage 8 gives."""
-    predicted = runs.mean.mean[np.searchsorted(runs.mean.times, read.times)]
-    residual = predicted - read.values
-    return {
-        "mae": mae_interval(residual, rng),
-        "rmse": rmse_interval(residual, rng),
-        "max_error": float(np.abs(residual).max()),
-        "error_sigma": float(residual.std()),
-        "coverage": covered.coverage,
-        "crps": covered.crps,
-        "beyond": covered.beyond,
-        "persistence": float(np.abs(read.values - read.values[0]).mean()),
-        "clamps": runs.mean.clamps,
-        "limited": runs.mean.limited,
-        "flags": _flags(job, runs),
-        "error_quantiles": error_quantiles(residual),
-    }
+def _course(model: Model, trace: Trace, prediction: Prediction, band: tuple[Array, Array, Array]) -> TraceCourse:
+    """What a picture of the encoded `trace` shows; `band` is (times, low, high) of the runs."""
 
-
-def _flags(job: TraceJob, runs: _Simulated) -> tuple[str, ...]:
-    channels = job.model.alphabet.channels
-    unheard = [channel.signal for channel in channels if channel.signal not in job.trace.signals]
-    said = [f"signals: the trace has no {', '.join(unheard)}, so their events cannot be seen"] if unheard else []
-    if runs.clamped > CLAMPED * job.settings.runs:
-        said.append(f"runs: {runs.clamped} of {job.settings.runs} met the border of the model's range")
-    return (*runs.mean.flags, *said)
-
-
-def _course(job: TraceJob, read: _Readings, runs: _Simulated, band: Band) -> TraceCourse:
     def thinned(*columns: Array) -> tuple[Array, ...]:
         places = _spread(columns[0].size, DRAWN)
         return tuple(column[places] for column in columns)
 
-    def read_signal(name: str) -> tuple[Array, Array]:
-        times, values = measured(read.trace, name)
-        return thinned(times, values)[0], thinned(times, values)[1]
-
-    signals = read.trace.signals
-    levels = {channel.signal: signals.get(channel.signal, np.empty(0)) for channel in job.model.alphabet.channels}
-    inputs = {name: read_signal(name) for name, column in levels.items() if np.any(column > 1)}
-    places = _spread(read.times.size, DRAWN)
-    times, mean = thinned(runs.mean.times, runs.mean.mean)
-    moments_of, low, high = thinned(runs.times, band.low, band.high)
-    events = read.trace.events
-    shown = tuple(events[place] for place in _spread(len(events), DRAWN).tolist())
+    inputs = {}
+    for channel in model.alphabet.channels:
+        # What is never above 1 is a switch, which the picture shows by its events.
+        if np.any(trace.signals.get(channel.signal, np.empty(0)) > 1):
+            read_at, levels = thinned(*measured(trace, channel.signal))
+            inputs[channel.signal] = (read_at, levels)
+    times, values = thinned(*measured(trace, model.temperature))
+    mean_times, mean = thinned(prediction.times, prediction.mean)
+    band_times, low, high = thinned(*band)
     return TraceCourse(
-        measured=(read.times[places], read.values[places]),
-        mean=(times, mean),
-        band=(moments_of, low, high),
+        measured=(times, values),
+        mean=(mean_times, mean),
+        band=(band_times, low, high),
         inputs=inputs,
-        events=shown,
-        seen=len(events),
+        events=tuple(trace.events[place] for place in _spread(len(trace.events), DRAWN).tolist()),
+        seen=len(trace.events),
     )

@@ -28,17 +28,18 @@ def verdict(result: TraceResult) -> TraceVerdict:
     """What to say of one model on one trace."""
     if result.failure:
         return TraceVerdict("failed", (f"stage {result.stage}: {result.failure}",))
-    said = []
+    reasons = []
     if result.rejected:
-        said.append(result.rejected)
+        reasons.append(result.rejected)
     if result.beyond > BEYOND:
-        said.append(f"{result.beyond:.1%} of the readings lie beyond three sigma")
+        reasons.append(f"{result.beyond:.1%} of the readings lie beyond three sigma")
     if result.coverage < COVERED:
-        said.append(f"the 90 % band covers {result.coverage:.0%} of the readings")
+        reasons.append(f"the 90 % band covers {result.coverage:.0%} of the readings")
     if result.mae.value >= result.persistence:
-        said.append(f"holding the first reading does as well (MAE {result.persistence:.2f} °C)")
-    said += [flag for flag in result.flags if not (result.rejected and flag.startswith("events:"))]
-    return TraceVerdict("review" if said else "good", tuple(said))
+        reasons.append(f"holding the first reading does as well (MAE {result.persistence:.2f} °C)")
+    # The flag about events without an edge says once more what the rejection has said already.
+    reasons += [flag for flag in result.flags if not (result.rejected and flag.startswith("events:"))]
+    return TraceVerdict("review" if reasons else "good", tuple(reasons))
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +74,8 @@ def summary(results: Sequence[TraceResult]) -> VerdictSummary:
     """The summary of the results of one model and semantics. Raises ValueError without results."""
     if not results:
         raise ValueError("nothing can be summarised without results")
-    done = [one for one in results if not one.failure]
-    words = [verdict(one).word for one in results]
+    done = [result for result in results if not result.failure]
+    words = [verdict(result).word for result in results]
     return VerdictSummary(
         model=results[0].model,
         semantics=results[0].semantics,
@@ -83,26 +84,26 @@ def summary(results: Sequence[TraceResult]) -> VerdictSummary:
         good=words.count("good"),
         review=words.count("review"),
         failed=words.count("failed"),
-        accepted=sum(one.accepted for one in results),
-        mae=mean(one.mae.value for one in done),
-        rmse=mean(one.rmse.value for one in done),
-        dense=mean(one.dense.mae for one in done),
-        at_events=mean(one.at_events.mae for one in done),
-        final=mean(abs(one.final_error) for one in done),
-        final_percent=mean(one.final_percent for one in done),
-        max_error=max((one.max_error for one in done), default=nan),
-        coverage=mean(one.coverage for one in done),
-        crps=mean(one.crps for one in done),
-        persistence=mean(one.persistence for one in done),
-        better=sum(one.mae.value < one.persistence for one in done),
+        accepted=sum(result.accepted for result in results),
+        mae=mean(result.mae.value for result in done),
+        rmse=mean(result.rmse.value for result in done),
+        dense=mean(result.dense.mae for result in done),
+        at_events=mean(result.at_events.mae for result in done),
+        final=mean(abs(result.final_error) for result in done),
+        final_percent=mean(result.final_percent for result in done),
+        max_error=max((result.max_error for result in done), default=nan),
+        coverage=mean(result.coverage for result in done),
+        crps=mean(result.crps for result in done),
+        persistence=mean(result.persistence for result in done),
+        better=sum(result.mae.value < result.persistence for result in done),
     )
 
 
 def summaries(results: Iterable[TraceResult]) -> list[VerdictSummary]:
     """One summary for each model and semantics, in the order of their first result."""
     groups: dict[tuple[str, str], list[TraceResult]] = {}
-    for one in results:
-        groups.setdefault((one.model, one.semantics), []).append(one)
+    for result in results:
+        groups.setdefault((result.model, result.semantics), []).append(result)
     return [summary(group) for group in groups.values()]
 
 
@@ -130,7 +131,8 @@ class Gain:
 def gain(results: Sequence[TraceResult]) -> Gain | None:
     """The two semantics of one model side by side; None unless both have figures on a common trace."""
     own, thesis = (
-        {one.trace: one for one in results if one.semantics == name and not one.failure} for name in ("own", "thesis")
+        {result.trace: result for result in results if result.semantics == name and not result.failure}
+        for name in ("own", "thesis")
     )
     common = [name for name in own if name in thesis]
     if not common:

@@ -1,6 +1,7 @@
 """The PLCs that the conformance suite is put to: the emulator's program, and the generated Structured Text."""
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
 from gateway.commission.writeback.structured_text import Program, generate
@@ -12,6 +13,8 @@ from sim.plc.program.registers import read_map
 from tests.plc_side.structured_text import Instance, Text
 
 CYCLE_MS = 20
+parsed = cache(Text)
+"""A text is parsed once: what runs of it is an instance."""
 
 
 class Emulated:
@@ -46,8 +49,9 @@ class Compiled:
 
     def __init__(self, path: Path, change: Callable[[str], str] = lambda text: text) -> None:
         self.device = load_device(path)
-        text = Text(change(generate(self.device, "GATEWAY_BLOCK", Program())))
-        self.program: Instance = text.new("GATEWAY_BLOCK_MAIN")
+        self.program: Instance = parsed(change(generate(self.device, "GATEWAY_BLOCK", Program()))).new(
+            "GATEWAY_BLOCK_MAIN"
+        )
         self.by_place = {place: name for name, place in self.program.places.items()}
         self.ms = 0
         self.program.call(self.ms)

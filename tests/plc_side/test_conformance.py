@@ -13,6 +13,7 @@ from drivers.errors import WriteForbidden
 from gateway.commission.session.evidence import FrameEvidence
 from gateway.commission.session.site import Site
 from gateway.commission.session.target import make_target
+from gateway.commission.writeback import block_writer
 from gateway.commission.writeback.block_writer import BlockWriter, open_block_writer
 from gateway.commission.writeback.codegen import write_suite
 from gateway.commission.writeback.conformance import conform
@@ -31,6 +32,8 @@ from tests.plc_side.sides import Compiled, Emulated
 from tests.plc_side.test_structured_text import DOCS, PLC, fewer_fields, map_with
 
 SHIPPED = DOCS / "decanter_plc.json"
+CYCLE_S = 0.005
+"""The cycle of a software PLC here, and how often it is asked: each account takes four of its cycles."""
 
 
 def quiet(_name: str, _share: float) -> None:
@@ -100,8 +103,13 @@ MUTANTS = {
 @pytest.mark.parametrize("name", MUTANTS)
 async def test_a_plc_that_leaves_a_check_out_fails_the_suite(name: str) -> None:
     old, new = MUTANTS[name]
-    side = Compiled(PLC, lambda content: content.replace(old, new))
-    assert [one for one in await results(side) if one.wrong], "the suite has to notice"
+    side, device = Compiled(PLC, lambda content: content.replace(old, new)), load_device(PLC)
+    assert device.writeback is not None
+    for step in vectors(device.writeback):
+        (result,) = await put_through([step], side, refusal_codes(device))
+        if result.wrong:
+            return  # the first step that notices is enough
+    pytest.fail("the suite has to notice")
 
 
 # ---------------------------------------------------------------- over the wire
@@ -128,7 +136,13 @@ async def at_the_wire(
         yield one
 
 
-def quick(folder: Path, name: str, seconds: float = 1.0) -> Path:
+@pytest.fixture
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The PLC is asked as often as the short cycle of these PLCs is worth, so that the suite waits little."""
+    monkeypatch.setattr(block_writer, "_POLL_S", CYCLE_S)
+
+
+def quick(folder: Path, name: str, seconds: float = 0.7) -> Path:
     """The device file with a short timer, so that the suite waits little."""
     from gateway.console.places import config_dir
 
@@ -139,11 +153,12 @@ def quick(folder: Path, name: str, seconds: float = 1.0) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("often")
 async def test_the_emulator_passes_over_modbus_and_its_recorder_has_every_block(tmp_path: Path) -> None:
     path = quick(tmp_path, "decanter_plc.toml")
-    with running("--record", tmp_path / "rec.jsonl", map_path=path) as plc:
+    with running("--record", tmp_path / "rec.jsonl", "--cycle", str(CYCLE_S), map_path=path) as plc:
         async with at_the_wire(tmp_path, "modbus", plc, path) as one:
-            outcome = await conform(one, quiet, vectors(one.layout, flips=5))
+            outcome = await conform(one, quiet, vectors(one.layout, flips=2))
     assert outcome.code == 0, outcome.complaint
     assert outcome.data["passed"] == outcome.data["steps"] - 1, "but the block that is written without a permit"
     written = read_recording(tmp_path / "rec.jsonl").blocks
@@ -155,12 +170,15 @@ async def test_the_emulator_passes_over_modbus_and_its_recorder_has_every_block(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("link", ["can", "canopen"])
-async def test_the_emulator_passes_over_the_can_bus(tmp_path: Path, link: str) -> None:
-    seconds = 1.4 if link == "canopen" else 1.0  # a refused block waits for an acknowledge that does not come
+async def test_the_emulator_passes_over_the_can_bus(tmp_path: Path, link: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds, cycle = 1.4, 0.02  # CANopen: a refused block waits for an acknowledge that does not come; a SYNC a cycle
+    if link == "can":
+        seconds, cycle = 0.7, CYCLE_S
+        monkeypatch.setattr(block_writer, "_POLL_S", CYCLE_S)
     path = quick(tmp_path, f"decanter_{link}.toml", seconds)
     plain = quick(tmp_path, "decanter_plc.toml", seconds)
     with can_hub(tmp_path) as hub:
-        options = [f"--{link}", path, "--can-interface", "hub", "--can-channel", hub]
+        options = [f"--{link}", path, "--can-interface", "hub", "--can-channel", hub, "--cycle", str(cycle)]
         with running(*options, map_path=plain) as plc:
             async with at_the_wire(tmp_path, link, plc, path) as one:
                 outcome = await conform(one, quiet, vectors(one.layout, flips=2))
@@ -169,9 +187,10 @@ async def test_the_emulator_passes_over_the_can_bus(tmp_path: Path, link: str) -
     assert outcome.data["passed"] + outcome.data["skipped"] == outcome.data["steps"]
 
 
+@pytest.mark.usefixtures("often")
 async def test_the_loop_tests_pass_at_the_emulator_and_a_plc_without_a_timer_fails(tmp_path: Path) -> None:
     path = quick(tmp_path, "decanter_plc.toml")
-    with running(map_path=path) as plc:
+    with running("--cycle", str(CYCLE_S), map_path=path) as plc:
         async with at_the_wire(tmp_path, "modbus", plc, path) as one:
             seen = await alarm_loop(one, quiet)
             beats = await heartbeat_loop(one, quiet, seconds=0.3)
