@@ -36,19 +36,14 @@ class SegmentResponse:
 def respond(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) -> SegmentResponse:
     """The answers of segments with dX/dt = -`loss` X + `coupling` (H - X) + heat over `dt` seconds, each (n,)."""
     if plant.size == 1:
-        return _scalar(loss, dt, powers)
+        z = loss * dt
+        poly, noise = dt[:, None] * weights(z, powers), dt * weights(2.0 * z, 1)[:, 0]
+        return SegmentResponse(np.exp(-z)[:, None, None], poly[:, None, :], noise[:, None, None])
     same = np.column_stack([loss, coupling, np.round(dt, _DIGITS)])
     keys, back = np.unique(same, axis=0, return_inverse=True)
     back = back.reshape(-1)
     phi, poly = _transition(plant, keys, powers)
     return SegmentResponse(phi[back], poly[back], _noise(plant, keys)[back])
-
-
-def _scalar(loss: Array, dt: Array, powers: int) -> SegmentResponse:
-    z = loss * dt
-    poly = dt[:, None] * weights(z, powers)
-    noise = dt * weights(2.0 * z, 1)[:, 0]
-    return SegmentResponse(np.exp(-z)[:, None, None], poly[:, None, :], noise[:, None, None])
 
 
 def weights(z: Array, powers: int) -> Array:
@@ -117,6 +112,7 @@ def _transition(plant: Plant, keys: Array, powers: int) -> tuple[Array, Array]:
     for i in range(int(halvings.max(initial=0))):
         on = halvings > i
         total[on] = total[on] @ total[on]
+    # The chain of derivatives integrates to v^j / j!: the heat of v^2 is twice what its column says.
     poly = total[:, :d, d:] * np.array([1.0, 1.0, 2.0])[:powers]
     return total[:, :d, :d], poly
 
