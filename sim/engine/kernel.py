@@ -11,7 +11,7 @@ import numpy as np
 
 from sim.effects import parameter
 from sim.engine.plant import Indices, Plant
-from sim.engine.response import respond
+from sim.engine.response import carried
 from sim.engine.tables import Half, Tables
 from sim.sha import Array, Mask
 
@@ -190,6 +190,6 @@ def _piece(plant: Plant, steps: Tables, run: _Run, begin: Array, until: Array) -
         heat[:, 0] += (first + second * begin) * begin
         heat[:, 1], heat[:, 2] = (first + 2.0 * second * begin) * length, second * length * length
     # A table's row is made for the whole step; a piece has its own length, so its exponential is worked out afresh.
-    answer = respond(plant, loss, steps.coupling[which], steps.dt[which] * length, closed.powers)
-    after = np.einsum("nij,nj->ni", answer.phi, run.s) + np.einsum("niq,nq->ni", answer.poly, heat)
+    phi, poly = carried(plant, loss, steps.coupling[which], steps.dt[which] * length, closed.powers)
+    after = np.einsum("nij,nj->ni", phi, run.s) + np.einsum("niq,nq->ni", poly, heat)
     return np.asarray(after + length[:, None] * run.push)
