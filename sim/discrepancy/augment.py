@@ -7,7 +7,7 @@ import numpy as np
 
 from sim.discrepancy.fitting import Fitted, effects_of
 from sim.learning import RATES, with_inputs
-from sim.sha import SHA, Distribution, Flow, Input, Location, Model, Provenance, Trace, distributions
+from sim.sha import Distribution, Flow, Input, Location, Model, Provenance, Trace, distributions
 
 
 def augmented(
@@ -26,11 +26,12 @@ def augmented(
     """
     model = fitted.frame.record.model
     sha = replace(
-        _with_parameters(fitted),
+        model.sha,
+        locations=tuple(_fitted(fitted, location, place) for place, location in enumerate(model.sha.locations)),
         name=name or model.sha.name,
-        effects=tuple(effect for one in fitted.state.named for effect in effects_of(one, model)),
+        effects=tuple(effect for named in fitted.state.named for effect in effects_of(named, model)),
     )
-    strengths = {f"{one.entry.name}.{one.entry.strength}": one.strength for one in fitted.state.named}
+    strengths = {f"{named.entry.name}.{named.entry.strength}": named.strength for named in fitted.state.named}
     new = replace(
         model,
         sha=sha,
@@ -41,7 +42,7 @@ def augmented(
             data_hash=data_hash,
             traces=tuple(traces),
             synthetic=model.provenance.synthetic,
-            settings={"effects": ", ".join(one.entry.name for one in fitted.state.named)},
+            settings={"effects": ", ".join(named.entry.name for named in fitted.state.named)},
             scores={"log_likelihood": fitted.likelihood, **strengths},
             parent=model.provenance.data_hash or model.sha.name,
         ),
@@ -49,15 +50,8 @@ def augmented(
     return with_inputs(new, readings) if readings else new
 
 
-def _with_parameters(fitted: Fitted) -> SHA:
-    frame = fitted.frame
-    sha = frame.record.model.sha
-    return replace(
-        sha, locations=tuple(_fitted(fitted, location, place) for place, location in enumerate(sha.locations))
-    )
-
-
 def _fitted(fitted: Fitted, location: Location, place: int) -> Location:
+    """The location, the model's `place`-th, with the fit's parameters; as it was where the traces never came."""
     shape, flow = fitted.frame.shape, location.flow
     if shape.kinds[place] != flow.kind or shape.target[place] < 0:
         return location
@@ -84,5 +78,7 @@ def _fitted(fitted: Fitted, location: Location, place: int) -> Location:
 def process_noise(fitted: Fitted, k: float) -> float:
     """degC/sqrt(s): the fit's process noise, and the rough heat as what it amounts to over its memory."""
     noise = fitted.noise
+    # Slowly seen, an Ornstein-Uhlenbeck heat of memory M is white noise of intensity rough sqrt(2 M). The longer M is
+    # beside the plant's own time constant 1/k, the less of it the relaxation turns into scatter.
     heat = noise.rough * np.sqrt(2.0 * noise.memory) / (1.0 + k * noise.memory)
     return float(np.hypot(noise.process, heat))

@@ -10,7 +10,7 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from sim.discrepancy.diagnosis import Ceiling
-from sim.discrepancy.fitting import Fitted, Record
+from sim.discrepancy.fitting import Fitted
 from sim.discrepancy.heat import Blocks, blocks_of, flips
 from sim.learning import Indices
 from sim.sha import Array
@@ -26,34 +26,10 @@ def ceiling(fitted: Fitted, seed: int) -> Ceiling | None:
     cycles = np.unique(blocks.cycle)
     if cycles.size < LEAST_CYCLES or blocks.heat.size < LEAST_BLOCKS:
         return None
-    names, features = _features(blocks, fitted.frame.record)
-    heat = _winsorised(blocks.heat)
-    predicted = _out_of_fold(features, heat, blocks, cycles, seed)
-    weight = blocks.seconds
-    order = np.searchsorted(cycles, blocks.cycle)
-    gains = np.zeros((cycles.size, 1))
-    # What a prediction f gains on a cycle: |h|^2 - |h - f|^2 = 2 h f - f^2; under a flip of h's sign only 2 h f turns.
-    cross, size = np.zeros(cycles.size), np.zeros(cycles.size)
-    np.add.at(cross, order, 2.0 * weight * heat * predicted)
-    np.add.at(size, order, weight * predicted**2)
-    total = float(np.sum(weight * heat**2))
-    signs = flips(gains, seed, DRAWS)
-    drawn = signs @ cross
-    share = float((cross.sum() - size.sum()) / max(total, 1e-300))
-    p = float(np.mean(drawn >= cross.sum() - 1e-12))
-    rms = float(np.sqrt(total / max(float(weight.sum()), 1e-300)))
-    return Ceiling(share, p, rms, _drivers(names, features, predicted))
-
-
-def _winsorised(heat: Array) -> Array:
-    """The heats with the outermost hundredths drawn in."""
-    low, high = np.quantile(heat, [0.01, 0.99])
-    return np.clip(heat, low, high)
-
-
-def _features(blocks: Blocks, record: Record) -> tuple[tuple[str, ...], Array]:
-    names = [*record.signals, record.model.temperature, "since start", "since stop", "time of day", "calendar"]
-    names += ["location", "running"]
+    record = fitted.frame.record
+    names = (*record.signals, record.model.temperature, "since start", "since stop", "time of day", "calendar")
+    names += ("location", "running")
+    # A day at most: where no start or stop was seen, the time since is a placeholder that trees would split at.
     columns = [
         *blocks.signals.T,
         blocks.course,
@@ -64,11 +40,29 @@ def _features(blocks: Blocks, record: Record) -> tuple[tuple[str, ...], Array]:
         blocks.location.astype(float),
         blocks.running,
     ]
-    return tuple(names), np.column_stack(columns)
+    features = np.column_stack(columns)
+    # Winsorised, since trees of squared loss would spend their few splits on single extreme blocks.
+    low, high = np.quantile(blocks.heat, [0.01, 0.99])
+    heat = np.clip(blocks.heat, low, high)
+    predicted = _out_of_fold(features, heat, blocks, cycles, seed)
+    weight = blocks.seconds
+    order = np.searchsorted(cycles, blocks.cycle)
+    # What a prediction f gains on a cycle: |h|^2 - |h - f|^2 = 2 h f - f^2; under a flip of h's sign only 2 h f turns.
+    cross, size = np.zeros(cycles.size), np.zeros(cycles.size)
+    np.add.at(cross, order, 2.0 * weight * heat * predicted)
+    np.add.at(size, order, weight * predicted**2)
+    total = float(np.sum(weight * heat**2))
+    signs = flips(cycles.size, seed, DRAWS)
+    drawn = signs @ cross
+    share = float((cross.sum() - size.sum()) / max(total, 1e-300))
+    p = float(np.mean(drawn >= cross.sum() - 1e-12))
+    rms = float(np.sqrt(total / max(float(weight.sum()), 1e-300)))
+    return Ceiling(share, p, rms, _drivers(names, features, predicted))
 
 
 def _out_of_fold(features: Array, heat: Array, blocks: Blocks, cycles: Indices, seed: int) -> Array:
     """(b,) the trees' prediction of each block's heat, learned on the other folds' cycles."""
+    # Whole cycles are held out, not blocks: the blocks of one cycle share its scatter, and trees would learn it.
     rng = np.random.default_rng(seed)
     fold = rng.permutation(np.arange(cycles.size) % min(FOLDS, cycles.size))[np.searchsorted(cycles, blocks.cycle)]
     predicted = np.zeros(heat.size)
@@ -92,10 +86,10 @@ def _out_of_fold(features: Array, heat: Array, blocks: Blocks, cycles: Indices, 
 def _drivers(names: tuple[str, ...], features: Array, predicted: Array) -> tuple[tuple[str, float], ...]:
     """The features that the prediction goes with most: rank correlations of at least 0.2 in size, three at most."""
     rank = np.argsort(np.argsort(predicted)).astype(float)
-    found = []
+    drivers = []
     for name, column in zip(names, features.T, strict=True):
         if np.ptp(column) > 0 and np.ptp(predicted) > 0:
             size = abs(float(np.corrcoef(np.argsort(np.argsort(column)).astype(float), rank)[0, 1]))
             if size >= 0.2:
-                found.append((name, size))
-    return tuple(sorted(found, key=lambda pair: -pair[1])[:3])
+                drivers.append((name, size))
+    return tuple(sorted(drivers, key=lambda pair: -pair[1])[:3])

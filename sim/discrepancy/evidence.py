@@ -11,44 +11,44 @@ from sim.discrepancy.naming import INVISIBLE, NEAR, SAME, EffectEvidence, Naming
 
 def candidates_of(steps: Sequence[tuple[NamingStep, str]], kept: bool) -> tuple[TriedEffect, ...]:
     """Every entry of every step, in the order of their gains; `kept` says whether the names were given in the end."""
-    return tuple(
-        _candidate(one, number, each, refusal, kept)
-        for number, (each, refusal) in enumerate(steps)
-        for one in each.evidence
-    )
+    tried = []
+    for number, (step, refusal) in enumerate(steps, start=1):
+        size = {name: abs(cosine) for name, cosine in step.cosines.items()}
+        for evidence in step.evidence:
+            top = evidence is step.best
+            refit = evidence.fitted
+            tried.append(
+                TriedEffect(
+                    name=evidence.entry.name,
+                    plain=evidence.entry.plain,
+                    step=number,
+                    gain=evidence.gain,
+                    confirmed=evidence.confirmed,
+                    visible=evidence.visible,
+                    z=evidence.z,
+                    robust=evidence.robust,
+                    cycles=evidence.cycles,
+                    params=dict(refit.state.named[-1].params if refit is not None else evidence.shape.params),
+                    twins=tuple(name for name, cosine in size.items() if cosine >= SAME) if top else (),
+                    rivals=tuple(name for name, cosine in size.items() if NEAR <= cosine < SAME) if top else (),
+                    needs=tuple(evidence.shape.signals.values()),
+                    experiment=evidence.entry.experiment,
+                    fate=fate(evidence, step, refusal, kept),
+                )
+            )
+    return tuple(tried)
 
 
-def _candidate(one: EffectEvidence, number: int, step: NamingStep, refusal: str, kept: bool) -> TriedEffect:
-    cosine = {name: abs(value) for name, value in step.cosines.items()}
-    top = one is step.best
-    return TriedEffect(
-        name=one.entry.name,
-        plain=one.entry.plain,
-        step=number + 1,
-        gain=one.gain,
-        confirmed=one.confirmed,
-        visible=one.visible,
-        z=one.z,
-        robust=one.robust,
-        cycles=one.cycles,
-        params=dict(one.fitted.state.named[-1].params if one.fitted is not None else one.shape.params),
-        twins=tuple(name for name, value in cosine.items() if value >= SAME) if top else (),
-        rivals=tuple(name for name, value in cosine.items() if NEAR <= value < SAME) if top else (),
-        needs=tuple(one.shape.signals.values()),
-        experiment=one.entry.experiment,
-        fate=_fate(one, step, refusal, kept),
-    )
-
-
-def _fate(one: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -> str:
-    if one is step.best:
+def fate(evidence: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -> str:
+    """Why an entry of a step was named or not, in words."""
+    if evidence is step.best:
         return refusal or ("named" if kept else "the best of all, but the name is withheld")
-    if one.visible < INVISIBLE:
+    if evidence.visible < INVISIBLE:
         return "not visible in these data: the model's own parameters imitate it"
-    if one.entry.name in step.members:
+    if evidence.entry.name in step.members:
         return "these data cannot tell it from the best"
     if step.best is not None and not refusal:
-        return f"explains {step.best.gain - one.gain:.1f} nats less than the best"
+        return f"explains {step.best.gain - evidence.gain:.1f} nats less than the best"
     return "adds nothing that chance does not"
 
 
@@ -57,7 +57,7 @@ def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:
     best = step.best
     if best is None:
         raise ValueError("a step without evidence names nothing")
-    number = next(n for n, one in enumerate(after.state.named) if one.entry.name == best.entry.name)
+    number = next(n for n, named in enumerate(after.state.named) if named.entry.name == best.entry.name)
     named = after.state.named[number]
     error = float(np.sqrt(max(after.covariance[after.own + number, after.own + number], 0.0)))
     return NamedEffect(
@@ -77,7 +77,7 @@ def effect_of(step: NamingStep, after: Fitted) -> NamedEffect:
 
 def confidence(step: NamingStep) -> float:
     """The share of the best name among all that the likelihood allows, equal odds before the data; at most 0.99."""
-    gains = np.array([one.gain for one in step.evidence])
+    gains = np.array([evidence.gain for evidence in step.evidence])
     null = step.threshold - np.log(99.0)  # what makes "nothing is missing" as likely as 1 in 100 at the threshold
     weights = np.exp(np.minimum(np.append(gains, null) - gains[0], 0.0))
     return float(min(1.0 / weights.sum(), 0.99))

@@ -74,9 +74,16 @@ def rougher(fitted: Fitted) -> float:
 
 def spread_of(model: Model, traces: Sequence[Trace], fitted: Fitted) -> float:
     """degC of the given model's own spread on a fit's cycles, the median; 0 where it says nothing of it."""
-    spread = [_spread(model, piece) for piece in _cycles(fitted.frame.record, traces)]
-    known = [value for value in spread if np.isfinite(value) and value > 0]
-    return float(np.median(known)) if known else 0.0
+    spreads = []
+    for cycle in _cycles(fitted.frame.record, traces):
+        readings = cycle.signals.get(model.temperature, np.empty(0))
+        if np.isfinite(readings).sum() < 2:  # nothing to start from, or nothing after it: no run along this cycle
+            continue
+        # "resync": an event for which the given model has no edge costs a jump here, and not the whole diagnosis.
+        spread = float(np.sqrt(np.mean(open_loop(model, cycle, "resync").variance)))
+        if np.isfinite(spread) and spread > 0:
+            spreads.append(spread)
+    return float(np.median(spreads)) if spreads else 0.0
 
 
 def _cycles(record: Record, traces: Sequence[Trace]) -> Iterator[Trace]:
@@ -89,11 +96,3 @@ def _cycles(record: Record, traces: Sequence[Trace]) -> Iterator[Trace]:
             piece = trace.between(begin, end)
             if piece.times.size:
                 yield replace(piece, events=tuple(event for event in trace.events if event.time < end))
-
-
-def _spread(model: Model, cycle: Trace) -> float:
-    """degC rms of the model's own standard deviation along a cycle; NaN where it cannot be run along it."""
-    readings = cycle.signals.get(model.temperature, np.empty(0))
-    if np.isfinite(readings).sum() < 2:
-        return float("nan")
-    return float(np.sqrt(np.mean(open_loop(model, cycle, "resync").variance)))

@@ -7,7 +7,7 @@ import numpy as np
 from sim.discrepancy.fitting import Fitted, Record, Whitener, as_read, decay_and_pull
 from sim.discrepancy.screen import Projector
 from sim.learning import Indices, first_switch
-from sim.sha import Array, Mask
+from sim.sha import Array
 
 BLOCK = 600.0
 """Seconds over which the heat is averaged: shorter, the sensor's noise hides it."""
@@ -50,18 +50,15 @@ def implied_heat(fitted: Fitted) -> Array:
     decay, pull = decay_and_pull(grid.k, grid.dt)
     before = np.concatenate([smoothed[:1], smoothed[:-1]])
     heat = (smoothed - decay * before) / np.maximum(pull, 1e-9)
-    return np.where(grid.first | _on_the_way(fitted), np.nan, heat)
-
-
-def _on_the_way(fitted: Fitted) -> Mask:
-    """(m,) windows whose readings still follow a change of location, by what lies between heat and reading."""
+    # Which readings still follow a change of location. A ramp sent through whatever lies between heat and reading is
+    # read late by that chain's mean delay, dead times and lags together, without asking which of them there are.
     record = fitted.frame.record
     runs = record.runs
     clock = runs.time - runs.time[0]
-    late = float(np.max(clock - as_read(fitted.frame, fitted.state, clock)))  # a ramp is read late by the mean delay
+    late = float(np.max(clock - as_read(fitted.frame, fitted.state, clock)))
     changed = runs.first | (np.diff(runs.place, prepend=-1) != 0)
     since = runs.time - (runs.time - runs.dt)[changed][np.cumsum(changed) - 1]
-    return record.windowed(since) < REACH * late
+    return np.where(grid.first | (record.windowed(since) < REACH * late), np.nan, heat)
 
 
 def since_switch(record: Record) -> Array:
@@ -80,6 +77,8 @@ def blocks_of(fitted: Fitted, length: float = BLOCK) -> Blocks:
     last = record.rows[np.append(record.begins[1:], record.rows.size) - 1]
     place, times = runs.place[last], record.times
     phase = since_switch(record)[last]
+    # A block ends where the location, the cycle or the phase's grid does, and a window without a heat is one by itself
+    # (weight 0, dropped below), so that no block reaches across a gap.
     new = np.isnan(heat) | (np.diff(place, prepend=-1) != 0) | (np.diff(record.window_cycle, prepend=-1) != 0)
     new |= np.diff(np.floor(phase / length), prepend=-1) != 0
     new |= np.concatenate([[True], np.isnan(heat[:-1])])
@@ -121,9 +120,8 @@ def event_names(record: Record) -> tuple[str, str]:
     return (switch.rising, switch.falling) if switch else ("", "")
 
 
-def flips(parts: Array, seed: int, draws: int) -> Array:
+def flips(cycles: int, seed: int, draws: int) -> Array:
     """(draws + 1, cycles) signs: every flip of the cycles where they are few, else random ones; the first is none."""
-    cycles = parts.shape[0]
     if 2**cycles <= draws:
         bits = (np.arange(2**cycles)[:, None] >> np.arange(cycles)) & 1
         return np.asarray(1.0 - 2.0 * bits)

@@ -50,6 +50,7 @@ def let_run(fitted: Fitted, record: Record) -> HeldOutRun:
     start = reading[first]
     state = at(frame, fitted.state.parameters, start, fitted.state.named)
     residual = reading - record.windowed(state.mean)
+    # Least squares in one unknown a run: the residual on `begun`, how a degree at the start dies away.
     for _ in range(STARTS):
         decay = np.where(record.runs.first, 0.0, np.exp(-(state.k + state.loss) * record.runs.dt))
         begun = record.windowed(linear_recursion(decay, record.runs.first.astype(float), 0.0))
@@ -67,6 +68,7 @@ def floor_squares(trial: HeldOutRun, seed: int) -> Array:
     """(R,) degC^2 the mean square of each run that the noise alone makes, its start fitted as the residual's was."""
     drawn = trial.whitener.draw(np.random.default_rng(seed), DRAWS)
     count = int(trial.order[-1]) + 1
+    # The start was fitted to the residual and took a part of it away; it must take the same part of the drawn noise.
     size = np.bincount(trial.order, trial.begun**2, minlength=count)
     parts = np.zeros((count, DRAWS))
     np.add.at(parts, trial.order, trial.begun[:, None] * drawn)
@@ -83,13 +85,20 @@ def compared(before: Fitted, after: Fitted, record: Record, seed: int) -> tuple[
     old = np.bincount(first.order, first.residual**2) / counts
     new = np.bincount(second.order, second.residual**2) / counts
     rows = np.column_stack([old, new, floor])
+    removed, interval = 0.0, (0.0, 0.0)
+    if before is not after:
+        # The interval by resampling whole cycles (bootstrap, percentiles): windows of one cycle are not independent.
+        removed = _removed(rows, counts)
+        picks = np.random.default_rng(seed).integers(0, counts.size, size=(RESAMPLES, counts.size))
+        low, high = np.quantile([_removed(rows[pick], counts[pick]) for pick in picks], [0.025, 0.975])
+        interval = float(low), float(high)
     held = HeldOutProof(
         cycles=counts.size,
         rmse_before=float(np.sqrt(np.average(old, weights=counts))),
         rmse_after=float(np.sqrt(np.average(new, weights=counts))),
         noise_floor=float(np.sqrt(np.average(floor, weights=counts))),
-        excess_removed=0.0 if before is after else _removed(rows, counts),
-        ci95=(0.0, 0.0) if before is after else _interval(rows, counts, seed),
+        excess_removed=removed,
+        ci95=interval,
         per_cycle=tuple((float(a), float(b), float(c)) for a, b, c in np.sqrt(rows)),
     )
     return held, first, second
@@ -101,12 +110,3 @@ def _removed(rows: Array, counts: Array) -> float:
     least = max(TRIFLE * floor, 1e-12)
     removed = 1.0 - (new - floor) / max(old - floor, least)
     return float(removed if old - floor > least else np.clip(removed, -1.0, 1.0))
-
-
-def _interval(rows: Array, counts: Array, seed: int) -> tuple[float, float]:
-    """95 % by resampling whole cycles."""
-    rng = np.random.default_rng(seed)
-    picks = rng.integers(0, counts.size, size=(RESAMPLES, counts.size))
-    values = [_removed(rows[pick], counts[pick]) for pick in picks]
-    low, high = np.quantile(values, [0.025, 0.975])
-    return float(low), float(high)

@@ -45,41 +45,37 @@ class NamingResult:
     @property
     def taken(self) -> tuple[NamingStep, ...]:
         """The steps whose best entry was taken."""
-        return tuple(one for one, refusal in self.steps if not refusal)
+        return tuple(step for step, refusal in self.steps if not refusal)
 
 
-def insignificant(one: NamingStep, earlier: Sequence[NamingStep] = ()) -> str:
+def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> str:
     """Why the best entry of a step is no more than chance, or a trifle; "" where something is missing.
 
     `earlier` are the steps whose best entries are in the model already.
     """
-    best = one.best
-    if best is None or not best.confirmed or best.gain < one.threshold:
+    best = candidate.best
+    if best is None or not best.confirmed or best.gain < candidate.threshold:
         gain = best.gain if best is not None else 0.0
-        return f"adds {gain:.1f} nats, and chance alone does {one.threshold:.1f} in one case of a hundred"
+        return f"adds {gain:.1f} nats, and chance alone does {candidate.threshold:.1f} in one case of a hundred"
     others = [each.best.amplitude for each in earlier if each.best is not None]
     small = bool(others) and best.gain < CLEARLY
-    least = (MATERIAL_FURTHER if small else MATERIAL) * one.before.sensor_sigma
+    least = (MATERIAL_FURTHER if small else MATERIAL) * candidate.before.sensor_sigma
     least = max(least, BESIDE * max(others)) if small else least
     if best.amplitude < least and (small or best.gain < BEYOND_DOUBT):
         return f"is there but moves the temperature by {best.amplitude:.3f} degC only, less than {least:.3f}"
-    needed = max((_leftover(step, best.entry.name) for step in earlier), default=0.0)
-    if earlier and best.gain < max(one.threshold + FURTHER, needed):
+    needed = 0.0
+    for step in earlier:
+        if step.best is not None:
+            alike = abs(step.cosines.get(best.entry.name, 0.0)) >= NEAR
+            needed = max(needed, step.best.gain * (LEFTOVER_OF_RIVAL if alike else LEFTOVER))
+    if earlier and best.gain < max(candidate.threshold + FURTHER, needed):
         return f"adds {best.gain:.1f} nats, no more than the effects before may have left behind"
     return ""
 
 
-def _leftover(step: NamingStep, name: str) -> float:
-    """nats that a named effect of not quite the right shape may leave to another entry."""
-    if step.best is None:
-        return 0.0
-    alike = abs(step.cosines.get(name, 0.0)) >= NEAR
-    return step.best.gain * (LEFTOVER_OF_RIVAL if alike else LEFTOVER)
-
-
-def dubious(one: NamingStep) -> str:
+def dubious(candidate: NamingStep) -> str:
     """Why the best entry of a step does not deserve its name though something is missing; "" where it does."""
-    best = one.best
+    best = candidate.best
     if best is None:
         return "there is nothing to name"
     weak = best.spread >= SPREAD and best.gain < OVERWHELMING
@@ -87,19 +83,19 @@ def dubious(one: NamingStep) -> str:
         return f"rests on few cycles ({best.cycles[0]} of {best.cycles[1]} speak for it)"
     if weak and best.carried <= 0:
         return "does not carry over from cycle to cycle"
-    if one.margin < MARGIN:
-        return f"beats its rivals outside its class by {one.margin:.1f} nats only"
+    if candidate.margin < MARGIN:
+        return f"beats its rivals outside its class by {candidate.margin:.1f} nats only"
     return ""
 
 
-def systematic(one: Ceiling | None) -> bool:
+def systematic(ceiling: Ceiling | None) -> bool:
     """True where a free learner predicts a share of the heat on unseen cycles that is no chance and no trifle."""
-    return one is not None and one.p <= CEILING_P and one.share >= CEILING_SHARE
+    return ceiling is not None and ceiling.p <= CEILING_P and ceiling.share >= CEILING_SHARE
 
 
-def systematic_heat(one: Ceiling | None) -> float:
+def systematic_heat(ceiling: Ceiling | None) -> float:
     """(degC/h)^2 the mean square of the heat that a free learner predicts on unseen cycles."""
-    return max(one.share, 0.0) * one.heat**2 if one is not None else 0.0
+    return max(ceiling.share, 0.0) * ceiling.heat**2 if ceiling is not None else 0.0
 
 
 def foreseen_better(first: HeldOutRun, second: HeldOutRun) -> float:
@@ -113,7 +109,7 @@ def foreseen_better(first: HeldOutRun, second: HeldOutRun) -> float:
 
 
 def doubts(
-    found: NamingResult,
+    path: NamingResult,
     first: HeldOutRun,
     *,
     second: HeldOutRun,
@@ -122,13 +118,13 @@ def doubts(
     left: Ceiling | None,
 ) -> tuple[str, ...]:
     """Why names that the likelihood offers are not given after all; `first` and `second` are the held-out runs."""
-    if not found.taken:
+    if not path.taken:
         return ()
     reasons = []
     if foreseen_better(first, second) <= 0:
         reasons.append("the held-out cycles are not better foreseen with it")
     clear = held.rmse_before**2 > CLEAR * held.noise_floor**2
-    if clear and _greatest_gain(found) < CLEARLY and held.excess_removed <= 0:
+    if clear and _greatest_gain(path) < CLEARLY and held.excess_removed <= 0:
         reasons.append("the free run over the held-out cycles is no nearer to the measurement with it")
     explained = before is not None and left is not None and before.heat > left.heat
     whole = max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
@@ -137,29 +133,29 @@ def doubts(
     return tuple(reasons)
 
 
-def left_over(found: NamingResult, before: Excess | None, after: Excess | None) -> tuple[str, ...]:
+def left_over(path: NamingResult, before: Excess | None, after: Excess | None) -> tuple[str, ...]:
     """Why names without a clear gain are withheld: the model's own noise did not cover its errors, nor does it now."""
-    if not found.taken or before is None or after is None or not before.wide:
+    if not path.taken or before is None or after is None or not before.wide:
         return ()
-    if _greatest_gain(found) >= BEYOND_DOUBT or after.median < MOSTLY_COVERED:
+    if _greatest_gain(path) >= BEYOND_DOUBT or after.median < MOSTLY_COVERED:
         return ()
     return (f"with it the free run is still {after.median:.1f} times as far off as the model's own noise allows",)
 
 
-def _greatest_gain(found: NamingResult) -> float:
-    return max((one.best.gain for one in found.taken if one.best is not None), default=0.0)
+def _greatest_gain(path: NamingResult) -> float:
+    return max((step.best.gain for step in path.taken if step.best is not None), default=0.0)
 
 
 def verdict_of(
-    found: NamingResult, reasons: tuple[str, ...], before: Ceiling | None, beyond: Excess | None
+    path: NamingResult, reasons: tuple[str, ...], before: Ceiling | None, beyond: Excess | None
 ) -> tuple[Verdict, tuple[str, ...]]:
     """The verdict, and the reasons why it is none better."""
-    if found.taken and reasons:
+    if path.taken and reasons:
         return "unexplained", reasons
-    if found.taken:
-        return ("named" if all(len(one.members) == 1 for one in found.taken) else "class"), ()
-    if found.steps and not insignificant(found.steps[0][0]):
-        step, refusal = found.steps[0]
+    if path.taken:
+        return ("named" if all(len(step.members) == 1 for step in path.taken) else "class"), ()
+    if path.steps and not insignificant(path.steps[0][0]):
+        step, refusal = path.steps[0]
         return "unexplained", (f"{step.members[0]} {refusal}",)
     if systematic(before) and before is not None and before.p <= SURELY:
         return "unexplained", ("a free learner predicts heat on cycles that it has not seen",)

@@ -44,10 +44,10 @@ def places(fitted: Fitted, seed: int) -> tuple[HeatPlace, ...]:
     for column, cell in enumerate(cells):
         np.add.at(sums[:, column], order[cell.rows], energy[cell.rows])
     z = _z(sums, np.ones((1, numbers.size)))[0]
-    signs = flips(sums, seed, DRAWS)
+    signs = flips(numbers.size, seed, DRAWS)
     greatest = np.max(np.abs(_z(sums, signs)), axis=1)
     total = float(np.sum(blocks.heat**2 * blocks.seconds))
-    found = []
+    significant = []
     for column, cell in enumerate(cells):
         p = float(np.mean(greatest >= abs(z[column]) - 1e-12))
         speaking = sums[:, column] != 0
@@ -55,7 +55,7 @@ def places(fitted: Fitted, seed: int) -> tuple[HeatPlace, ...]:
         if p <= FAMILY and share >= LEAST_SHARE:
             same = np.sign(sums[speaking, column]) == np.sign(z[column])
             heat = float(np.sum(energy[cell.rows]) / np.sum(blocks.seconds[cell.rows]))
-            found.append(
+            significant.append(
                 HeatPlace(
                     location=record.model.sha.locations[cell.location].name,
                     after=cell.after,
@@ -68,7 +68,7 @@ def places(fitted: Fitted, seed: int) -> tuple[HeatPlace, ...]:
                     when=cell.when,
                 )
             )
-    return tuple(sorted(found, key=lambda place: -place.share))
+    return tuple(sorted(significant, key=lambda place: -place.share))
 
 
 def _z(sums: Array, signs: Array) -> Array:
@@ -78,42 +78,32 @@ def _z(sums: Array, signs: Array) -> Array:
 
 
 def _cells(blocks: Blocks, record: Record) -> list[_Cell]:
+    """The family of cells that are searched: phases after a start or a stop, and strata of signals, by location."""
     start, stop = event_names(record)
     cells = []
     for location in np.unique(blocks.location).tolist():
         here = blocks.location == location
         running = bool(np.median(blocks.running[here]) > 0.5)
-        phase = blocks.since_start if running else blocks.since_stop
+        phase, after = (blocks.since_start, start) if running else (blocks.since_stop, stop)
         for low, high in pairwise(PHASES):
             rows = here & (phase >= low) & (phase < high)
             if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
-                cells.append(_Cell(location=location, after=start if running else stop, seconds=(low, high), rows=rows))
-        cells += _strata(blocks, record, location, start if running else stop)
-    return cells
-
-
-def _strata(blocks: Blocks, record: Record, location: int, after: str) -> list[_Cell]:
-    """A location's blocks above and below the middle of each signal that varies in it."""
-    here = blocks.location == location
-    cells = []
-    for number, name in enumerate(record.signals):
-        column = blocks.signals[:, number]
-        if np.ptp(column[here]) <= 1e-9:
-            continue
-        middle = 0.5 * (float(np.max(column[here])) + float(np.min(column[here])))
-        for side, when in ((column > middle, "above"), (column <= middle, "up to")):
-            rows = here & side
-            if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
-                cells.append(
-                    _Cell(
-                        location=location,
-                        after=after,
-                        seconds=(0.0, np.inf),
-                        rows=rows,
-                        signal=name,
-                        when=f"{name} {when} {middle:.4g}",
+                cells.append(_Cell(location=location, after=after, seconds=(low, high), rows=rows))
+        # Strata: the location's blocks above and below the middle of each signal that varies in it. The middle of
+        # the range, not the median, cuts a switched signal between its two values.
+        for number, name in enumerate(record.signals):
+            column = blocks.signals[:, number]
+            if np.ptp(column[here]) <= 1e-9:
+                continue
+            middle = 0.5 * (float(np.max(column[here])) + float(np.min(column[here])))
+            for side, when in ((column > middle, "above"), (column <= middle, "up to")):
+                rows = here & side
+                if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
+                    when = f"{name} {when} {middle:.4g}"
+                    seconds = (0.0, np.inf)
+                    cells.append(
+                        _Cell(location=location, after=after, seconds=seconds, rows=rows, signal=name, when=when)
                     )
-                )
     return cells
 
 

@@ -5,7 +5,6 @@ import numpy as np
 from sim.discrepancy.diagnosis import Shift
 from sim.discrepancy.fitting import Fitted
 from sim.learning import RATES
-from sim.sha import Array
 
 SIGMAS, LEAST_CHANGE = 4.0, 0.01
 """A move is told from so many standard errors on, and from so large a change."""
@@ -19,15 +18,16 @@ def shifts(fitted: Fitted) -> tuple[Shift, ...]:
     p, r = frame.count
     errors = np.sqrt(np.maximum(np.diag(fitted.covariance)[: p + r], 1e-300) * BOTH)
     off = fitted.off[: p + r]
-    found = [
+    moved = [
         _shift(fitted, number, float(off[number]), float(off[number] / errors[number]))
         for number in np.flatnonzero(np.abs(off) >= SIGMAS * errors).tolist()
     ]
-    significant = [one for one in found if abs(one.change) >= LEAST_CHANGE]
-    return tuple(sorted(significant, key=lambda one: -abs(one.sigma)))
+    significant = [shift for shift in moved if abs(shift.change) >= LEAST_CHANGE]
+    return tuple(sorted(significant, key=lambda shift: -abs(shift.sigma)))
 
 
 def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
+    """The parameter of this number, counted through targets, gains and rates as the fit lays them out, as moved."""
     frame = fitted.frame
     targets, gains, rates = frame.names.targets, frame.names.gains, frame.names.rates
     by_name = frame.record.model.sha.by_name
@@ -36,7 +36,12 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
         name = targets[number]
         kind = by_name[name].flow.kind
         unit = {"linear": "degC/s", "logarithmic": "degC"}.get(kind, "degC")
-        size = _over_rest(frame.shape.centre, targets, number) if kind in RATES and RATES[kind] == "k" else before
+        size = before
+        if RATES.get(kind) == "k":
+            # A target stands for the heat that holds it above rest, so its change is told as a share of that height:
+            # of the zero of degC it would say nothing. Within a degree of the lowest there is no height to speak of.
+            height = before - float(np.min(frame.shape.centre[: len(targets)]))
+            size = height if height > 1.0 else before
         what = {"linear": "drift", "logarithmic": "factor"}.get(kind, "target")
         return Shift(
             location=name,
@@ -55,7 +60,7 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
             before=before,
             after=before + off,
             unit="degC per unit",
-            change=_share(off, before),
+            change=off / abs(before) if abs(before) > 1e-9 else float(np.sign(off)),
             sigma=sigma,
         )
     group = rates[number - len(targets) - len(gains)]
@@ -70,14 +75,3 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
         change=new / old - 1.0,
         sigma=sigma,
     )
-
-
-def _over_rest(centre: Array, targets: tuple[str, ...], number: int) -> float:
-    """How far a target lies above the lowest of all: the heat that it stands for."""
-    lowest = float(np.min(centre[: len(targets)]))
-    height = float(centre[number]) - lowest
-    return height if height > 1.0 else float(centre[number])
-
-
-def _share(off: float, before: float) -> float:
-    return off / abs(before) if abs(before) > 1e-9 else float(np.sign(off))

@@ -85,34 +85,36 @@ class NamingStep:
         if self.best is None:
             return ()
         top = self.best.gain
-        close = [one for one in self.evidence[1:] if abs(self.cosines.get(one.entry.name, 0.0)) >= SAME]
-        return (self.best.entry.name, *(one.entry.name for one in close if top - one.gain < max(MARGIN, ALIKE * top)))
+        twins = [twin for twin in self.evidence[1:] if abs(self.cosines.get(twin.entry.name, 0.0)) >= SAME]
+        near = (twin.entry.name for twin in twins if top - twin.gain < max(MARGIN, ALIKE * top))
+        return (self.best.entry.name, *near)
 
     @property
     def margin(self) -> float:
         """Nats by which the best beats every entry outside its members."""
         if self.best is None:
             return 0.0
-        others = [one.gain for one in self.evidence[1:] if one.entry.name not in self.members]
+        others = [rival.gain for rival in self.evidence[1:] if rival.entry.name not in self.members]
         return self.best.gain - max(others, default=0.0)
 
 
 def step(before: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], seed: int) -> NamingStep:
     """Screen and confirm `entries` on top of a fit."""
-    found = screen(before, entries, roles)
+    screened = screen(before, entries, roles)
     # The catalogue is searched, so the greatest gain of many is judged: by its own law under "nothing is missing",
     # drawn from the fitted noise, not by the chi-square of a single test.
-    threshold = max(float(np.quantile(null_maximum(found, seed), SURE)), LEAST_GAIN)
-    best = found.best()
-    evidence = [_evidence(found, number) for number in best.values()]
-    chosen = [one for one in evidence[:CONFIRMED] if one.gain >= WORTH]
-    confirmed = [confirm(before, one) for one in chosen]
-    rest = [one for one in evidence if one.entry.name not in {each.entry.name for each in confirmed}]
-    order = tuple(sorted([*confirmed, *rest], key=lambda one: -one.gain))
+    threshold = max(float(np.quantile(null_maximum(screened, seed), SURE)), LEAST_GAIN)
+    evidence = [_evidence(screened, number) for number in screened.best().values()]
+    # The screen orders well but judges too low (its noise has swallowed a part of the effect): the first few are fitted
+    # jointly, and only a gain of a joint refit can become a name.
+    confirmed = [confirm(before, likely) for likely in evidence[:CONFIRMED] if likely.gain >= WORTH]
+    names = {each.entry.name for each in confirmed}
+    rest = [other for other in evidence if other.entry.name not in names]
+    order = tuple(sorted([*confirmed, *rest], key=lambda each: -each.gain))
     return NamingStep(before, order, threshold, _cosines(before, order))
 
 
-def _evidence(found: Screen, number: int) -> EffectEvidence:
+def _evidence(screened: Screen, number: int) -> EffectEvidence:
     """What the screen says of one shape, and whether many cycles say it or a few.
 
     The score is a sum over cycles, and so is its information. `spread` is the effective number of cycles (Kish 1965:
@@ -120,8 +122,8 @@ def _evidence(found: Screen, number: int) -> EffectEvidence:
     sandwich's z, which needs no noise model), `carried` the log-likelihood of each cycle under the strength that the
     others give: what one cycle alone made up is lost in it.
     """
-    shape = found.shapes[number]
-    parts, shares = found.by_cycle[:, number], np.maximum(found.information[:, number], 0.0)
+    shape = screened.shapes[number]
+    parts, shares = screened.by_cycle[:, number], np.maximum(screened.information[:, number], 0.0)
     total, mass = float(parts.sum()), float(shares.sum())
     spread = mass**2 / max(float(np.sum(shares**2)), 1e-300)
     # A cycle with less than a fiftieth of the usual share has no vote: its sign would be chance.
@@ -132,9 +134,9 @@ def _evidence(found: Screen, number: int) -> EffectEvidence:
     return EffectEvidence(
         entry=shape.entry,
         shape=shape,
-        gain=float(found.gain[number]),
-        visible=float(found.visible[number]),
-        z=float(found.signed[number]),
+        gain=float(screened.gain[number]),
+        visible=float(screened.visible[number]),
+        z=float(screened.signed[number]),
         robust=total / max(float(np.sqrt(np.sum(parts**2))), 1e-300),
         cycles=(int(same.sum()), int(speaking.sum())),
         spread=float(spread),
@@ -144,41 +146,33 @@ def _evidence(found: Screen, number: int) -> EffectEvidence:
     )
 
 
-def confirm(before: Fitted, one: EffectEvidence) -> EffectEvidence:
+def confirm(before: Fitted, evidence: EffectEvidence) -> EffectEvidence:
     """The evidence with its shape refined and everything fitted anew together: the likeliest of its alternatives."""
-    either = one.entry.either
+    either = evidence.entry.either
     shapes = [
-        replace(one.shape, params={**one.shape.params, **dict(zip(either, values, strict=True))})
+        replace(evidence.shape, params={**evidence.shape.params, **dict(zip(either, values, strict=True))})
         for values in product(*either.values())
     ]
-    return max((_confirmed(before, replace(one, shape=shape)) for shape in shapes), key=lambda each: each.gain)
-
-
-def _confirmed(before: Fitted, one: EffectEvidence) -> EffectEvidence:
-    strength = _first_strength(before, one)
-    named = refined(before, one.shape, strength)
-    fitted = fit(
-        before.frame,
-        [*before.state.named, named],
-        before,
-        moved=_room(before, named),
-        rounds=3,
-        iterations=8,
-    )
-    shape = Shape(one.entry, one.shape.signals, _without_strength(fitted.state.named[-1]))
-    gain, last = fitted.likelihood - before.likelihood - one.entry.burden, fitted.state.named[-1]
-    return replace(one, shape=shape, gain=gain, amplitude=amplitude(before, shape, last), fitted=fitted)
-
-
-def _room(before: Fitted, named: Named) -> Array:
-    """(p + r,) how the model's own parameters move to make room for an effect, log rates by 1 at most."""
-    shape = Shape(named.entry, named.signals, _without_strength(named))
-    column = columns_of(before, (shape,), smooth_course(before))[:, 0] * (1.0 if named.entry.whole else named.strength)
-    moved = Projector(before).made_room(column)[: before.own]
-    rates = before.frame.count[1]
-    # The linear problem does not hold for a rate that changes by more than a factor e; Newton's steps go on from there.
-    moved[before.own - rates :] = np.clip(moved[before.own - rates :], -1.0, 1.0)
-    return moved
+    # The three answers below are all taken in the linear problem around `before`: strength, shape, and how far the
+    # model's own parameters move to make room. The joint refit starts from there.
+    smooth, projector = smooth_course(before), Projector(before)
+    rates = before.own - before.frame.count[1]
+    alternatives = []
+    for shape in shapes:
+        strength = float(judged(before, (shape,), columns_of(before, (shape,), smooth)).strength[0])
+        named = refined(before, shape, strength)
+        unit = Shape(named.entry, named.signals, _without_strength(named))
+        column = columns_of(before, (unit,), smooth)[:, 0] * (1.0 if named.entry.whole else named.strength)
+        moved = projector.made_room(column)[: before.own]
+        # The linear problem does not hold for a rate that changes by more than a factor e; Newton's steps go on.
+        moved[rates:] = np.clip(moved[rates:], -1.0, 1.0)
+        fitted = fit(before.frame, [*before.state.named, named], before, moved=moved, rounds=3, iterations=8)
+        last = fitted.state.named[-1]
+        shape = Shape(evidence.entry, shape.signals, _without_strength(last))
+        gain = fitted.likelihood - before.likelihood - evidence.entry.burden
+        size = amplitude(before, shape, last)
+        alternatives.append(replace(evidence, shape=shape, gain=gain, amplitude=size, fitted=fitted))
+    return max(alternatives, key=lambda alternative: alternative.gain)
 
 
 def amplitude(before: Fitted, shape: Shape, named: Named) -> float:
@@ -188,12 +182,6 @@ def amplitude(before: Fitted, shape: Shape, named: Named) -> float:
     left = column - before.columns @ np.linalg.lstsq(before.columns, column, rcond=None)[0]
     strength = 1.0 if named.entry.whole else named.strength
     return float(abs(strength) * np.sqrt(np.mean(left**2)))
-
-
-def _first_strength(before: Fitted, one: EffectEvidence) -> float:
-    smooth = smooth_course(before)
-    found = judged(before, (one.shape,), columns_of(before, (one.shape,), smooth))
-    return float(found.strength[0])
 
 
 def _without_strength(named: Named) -> dict[str, float]:
@@ -212,15 +200,15 @@ def _cosines(before: Fitted, evidence: Sequence[EffectEvidence]) -> dict[str, fl
     top = evidence[0]
     around = before if top.fitted is None else replace(before, noise=top.fitted.noise)
     smooth = smooth_course(around)
-    shapes = tuple(one.shape for one in evidence)
-    found = judged(around, shapes, columns_of(around, shapes, smooth))
-    size = np.sqrt(np.maximum(np.diag(found.normal), 1e-300))
-    cosine: Array = found.normal[0] / (size * size[0])
-    return {one.entry.name: float(cosine[number]) for number, one in enumerate(evidence) if number}
+    shapes = tuple(each.shape for each in evidence)
+    normal = judged(around, shapes, columns_of(around, shapes, smooth)).normal
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    cosine: Array = normal[0] / (size * size[0])
+    return {each.entry.name: float(cosine[number]) for number, each in enumerate(evidence) if number}
 
 
 def entries_besides(named: Sequence[Named], besides: Sequence[str] = ()) -> tuple[CatalogueEntry, ...]:
     """The catalogue without the effects that are named already, what they rule out, and others by name."""
-    taken = {one.entry.name for one in named} | set(besides)
+    taken = {each.entry.name for each in named} | set(besides)
     taken |= ONE_CHAIN if taken & ONE_CHAIN else set()
     return tuple(entry for entry in catalogue() if entry.name not in taken)

@@ -20,14 +20,19 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, progres
     fitted, taken, refused = base, list[Judged](), list[Judged]()
     for number in range(most):
         progress(f"looking for effect {number + 1}", 0.25 + 0.6 * number / (most + 1))
-        one = step(fitted, entries_besides(fitted.state.named), present, seed + number)
-        earlier = [each for each, _ in taken]
-        refusal = insignificant(one, earlier) or dubious(one)
-        if one.best is None or one.best.fitted is None or (refusal and not _open(one, earlier)):
-            refused = [(one, refusal)]
+        candidate = step(fitted, entries_besides(fitted.state.named), present, seed + number)
+        earlier = [judged for judged, _ in taken]
+        chance = insignificant(candidate, earlier)
+        refusal = chance or dubious(candidate)
+        best = candidate.best
+        # Clear beyond doubt but for a rival that stands too near: it stays for the time being, with its refusal.
+        only_rivalled = best is not None and best.gain >= OVERWHELMING and not chance and candidate.margin < MARGIN
+        if best is None or best.fitted is None or (refusal and not only_rivalled):
+            refused = [(candidate, refusal)]
             break
-        taken.append((one, refusal))
-        fitted = one.best.fitted
+        taken.append((candidate, refusal))
+        fitted = best.fitted
+    # A name at the end that is still refused had no later one to tell it from its rivals: it goes, and the fit with it.
     while taken and taken[-1][1]:
         refused = [taken.pop()]
     last = taken[-1][0].best if taken else None
@@ -38,12 +43,6 @@ def name(base: Fitted, present: Mapping[str, str], seed: int, most: int, progres
     if any(refusal for _, refusal in taken):
         return NamingResult(base, base, tuple(taken[-1:]))
     return NamingResult(base, fitted, (*taken, *refused))
-
-
-def _open(one: NamingStep, earlier: Sequence[NamingStep]) -> bool:
-    """Whether a step's best is beyond doubt but for its margin over its rivals."""
-    clear = one.best is not None and one.best.gain >= OVERWHELMING and not insignificant(one, earlier)
-    return clear and one.margin < MARGIN
 
 
 def revised(
@@ -57,17 +56,18 @@ def revised(
     judged = list(taken)
     for number, (before, _) in enumerate(taken[:count]):
         old = before.best.entry.name if before.best is not None else ""
-        others = [one for one in fitted.state.named if one.entry.name != old]
+        others = [named for named in fitted.state.named if named.entry.name != old]
         without = fit(fitted.frame, others, fitted, rounds=2, iterations=8)
-        one = step(without, entries_besides(others), present, seed + number)
-        rest = [each for place, (each, _) in enumerate(judged) if place != number]
-        chance = insignificant(one, rest)
+        again = step(without, entries_besides(others), present, seed + number)
+        rest = [other for place, (other, _) in enumerate(judged) if place != number]
+        chance = insignificant(again, rest)
         if chance and rest:
+            # Each removal changes what the others must explain, so the round begins anew without it.
             left = [*judged[:number], *judged[number + 1 :]]
             return revised(without, left, present, seed, len(left))
-        refusal = chance or dubious(one)
-        judged[number] = one, refusal
-        if refusal or one.best is None or one.best.fitted is None:
+        refusal = chance or dubious(again)
+        judged[number] = again, refusal
+        if refusal or again.best is None or again.best.fitted is None:
             return judged[: number + 1], fitted
-        fitted = one.best.fitted
+        fitted = again.best.fitted
     return judged, fitted

@@ -57,6 +57,8 @@ class Projector:
 
     def __init__(self, fitted: Fitted) -> None:
         self.fitted = fitted
+        # Frisch, Waugh and Lovell: regressing on what is left after the fit's own parameters gives an effect the same
+        # strength and gain as a joint fit would. The factor of the normal matrix is made once for all columns.
         self._whitener = Whitener(fitted.grid, fitted.noise)
         stacked = np.column_stack([fitted.residual, fitted.columns])
         weighed = self._whitener.weigh(stacked)
@@ -134,6 +136,7 @@ def smooth_course(fitted: Fitted) -> Array:
     """(n,) degC the temperature at the knots without the sensor's noise: free run plus the smoothed residual."""
     record = fitted.frame.record
     smoothed = Whitener(fitted.grid, fitted.noise).smoothed(fitted.residual)
+    # The residual is smoothed on windows and carried to the knots between them; the free run has the knots' own shape.
     out = fitted.state.mean.copy()
     runs, run = record.runs, record.runs.run[record.rows[record.begins]]
     times = record.times
@@ -155,6 +158,8 @@ def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
                 sensed = as_sensed(record, effect, sensed)
             out.append(record.windowed(sensed - state.mean))
             continue
+        # A heat that depends on the temperature is taken along the smoothed reading, not along the free run: where
+        # something is missing the free run is wrong, and a thermostat would open in it at the wrong times.
         heat, loss = heat_and_loss(record, effects[0], smooth)
         added = filtered(fitted.frame, state, heat - loss * smooth)[:, 0]
         out.append(record.windowed(as_read(fitted.frame, state, added)))
@@ -193,6 +198,7 @@ def screen(fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str
 def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
     """The projected problem of the shapes' columns (m, c)."""
     projector = Projector(fitted)
+    # Columns of unit size: strengths run from degC to 1/s, and one normal matrix of them all would lose its digits.
     scale = np.sqrt(np.mean(columns**2, axis=0))
     scaled = columns / np.where(scale > 1e-12, scale, 1.0)
     cleaned, weighed, before = projector.clean(scaled)
@@ -226,7 +232,7 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
     best: list[tuple[float, Shape, float]] = []
 
     def loss(point: Array) -> float:
-        trial = Shape(shape.entry, shape.signals, {**shape.params, **_values(shape, names, point)})
+        trial = _at(shape, names, point)
         column = columns_of(fitted, [trial], smooth)
         _, weighed, _ = projector.clean(column)
         size = float(column[:, 0] @ weighed[:, 0])
@@ -234,11 +240,15 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
         if size <= 0:
             return 0.0
         wrong = shape.entry.sign * score < 0
+        # ln L along the column is c score - c^2 size / 2: at c = 1 for an effect that is there once, else at its top.
         gain = 0.0 if wrong else score - 0.5 * size if shape.entry.whole else 0.5 * score**2 / size
         best.append((gain, trial, score / size))
         return -gain
 
-    begin = _point(shape, names)
+    values = [(name, shape.params[name]) for name in names]
+    begin = np.array([np.log(max(v, 1.0)) if _is_time(name) else v / 10.0 for name, v in values])
+    # Nelder and Mead (1965), without derivatives: bounds and switching points leave kinks in the gain. The best point
+    # that was ever tried is kept, not the last simplex, since the search may be cut off by its evaluations.
     simplex = np.vstack([begin, begin + np.diag(np.full(begin.size, 0.3))])
     minimize(
         loss,
@@ -246,42 +256,38 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
         method="Nelder-Mead",
         options={"maxfev": SIMPLEX, "xatol": 0.02, "fatol": 0.05, "initial_simplex": simplex},
     )
-    _, found, value = max(best, key=lambda one: one[0])
-    return found.named(value)
+    _, top, value = max(best, key=lambda trial: trial[0])
+    return top.named(value)
 
 
-def _point(shape: Shape, names: Sequence[str]) -> Array:
-    """Coordinates for the search: logarithms of times and powers, temperatures in tens of degrees."""
-    values = [shape.params[name] for name in names]
-    return np.array([np.log(max(v, 1.0)) if _is_time(n) else v / 10.0 for n, v in zip(names, values, strict=True)])
-
-
-def _values(shape: Shape, names: Sequence[str], point: Array) -> dict[str, float]:
+def _at(shape: Shape, names: Sequence[str], point: Array) -> Shape:
+    """The shape at coordinates of the search: logarithms of times, tens of degrees of temperatures, within bounds."""
     values = {}
     for name, coordinate in zip(names, point.tolist(), strict=True):
         low, high = shape.entry.candidate.refine[name]
+        # A simplex may step anywhere; beyond e^20 s the exponential would overflow before the bound could hold it.
         value = float(np.exp(min(coordinate, 20.0))) if _is_time(name) else 10.0 * coordinate
         values[name] = min(max(value, low), high)
     if "closes" in values:
         values["closes"] = min(values["closes"], values["opens"] - LEAST_BAND)
-    return values
+    return Shape(shape.entry, shape.signals, {**shape.params, **values})
 
 
 def _is_time(name: str) -> bool:
     return name in ("tau", "delay", "lag")
 
 
-def null_maximum(found: Screen, seed: int, draws: int = DRAWS) -> Array:
+def null_maximum(screened: Screen, seed: int, draws: int = DRAWS) -> Array:
     """(draws,) the greatest gain over the whole catalogue when nothing is missing.
 
     Under the fitted noise, random heats included, the scores are jointly normal with the covariance `normal`: this is
     the parametric bootstrap of the linear problem, drawn without simulating a single residual.
     """
-    scale = np.sqrt(np.maximum(np.diag(found.normal), 1e-300))
-    correlation = found.normal / np.outer(scale, scale)
+    scale = np.sqrt(np.maximum(np.diag(screened.normal), 1e-300))
+    correlation = screened.normal / np.outer(scale, scale)
     values, vectors = np.linalg.eigh(correlation)
     # Shapes of one entry are nearly alike, so the correlation is singular up to rounding; its kernel has no variance.
     keep = values > 1e-8
     rng = np.random.default_rng(seed)
     z = rng.standard_normal((draws, int(keep.sum()))) @ (vectors[:, keep] * np.sqrt(values[keep])).T
-    return np.asarray(np.max(found.gains(z), axis=1, initial=0.0))
+    return np.asarray(np.max(screened.gains(z), axis=1, initial=0.0))

@@ -25,9 +25,10 @@ def sentence_of(
         return f"Too little data: {cycles} cycle{'s' if cycles != 1 else ''} cannot tell an effect from chance."
     moved = ""
     if shifts:
-        one = shifts[0]
+        surest = shifts[0]
         moved = (
-            f" Parameters have moved: {one.parameter} in {one.location} {one.change:+.0%}, {abs(one.sigma):.0f} sigma."
+            f" Parameters have moved: {surest.parameter} in {surest.location} {surest.change:+.0%}, "
+            f"{abs(surest.sigma):.0f} sigma."
         )
     if verdict == "agree":
         return "Model and data agree within noise." + moved
@@ -43,24 +44,18 @@ def sentence_of(
     if verdict == "class":
         names = "; ".join(" or ".join(one.members) for one in effects)
         return f"Something is missing that these data cannot tell apart: {names}.{gain}{moved}"
-    return "Something is missing that has no honest name: " + _described(unexplained) + moved
-
-
-def _described(unexplained: Sequence[HeatPlace]) -> str:
-    if not unexplained:
-        return "the free run is further off than noise allows, in no particular place."
-    place = unexplained[0]
-    goes = f", and goes with {place.correlates}" if place.correlates else ""
-    goes = f", with {place.when}" if place.when else goes
-    return (
-        f"{place.share:.0%} of the unexplained heat is in {place.location}, {_seconds(place.seconds)} after "
-        f"{place.after or 'its beginning'}{goes} ({place.cycles[0]} of {place.cycles[1]} cycles)."
-    )
-
-
-def _seconds(span: tuple[float, float]) -> str:
-    low, high = span
-    return f"{low:.0f}-{high:.0f} s" if np.isfinite(high) else f"more than {low:.0f} s"
+    where = "the free run is further off than noise allows, in no particular place."
+    if unexplained:
+        place = unexplained[0]
+        low, high = place.seconds
+        seconds = f"{low:.0f}-{high:.0f} s" if np.isfinite(high) else f"more than {low:.0f} s"
+        goes = f", and goes with {place.correlates}" if place.correlates else ""
+        goes = f", with {place.when}" if place.when else goes
+        where = (
+            f"{place.share:.0%} of the unexplained heat is in {place.location}, {seconds} after "
+            f"{place.after or 'its beginning'}{goes} ({place.cycles[0]} of {place.cycles[1]} cycles)."
+        )
+    return f"Something is missing that has no honest name: {where}{moved}"
 
 
 def course_of(base: Fitted, after: Fitted, before_trial: HeldOutRun, after_trial: HeldOutRun) -> DiagnosisCourse:

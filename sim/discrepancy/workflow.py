@@ -57,9 +57,9 @@ def diagnose(
     report = progress or (lambda _stage, _share: None)
     model = in_sensor_scale(model)
     report("laying out the traces", 0.0)
-    given = [patiently(trace, model.alphabet) for trace in in_order(traces)]
-    present = present_roles(given, roles)
-    record = record_of(model, given, signals_needed(model, present))
+    laid_out = [patiently(trace, model.alphabet) for trace in in_order(traces)]
+    present = present_roles(laid_out, roles)
+    record = record_of(model, laid_out, signals_needed(model, present))
     cycles = np.unique(record.cycle)
     if cycles.size < LEAST_CYCLES:
         return DiagnosisOutcome(_too_little(model, int(cycles.size)), (), None)
@@ -74,19 +74,21 @@ def diagnose(
     base = fit(training, named_of(model))
     report("what a free learner could still explain", 0.2)
     ceiling_before = ceiling(base, seed)
-    found = name(base, present, seed, most, report)
+    path = name(base, present, seed, most, report)
 
     report("held-out cycles", 0.85)
-    own = spread_of(model, given, base)
-    beyond = excess(base, own), excess(found.fitted, own)
-    after = found.fitted
-    ceiling_after = ceiling(after, seed) if found.taken else ceiling_before
+    # Both fits are held against the spread that the given model states for itself, not against a noise fitted here: the
+    # refit's own noise has swallowed what it could not explain.
+    own = spread_of(model, laid_out, base)
+    beyond = excess(base, own), excess(path.fitted, own)
+    after = path.fitted
+    ceiling_after = ceiling(after, seed) if path.taken else ceiling_before
     held, first, second = compared(base, after, held_out, seed)
     reservations = (
-        *doubts(found, first, second=second, held=held, before=ceiling_before, left=ceiling_after),
-        *left_over(found, *beyond),
+        *doubts(path, first, second=second, held=held, before=ceiling_before, left=ceiling_after),
+        *left_over(path, *beyond),
     )
-    verdict, reasons = verdict_of(found, reservations, ceiling_before, beyond[0])
+    verdict, reasons = verdict_of(path, reservations, ceiling_before, beyond[0])
     kept = verdict in ("named", "class")
     if not kept:  # nothing is added, so what the report shows "after" is the refit itself
         after = base
@@ -95,11 +97,11 @@ def diagnose(
     report("where the heat is", 0.95)
     where = places(base, seed)
     remaining = places(after, seed) if kept else where
-    effects = tuple(effect_of(one, after) for one in found.taken) if kept else ()
+    effects = tuple(effect_of(step, after) for step in path.taken) if kept else ()
     moved = shifts(after)
     unexplained = remaining if verdict == "unexplained" or (kept and systematic(ceiling_after)) else ()
     fitted_cycles = int(np.unique(base.frame.record.cycle).size)
-    noise = found.fitted.noise
+    noise = path.fitted.noise
     pairs = zip(("excess_before", "excess_after"), beyond, strict=True)
     diagnosis = Diagnosis(
         verdict=verdict,
@@ -111,19 +113,19 @@ def diagnose(
         unexplained=unexplained,
         ceiling_before=ceiling_before,
         ceiling_after=ceiling_after if kept else None,
-        candidates=candidates_of(found.steps, kept),
+        candidates=candidates_of(path.steps, kept),
         untested=untested(present, roles),
         held_out=held,
         course=course_of(base, after, first, second),
         settings={
             "seed": float(seed),
-            "threshold_nats": found.steps[0][0].threshold if found.steps else 0.0,
+            "threshold_nats": path.steps[0][0].threshold if path.steps else 0.0,
             "sensor_sigma": noise.sensor,
             "process_sigma": noise.process,
             "rough_sigma": noise.rough,
             "cycle_scatter": noise.cycle,
             "rough_memory_s": noise.memory,
-            **{key: each.median for key, each in pairs if each is not None},
+            **{key: gap.median for key, gap in pairs if gap is not None},
         },
         model_before=model.sha.name,
         model_after=None,
@@ -144,7 +146,7 @@ def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str
 
 def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
     """The inputs of the model's flows and the signals of the roles, each once."""
-    inputs = [given.signal for location in model.sha.locations for given in location.flow.inputs]
+    inputs = [driving.signal for location in model.sha.locations for driving in location.flow.inputs]
     return tuple(dict.fromkeys([*inputs, *present.values()]))
 
 

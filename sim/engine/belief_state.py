@@ -93,22 +93,21 @@ def belief_of(saved: Mapping[str, Any]) -> Belief:
     """The belief that `dataclasses.asdict` and JSON have taken apart. Raises KeyError or TypeError."""
     last = Innovation(**saved["last"]) if saved["last"] else None
     hidden = saved.get("hidden")
+    # JSON has no tuples: what came back as a list is made one again, so that equal beliefs compare equal.
+    if hidden:
+        hidden = Hidden(
+            mean=tuple(hidden["mean"]),
+            covariance=tuple(tuple(row) for row in hidden["covariance"]),
+            opened=hidden["opened"],
+            since=tuple(hidden["since"]),
+            pending=tuple(Delayed(**item) for item in hidden["pending"]),
+        )
     return Belief(
         **{
             **saved,
             "last": last,
             "recent": tuple(saved["recent"]),
             "signals": dict(saved["signals"]),
-            "hidden": _hidden_of(hidden) if hidden else None,
+            "hidden": hidden or None,
         }
-    )
-
-
-def _hidden_of(saved: Mapping[str, Any]) -> Hidden:
-    return Hidden(
-        mean=tuple(saved["mean"]),
-        covariance=tuple(tuple(row) for row in saved["covariance"]),
-        opened=saved["opened"],
-        since=tuple(saved["since"]),
-        pending=tuple(Delayed(**item) for item in saved["pending"]),
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from sim.effects import parameter
 from sim.engine.plant import Indices, Plant
-from sim.engine.response import respond
+from sim.engine.response import carried
 from sim.engine.tables import Half, Tables
 from sim.sha import Array, Mask
 
@@ -53,8 +53,16 @@ def move(
     `row` is one step for all runs, or a slice of N steps, one for each. `mode` (N,) is m, `opened` (N,) the thermostat
     after the last step, `push` (N, d) the step's noise.
     """
+    # In this order: the thermostat as the state says it, the linear step, the rate limit, the noise, and last the runs
+    # whose end lies beyond a threshold, which are cut where they crossed it.
     opened = switched(plant, s[:, 0], opened)  # a jump of X, or the range's clamp, may have passed a threshold
-    rest = _left_out(plant, steps, row, s[:, 0])
+    # What radiation's tangent leaves out is a heat of second order in y, taken at the step's start: (a + y)^4 less its
+    # tangent is what is left of the binomial.
+    rest = None
+    if steps.about is not None and steps.radiated is not None and plant.radiation is not None:
+        away = steps.about[row] - parameter(plant.radiation.effect, "zero")
+        y = s[:, 0] - steps.about[row]
+        rest = np.asarray(-steps.radiated[row] * y * y * (6.0 * away * away + 4.0 * away * y + y * y))
     if steps.open is None or not opened.any():
         after = _affine(steps.closed, row, s, mode, rest)
     elif opened.all():
@@ -62,8 +70,16 @@ def move(
     else:
         both = (_affine(half, row, s, mode, rest) for half in (steps.open, steps.closed))
         after = np.where(opened[:, None], *both)
-    after, met = _limited(plant.sha.max_rate, steps.dt[row], s, after)
-    # The noise comes after the limit, which holds for the mean alone.
+    # The rate limit holds for the mean slope of a step, as in `sim.sha.flows`; the slack is rounding, so that a step
+    # exactly at the limit is not counted as limited. The noise comes after it: the limit is the mean's alone.
+    rate, dt = plant.sha.max_rate, steps.dt[row]
+    met = np.zeros(len(s), dtype=np.bool_)
+    if rate < inf:
+        change = after[:, 0] - s[:, 0]
+        met = np.abs(change) > rate * dt * (1.0 + 1e-12)
+        if met.any():
+            after = after.copy()
+            after[:, 0] = s[:, 0] + np.clip(change, -rate * dt, rate * dt)
     after = after + push
     now = switched(plant, after[:, 0], opened)
     at = np.flatnonzero(now != opened)
@@ -88,16 +104,6 @@ def move(
     return Moved(after, opened, met, share)
 
 
-def _left_out(plant: Plant, steps: Tables, row: Rows, x: Array) -> Array | None:
-    """(N,) the heat that the tangent leaves out, taken at the step's start."""
-    if steps.about is None or steps.radiated is None or plant.radiation is None:
-        return None
-    # (a + y)^4 less its tangent in y: what is left of the binomial is a heat of second order in y.
-    away = steps.about[row] - parameter(plant.radiation.effect, "zero")
-    y = x - steps.about[row]
-    return np.asarray(-steps.radiated[row] * y * y * (6.0 * away * away + 4.0 * away * y + y * y))
-
-
 def _affine(half: Half, row: Rows, s: Array, mode: Array, rest: Array | None) -> Array:
     phi = half.phi[row]  # one (d, d) for all runs, or one for each (N, d, d)
     if s.shape[1] == 1:  # X alone: a product of numbers instead of one of 1 x 1 matrices
@@ -108,20 +114,6 @@ def _affine(half: Half, row: Rows, s: Array, mode: Array, rest: Array | None) ->
         transported = (phi @ s[:, :, None])[:, :, 0]
     after = transported + half.pull[row] * mode[:, None] + half.added[row]
     return np.asarray(after if rest is None else after + half.unit[row] * rest[:, None])
-
-
-def _limited(rate: float, dt: Array, s: Array, after: Array) -> tuple[Array, Mask]:
-    """X moved by no more than the greatest rate allows over the step."""
-    # The limit holds for the mean slope of a step, as in `sim.sha.flows`; the slack is rounding, so that a step that
-    # runs exactly at the limit is not counted as limited.
-    if rate == inf:
-        return after, np.zeros(len(s), dtype=np.bool_)
-    change = after[:, 0] - s[:, 0]
-    met = np.abs(change) > rate * dt * (1.0 + 1e-12)
-    if met.any():
-        after = after.copy()
-        after[:, 0] = s[:, 0] + np.clip(change, -rate * dt, rate * dt)
-    return after, met
 
 
 @dataclass(slots=True)
@@ -198,6 +190,6 @@ def _piece(plant: Plant, steps: Tables, run: _Run, begin: Array, until: Array) -
         heat[:, 0] += (first + second * begin) * begin
         heat[:, 1], heat[:, 2] = (first + 2.0 * second * begin) * length, second * length * length
     # A table's row is made for the whole step; a piece has its own length, so its exponential is worked out afresh.
-    answer = respond(plant, loss, steps.coupling[which], steps.dt[which] * length, closed.powers)
-    after = np.einsum("nij,nj->ni", answer.phi, run.s) + np.einsum("niq,nq->ni", answer.poly, heat)
+    phi, poly = carried(plant, loss, steps.coupling[which], steps.dt[which] * length, closed.powers)
+    after = np.einsum("nij,nj->ni", phi, run.s) + np.einsum("niq,nq->ni", poly, heat)
     return np.asarray(after + length[:, None] * run.push)

@@ -11,7 +11,7 @@ from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import linear_recursion
 from sim.engine.schedules import Indices, Schedule, step_coefficients
 from sim.engine.terms import Segments
-from sim.sha import Array, Location, distributions, drawn_temperature, flows, mode_parameter
+from sim.sha import Array, distributions, drawn_temperature, flows, mode_parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +41,12 @@ class Prediction:
 
 def run_flags(clamps: int, limited: int, unmatched: int) -> tuple[str, ...]:
     """The sentences of a run's flags."""
-    said = (
+    flags = (
         (clamps, f"clamps: the temperature left the model's range {clamps} times and was put back to its border"),
         (limited, f"rate limit: {limited} steps ran at the maximum rate, which a closed-form variance does not see"),
         (unmatched, f"events: {unmatched} had no edge and were passed over"),
     )
-    return tuple(sentence for count, sentence in said if count)
+    return tuple(sentence for count, sentence in flags if count)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,8 +114,12 @@ def mean_readings(steps: Schedule, x0: float, drawn: DrawnMoments) -> Array:
 
 def stay_draws(steps: Schedule) -> DrawnMoments:
     """What the stays of a schedule draw by their locations' laws, step by step."""
-    table = np.array([(*mode_parameter(place), *_renewal(place)) for place in steps.sha.locations])
-    mode, spread, fresh, scatter = table.T[:, steps.location]
+    rows = []
+    for place in steps.sha.locations:
+        law = drawn_temperature(place)  # None where X goes on: NaN in the table
+        renewal = (nan, 0.0) if law is None else (distributions.mean(law), distributions.variance(law))
+        rows.append((*mode_parameter(place), *renewal))
+    mode, spread, fresh, scatter = np.array(rows).T[:, steps.location]
     resampled = steps.entry & ~np.isnan(fresh)
     resampled[0] = False  # X is given at the start
     return DrawnMoments(
@@ -144,9 +148,8 @@ def augmented_course(
 def _readings(steps: Schedule, segments: Segments, plant: Plant, course: MeanCourse) -> Array:
     """(n,) what the sensor reads after each step of a course."""
     offset = sensor_offsets(steps.sha, segments.time + steps.dt)
-    offset[steps.output >= 0] = sensor_offsets(
-        steps.sha, steps.times
-    )  # begin + length may miss the very moment of a sensor step
+    # At the outputs' own times: begin + length may miss the very moment of a sensor step by a rounding.
+    offset[steps.output >= 0] = sensor_offsets(steps.sha, steps.times)
     return np.asarray(course.s[:, plant.sensed] + offset)
 
 
@@ -164,6 +167,8 @@ def _mean_recursion(affine: AffineSteps, added: Array, x0: float) -> Array:
 def _variance(steps: Schedule, affine: AffineSteps, variance0: float) -> Array:
     """Var X after each step; the covariance with m comes first and starts at 0 in each stay."""
     decay, pull, drawn = affine.decay, affine.pull, affine.drawn
+    # Var X' = a^2 Var X + 2 a p Cov(X, m) + p^2 Var m + noise, with the covariance before the step. On entry it is 0: m
+    # is new and independent of X.
     covariance = linear_recursion(np.where(steps.entry, 0.0, decay), pull * drawn.spread, 0.0)
     before = np.where(steps.entry, 0.0, np.concatenate([[0.0], covariance[:-1]]))
     added = 2.0 * decay * pull * before + pull**2 * drawn.spread + affine.noise
@@ -218,9 +223,3 @@ def _increments(steps: Schedule, free: Array, target: Array) -> tuple[Array, int
         added[rows] = flows.mean_step(flow, 0.0, target[rows], age=steps.age[rows], dt=steps.dt[rows], max_rate=rate)
         met += int(np.count_nonzero(np.abs(flows.drift(flow, 0.0, target[rows], steps.age[rows])) > rate))
     return added, met
-
-
-def _renewal(location: Location) -> tuple[float, float]:
-    """Mean and variance of X on entry; NaN where X goes on."""
-    law = drawn_temperature(location)
-    return (nan, 0.0) if law is None else (distributions.mean(law), distributions.variance(law))

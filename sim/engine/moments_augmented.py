@@ -72,6 +72,7 @@ def mean_course(
     about = np.full(segments.dt.size, float(start[0]))
     for _ in range(_ROUNDS):
         course = _march(plant, tables(plant, segments, about), drawn, start, valve)
+        # The tangent lies at the middle of the segment as it runs: where X is drawn anew, from its new mean on.
         before = np.where(drawn.resampled, drawn.fresh, np.concatenate([start[:1], course.s[:-1, 0]]))
         middle = 0.5 * (before + course.s[:, 0])
         moved, about = float(np.abs(middle - about).max()), middle
@@ -124,6 +125,7 @@ def _march(plant: Plant, steps: Tables, drawn: DrawnMoments, start: Array, first
         piece = min(2 * piece, n) if good == len(run) else _FEWEST
         if good == len(run):
             continue
+        # The odd row by the kernel, with everything in it, and from its end the recursion again.
         if drawn.resampled[row]:
             state = np.concatenate([[drawn.fresh[row]], state[1:]])
         moved = move(plant, alone, row, s=state[None, :], mode=drawn.mode[row : row + 1], opened=valve)
@@ -155,6 +157,8 @@ def covariance(plant: Plant, course: MeanCourse, drawn: DrawnMoments, variance0:
     half = chosen(course.steps, course.opened)
     n, d = half.pull.shape
     phi, _ = _renewed(half, drawn, slice(0, n))
+    # First the covariance of the states with m, which starts at 0 in each stay; what a step adds to P needs the one
+    # before the step.
     kept = np.where(drawn.entry[:, None, None], 0.0, phi)
     shared = matrix_recursion(kept, half.pull * drawn.spread[:, None], np.zeros(d))
     last = np.where(drawn.entry[:, None], 0.0, np.vstack([np.zeros(d), shared[:-1]]))
@@ -174,6 +178,8 @@ def _squared(phi: Array, added: Array, start: Array) -> Array:
     """(n, d * d) the covariances P' = phi P phi^T + added, from `start` (d * d,), in pieces for their memory."""
     n, d, _ = phi.shape
     out = np.empty((n, d * d))
+    # Row by row, vec(phi P phi^T) = (phi x phi) vec(P) with the Kronecker product: the covariance is a linear recursion
+    # too, of d^2 numbers, and one banded solve takes all steps at once.
     for first in range(0, n, _CHUNK):
         rows = slice(first, min(first + _CHUNK, n))
         twice = np.einsum("nij,nkl->nikjl", phi[rows], phi[rows]).reshape(-1, d * d, d * d)

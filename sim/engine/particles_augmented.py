@@ -87,6 +87,14 @@ def augmented_path_runs(
         for given in place.flow.inputs:
             added = given.gain * (signals[given.signal] - given.reference)
             offset += np.where((location == row) & np.isfinite(added), added, 0.0)
+    # A start-up's clock begins with its event: the last one known, or one met on the way to a later stay.
+    since = []
+    for acting, last in zip(plant.startups, hidden.since, strict=True):
+        meets = _meets(sha, acting.effect.event)
+        times = np.where(meets[paths.location[:-1], paths.location[1:]], paths.entered[1:], -inf)
+        known = np.full((1, shape[1]), -inf if last is None else last - belief.time)
+        started = np.maximum.accumulate(np.vstack([known, times]), axis=0)
+        since.append((begin - started[stay, columns]).reshape(-1))
     segments = Segments(
         location=location.reshape(-1),
         time=(belief.time + begin).reshape(-1),
@@ -94,7 +102,7 @@ def augmented_path_runs(
         dt=dt.reshape(-1),
         offset=offset.reshape(-1),
         signals={name: column.reshape(-1) for name, column in signals.items()},
-        since=_since(plant, belief, paths, stay, begin),
+        since=tuple(since),
     )
     drawn = drawn_temperatures(tracker, location, first, rng)
     about = np.full(dt.size, float(s[:, 0].mean())) if plant.radiation is not None else None
@@ -170,19 +178,6 @@ def _signals(
                 now[begin >= each.due - belief.time] = each.signals[name]
         values[name] = np.where(stay == 0, now, value[stay, columns])
     return values
-
-
-def _since(plant: Plant, belief: Belief, paths: Paths, stay: Indices, begin: Array) -> tuple[Array, ...]:
-    """(S * N,) for each start-up effect the seconds since its event, known so far or met on the way."""
-    seconds, columns = [], np.arange(stay.shape[1])
-    known = belief.hidden.since if belief.hidden is not None else ()
-    for acting, last in zip(plant.startups, known, strict=True):
-        meets = _meets(plant.sha, acting.effect.event)
-        times = np.where(meets[paths.location[:-1], paths.location[1:]], paths.entered[1:], -inf)
-        first = np.full((1, stay.shape[1]), -inf if last is None else last - belief.time)
-        started = np.maximum.accumulate(np.vstack([first, times]), axis=0)
-        seconds.append((begin - started[stay, columns]).reshape(-1))
-    return tuple(seconds)
 
 
 def _meets(sha: SHA, event: str) -> Mask:

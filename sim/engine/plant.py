@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.effects import FEATURES, Feature, HeldLaw, Structural, VaryingLaw, acts_in, kind_of, unknown
-from sim.sha import RELAXING, SHA, Array, Effect, Flow, Mask
+from sim.sha import RELAXING, SHA, Array, Effect, Mask
 
 Indices = NDArray[np.intp]
 
@@ -95,7 +95,8 @@ def compile_plant(sha: SHA) -> Plant:
         sha=sha,
         rate=np.array([flow.params["k"] if flow.kind in RELAXING else 0.0 for flow in flows]),
         noise=np.array([flow.params["noise"] for flow in flows]),
-        drive=np.array([_drive(flow) for flow in flows]),
+        # The constant that multiplies m in the drift; a logarithmic flow's falls with the age, and is not here (`t0`).
+        drive=np.array([flow.params["k"] if flow.kind in RELAXING else float(flow.kind == "linear") for flow in flows]),
         t0=np.array([flow.params["t0"] if flow.kind == "logarithmic" else np.nan for flow in flows]),
         coupling=np.where(housing.there, housing.effect.params["coupling"], 0.0) if housing else np.zeros(len(flows)),
         housing_tau=inf if housing is None else housing.effect.params["tau"],
@@ -107,10 +108,3 @@ def compile_plant(sha: SHA) -> Plant:
         thermostat=features.get("thermostat"),
         radiation=features.get("radiation"),
     )
-
-
-def _drive(flow: Flow) -> float:
-    """The constant that multiplies m in the drift; a logarithmic flow's varies, and is not here."""
-    if flow.kind in RELAXING:
-        return flow.params["k"]
-    return 1.0 if flow.kind == "linear" else 0.0

@@ -44,26 +44,23 @@ def matrix_recursion(phi: Array, b: Array, x0: Array) -> Array:
     x = np.empty((n, d))
     piece = max(_PIECE // (2 * d * d), 1)
     for first in range(0, n, piece):
-        rows = slice(first, min(first + piece, n))
-        x[rows] = _solve_bands(phi[rows], b[rows], x0)
-        x0 = x[rows][-1]
+        factors, right = phi[first : first + piece], b[first : first + piece].copy()
+        count = len(right)
+        # Unknown (k, j) is column k d + j. Its factor in the equation of (k + 1, i) lies d + i - j below the diagonal,
+        # which LAPACK's lower band form stores in row d + i - j, at the unknown's own column.
+        bands = np.zeros((2 * d, count * d), order="F")
+        bands[0] = 1.0
+        for i in range(d):
+            for j in range(d):
+                bands[d + i - j, j : (count - 1) * d : d] = -factors[1:, i, j]
+        right[0] += factors[0] @ x0
+        solution, _ = dtbtrs(bands, right.reshape(-1), uplo="L", diag="U")
+        x[first : first + piece] = np.asarray(solution, dtype=float).reshape(count, d)
+        x0 = x[first + count - 1]
     return x
 
 
 _PIECE = 1 << 18
-
-
-def _solve_bands(phi: Array, b: Array, x0: Array) -> Array:
-    n, d = b.shape
-    bands = np.zeros((2 * d, n * d), order="F")
-    bands[0] = 1.0
-    for i in range(d):
-        for j in range(d):
-            bands[d + i - j, j : (n - 1) * d : d] = -phi[1:, i, j]
-    right = b.copy()
-    right[0] += phi[0] @ x0
-    x, _ = dtbtrs(bands, right.reshape(-1), uplo="L", diag="U")
-    return np.asarray(x, dtype=float).reshape(n, d)
 
 
 def _solve(a: Array, b: Array, x0: float) -> Array:

@@ -9,7 +9,7 @@ from math import factorial, inf
 
 import numpy as np
 
-from sim.engine.plant import Plant
+from sim.engine.plant import Indices, Plant
 from sim.sha import Array
 
 _TERMS = 14
@@ -35,20 +35,31 @@ class SegmentResponse:
 
 def respond(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) -> SegmentResponse:
     """The answers of segments with dX/dt = -`loss` X + `coupling` (H - X) + heat over `dt` seconds, each (n,)."""
+    phi, poly = carried(plant, loss, coupling, dt, powers)
     if plant.size == 1:
-        return _scalar(loss, dt, powers)
-    same = np.column_stack([loss, coupling, np.round(dt, _DIGITS)])
-    keys, back = np.unique(same, axis=0, return_inverse=True)
-    back = back.reshape(-1)
+        noise = dt * weights(2.0 * loss * dt, 1)[:, 0]
+        return SegmentResponse(phi, poly, noise[:, None, None])
+    keys, back = _alike(loss, coupling, dt)
+    return SegmentResponse(phi, poly, _noise(plant, keys)[back])
+
+
+def carried(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) -> tuple[Array, Array]:
+    """(phi, poly) of the answers alone: a piece of a step needs no noise, and that is the dearer half."""
+    if plant.size == 1:
+        z = loss * dt
+        return np.exp(-z)[:, None, None], (dt[:, None] * weights(z, powers))[:, None, :]
+    keys, back = _alike(loss, coupling, dt)
     phi, poly = _transition(plant, keys, powers)
-    return SegmentResponse(phi[back], poly[back], _noise(plant, keys)[back])
+    return phi[back], poly[back]
 
 
-def _scalar(loss: Array, dt: Array, powers: int) -> SegmentResponse:
-    z = loss * dt
-    poly = dt[:, None] * weights(z, powers)
-    noise = dt * weights(2.0 * z, 1)[:, 0]
-    return SegmentResponse(np.exp(-z)[:, None, None], poly[:, None, :], noise[:, None, None])
+def _alike(loss: Array, coupling: Array, dt: Array) -> tuple[Array, Indices]:
+    """The different segments (loss, coupling, dt), each once, and which of them each segment is."""
+    same = np.column_stack([loss, coupling, np.round(dt, _DIGITS)])
+    if len(same) == 1:  # pieces of a single run's step come one by one, and sorting them would cost more than they do
+        return same, np.zeros(1, dtype=np.intp)
+    keys, back = np.unique(same, axis=0, return_inverse=True)
+    return keys, back.reshape(-1)
 
 
 def weights(z: Array, powers: int) -> Array:
@@ -117,6 +128,7 @@ def _transition(plant: Plant, keys: Array, powers: int) -> tuple[Array, Array]:
     for i in range(int(halvings.max(initial=0))):
         on = halvings > i
         total[on] = total[on] @ total[on]
+    # The chain of derivatives integrates to v^j / j!: the heat of v^2 is twice what its column says.
     poly = total[:, :d, d:] * np.array([1.0, 1.0, 2.0])[:powers]
     return total[:, :d, :d], poly
 

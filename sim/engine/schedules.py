@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sim.effects import check_effects, dead_time, in_sensor_scale, refuse, signals_of
 from sim.engine.cuts import Stays, cuts
-from sim.engine.plant import Plant, compile_plant
+from sim.engine.plant import compile_plant
 from sim.engine.terms import Segments
 from sim.sha import SHA, UNKNOWN, Array, Coefficients, Event, Mask, Model, Trace, flows, transitions
 
@@ -107,39 +107,15 @@ def schedule(
     # A dead time is a shift of all that acts; from here on times are those at which things act.
     acting = [Event(event.time + delay, event.symbol) for event in events]
     later = Trace(given.name, given.times + delay, given.signals)
-    walk = _walk(sha, acting, begin, float(times[-1]), policy)
-    return _steps(sha, walk, times, later, _extra(compile_plant(sha), walk, float(times[-1]), acting))
-
-
-@dataclass(frozen=True, slots=True)
-class _Extra:
-    """What effects add to a schedule: `finer` cuts (s), and for each start-up effect the times of its event."""
-
-    finer: Array
-    starts: tuple[Array, ...]
-
-
-def _extra(plant: Plant, walk: "_Walk", end: float, events: Sequence[Event]) -> _Extra:
+    end = float(times[-1])
+    walk, plant = _walk(sha, acting, begin, end, policy), compile_plant(sha)
     starts = tuple(
-        np.array([event.time for event in events if event.symbol == acting.effect.event], dtype=float)
-        for acting in plant.startups
+        np.array([event.time for event in acting if event.symbol == startup.effect.event], dtype=float)
+        for startup in plant.startups
     )
-    ends = np.append(walk.begins[1:], end)
-    finer = np.unique(cuts(plant, Stays(walk.begins, ends, walk.entered, walk.location, starts)))
-    return _Extra(finer[(finer > walk.begins[0]) & (finer < end)], starts)
-
-
-def _segments(steps: Schedule, begin: Array, clock: Array, held: dict[str, Array], extra: _Extra) -> Segments:
-    row = np.searchsorted(clock, begin, side="right") - 1  # row -1, before the clock begins, meets a NaN
-    return Segments(
-        location=steps.location,
-        time=begin,
-        age=steps.age,
-        dt=steps.dt,
-        offset=steps.offset,
-        signals={name: np.append(column, np.nan)[row] for name, column in held.items()},
-        since=tuple(since_last(begin, starts) for starts in extra.starts),
-    )
+    stays = Stays(walk.begins, np.append(walk.begins[1:], end), walk.entered, walk.location, starts)
+    finer = np.unique(cuts(plant, stays))
+    return _steps(sha, walk, times, later, finer=finer[(finer > walk.begins[0]) & (finer < end)], starts=starts)
 
 
 def since_last(times: Array, starts: Array) -> Array:
@@ -147,15 +123,28 @@ def since_last(times: Array, starts: Array) -> Array:
     return np.asarray(times - np.append(starts, -np.inf)[np.searchsorted(starts, times, side="right") - 1])
 
 
-def _steps(sha: SHA, walk: "_Walk", times: Array, inputs: Trace, extra: _Extra | None = None) -> Schedule:
-    """Sorts the three kinds of boundaries; a step lies between each and the next."""
+def _steps(
+    sha: SHA,
+    walk: "_Walk",
+    times: Array,
+    inputs: Trace,
+    *,
+    finer: Array | None = None,
+    starts: tuple[Array, ...] = (),
+) -> Schedule:
+    """Sorts the three kinds of boundaries; a step lies between each and the next.
+
+    With effects, `finer` are the times at which they cut further and `starts` the events of each start-up effect.
+    """
     held = _readings(sha, walk.location, inputs)
     inner = _input_cuts(sha, walk, inputs.times, held, times)
-    if extra is not None:
-        inner = np.union1d(inner, extra.finer[~(_among(extra.finer, times) | _among(extra.finer, walk.begins))])
+    if finer is not None:
+        inner = np.union1d(inner, finer[~(_among(finer, times) | _among(finer, walk.begins))])
+    # A stable sort of events, then cuts, then outputs is their order at one instant: what is written out at the time of
+    # an event is the temperature after it.
     marks = np.concatenate([walk.begins, inner, times])
     rank = np.repeat(np.arange(3), [walk.begins.size, inner.size, times.size])
-    order = np.argsort(marks, kind="stable")  # at one instant: events, inputs, outputs
+    order = np.argsort(marks, kind="stable")
     marks, rank = marks[order], rank[order]
     entry, ends = rank[:-1] == 0, rank[1:]
     stay = np.cumsum(entry) - 1
@@ -175,9 +164,20 @@ def _steps(sha: SHA, walk: "_Walk", times: Array, inputs: Trace, extra: _Extra |
         checked=ends != 1,
         unmatched=walk.unmatched,
     )
-    if extra is None:
+    if finer is None:
         return steps
-    return replace(steps, segments=_segments(steps, marks[:-1], inputs.times, held, extra))
+    begin = marks[:-1]
+    row = np.searchsorted(inputs.times, begin, side="right") - 1  # row -1, before the clock begins, meets a NaN
+    segments = Segments(
+        location=location,
+        time=begin,
+        age=steps.age,
+        dt=steps.dt,
+        offset=steps.offset,
+        signals={name: np.append(column, np.nan)[row] for name, column in held.items()},
+        since=tuple(since_last(begin, times_of_event) for times_of_event in starts),
+    )
+    return replace(steps, segments=segments)
 
 
 def step_coefficients(steps: Schedule) -> Coefficients:
@@ -268,21 +268,19 @@ def _readings(sha: SHA, location: Indices, inputs: Trace) -> dict[str, Array]:
     return readings
 
 
-def _changed(column: Array) -> Mask:
-    """Where a reading differs from the one before it; the first one differs from not knowing."""
-    before = np.concatenate([[np.nan], column[:-1]])[: column.size]
-    return np.asarray((before != column) & ~np.isnan(column))
-
-
 def _input_cuts(sha: SHA, walk: _Walk, clock: Array, held: dict[str, Array], outputs: Array) -> Array:
     """The times of changed readings at which a step must be cut: inside driven stays, where no boundary is already."""
-    changed = {signal: _changed(column) for signal, column in held.items()}
+    changed = {}
+    for signal, column in held.items():
+        # The first reading differs from not knowing: NaN is unequal to everything.
+        before = np.concatenate([[np.nan], column[:-1]])[: column.size]
+        changed[signal] = (before != column) & ~np.isnan(column)
     within = (clock > walk.begins[0]) & (clock < outputs[-1])
-    found = [np.empty(0)]
+    times_of_change = [np.empty(0)]
     for index, names in _listening(sha, walk.location):
         times = clock[within & np.any([changed[name] for name in names], axis=0)]
-        found.append(times[walk.location[np.searchsorted(walk.begins, times, side="right") - 1] == index])
-    wanted = np.unique(np.concatenate(found))
+        times_of_change.append(times[walk.location[np.searchsorted(walk.begins, times, side="right") - 1] == index])
+    wanted = np.unique(np.concatenate(times_of_change))
     return wanted[~(_among(wanted, outputs) | _among(wanted, walk.begins))]
 
 
@@ -295,9 +293,9 @@ def _offsets(sha: SHA, location: Indices, begins: Array, clock: Array, held: dic
             continue
         steps = np.flatnonzero(location == index)
         row = np.searchsorted(clock, begins[steps], side="right") - 1
-        for given in flow.inputs:
-            reading = np.append(held[given.signal], np.nan)[row]  # row -1, before the clock begins, meets the NaN
-            total[steps] += np.where(np.isnan(reading), 0.0, given.gain * (reading - given.reference))
+        for driving in flow.inputs:
+            reading = np.append(held[driving.signal], np.nan)[row]  # row -1, before the clock begins, meets the NaN
+            total[steps] += np.where(np.isnan(reading), 0.0, driving.gain * (reading - driving.reference))
     return total
 
 
@@ -306,11 +304,12 @@ def _listening(sha: SHA, location: Indices) -> list[tuple[int, tuple[str, ...]]]
     read = {}
     for index in np.unique(location).tolist():
         place = sha.locations[index]
-        names = dict.fromkeys(given.signal for given in place.flow.inputs)
+        names = dict.fromkeys(driving.signal for driving in place.flow.inputs)
         read[index] = tuple(names | dict.fromkeys(signals_of(sha, place.name)))
     return [(index, names) for index, names in read.items() if names]
 
 
 def _among(values: Array, ascending: Array) -> Mask:
+    """Which of the values are among others: a boundary that is there already is not set twice."""
     place = np.minimum(np.searchsorted(ascending, values), ascending.size - 1)
     return np.asarray(ascending[place] == values)

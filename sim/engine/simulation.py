@@ -77,12 +77,21 @@ def simulate(
     rows = np.empty((steps.times.size, runs)) if out is None else out
     if rows.shape != (steps.times.size, runs):
         raise ValueError(f"out must have the shape (outputs, runs) = {(steps.times.size, runs)}, got {rows.shape}")
-    go = _kernel(steps, distributions.mean(law))  # all that is the same for every run is worked out once, here
+    # All that is the same for every run is worked out once, here. Where a rate limit depends on the run's own X and m
+    # no mean can be split off; with effects a run has more states than X.
+    go: Kernel
+    if steps.segments is not None:
+        go = partial(augmented_runs, augmented_plan(steps, distributions.mean(law)))
+    elif isfinite(steps.sha.max_rate):
+        go = partial(_limited_runs, _limited_plan(steps, affine_steps(steps)), steps.sha.max_rate)
+    else:
+        start = distributions.mean(law)
+        go = partial(_free_runs, _free_plan(steps, affine_steps(steps), start), start)
     clamps, limited = np.zeros(runs, dtype=np.intp), np.zeros(runs, dtype=np.intp)
     for first in range(0, runs, CHUNK):
         part = slice(first, min(first + CHUNK, runs))
-        start = distributions.draw(law, part.stop - part.start, rng)
-        go(start, rng, rows[:, part], clamps[part], limited[part])
+        begins = distributions.draw(law, part.stop - part.start, rng)
+        go(begins, rng, rows[:, part], clamps[part], limited[part])
     return SimulatedRuns(
         times=steps.times,
         temperatures=rows.T,
@@ -95,15 +104,6 @@ def simulate(
 
 Kernel = Callable[[Array, np.random.Generator, Array, Indices, Indices], None]
 """Takes start temperatures (runs,) along the steps: fills (outputs, runs), adds to the counts of clamps and limits."""
-
-
-def _kernel(steps: Schedule, x0: float) -> Kernel:
-    if steps.segments is not None:
-        return partial(augmented_runs, augmented_plan(steps, x0))
-    affine = affine_steps(steps)
-    if isfinite(steps.sha.max_rate):
-        return partial(_limited_runs, _limited_plan(steps, affine), steps.sha.max_rate)
-    return partial(_free_runs, _free_plan(steps, affine, x0), x0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

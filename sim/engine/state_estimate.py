@@ -13,7 +13,7 @@ import numpy as np
 from sim.effects import sensor_offset, signals_of
 from sim.engine.belief_state import Belief, Hidden
 from sim.engine.cuts import Stays, cuts
-from sim.engine.moments_augmented import DrawnMoments, MeanCourse, mean_course
+from sim.engine.moments_augmented import DrawnMoments, mean_course
 from sim.engine.plant import Plant
 from sim.engine.tables import chosen
 from sim.engine.terms import Segments
@@ -53,7 +53,38 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
         return belief
     hidden, mean, covariance = _states(belief)
     d = plant.size
-    course = _course(plant, belief, time, hidden, mean)
+    # The stretch from the belief's time to `time`, cut where effects demand it; in it nothing begins and nothing is
+    # drawn, and the range is looked at once, at its end, as a schedule does at an output.
+    place = next(row for row, location in enumerate(plant.sha.locations) if location.name == belief.location)
+    starts = tuple(np.array([] if since is None else [since]) for since in hidden.since)
+    begin, end, entry = (np.array([at]) for at in (belief.time, time, belief.entered))
+    inner = cuts(plant, Stays(begin, end, entry, np.array([place]), starts))
+    marks = np.unique(np.concatenate([[belief.time, time], inner]))
+    begins = marks[:-1]
+    n = begins.size
+    segments = Segments(
+        location=np.full(n, place),
+        time=begins,
+        age=begins - belief.entered,
+        dt=np.diff(marks),
+        offset=np.full(n, belief.offset),
+        signals={name: np.full(n, belief.signals.get(name, np.nan)) for name in signals_of(plant.sha)},
+        since=tuple(begins - (-inf if since is None else since) for since in hidden.since),
+    )
+    nothing, never = np.zeros(n), np.zeros(n, dtype=np.bool_)
+    last = never.copy()
+    last[-1] = True
+    drawn = DrawnMoments(
+        mode=np.full(n, mean[d]),
+        spread=nothing,
+        resampled=never,
+        fresh=nothing,
+        scatter=nothing,
+        entry=never,
+        checked=last,
+    )
+    course = mean_course(plant, segments, drawn, mean[:d], valve=hidden.opened)
+    # The covariance along that course, m as one more state that does not move.
     steps = chosen(course.steps, course.opened)
     for row in range(course.opened.size):
         transition = np.eye(d + 1)
@@ -113,37 +144,3 @@ def _with_states(plant: Plant, belief: Belief, mean: Array, covariance: Array, h
         mm=max(float(covariance[d, d]), 0.0),
         hidden=states,
     )
-
-
-def _course(plant: Plant, belief: Belief, time: float, hidden: Hidden, mean: Array) -> MeanCourse:
-    """The mean course from the belief's time to `time`, cut where its effects demand it."""
-    place = next(row for row, each in enumerate(plant.sha.locations) if each.name == belief.location)
-    starts = tuple(np.array([] if since is None else [since]) for since in hidden.since)
-    begin, end, entry = (np.array([at]) for at in (belief.time, time, belief.entered))
-    marks = np.unique(
-        np.concatenate([[belief.time, time], cuts(plant, Stays(begin, end, entry, np.array([place]), starts))])
-    )
-    begins = marks[:-1]
-    n = begins.size
-    segments = Segments(
-        location=np.full(n, place),
-        time=begins,
-        age=begins - belief.entered,
-        dt=np.diff(marks),
-        offset=np.full(n, belief.offset),
-        signals={name: np.full(n, belief.signals.get(name, np.nan)) for name in signals_of(plant.sha)},
-        since=tuple(begins - (-inf if since is None else since) for since in hidden.since),
-    )
-    nothing, never = np.zeros(n), np.zeros(n, dtype=np.bool_)
-    last = never.copy()
-    last[-1] = True
-    drawn = DrawnMoments(
-        mode=np.full(n, mean[-1]),
-        spread=nothing,
-        resampled=never,
-        fresh=nothing,
-        scatter=nothing,
-        entry=never,
-        checked=last,
-    )
-    return mean_course(plant, segments, drawn, mean[:-1], valve=hidden.opened)

@@ -51,9 +51,9 @@ class Mode:
     def offset(self, signals: Mapping[str, float]) -> float:
         """What `signals` add to the target (degC); one that was never read counts as at its reference."""
         total = 0.0
-        for given in self.location.flow.inputs:
-            if given.signal in signals:
-                total += given.gain * (signals[given.signal] - given.reference)
+        for driving in self.location.flow.inputs:
+            if driving.signal in signals:
+                total += driving.gain * (signals[driving.signal] - driving.reference)
         return total
 
 
@@ -93,12 +93,18 @@ def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 3
     if window < 1:
         raise ValueError(f"the anomaly test needs a window of at least 1 innovation, got {window}")
     model = in_sensor_scale(model)
+    modes = {}
+    for location in model.sha.locations:
+        step, speed = _SCALAR[location.flow.kind](location.flow.params)
+        law = drawn_temperature(location)
+        drawn = None if law is None else (distributions.mean(law), distributions.variance(law))
+        modes[location.name] = Mode(location, step, speed, mode_parameter(location), drawn)
     return Tracker(
         model=model,
-        modes={location.name: _mode(location) for location in model.sha.locations},
+        modes=modes,
         moves=transitions(model.sha),
         fallback=resync_targets(model.sha),
-        inputs=frozenset(given.signal for location in model.sha.locations for given in location.flow.inputs)
+        inputs=frozenset(driving.signal for location in model.sha.locations for driving in location.flow.inputs)
         | frozenset(signals_of(model.sha)),
         policy=policy,
         window=window,
@@ -123,13 +129,6 @@ def next_location(tracker: Tracker, location: str, symbol: str) -> tuple[str | N
     if target is not None or tracker.policy == "ignore":
         return target, target is not None
     return tracker.fallback.get(symbol, tracker.model.sha.initial), False
-
-
-def _mode(location: Location) -> Mode:
-    step, speed = _SCALAR[location.flow.kind](location.flow.params)
-    law = drawn_temperature(location)
-    drawn = None if law is None else (distributions.mean(law), distributions.variance(law))
-    return Mode(location, step, speed, mode_parameter(location), drawn)
 
 
 def _constant(p: Mapping[str, float]) -> tuple[Step, Speed]:

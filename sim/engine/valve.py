@@ -45,7 +45,7 @@ def _columns(half: Half, mode: Array) -> Iterator[tuple[float, float, float, flo
 def follow(sha: SHA, effect: Effect, steps: Iterator[Row], valve: Valve, n: int) -> tuple[Array, Array]:
     """(X after each of the n steps, part of each for which the thermostat was open); `valve` is moved on."""
     opens, closes, rate = effect.params["opens"], effect.params["closes"], sha.max_rate
-    found, parts = np.empty(n), np.zeros(n)
+    ends, parts = np.empty(n), np.zeros(n)
     for row, (closed, other, dt, fresh, checked) in enumerate(steps):
         x = valve.x if fresh != fresh else fresh  # NaN is the one number that is not itself
         valve.opened = (valve.opened and x > closes) or x >= opens
@@ -60,8 +60,8 @@ def follow(sha: SHA, effect: Effect, steps: Iterator[Row], valve: Valve, n: int)
         if checked and not sha.low <= end <= sha.high:
             end = min(max(end, sha.low), sha.high)
             valve.clamps += 1
-        found[row], parts[row], valve.x = end, share, end
-    return found, parts
+        ends[row], parts[row], valve.x = end, share, end
+    return ends, parts
 
 
 def _switching(
@@ -72,6 +72,8 @@ def _switching(
     dt: float,
 ) -> tuple[float, float]:
     """(X at the end, part of the step for which the thermostat was open) of a step in which it switches."""
+    # From threshold to threshold, with the other mode's closed form each time, until the end of the step is reached
+    # without another. The last round's end is kept even where it lies beyond: a valve that hunts so fast is cut off.
     left, opened, end = dt, 0.0, x
     for _ in range(_MOST_SWITCHES):
         wanted = limits[valve.opened]

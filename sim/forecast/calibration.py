@@ -106,48 +106,44 @@ def settle(state: Calibration, time: float, temperature: float) -> Calibration:
 
     A reading that is no number settles nothing, but time passes all the same.
     """
-    horizons = {h: _settled(one, h, time, temperature, state) for h, one in state.horizons.items()}
+    horizons = dict(state.horizons)
+    for ahead, horizon in state.horizons.items():
+        # Forecasts wait in the order of their due times, so only the head of the queue is looked at.
+        if not horizon.pending or horizon.pending[0].due > time:
+            continue
+        overdue = bisect_left(horizon.pending, time - state.tolerance, key=_due)
+        reached = bisect_right(horizon.pending, time, key=_due)
+        taken = reached if isfinite(temperature) else overdue
+        counts, worth, last = horizon.counts, horizon.worth, horizon.last
+        for waiting in horizon.pending[overdue:taken]:
+            # Overlapping forecasts err together: each is worth the part of its horizon by which it is newer than the
+            # one before. Evidence fades by that worth, not by the clock.
+            gained = min(max(waiting.due - last, 0.0) / ahead, 1.0)
+            fade = exp(-gained / state.memory)
+            faded = [count * fade for count in counts]
+            faded[int(np.searchsorted(_EDGES, deviation(waiting, temperature)))] += gained
+            counts, worth, last = tuple(faded), worth * fade + gained, max(last, waiting.due)
+        horizons[ahead] = replace(
+            horizon,
+            counts=counts,
+            worth=worth,
+            last=last,
+            pending=horizon.pending[taken:],
+            matured=horizon.matured + taken - overdue,
+            missed=horizon.missed + overdue,
+        )
     return replace(state, horizons=horizons)
-
-
-def _settled(one: Horizon, horizon: float, time: float, temperature: float, state: Calibration) -> Horizon:
-    """Forecasts wait in the order of their due times, so only the head of the queue is looked at."""
-    if not one.pending or one.pending[0].due > time:
-        return one
-    overdue = bisect_left(one.pending, time - state.tolerance, key=_due)
-    reached = bisect_right(one.pending, time, key=_due)
-    taken = reached if isfinite(temperature) else overdue
-    settled = replace(one, pending=one.pending[taken:], missed=one.missed + overdue)
-    for waiting in one.pending[overdue:taken]:
-        settled = _learned(settled, horizon, waiting, temperature, state.memory)
-    return settled
 
 
 def _due(waiting: PendingForecast) -> float:
     return waiting.due
 
 
-def _learned(one: Horizon, horizon: float, matured: PendingForecast, temperature: float, memory: float) -> Horizon:
-    """One matured forecast counted: it is worth the part of its horizon by which it is newer than the one before."""
-    worth = min(max(matured.due - one.last, 0.0) / horizon, 1.0)
-    fade = exp(-worth / memory)
-    z = deviation(matured, temperature)
-    place = int(np.searchsorted(_EDGES, z))
-    counts = [count * fade for count in one.counts]
-    counts[place] += worth
-    return replace(
-        one,
-        counts=tuple(counts),
-        worth=one.worth * fade + worth,
-        last=max(one.last, matured.due),
-        matured=one.matured + 1,
-    )
-
-
-def matured(one: Horizon, time: float, tolerance: float) -> tuple[PendingForecast, ...]:
+def matured(horizon: Horizon, time: float, tolerance: float) -> tuple[PendingForecast, ...]:
     """The forecasts that a reading at `time` settles: due by now, and not longer ago than `tolerance` seconds."""
-    first, last = bisect_left(one.pending, time - tolerance, key=_due), bisect_right(one.pending, time, key=_due)
-    return one.pending[first:last]
+    first = bisect_left(horizon.pending, time - tolerance, key=_due)
+    last = bisect_right(horizon.pending, time, key=_due)
+    return horizon.pending[first:last]
 
 
 def deviation(matured: PendingForecast, temperature: float) -> float:
@@ -161,12 +157,13 @@ def deviation(matured: PendingForecast, temperature: float) -> float:
 
 def factor(state: Calibration, horizon: float) -> float:
     """The factor for one of the state's horizons (s), between 0.2 and 10."""
-    one = state.horizons[horizon]
-    if one.worth <= 0:
-        return one.prior
-    seen = min(max(_quantile(one) / _Z90, LEAST_FACTOR), MOST_FACTOR)
-    share = one.worth / (one.worth + state.weight)
-    return _bounded(exp(share * log(seen) + (1.0 - share) * log(one.prior)))
+    learned = state.horizons[horizon]
+    if learned.worth <= 0:
+        return learned.prior
+    seen = _bounded(_quantile(learned) / _Z90)
+    # Weighed on the scale of logarithms: twice too wide and twice too narrow are equally wrong.
+    share = learned.worth / (learned.worth + state.weight)
+    return _bounded(exp(share * log(seen) + (1.0 - share) * log(learned.prior)))
 
 
 def factors(state: Calibration) -> dict[float, float]:
@@ -174,9 +171,9 @@ def factors(state: Calibration) -> dict[float, float]:
     return {horizon: factor(state, horizon) for horizon in state.horizons}
 
 
-def _quantile(one: Horizon) -> float:
+def _quantile(horizon: Horizon) -> float:
     """The 90 % quantile of z, linear in log z inside a bin."""
-    counts = np.asarray(one.counts)
+    counts = np.asarray(horizon.counts)
     total = np.cumsum(counts)
     wanted = 0.9 * total[-1]
     row = int(np.searchsorted(total, wanted))

@@ -10,7 +10,7 @@ little evidence; no weight falls below a floor, so that a member can come back.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf, isfinite, log
+from math import inf, isfinite, isnan, log
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,7 +58,7 @@ class Pool:
 
 def check_weights(weights: Sequence[float], members: int) -> None:
     """Raises ValueError unless there is one weight a member, none negative, and they sum to 1."""
-    if len(weights) != members or not all(isfinite(one) and one >= 0 for one in weights):
+    if len(weights) != members or not all(isfinite(weight) and weight >= 0 for weight in weights):
         raise ValueError(f"{members} members need {members} weights of at least 0, got {list(weights)}")
     if abs(sum(weights) - 1.0) > 1e-6:
         raise ValueError(f"the weights must sum to 1, and {list(weights)} sum to {sum(weights):g}")
@@ -81,11 +81,11 @@ def _drawn_to(pool: Pool, credits: tuple[float, ...], towards: tuple[float, ...]
     if not credits:
         return towards
     total = sum(credits) + pool.strength
-    return tuple((one + pool.strength * prior) / total for one, prior in zip(credits, towards, strict=True))
+    return tuple((credit + pool.strength * prior) / total for credit, prior in zip(credits, towards, strict=True))
 
 
 def _floored(pool: Pool, plain: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(pool.floor + (1.0 - pool.floor * pool.members) * one for one in plain)
+    return tuple(pool.floor + (1.0 - pool.floor * pool.members) * weight for weight in plain)
 
 
 def learn(pool: Pool, context: str, log_densities: Sequence[float | None], worth: float = 1.0) -> Pool:
@@ -94,7 +94,8 @@ def learn(pool: Pool, context: str, log_densities: Sequence[float | None], worth
     `worth` (0 to 1) is the part of an independent forecast that it is. Only members that had a forecast are compared:
     the credit that is shared among them is what the weights already gave them, so an absent one loses nothing by it.
     """
-    known = {place: one for place, one in enumerate(log_densities) if one is not None and one == one}
+    # A density that is no number (of a fan with a NaN in it) is no forecast either.
+    known = {place: nats for place, nats in enumerate(log_densities) if nats is not None and not isnan(nats)}
     if pool.fixed is not None or len(known) < 2 or not worth > 0:
         return pool
     fade = 0.5 ** (worth / pool.half_life)
@@ -116,9 +117,9 @@ def _credited(
     fade: float,
 ) -> tuple[float, ...]:
     """Credits faded, and `worth` shared by w_i p_i / sum w p; members without a forecast keep their weight's part."""
-    after = [fade * one for one in credits] or [0.0] * len(weights)
+    after = [fade * credit for credit in credits] or [0.0] * len(weights)
     best = max(log_densities.values())  # only ratios count, and exp of the difference does not underflow for all
-    shares = {place: weights[place] * float(np.exp(one - best)) for place, one in log_densities.items()}
+    shares = {place: weights[place] * float(np.exp(density - best)) for place, density in log_densities.items()}
     total, room = sum(shares.values()), sum(weights[place] for place in log_densities)
     for place, weight in enumerate(weights):
         after[place] += worth * (room * shares[place] / total if place in shares else weight)
@@ -145,17 +146,16 @@ class PoolEvidence:
 
 def issue_pool(evidence: PoolEvidence, horizon: float, context: str, made: Sequence[Forecast | None]) -> PoolEvidence:
     """The evidence with the members' forecasts for `horizon` (s) waiting; a single one teaches nothing."""
-    present = [one for one in made if one is not None]
+    present = [forecast for forecast in made if forecast is not None]
     if evidence.pool.fixed is not None or len(present) < 2:
         return evidence
     column = present[0].horizons.tolist().index(horizon)
-    fans = tuple(None if one is None else _fan(one, column) for one in made)
+    fans = tuple(
+        None if forecast is None else tuple(thinned(forecast, LEVELS).quantiles[:, column].tolist())
+        for forecast in made
+    )
     waiting = Awaited(present[0].time + horizon, context, fans)
     return replace(evidence, pending=(*evidence.pending, waiting))
-
-
-def _fan(made: Forecast, column: int) -> tuple[float, ...]:
-    return tuple(float(made.quantiles[made.levels.index(level), column]) for level in LEVELS)
 
 
 def settle_pool(
@@ -169,13 +169,13 @@ def settle_pool(
     if not evidence.pending or evidence.pending[0].due > time:
         return evidence
     known, pool, last = isfinite(temperature), evidence.pool, evidence.last
-    waiting = [one for one in evidence.pending if one.due >= time - tolerance]
-    for one in waiting:
-        if known and one.due <= time:
-            worth = min(max(one.due - last, 0.0) / horizon, 1.0)
-            densities = [None if fan is None else log_density(LEVELS, fan, temperature) for fan in one.fans]
-            pool, last = learn(pool, one.context, densities, worth), max(last, one.due)
-    return PoolEvidence(pool, last, tuple(one for one in waiting if one.due > time or not known))
+    waiting = [awaited for awaited in evidence.pending if awaited.due >= time - tolerance]
+    for awaited in waiting:
+        if known and awaited.due <= time:
+            worth = min(max(awaited.due - last, 0.0) / horizon, 1.0)
+            densities = [None if fan is None else log_density(LEVELS, fan, temperature) for fan in awaited.fans]
+            pool, last = learn(pool, awaited.context, densities, worth), max(last, awaited.due)
+    return PoolEvidence(pool, last, tuple(awaited for awaited in waiting if awaited.due > time or not known))
 
 
 def log_density(levels: ArrayLike, quantiles: ArrayLike, outcome: float, least: float = LEAST_WIDTH) -> float:
@@ -222,29 +222,38 @@ def mixture(forecasts: Sequence[Forecast], weights: ArrayLike, levels: tuple[flo
     Raises ValueError when the forecasts do not belong together.
     """
     first = forecasts[0]
-    for one in forecasts[1:]:
-        if one.limit != first.limit or not np.array_equal(one.horizons, first.horizons):
+    for other in forecasts[1:]:
+        if other.limit != first.limit or not np.array_equal(other.horizons, first.horizons):
             raise ValueError("only forecasts of the same horizons and limit can be mixed")
     w = np.broadcast_to(np.asarray(weights, dtype=float), (first.horizons.size, len(forecasts)))
     for row in w:
         check_weights(row.tolist(), len(forecasts))
-    columns = [
-        _mixed_quantiles([(one.levels, one.quantiles[:, h]) for one in forecasts], w[h], levels)
-        for h in range(first.horizons.size)
-    ]
+    columns, locations = [], []
+    for h, row in enumerate(w):
+        columns.append(_mixed_quantiles([(member.levels, member.quantiles[:, h]) for member in forecasts], row, levels))
+        shares: dict[str, float] = {}
+        for weight, member in zip(row.tolist(), forecasts, strict=True):
+            for name, chance in member.locations[h].items():
+                shares[name] = shares.get(name, 0.0) + weight * chance
+        locations.append({name: chance for name, chance in shares.items() if chance > 0})
+    runs = sum(member.runs for member in forecasts)
+    # The chance of having reached the limit never falls with the horizon, though the weights may differ from one to
+    # the next: the running maximum keeps it so.
+    ends = np.array([[(e.probability, e.low, e.high) for e in member.exceedance] for member in forecasts])
+    mixed = np.clip(np.maximum.accumulate(np.einsum("hm,mhe->he", w, ends), axis=0), 0.0, 1.0)
     return Forecast(
         time=first.time,
         horizons=first.horizons,
         levels=levels,
         quantiles=np.array(columns).T,
-        locations=tuple(_shares([one.locations[h] for one in forecasts], w[h]) for h in range(first.horizons.size)),
+        locations=tuple(locations),
         limit=first.limit,
-        exceedance=_exceedance(forecasts, w),
+        exceedance=tuple(Estimate(float(p), float(low), float(high), runs) for p, low, high in mixed),
         minutes_to_limit=_minutes(forecasts, w),
-        runs=sum(one.runs for one in forecasts),
-        factors=np.array([w[h] @ [one.factors[h] for one in forecasts] for h in range(first.horizons.size)]),
-        clamps=sum(one.clamps for one in forecasts),
-        cut=sum(one.cut for one in forecasts),
+        runs=runs,
+        factors=np.array([row @ [member.factors[h] for member in forecasts] for h, row in enumerate(w)]),
+        clamps=sum(member.clamps for member in forecasts),
+        cut=sum(member.cut for member in forecasts),
     )
 
 
@@ -259,7 +268,9 @@ def _mixed_quantiles(fans: Sequence[tuple[tuple[float, ...], Array]], w: Array, 
     total = np.zeros(grid.size)
     for (alpha, values), (_, weight) in zip(fences, counted, strict=True):
         total += weight * np.interp(grid, values, alpha, left=0.0, right=1.0)
-    return np.interp(levels, *_rising(total, grid))
+    # Where the distribution function stands still its inverse is not one: only the points at which it rises are kept.
+    keep = np.concatenate([[True], np.diff(total) > 0])
+    return np.asarray(np.interp(levels, total[keep], grid[keep]))
 
 
 def _with_ends(levels: tuple[float, ...], quantiles: Array) -> tuple[Array, Array]:
@@ -270,35 +281,13 @@ def _with_ends(levels: tuple[float, ...], quantiles: Array) -> tuple[Array, Arra
     return np.concatenate([[0.0], alpha, [1.0]]), np.concatenate([[low], values, [high]])
 
 
-def _rising(total: Array, grid: Array) -> tuple[Array, Array]:
-    """The points at which the distribution function rises, so that it can be inverted."""
-    keep = np.concatenate([[True], np.diff(total) > 0])
-    return total[keep], grid[keep]
-
-
-def _shares(locations: Sequence[Mapping[str, float]], w: Array) -> dict[str, float]:
-    shares: dict[str, float] = {}
-    for weight, one in zip(w.tolist(), locations, strict=True):
-        for name, chance in one.items():
-            shares[name] = shares.get(name, 0.0) + weight * chance
-    return {name: chance for name, chance in shares.items() if chance > 0}
-
-
-def _exceedance(forecasts: Sequence[Forecast], w: Array) -> tuple[Estimate, ...]:
-    """(H,) weighted means; never falling with the horizon, though the weights may differ from one to the next."""
-    ends = np.array([[(e.probability, e.low, e.high) for e in one.exceedance] for one in forecasts])
-    mixed = np.maximum.accumulate(np.einsum("hm,mhe->he", w, ends), axis=0)
-    runs = sum(one.runs for one in forecasts)
-    return tuple(Estimate(float(p), float(low), float(high), runs) for p, low, high in np.clip(mixed, 0.0, 1.0))
-
-
 def _minutes(forecasts: Sequence[Forecast], w: Array) -> tuple[float, float, float]:
     """The 5, 50 and 95 % quantiles of the time to the limit, from what the members say of it at horizons and minutes.
 
     Each member's distribution function is linear between the points known of it; weights are linear between horizons.
     """
     horizons = forecasts[0].horizons / 60.0
-    points = [_reached(one) for one in forecasts]
+    points = [_reached(member) for member in forecasts]
     clock = np.unique(np.concatenate([times for times, _ in points]))
     total = np.zeros(clock.size)
     for member, (times, chances) in enumerate(points):
@@ -307,12 +296,13 @@ def _minutes(forecasts: Sequence[Forecast], w: Array) -> tuple[float, float, flo
     return _until(clock, total, 0.05), _until(clock, total, 0.5), _until(clock, total, 0.95)
 
 
-def _reached(one: Forecast) -> tuple[Array, Array]:
+def _reached(forecast: Forecast) -> tuple[Array, Array]:
     """(minutes, chance of having reached the limit by then), both ascending."""
-    known = [(minutes, share) for minutes, share in zip(one.minutes_to_limit, (0.05, 0.5, 0.95), strict=True)]
-    known += [(h / 60.0, e.probability) for h, e in zip(one.horizons.tolist(), one.exceedance, strict=True)]
+    known = [(minutes, share) for minutes, share in zip(forecast.minutes_to_limit, (0.05, 0.5, 0.95), strict=True)]
+    known += [(h / 60.0, e.probability) for h, e in zip(forecast.horizons.tolist(), forecast.exceedance, strict=True)]
     known = sorted((minutes, share) for minutes, share in known if minutes < inf)
-    start = 1.0 if one.minutes_to_limit[2] == 0.0 else 0.0
+    # A forecast whose 95 % quantile is 0 minutes was made at the limit: nothing is to be interpolated from 0 there.
+    start = 1.0 if forecast.minutes_to_limit[2] == 0.0 else 0.0
     times, chances = np.array([(0.0, start), *known]).T
     return times, np.maximum.accumulate(chances)
 

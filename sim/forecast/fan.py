@@ -139,13 +139,17 @@ def forecast(
         # variance.
         read = done.end[rows, columns] + tracker.model.sensor_sigma * rng.standard_normal(rows.shape)
         exact = np.quantile(read, levels, axis=1)
+    counts = [np.bincount(places, minlength=len(names)).tolist() for places in steps.location[rows, columns]]
+    locations = tuple(
+        {name: float(count) / runs for name, count in zip(names, row, strict=True) if count} for row in counts
+    )
     reached = _reached(belief, steps, done, limit=limit, grid=grid, horizons=ahead, factors=factors)
     return Forecast(
         time=belief.time,
         horizons=ahead,
         levels=levels,
         quantiles=widened_fan(exact, factors, levels.index(0.5)),
-        locations=tuple(_shares(names, row) for row in steps.location[rows, columns]),
+        locations=locations,
         limit=limit,
         exceedance=tuple(clopper_pearson(float(share) * runs, runs) for share in reached[at + 1]),
         minutes_to_limit=_minutes(np.concatenate([[0.0], grid]), reached),
@@ -175,11 +179,6 @@ def _points(tracker: Tracker, horizon: float) -> int:
     return int(min(max(ceil(horizon * fastest / 0.1), LEAST_GRID), MOST_GRID))
 
 
-def _shares(names: Sequence[str], places: Array) -> dict[str, float]:
-    counts = np.bincount(places, minlength=len(names))
-    return {name: float(count) / places.size for name, count in zip(names, counts, strict=True) if count}
-
-
 def _reached(
     belief: Belief, steps: Steps, done: PathRuns, *, limit: float, grid: Array, horizons: Array, factors: Array
 ) -> Array:
@@ -199,6 +198,8 @@ def _reached(
         first, widening = (np.interp(times, horizons, factors) for times in (begins, ends))
         start = widened_runs(start, first, np.interp(begins, clock, median))
         end = widened_runs(end, widening, np.interp(ends, clock, median))
+    # A run that is below the limit at both ends of a step may have touched it in between: `survival` takes that chance
+    # from the bridge, so that what is said of the limit does not depend on how fine the grid is.
     alive = survival(start, end, steps, limit, widening)
     at_start = float(np.mean(start[0] >= limit))
     return np.concatenate([[at_start], 1.0 - alive[steps.marks, columns].mean(axis=1)])
@@ -232,6 +233,8 @@ def _known_future(
     index = {location.name: row for row, location in enumerate(tracker.model.sha.locations)}
     stays = [(0.0, index[belief.location])]
     spread = np.asarray(ndtri(levels))
+    # The belief itself is carried forward, event by event and horizon by horizon: with the events known it stays a
+    # Gaussian, and its quantiles are exact where runs would only sample them.
     columns, coming, ahead = [], sorted(events, key=lambda event: event.time), belief
     for horizon in horizons.tolist():
         while coming and coming[0].time <= belief.time + horizon:

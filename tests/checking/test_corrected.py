@@ -66,6 +66,10 @@ def trace_of(model: Model) -> Trace:
 
 def starts(model: Model) -> dict[str, Start]:
     """Every start that there is, known events and unknown ones."""
+    return SENSOR_STARTS if model is SENSOR else PLAIN_STARTS
+
+
+def starts_of(model: Model) -> dict[str, Start]:
     trace = trace_of(model)
     return {
         "initial": initial(model),
@@ -74,6 +78,9 @@ def starts(model: Model) -> dict[str, Start]:
         "belief": believed(model, trace, 100.0),
         "belief along the trace": believed(model, trace, 100.0, recorded=True),
     }
+
+
+PLAIN_STARTS, SENSOR_STARTS = starts_of(PLAIN), starts_of(SENSOR)
 
 
 def paths(at: "dict[float, float]") -> list[Path]:

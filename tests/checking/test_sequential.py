@@ -126,12 +126,12 @@ def test_the_rule_stops_at_the_first_run_where_the_interval_is_narrow(
     rule: Callable[..., RuleOutcome], p: float
 ) -> None:
     interval = one_or_two_sided if rule is to_half_width else mixture_interval
-    outcomes = coin(p, 3)(6000)
-    counts = np.arange(1, 6001)
+    outcomes = coin(p, 3)(3000)
+    counts = np.arange(1, 3001)
     low, high = interval(np.cumsum(outcomes), counts, 0.95)
-    first = int(np.flatnonzero(high - low <= 0.06)[0])
-    for batch in (1, 7, 1000, 6000):
-        found = rule(given(outcomes), 0.03, batch=batch)
+    first = int(np.flatnonzero(high - low <= 0.1)[0])
+    for batch in (1, 7, 1000, 3000):
+        found = rule(given(outcomes), 0.05, batch=batch)
         assert found.estimate.runs == first + 1
         assert (found.estimate.low, found.estimate.high) == (low[first], high[first])
 

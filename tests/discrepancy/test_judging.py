@@ -19,7 +19,7 @@ from tests.discrepancy.plants import model, plant
 
 @pytest.fixture(scope="module")
 def base() -> Fitted:
-    record = record_of(model(), [plant(3, pump=2e-4)], ("MarciaPmpFango",))
+    record = record_of(model(), [plant(3, days=2, pump=2e-4)], ("MarciaPmpFango",))
     return fit(on(frame_of(record), record))
 
 
@@ -29,14 +29,18 @@ def confirmed(base: Fitted, name: str) -> NamingStep:
     return replace(found, evidence=(confirm(base, found.best),))
 
 
+@pytest.fixture(scope="module")
+def pumped(base: Fitted) -> NamingStep:
+    return confirmed(base, "pump-cooling")
+
+
 @pytest.mark.parametrize(("gain", "removed", "withheld"), [(30.0, -0.1, True), (30.0, 0.1, False), (50.0, -0.1, False)])
 def test_a_clear_gap_must_shrink_unless_the_gain_is_clear(
-    base: Fitted, gain: float, removed: float, withheld: bool
+    base: Fitted, pumped: NamingStep, gain: float, removed: float, withheld: bool
 ) -> None:
-    one = confirmed(base, "pump-cooling")
-    best = one.evidence[0]
+    best = pumped.evidence[0]
     assert best.fitted is not None
-    found = NamingResult(base, best.fitted, ((replace(one, evidence=(replace(best, gain=gain),)), ""),))
+    found = NamingResult(base, best.fitted, ((replace(pumped, evidence=(replace(best, gain=gain),)), ""),))
     record = by_cycles(base.frame.record)
     held = HeldOutProof(5, 0.5, 0.5, 0.2, removed, (-1.0, 1.0), ())
     reasons = doubts(
@@ -47,7 +51,7 @@ def test_a_clear_gap_must_shrink_unless_the_gain_is_clear(
 
 
 def test_heat_is_not_judged_where_a_change_is_on_its_way_through_a_dead_time() -> None:
-    trace = plant(3, days=2)
+    trace = plant(3, days=1)
     read = trace.signals["T"]
     late = replace(trace, signals={**trace.signals, "T": np.concatenate([np.full(8, read[0]), read[:-8]])})
     record = record_of(model(), [late], ())

@@ -27,7 +27,7 @@ def test_twins_within_a_hundredth_of_the_gain_are_a_class_and_rivals_are_not() -
 @pytest.mark.slow
 def test_a_name_that_adds_nothing_beside_the_others_is_dropped_and_the_others_stay() -> None:
     present = {"pump": "MarciaPmpFango"}
-    record = record_of(model(), [plant(3, pump=2e-4)], tuple(present.values()))
+    record = record_of(model(), [plant(3, days=2, pump=2e-4)], tuple(present.values()))
     base = fit(on(frame_of(record), record))
     superfluous = step(base, [one for one in catalogue() if one.name == "startup-churning"], present, 0)
     assert superfluous.best is not None

@@ -1,6 +1,7 @@
 """One effect on one record through every engine that executes it: the fit of a diagnosis and four of the automaton."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -19,7 +20,13 @@ from sim.sha.events import Alphabet, Bins, Switch
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Array, Event, Trace
 from sim.uppaal.model_export import export
+from tests.sha.effect_reference import EFFECTS as EXAMPLES
 from tests.uppaal.support import courses, middle
+
+FIT: dict[str, float] = {"thermostatic-cooling": 3.3, "sensor-lag": 0.09}
+"""degC by which the fit's course differs at most, where it is more than 0.03: it holds a law over a step of the record.
+Thermostats that cycle lose step with one another, and then differ by their hysteresis; a lag is late by half a step."""
+LEARNERS = ("bins", "lsha", "own names")
 
 ALPHABET = Alphabet((Switch("on", "W_ON", "W_OFF"), Bins("I", (120.0,), ("A_0", "A_1"))), gap=600.0)
 LENGTH, STEP = 2400.0, 0.5
@@ -53,6 +60,7 @@ def location(name: str, which: str) -> Location:
     return Location(name, Flow("exponential", {"k": k, "noise": 0.0}), law)
 
 
+@cache
 def model_of(learner: str) -> Model:
     """The same plant as the learners write it: a product of contexts, classes of words, or names of somebody's own.
 
@@ -76,6 +84,7 @@ def model_of(learner: str) -> Model:
     return Model(SHA("small", places, tuple(edges), rest), ALPHABET, "T", 0.1)
 
 
+@cache
 def trace_of(first: float = 0.0) -> Trace:
     """The record: at rest, running low and high, at rest again; signals that change every 100 s, read from `first`."""
     rng = np.random.default_rng(3)
@@ -153,3 +162,31 @@ def exported(model: Model, trace: Trace) -> tuple[Array, Array]:
     _, seen = courses(made.main.xml, made.replay.duration, middle, most=1.0)
     times = sorted({*made.replay.times, made.replay.duration} & set(seen))
     return np.array(times), np.array([float(np.mean(seen[time])) for time in times])
+
+
+@cache
+def plain_course(learner: str, first: float) -> Array:
+    """(n,) the mean course without any effect."""
+    return automaton(model_of(learner), trace_of(first))
+
+
+def check_one_course(name: str, learner: str, first: float) -> None:
+    """Asserts that the example `name` has one course in all engines; its signals are read from `first` (s) on."""
+    (example,) = EXAMPLES[name]
+    one = named(example.kind, dict(example.signals), dict(example.params))
+    plain, trace = model_of(learner), trace_of(first)
+    model = with_effects(plain, one)
+    assert len(model.sha.effects) == 1
+    expected = automaton(model, trace)
+    assert np.abs(expected - plain_course(learner, first)).max() > 0.2, "the effect must be seen"
+    np.testing.assert_allclose(fitted(plain, one, trace), expected, atol=FIT.get(example.kind, 0.03))
+    exact = 5e-4 if example.kind == "radiation-loss" else 1e-4  # a tangent that is taken once a segment
+    np.testing.assert_allclose(filtered(model, trace), expected, atol=exact)
+    np.testing.assert_allclose(sampled(model, trace), expected, atol=exact)
+    times, read = exported(model, trace)
+    native = open_loop(model, trace, "resync")
+    rows = np.searchsorted(native.times, times + 1e-5) - 1
+    near = np.abs(native.times[rows] - times) < 1e-4  # a dead time's events lie between the rows
+    assert near.any()
+    bound = 0.05 if example.kind == "thermostatic-cooling" else 2e-3
+    np.testing.assert_allclose(read[near], native.mean[rows][near], atol=bound)

@@ -11,7 +11,7 @@ from sim.effects import heating, kind
 from sim.effects.kinds import EFFECTS
 from sim.engine.moment_equations import moments
 from sim.engine.schedules import schedule
-from tests.effects.test_one_law import LEARNERS, test_all_engines_have_one_course
+from tests.effects.engines import LEARNERS, check_one_course
 from tests.sha import effect_reference
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -44,7 +44,7 @@ def test_the_pages_kind_follows_its_written_equation(added: str) -> None:
 
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_every_engine_takes_it_from_the_row(added: str, learner: str) -> None:
-    test_all_engines_have_one_course(added, learner, 0.0)
+    check_one_course(added, learner, 0.0)
 
 
 def test_the_table_of_the_docs_is_the_table_of_the_program() -> None:

@@ -92,14 +92,15 @@ def _passage(
     density = np.zeros(clock.size)
     width = np.diff(clock)
     weight = 0.5 * (np.append(width, 0.0) + np.append(0.0, width))
+    # The first term needs no density, so all rows have it at once.
+    free = -2.0 * _kernel(clock[1:], curve[1:], slope[1:], np.zeros(1), np.zeros(1))
     for j in range(1, clock.size):
-        free = -2.0 * _kernel(clock[j], curve[j], slope[j], np.zeros(1), np.zeros(1))[0]
         inner = _kernel(clock[j], curve[j], slope[j], curve[1:j], clock[1:j])
-        density[j] = free + 2.0 * float(np.dot(density[1:j] * weight[1:j], inner))
+        density[j] = free[j - 1] + 2.0 * float(np.dot(density[1:j] * weight[1:j], inner))
     return float(np.dot(density, weight))
 
 
-def _kernel(r: float, s: float, slope: float, y: Array, q: Array) -> Array:
+def _kernel(r: float | Array, s: float | Array, slope: float | Array, y: Array, q: Array) -> Array:
     ahead, rise = r - q, s - y
     normal = np.exp(-0.5 * rise * rise / ahead) / np.sqrt(2.0 * np.pi * ahead)
     return np.asarray(0.5 * (slope - rise / ahead) * normal)

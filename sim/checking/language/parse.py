@@ -5,7 +5,7 @@ error can say it. Limits on times and runs are checked here too.
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import pairwise
@@ -45,12 +45,12 @@ class Scope:
 
 def scope_of(sha: SHA, temperature: str) -> Scope:
     """The scope of an automaton. A location called like the temperature's signal keeps the name for itself."""
-    given = identifiers([location.name for location in sha.locations])
-    locations = {identifier: name for name, identifier in given.items()}
+    ids = identifiers([location.name for location in sha.locations])
+    locations = {identifier: name for name, identifier in ids.items()}
     quantities = dict(QUANTITIES)
     if temperature not in locations:
         quantities.setdefault(temperature, "temperature")
-    return Scope(quantities, locations, frozenset(given))
+    return Scope(quantities, locations, frozenset(ids))
 
 
 def parse_query(text: str, model: Model | SHA, temperature: str = "Temp") -> q.Query:
@@ -60,28 +60,37 @@ def parse_query(text: str, model: Model | SHA, temperature: str = "Temp") -> q.Q
     Raises QueryError (a ValueError) with the column, what stands there and what would be right.
     """
     sha, name = (model.sha, model.temperature) if isinstance(model, Model) else (model, temperature)
-    scope, form = scope_of(sha, name), _only(syntax(text))
-    if form.data == "simulation":
-        return _simulation(form, text, scope)
-    return _QUERIES[str(form.data)](form, scope)
-
-
-def _estimate(tree: Node, scope: Scope) -> q.Query:
-    return _probability(_only(tree), scope)
-
-
-def _hypothesis(tree: Node, scope: Scope) -> q.Query:
-    question, sign, number = tree.children
-    p = _number(cast(Node, number))
-    if not 0.0 <= p <= 1.0:
-        raise at(cast(Node, number).meta, f"{p:g} is no probability; write one from 0 to 1, such as 0.9")
-    return q.Hypothesis(_probability(cast(Node, question), scope), "<=" if _type(sign) == "LE" else ">=", p)
-
-
-def _comparison(tree: Node, scope: Scope) -> q.Query:
-    left, right = (_probability(part, scope) for part in _trees(tree))
-    # Only >= is kept: `a <= b` asks the same as `b >= a`.
-    return q.PairedComparison(right, left) if _type(tree.children[1]) == "LE" else q.PairedComparison(left, right)
+    scope, form = scope_of(sha, name), cast(Node, syntax(text).children[0])
+    match form.data:
+        case "estimate":
+            return _probability(cast(Node, form.children[0]), scope)
+        case "hypothesis":
+            question, sign, number = form.children
+            p = _number(cast(Node, number))
+            if not 0.0 <= p <= 1.0:
+                raise at(cast(Node, number).meta, f"{p:g} is no probability; write one from 0 to 1, such as 0.9")
+            return q.Hypothesis(_probability(cast(Node, question), scope), "<=" if _type(sign) == "LE" else ">=", p)
+        case "comparison":
+            left, right = (_probability(part, scope) for part in _trees(form))
+            # Only >= is kept: `a <= b` asks the same as `b >= a`.
+            at_most = _type(form.children[1]) == "LE"
+            return q.PairedComparison(right, left) if at_most else q.PairedComparison(left, right)
+        case "expectation":
+            _, bounds, extreme, expression = form.children
+            bound, runs = _bounds(cast(Node, bounds))
+            if runs is None:
+                raise at(cast(Node, bounds).meta, f"the mean of how many runs? write E[<={bound:g}; 1000](...)")
+            value = _expression(cast(Node, expression), scope)
+            return q.Expectation(bound, runs, "max" if extreme == "max" else "min", value)
+        case "simulation":
+            return _simulation(form, text, scope)
+        case "leads_to":
+            cause, effect = (_formula(part, replace(scope, symbolic=True)) for part in _trees(form))
+            return q.Symbolic("-->", cause, effect)
+    who, what, inner = form.children
+    kind = ("E" if _type(who) == "EXISTS" else "A") + ("<>" if _type(what) == "DIAMOND" else "[]")
+    formula = _formula(cast(Node, inner), replace(scope, symbolic=True))
+    return q.Symbolic(cast(Literal["E<>", "E[]", "A<>", "A[]"], kind), formula)
 
 
 def _probability(tree: Node, scope: Scope) -> q.Probability:
@@ -93,10 +102,10 @@ def _probability(tree: Node, scope: Scope) -> q.Probability:
     if path.data == "response" or not any(part.data == "interval" for part in _trees(path)):
         raise at(path.meta, "how long is a run? write Pr[<=444](...)")
     # UPPAAL's MITL form: the interval says how long.
-    found = cast("q.Eventually | q.Always | q.Until", _path(path, None, scope))
-    if not found.span.high > 0:
+    own = cast("q.Eventually | q.Always | q.Until", _path(path, None, scope))
+    if not own.span.high > 0:
         raise at(path.meta, "the interval ends at 0, which leaves no time to look at; write one such as [0,60]")
-    return q.Probability(found.span.high, found)
+    return q.Probability(own.span.high, own)
 
 
 def _path(tree: Node, bound: float | None, scope: Scope) -> q.Path:
@@ -148,15 +157,6 @@ def _runs(tree: Node) -> int:
     return int(written)
 
 
-def _expectation(tree: Node, scope: Scope) -> q.Query:
-    _, bounds, extreme, expression = tree.children
-    bound, runs = _bounds(cast(Node, bounds))
-    if runs is None:
-        raise at(cast(Node, bounds).meta, f"the mean of how many runs? write E[<={bound:g}; 1000](...)")
-    value = _expression(cast(Node, expression), scope)
-    return q.Expectation(bound, runs, "max" if extreme == "max" else "min", value)
-
-
 def _simulation(tree: Node, text: str, scope: Scope) -> q.Query:
     numbers = [part for part in _trees(tree) if part.data == "number"]
     bounds = next(part for part in _trees(tree) if part.data == "bounds")
@@ -171,138 +171,96 @@ def _simulation(tree: Node, text: str, scope: Scope) -> q.Query:
     return q.Simulation(bound, _runs(numbers[0]) if numbers else runs or 1, expressions, tuple(written))
 
 
-def _symbolic(tree: Node, scope: Scope) -> q.Query:
-    who, what, inner = tree.children
-    kind = ("E" if _type(who) == "EXISTS" else "A") + ("<>" if _type(what) == "DIAMOND" else "[]")
-    formula = _formula(cast(Node, inner), replace(scope, symbolic=True))
-    return q.Symbolic(cast(Literal["E<>", "E[]", "A<>", "A[]"], kind), formula)
-
-
-def _leads_to(tree: Node, scope: Scope) -> q.Query:
-    cause, effect = (_formula(part, replace(scope, symbolic=True)) for part in _trees(tree))
-    return q.Symbolic("-->", cause, effect)
-
-
 def _formula(tree: Node, scope: Scope) -> q.Formula:
     """A condition. Raises QueryError for a number."""
-    make = _FORMULAS.get(str(tree.data))
-    if make is None:
-        _expression(tree, scope)  # a location's own name without quotes reads like a difference: unknown names go first
-        raise at(tree.meta, "a number stands where a condition is needed; compare it, as in Temp > 80")
-    return make(tree, scope)
-
-
-def _chain(tree: Node, scope: Scope) -> q.Formula:
-    """`a && b && c` and `a || b imply c`, from the left."""
-    total = _formula(cast(Node, tree.children[0]), scope)
-    for sign, part in zip(tree.children[1::2], tree.children[2::2], strict=True):
-        right = _formula(cast(Node, part), scope)
-        if _type(sign) == "AND":
-            total = q.Both(total, right)
-        else:
-            total = q.Either(q.Not(total) if _type(sign) == "IMPLY" else total, right)
-    return total
-
-
-def _relation(tree: Node, scope: Scope) -> q.Formula:
-    left, sign, right, *more = tree.children
-    if more:
-        raise at(cast(Token, more[0]), f"found a second comparison {str(more[0])!r}; write a < b && b < c")
-    if cast(Node, left).data == "negation":
-        raise at(tree.meta, "'!' and 'not' bind tighter than a comparison; write !(a > b)")
-    return q.Compare(
-        _COMPARISONS[_type(sign)], _expression(cast(Node, left), scope), _expression(cast(Node, right), scope)
-    )
-
-
-def _negation(tree: Node, scope: Scope) -> q.Formula:
-    return q.Not(_formula(cast(Node, tree.children[1]), scope))
-
-
-def _truth(tree: Node, scope: Scope) -> q.Formula:
-    return q.Constant(_type(tree.children[0]) == "TRUE")
-
-
-def _deadlock(tree: Node, scope: Scope) -> q.Formula:
-    if not scope.symbolic:
-        raise at(
-            tree.meta,
-            "deadlock is a matter of the automaton, not of a run; ask E<> deadlock or A[] !deadlock",
-        )
-    return q.Deadlock()
-
-
-def _own_name(tree: Node, scope: Scope) -> q.Formula:
-    token = cast(Token, tree.children[0])
-    written = str(token).removeprefix("at").strip()
-    name = re.sub(r"\\(.)", r"\1", written[1:-1])
-    if name not in scope.own:
-        raise at(token, f"no location is called {shown(name)!r}; {_suggestion(name, sorted(scope.own))}")
-    return q.At(name)
-
-
-def _place(tree: Node, scope: Scope) -> q.Formula:
-    token = cast(Token, tree.children[0])
-    name = _unqualified(token)
-    if name in scope.locations:
-        return q.At(scope.locations[name])
-    if name in scope.quantities:
-        raise at(token, f"{token} is a number and a condition is needed; compare it, as in {token} > 80")
-    raise _unknown(token, name, scope)
+    match tree.data:
+        case "conjunction" | "disjunction":  # `a && b && c` and `a || b imply c`, from the left
+            total = _formula(cast(Node, tree.children[0]), scope)
+            for sign, part in zip(tree.children[1::2], tree.children[2::2], strict=True):
+                following = _formula(cast(Node, part), scope)
+                if _type(sign) == "AND":
+                    total = q.Both(total, following)
+                else:
+                    total = q.Either(q.Not(total) if _type(sign) == "IMPLY" else total, following)
+            return total
+        case "relation":
+            left, sign, right, *more = tree.children
+            if more:
+                raise at(cast(Token, more[0]), f"found a second comparison {str(more[0])!r}; write a < b && b < c")
+            if cast(Node, left).data == "negation":
+                raise at(tree.meta, "'!' and 'not' bind tighter than a comparison; write !(a > b)")
+            first, second = (_expression(cast(Node, side), scope) for side in (left, right))
+            return q.Compare(_COMPARISONS[_type(sign)], first, second)
+        case "negation":
+            return q.Not(_formula(cast(Node, tree.children[1]), scope))
+        case "truth":
+            return q.Constant(_type(tree.children[0]) == "TRUE")
+        case "deadlock":
+            if not scope.symbolic:
+                wanted = "ask E<> deadlock or A[] !deadlock"
+                raise at(tree.meta, f"deadlock is a matter of the automaton, not of a run; {wanted}")
+            return q.Deadlock()
+        case "own_name":
+            token = cast(Token, tree.children[0])
+            written = str(token).removeprefix("at").strip()
+            name = re.sub(r"\\(.)", r"\1", written[1:-1])
+            if name not in scope.own:
+                raise at(token, f"no location is called {shown(name)!r}; {_suggestion(name, sorted(scope.own))}")
+            return q.At(name)
+        case "name":
+            token = cast(Token, tree.children[0])
+            name = _unqualified(token)
+            if name in scope.locations:
+                return q.At(scope.locations[name])
+            if name in scope.quantities:
+                raise at(token, f"{token} is a number and a condition is needed; compare it, as in {token} > 80")
+            raise _unknown(token, name, scope)
+    _expression(tree, scope)  # a location's own name without quotes reads like a difference: unknown names go first
+    raise at(tree.meta, "a number stands where a condition is needed; compare it, as in Temp > 80")
 
 
 def _expression(tree: Node, scope: Scope) -> q.Expression:
     """A number at each instant. Raises QueryError for a condition."""
-    make = _EXPRESSIONS.get(str(tree.data))
-    if make is None and scope.courses:
+    match tree.data:
+        case "sum" | "product":
+            total = _expression(cast(Node, tree.children[0]), scope)
+            for sign, part in zip(tree.children[1::2], tree.children[2::2], strict=True):
+                right = _expression(cast(Node, part), scope)
+                if _type(sign) == "OVER" and right == q.Number(0.0):
+                    raise at(cast(Node, part).meta, "a division by zero; correct the divisor")
+                total = q.Operation(_ARITHMETIC[_type(sign)], total, right)
+            return total
+        case "minus":
+            inner = _expression(cast(Node, tree.children[1]), scope)
+            # A negative number is a number, so that it is printed, and read back, as one.
+            return q.Number(-inner.value) if isinstance(inner, q.Number) else q.Operation("-", q.Number(0.0), inner)
+        case "plus":
+            return _expression(cast(Node, tree.children[1]), scope)
+        case "literal":
+            value = float(cast(Token, tree.children[0]))
+            if not isfinite(value):
+                text = shown(str(tree.children[0]))
+                raise at(tree.meta, f"{text} is beyond what a number can be; write a finite one")
+            return q.Number(value)
+        case "name":
+            token = cast(Token, tree.children[0])
+            name = _unqualified(token)
+            if name in scope.locations and scope.courses:
+                return q.Indicator(q.At(scope.locations[name]))
+            if name in scope.locations:
+                raise at(token, f"{token} is a location and a number is needed: Temp, time, age, or a sum of such")
+            if name not in scope.quantities:
+                raise _unknown(token, name, scope)
+            if scope.symbolic:
+                raise at(
+                    token,
+                    f"{token} changes continuously, and over that nothing is decided symbolically; ask Pr[<=T](...), "
+                    "or `decanter model verify` for a bound under any events",
+                )
+            return q.Quantity(scope.quantities[name])
+    if scope.courses:
         return q.Indicator(_formula(tree, replace(scope, courses=False)))
-    if make is None:
-        raise at(tree.meta, "a condition stands where a number is needed: Temp, time, age, or a sum of such")
-    return make(tree, scope)
-
-
-def _arithmetic(tree: Node, scope: Scope) -> q.Expression:
-    total = _expression(cast(Node, tree.children[0]), scope)
-    for sign, part in zip(tree.children[1::2], tree.children[2::2], strict=True):
-        right = _expression(cast(Node, part), scope)
-        if _type(sign) == "OVER" and right == q.Number(0.0):
-            raise at(cast(Node, part).meta, "a division by zero; correct the divisor")
-        total = q.Operation(_ARITHMETIC[_type(sign)], total, right)
-    return total
-
-
-def _minus(tree: Node, scope: Scope) -> q.Expression:
-    inner = _expression(cast(Node, tree.children[1]), scope)
-    return q.Number(-inner.value) if isinstance(inner, q.Number) else q.Operation("-", q.Number(0.0), inner)
-
-
-def _plus(tree: Node, scope: Scope) -> q.Expression:
-    return _expression(cast(Node, tree.children[1]), scope)
-
-
-def _literal(tree: Node, scope: Scope) -> q.Expression:
-    value = float(cast(Token, tree.children[0]))
-    if not isfinite(value):
-        raise at(tree.meta, f"{shown(str(tree.children[0]))} is beyond what a number can be; write a finite one")
-    return q.Number(value)
-
-
-def _quantity(tree: Node, scope: Scope) -> q.Expression:
-    token = cast(Token, tree.children[0])
-    name = _unqualified(token)
-    if name in scope.locations and scope.courses:
-        return q.Indicator(q.At(scope.locations[name]))
-    if name in scope.locations:
-        raise at(token, f"{token} is a location and a number is needed: Temp, time, age, or a sum of such")
-    if name not in scope.quantities:
-        raise _unknown(token, name, scope)
-    if scope.symbolic:
-        raise at(
-            token,
-            f"{token} changes continuously, and over that nothing is decided symbolically; ask Pr[<=T](...), or "
-            "`decanter model verify` for a bound under any events",
-        )
-    return q.Quantity(scope.quantities[name])
+    raise at(tree.meta, "a condition stands where a number is needed: Temp, time, age, or a sum of such")
 
 
 def _unqualified(token: Token) -> str:
@@ -323,13 +281,13 @@ def _unknown(token: Token, name: str, scope: Scope) -> QueryError:
 def _suggestion(name: str, known: Sequence[str]) -> str:
     """The names that were probably meant, or the first of all."""
     folded: dict[str, str] = {}
-    for one in known:  # of names that differ in case alone the first is proposed
-        folded.setdefault(one.casefold(), one)
-    begins = [one for low, one in folded.items() if low.startswith(name.casefold())]
+    for candidate in known:  # of names that differ in case alone the first is proposed
+        folded.setdefault(candidate.casefold(), candidate)
+    begins = [candidate for low, candidate in folded.items() if low.startswith(name.casefold())]
     close = [folded[low] for low in get_close_matches(name.casefold(), folded, 3)]
-    found = list(dict.fromkeys(begins + close))[:3]
-    if found:
-        return f"did you mean {' or '.join(found)}?"
+    meant = list(dict.fromkeys(begins + close))[:3]
+    if meant:
+        return f"did you mean {' or '.join(meant)}?"
     return f"known are {', '.join(known[:8])}{' and others' if len(known) > 8 else ''}"
 
 
@@ -338,47 +296,9 @@ def _number(tree: Node) -> float:
     return sign * float(cast(Token, tree.children[-1]))
 
 
-def _only(tree: Node) -> Node:
-    return cast(Node, tree.children[0])
-
-
 def _trees(tree: Node) -> Sequence[Node]:
     return [child for child in tree.children if isinstance(child, Tree)]
 
 
 def _type(child: Token | Node) -> str:
     return cast(Token, child).type
-
-
-_QUERIES: Mapping[str, Callable[[Node, Scope], q.Query]] = MappingProxyType(
-    {
-        "estimate": _estimate,
-        "hypothesis": _hypothesis,
-        "comparison": _comparison,
-        "expectation": _expectation,
-        "symbolic": _symbolic,
-        "leads_to": _leads_to,
-    }
-)
-_FORMULAS: Mapping[str, Callable[[Node, Scope], q.Formula]] = MappingProxyType(
-    {
-        "disjunction": _chain,
-        "conjunction": _chain,
-        "relation": _relation,
-        "negation": _negation,
-        "truth": _truth,
-        "deadlock": _deadlock,
-        "own_name": _own_name,
-        "name": _place,
-    }
-)
-_EXPRESSIONS: Mapping[str, Callable[[Node, Scope], q.Expression]] = MappingProxyType(
-    {
-        "sum": _arithmetic,
-        "product": _arithmetic,
-        "minus": _minus,
-        "plus": _plus,
-        "literal": _literal,
-        "name": _quantity,
-    }
-)

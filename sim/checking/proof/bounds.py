@@ -58,12 +58,12 @@ class Bounds:
     @property
     def grows(self) -> bool:
         """Whether the temperature has no bound on some side."""
-        return any(one.grows for one in self.escapes)
+        return any(escape.grows for escape in self.escapes)
 
     @property
     def excess(self) -> float:
         """degC by which the range is left at most; 0 where it is proven."""
-        return max((abs(one.reach - (self.high if one.up else self.low)) for one in self.escapes), default=0.0)
+        return max((abs(way.reach - (self.high if way.up else self.low)) for way in self.escapes), default=0.0)
 
 
 def find_bounds(
@@ -84,8 +84,8 @@ def find_bounds(
     rooms = envelopes(model, assumptions, onward)
     start = start_range(model, assumptions, low, high)
     if doubt is not None:
-        given = model.initial if assumptions.start is None else None
-        start = start if given is None else (mean(given), mean(given))
+        law = model.initial if assumptions.start is None else None
+        start = start if law is None else (mean(law), mean(law))
         places = zip(rooms, model.sha.locations, strict=True)
         rooms = tuple(_kindest(room, location, (low, high), doubt) for room, location in places)
     graph = make_graph(rooms, onward, model.sha.initial, model.sha.max_rate)
@@ -99,7 +99,7 @@ def find_bounds(
     ]
     settled = upper.settled and lower.settled
     verdict: Verdict = "proven" if settled and not escapes else "not decided"
-    if any(one.word is not None for one in escapes):
+    if any(way.word is not None for way in escapes):
         verdict = "refuted"
     readings = {name: (x[0] + least, x[1] + most) for name, x in intervals(graph, upper, lower).items()}
     if of_feature(model.sha, "sensor lag") or dead_time(model.sha):
@@ -129,20 +129,22 @@ def _bound(graph: Graph, start: float, *, up: bool) -> tuple[Side, Bound]:
     """
     sign = 1.0 if up else -1.0
     side = side_of(graph, up=up)
-    found = climb(side, sign * start)
+    highest = climb(side, sign * start)
     if not any(room.forcing is not None and room.forcing.coupling for room in graph.envelopes):
-        return side, found
-    reach = float(found.peak.max())
+        return side, highest
+    # An inductive argument: if all temperatures stay below `reach` with a housing at `reach`, the housing, which is a
+    # moving average of them, cannot be the first to pass it.
+    reach = float(highest.peak.max())
     for _ in range(_ROUNDS):
         if isinf(reach):
-            return side, found
+            return side, highest
         side = side_of(graph, up=up, housing=sign * reach)
-        found = climb(side, sign * start)
-        beyond = float(found.peak.max()) - reach
+        highest = climb(side, sign * start)
+        beyond = float(highest.peak.max()) - reach
         if beyond <= 0.0:
-            return side, found
+            return side, highest
         reach += 1.5 * beyond + 1e-9  # farther than asked for: the exact step would come near in ever smaller ones
-    return side, replace(found, settled=False)
+    return side, replace(highest, settled=False)
 
 
 def _kindest(room: Envelope, location: Location, within: Range, doubt: float) -> Envelope:
@@ -177,6 +179,8 @@ def _nearest(room: Envelope, middle: float, border: float, doubt: float, *, up: 
 
     if not beyond(middle):
         return middle
+    # Where X settles moves one way with m, so that `beyond` changes at most once on the way from the mean to `end`; 50
+    # halvings leave less of the way than a temperature's digits show.
     for _ in range(50):
         half = 0.5 * (middle + end)
         middle, end = (half, end) if beyond(half) else (middle, half)
@@ -190,8 +194,9 @@ def _escape(model: Model, side: Side, bound: Bound, *, start: float, within: Ran
     reach = side.sign * float(np.max(bound.peak)) + shift
     bare = side_of(side.graph, up=up)  # a housing as hot as can be would lead ways that no run can go
     word = escape(bare, side.sign * start, side.sign * (within[int(up)] - shift))
-    for one in () if word is None else variants(model, side.graph, word, worn_for(assumptions)):
-        read = parse_word(word_text(one))
+    # Through the text and back: what is shown has 12 digits, and it is those that must leave the range.
+    for variant in () if word is None else variants(model, side.graph, word, worn_for(assumptions)):
+        read = parse_word(word_text(variant))
         try:
             visit = replay(model, read, assumptions.policy).leaves(*within)
         except ValueError:

@@ -78,13 +78,13 @@ def _way_out(side: Side, start: float, border: float) -> list[tuple[int, str]]:
         if peaks[best] > border:
             # Back along the moves by which each round improved a location; a location that a round left alone (-1) was
             # as good one event earlier.
-            place, found = best, list[tuple[int, str]]()
+            place, stays = best, list[tuple[int, str]]()
             for rows in reversed(ways):
                 move = int(rows[place])
                 if move >= 0:
-                    found.append((place, graph.symbol[move]))
+                    stays.append((place, graph.symbol[move]))
                     place = int(graph.source[move])
-            return [(place, ""), *reversed(found)]
+            return [(place, ""), *reversed(stays)]
         # Where the pace of the last stays does not lead to the border, the rest would be followed for nothing.
         if number % _PACE == _PACE - 1:
             if (peaks[best] - highest) * (MOST_STAYS - number) / _PACE < border - peaks[best]:
@@ -126,6 +126,7 @@ def _finite(side: Side, patience: float, longest: float) -> Side:
 
 
 def _along(side: Side, finite: Side, path: list[tuple[int, str]], start: float, border: float) -> TimedWord | None:
+    """The word along a path, each stay as long as drives it farther; None where that does not lead out."""
     x, time, steps = start, 0.0, list[WordStep]()
     for number, (place, symbol) in enumerate(path):
         fresh = float(side.fresh[place])
@@ -157,6 +158,7 @@ def _crossing(side: Side, place: int, x: float, border: float) -> float | None:
         high *= 2.0
         if high > _FOREVER:
             return None
+    # Doubled until it is outside, then halved: the side's course is monotone, so the crossing is bracketed.
     low, high = 0.0, min(high, most)
     for _ in range(60):  # more than the bits of a float's mantissa
         middle = 0.5 * (low + high)

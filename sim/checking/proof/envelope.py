@@ -98,13 +98,16 @@ class Envelope:
         side = int(up)
         if self.forcing is not None:
             return self.m[side], dict(self.forcing.signals[side])
-        signals = {one.signal: self.inputs[one.signal][side if one.gain > 0 else 1 - side] for one in self.flow.inputs}
+        drivers = self.flow.inputs
+        signals = {
+            driver.signal: self.inputs[driver.signal][side if driver.gain > 0 else 1 - side] for driver in drivers
+        }
         return self.m[side], signals
 
     def target(self, up: bool) -> float:
         """The highest or the lowest value of m plus what the inputs add."""
         m, signals = self.corner(up)
-        return m + sum(one.gain * (signals[one.signal] - one.reference) for one in self.flow.inputs)
+        return m + sum(driver.gain * (signals[driver.signal] - driver.reference) for driver in self.flow.inputs)
 
     def drift(self, up: bool, housing: float | None = None) -> DriftBound | None:
         """The highest or lowest drift where effects act, with a housing at `housing` (degC); None without effects."""
@@ -127,19 +130,19 @@ def quantiles(law: Distribution, z: float) -> Range:
 def envelopes(model: Model, assumptions: Assumptions, moves: Sequence[Move]) -> tuple[Envelope, ...]:
     """The envelope of each location, in the automaton's order; `moves` are all that can happen (`structure.moves`)."""
     announced, sojourn, late = _last_announced(model, moves), assumptions.sojourn, dead_time(model.sha)
-    found: list[Envelope] = []
+    rooms: list[Envelope] = []
     for location in model.sha.locations:
         law, fresh = drawn_parameter(location), drawn_temperature(location)
         middle = mode_parameter(location)[0]
         m = (middle, middle) if law is None else quantiles(law, assumptions.z)
         signal = partial(_signal, model, location.name, assumptions=assumptions, known=announced[location.name])
-        inputs = {given.signal: signal(given.signal) for given in location.flow.inputs}
+        inputs = {driver.signal: signal(driver.signal) for driver in location.flow.inputs}
         stay, lasting = model.semi_markov.get(location.name), ANY
         if isinstance(sojourn, tuple) or (sojourn == "law" and stay is not None):
             least, most = sojourn if isinstance(sojourn, tuple) else quantiles(stay.law, assumptions.z) if stay else ANY
             # The first stay is longer by a dead time, if there is one: nothing acts before it has passed.
             lasting = least, most + (late if location.name == model.sha.initial else 0.0)
-        found.append(
+        rooms.append(
             Envelope(
                 location=location.name,
                 flow=location.flow,
@@ -150,7 +153,7 @@ def envelopes(model: Model, assumptions: Assumptions, moves: Sequence[Move]) -> 
                 forcing=forcing_of(model.sha, location, m, signal, worn_for(assumptions)),
             )
         )
-    return tuple(found)
+    return tuple(rooms)
 
 
 def start_range(model: Model, assumptions: Assumptions, low: float, high: float) -> Range:
@@ -203,7 +206,8 @@ def _signal(model: Model, name: str, signal: str, *, assumptions: Assumptions, k
         return low, cuts[-1] + widths[-1] if announced[1] == inf else announced[1]
     if switch:
         return announced
-    seen = [one.inputs[signal] for one in model.semi_markov.values() if signal in one.inputs]
+    # At last what other locations' stays have learned of it: the signal is the same, wherever the machine is.
+    seen = [other.inputs[signal] for other in model.semi_markov.values() if signal in other.inputs]
     if seen:
         z = assumptions.z
         return min(mean - z * sigma for mean, sigma in seen), max(mean + z * sigma for mean, sigma in seen)
@@ -218,7 +222,7 @@ def _last_announced(model: Model, moves: Sequence[Move]) -> dict[str, set[str]]:
 
     UNKNOWN is among them where a channel may not have been announced yet.
     """
-    driving = {one.signal for location in model.sha.locations for one in location.flow.inputs}
+    driving = {driver.signal for location in model.sha.locations for driver in location.flow.inputs}
     driving |= set(signals_of(model.sha))
     known: dict[str, set[str]] = {location.name: set() for location in model.sha.locations}
     for channel in model.alphabet.channels:

@@ -130,7 +130,7 @@ def side_of(graph: Graph, *, up: bool, housing: float | None = None) -> Side:
     sign, envelopes = (1.0 if up else -1.0), graph.envelopes
     fresh = [nan if envelope.fresh is None else sign * envelope.fresh[int(up)] for envelope in envelopes]
     drifts = [envelope.drift(up, housing) for envelope in envelopes]
-    signed = tuple(one if one is None or up else one.mirrored() for one in drifts)
+    signed = tuple(drift if drift is None or up else drift.mirrored() for drift in drifts)
     return Side(graph, sign, np.array([sign * envelope.target(up) for envelope in envelopes]), np.array(fresh), signed)
 
 
@@ -191,7 +191,7 @@ def _peaks(side: Side, entry: Array) -> Array:
 
 def _circles(parent: Indices, changed: Sequence[int]) -> list[list[int]]:
     """The loops among the best ways that some changed location lies on, each in the direction of the moves."""
-    found: list[list[int]] = []
+    circles: list[list[int]] = []
     state = dict[int, int]()
     # Each location has one best predecessor, so that following them from a location meets at most one loop; what an
     # earlier walk has seen need not be walked again.
@@ -202,8 +202,8 @@ def _circles(parent: Indices, changed: Sequence[int]) -> list[list[int]]:
             path.append(here)
             here = int(parent[here])
         if here >= 0 and state[here] == number and here in path:
-            found.append(path[path.index(here) :][::-1])
-    return found
+            circles.append(path[path.index(here) :][::-1])
+    return circles
 
 
 def _accelerate(side: Side, circle: list[int], entry: Array) -> bool:
@@ -222,6 +222,7 @@ def _accelerate(side: Side, circle: list[int], entry: Array) -> bool:
 
 def _gains(side: Side, circle: Sequence[int], x: float) -> bool:
     """Whether a lap from `x` ends above it."""
+    # The tolerance grows with the lap's stays, each of which rounds, but stays below what a round counts as a gain.
     end = x
     for place in circle:
         end = side.leave(place, end)

@@ -20,7 +20,7 @@ from sim.sha import (
 
 def faults(model: Model) -> tuple[str, ...]:
     """What keeps a model from being run, one sentence each; empty for one that can be run along a word or a trace."""
-    return unexecuted(model.sha) or tuple(_numbers(model))
+    return unexecuted(model.sha) or tuple(_strange_numbers(model))
 
 
 def unexecuted(sha: SHA) -> tuple[str, ...]:
@@ -43,11 +43,25 @@ def announced(model: Model) -> str:
     return ""
 
 
-def _numbers(model: Model) -> Iterator[str]:
+def _strange_numbers(model: Model) -> Iterator[str]:
+    """What the automaton, its corrected form, the laws or the stays raise, and numbers that cannot be used."""
     sha = model.sha
     if not (isfinite(sha.low) and isfinite(sha.high)):
         yield f"the range {sha.low:g} to {sha.high:g} degC has no end, so nothing could ever leave it; give both limits"
-    yield from _laws(model)
+    try:
+        check_sha(sha)
+        scaled = in_sensor_scale(model).sha
+        check_sha(scaled)
+        if model.initial is not None:
+            check_distribution(model.initial)
+        compile_chain(model)
+    except ValueError as error:
+        yield str(error)
+    else:
+        # Moments and squares, not the numbers alone: all arithmetic is in variances, and 1e200 squared is no number.
+        yield from (f"location {each.name!r}: {_TOO_GREAT}" for each in scaled.locations if not _moments(each))
+        if not (model.sensor_sigma >= 0 and isfinite(model.sensor_sigma * model.sensor_sigma)):
+            yield f"sensor_sigma is {model.sensor_sigma:g} degC; it must be at least 0, and its square a number"
     for name, stay in model.semi_markov.items():
         for signal, (centre, sigma) in stay.inputs.items():
             if not (isfinite(centre) and isfinite(sigma) and sigma >= 0):
@@ -58,30 +72,14 @@ def _numbers(model: Model) -> Iterator[str]:
             yield f"the calibration at {horizon:g} s is {factor:g}; both must be finite and above 0"
 
 
-def _laws(model: Model) -> Iterator[str]:
-    """What the automaton, its corrected form, the laws or the stays raise, and moments beyond all numbers."""
-    try:
-        check_sha(model.sha)
-        scaled = in_sensor_scale(model).sha
-        check_sha(scaled)
-        if model.initial is not None:
-            check_distribution(model.initial)
-        compile_chain(model)
-    except ValueError as error:
-        yield str(error)
-        return
-    yield from (f"location {each.name!r}: {_TOO_GREAT}" for each in scaled.locations if not _moments(each))
-    if not (model.sensor_sigma >= 0 and isfinite(model.sensor_sigma * model.sensor_sigma)):
-        yield f"sensor_sigma is {model.sensor_sigma:g} degC; it must be at least 0, and its square a number"
-
-
 _TOO_GREAT = "the mean or the variance of its law, or the square of its noise, is beyond all numbers"
 
 
 def _moments(location: Location) -> bool:
+    """Whether mean and variance of the location's law, and its noise squared, are finite numbers."""
     law, noise = location.distribution, location.flow.params["noise"]
     try:
         known = (0.0, 0.0) if law is None else (mean(law), variance(law))
     except OverflowError:
         return False
-    return all(isfinite(one) for one in (*known, noise * noise))
+    return all(isfinite(moment) for moment in (*known, noise * noise))

@@ -81,8 +81,8 @@ def decide(query: q.Symbolic, sha: SHA) -> SymbolicVerdict:
     lasso: _Lasso | None = None
     if query.kind in ("E<>", "A[]"):
         wanted = inner if query.kind == "E<>" else everywhere - inner
-        found = next((place for place in reached if place in wanted), None)
-        lasso = None if found is None else _Lasso(_path_to(reached, found))
+        nearest = next((place for place in reached if place in wanted), None)
+        lasso = None if nearest is None else _Lasso(_path_to(reached, nearest))
     elif query.kind == "-->":
         if query.then is None:
             raise ValueError("the query phi --> psi has no psi")
@@ -163,20 +163,20 @@ _Tree = dict[str, tuple[int, str | None]]
 def _search(graph: _Graph, starts: Mapping[str, int], keep: Callable[[str], bool]) -> _Tree:
     """Shortest distances from starts that have distances of their own, over locations that `keep` accepts."""
     # Dijkstra (1959). The running number breaks ties by the order of discovery, so that equal queries show equal paths.
-    found: _Tree = {}
+    tree: _Tree = {}
     number = count()
     queue: list[tuple[int, int, str, str | None]] = []
     for place, steps in starts.items():
         heappush(queue, (steps, next(number), place, None))
     while queue:
         steps, _, place, before = heappop(queue)
-        if place in found:
+        if place in tree:
             continue
-        found[place] = (steps, before)
+        tree[place] = (steps, before)
         for after in graph.following[place]:
-            if after not in found and keep(after):
+            if after not in tree and keep(after):
                 heappush(queue, (steps + 1, next(number), after, place))
-    return found
+    return tree
 
 
 def _shortest_lasso(graph: _Graph, starts: Mapping[str, int], keep: Places) -> _Lasso | None:
@@ -188,7 +188,7 @@ def _shortest_lasso(graph: _Graph, starts: Mapping[str, int], keep: Places) -> _
         if steps >= best[0]:
             break  # the tree is in the order of distance: nothing shorter comes
         around = 0 if not graph.following[place] else cycles(place, best[0] - steps)
-        best = min(best, (steps + around, place), key=lambda one: one[0])
+        best = min(best, (steps + around, place), key=lambda lasso: lasso[0])
     end = best[1]
     if end is None:
         return None

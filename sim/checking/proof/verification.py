@@ -4,7 +4,7 @@ Every check is `proven`, `refuted` (with evidence) or honestly `not decided`. Bl
 is deployable; the others are facts that a reader should know.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
@@ -110,31 +110,22 @@ def verify(
     own = alphabet_symbols(subject.alphabet) if isinstance(subject, Model) else ()
     alphabet = tuple(symbols or own or structure.symbols_of(sha))
     timed = _Stopwatch(clock)
-    checks = [
-        timed(_runnable(subject, refusal)),
-        timed(_determinism(sha)),
-        *([timed(_alphabet(subject))] if isinstance(subject, Model) else []),
-        timed(_input_enabled(sha, alphabet)),
-        timed(_reachability(sha)),
-        timed(_dead_ends(sha)),
-    ]
-    if traces:
-        checks.append(timed(_acceptance(sha, traces)))
-    found: Bounds | None = None
+    checks = [timed(check) for check in structure_checks(subject, alphabet, traces, refusal)]
+    proven: Bounds | None = None
     # A range for what drives nothing would be a slip of the pen, and change nothing.
-    driving = dict.fromkeys(given.signal for location in sha.locations for given in location.flow.inputs)
+    driving = dict.fromkeys(driver.signal for location in sha.locations for driver in location.flow.inputs)
     driving |= dict.fromkeys(signals_of(sha))
     strange = next((name for name in assumptions.inputs if name not in driving), None)
     if strange is not None:
         known = f"they are driven by {', '.join(driving)}" if driving else "none is driven by any signal"
         raise ValueError(f"no flow of {sha.name!r} is driven by {strange!r}; {known}")
     if isinstance(subject, Model) and all(check.verdict == "proven" for check in checks[:2]):
-        found, temperature = _lasting(subject, bounds, assumptions, timed)
+        proven, temperature = _lasting(subject, bounds, assumptions, timed)
         checks += temperature
     else:
-        said = "the model cannot be run, so nothing is said of temperatures"
-        checks.append(Check("bounds", "not decided", said, blocking=bounds is not None))
-    return Verification(sha.name, tuple(checks), describe(assumptions), found)
+        evidence = "the model cannot be run, so nothing is said of temperatures"
+        checks.append(Check("bounds", "not decided", evidence, blocking=bounds is not None))
+    return Verification(sha.name, tuple(checks), describe(assumptions), proven)
 
 
 @dataclass(slots=True)
@@ -155,72 +146,81 @@ class _Stopwatch:
 # ------------------------------------------------------------------ structure
 
 
-def _runnable(subject: Model | SHA, refusal: str) -> Check:
-    found = faults(subject) if isinstance(subject, Model) else unexecuted(subject)
-    if not found and not isinstance(subject, Model):
-        return Check("runnable", "refuted", refusal or "only the structure is known, no flows")
-    if not found:
-        return Check("runnable", "proven", "every flow, law and entry mode can be executed, and no edge has a guard")
-    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-    return Check("runnable", "refuted", found[0] + more, found)
+def structure_checks(
+    subject: Model | SHA, symbols: Sequence[str], traces: Sequence[Trace], refusal: str
+) -> Iterator[Check]:
+    """Whether the model can be run at all, and what its graph alone says; a check is made when it is asked for."""
+    model = subject if isinstance(subject, Model) else None
+    sha = subject.sha if isinstance(subject, Model) else subject
+    count = len(sha.locations)
 
+    reasons = unexecuted(sha) if model is None else faults(model)
+    if reasons:
+        more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
+        yield Check("runnable", "refuted", reasons[0] + more, reasons)
+    elif model is None:
+        yield Check("runnable", "refuted", refusal or "only the structure is known, no flows")
+    else:
+        yield Check("runnable", "proven", "every flow, law and entry mode can be executed, and no edge has a guard")
 
-def _alphabet(model: Model) -> Check:
-    fault = announced(model)
-    if not fault:
-        count = len(alphabet_symbols(model.alphabet))
-        return Check("alphabet", "proven", f"signals of the plant announce {count} symbols, some of them on edges")
-    return Check("alphabet", "refuted", f"no plant could run it: {fault}")
-
-
-def _determinism(sha: SHA) -> Check:
     conflicts = tuple(nondeterminism(sha))
-    if not conflicts:
-        return Check("determinism", "proven", f"no location has two targets on one symbol ({len(sha.edges)} edges)")
-    return Check("determinism", "refuted", f"{len(conflicts)} conflicts, the first: {conflicts[0]}", conflicts)
+    if conflicts:
+        evidence = f"{len(conflicts)} conflicts, the first: {conflicts[0]}"
+        yield Check("determinism", "refuted", evidence, conflicts)
+    else:
+        yield Check("determinism", "proven", f"no location has two targets on one symbol ({len(sha.edges)} edges)")
 
+    if model is not None:
+        fault = announced(model)
+        known = len(alphabet_symbols(model.alphabet)) if not fault else 0
+        evidence = f"signals of the plant announce {known} symbols, some of them on edges"
+        evidence = f"no plant could run it: {fault}" if fault else evidence
+        yield Check("alphabet", "refuted" if fault else "proven", evidence)
 
-def _input_enabled(sha: SHA, symbols: Sequence[str]) -> Check:
+    # A location without an edge for a symbol, or that nothing leads to, is a fact about what was seen and no fault: a
+    # gateway resynchronises. These do not block.
     lacking = structure.missing(sha, symbols)
-    if not lacking:
-        said = f"all {len(sha.locations)} locations have an edge for each of the {len(symbols)} symbols"
-        return Check("input-enabled", "proven", said, blocking=False)
-    details = tuple(f"location {name!r} lacks {', '.join(lacks)}" for name, lacks in lacking.items())
-    name, lacks = next(iter(lacking.items()))
-    more = f" and {len(lacks) - 3} more" if len(lacks) > 3 else ""
-    first = f"the first, {name!r}, lacks {', '.join(lacks[:3])}{more}"
-    said = f"{len(lacking)} of {len(sha.locations)} locations lack a symbol of {len(symbols)}; {first}"
-    return Check("input-enabled", "refuted", said, details, blocking=False)
+    if lacking:
+        details = tuple(f"location {name!r} lacks {', '.join(lacks)}" for name, lacks in lacking.items())
+        name, lacks = next(iter(lacking.items()))
+        more = f" and {len(lacks) - 3} more" if len(lacks) > 3 else ""
+        first = f"the first, {name!r}, lacks {', '.join(lacks[:3])}{more}"
+        evidence = f"{len(lacking)} of {count} locations lack a symbol of {len(symbols)}; {first}"
+        yield Check("input-enabled", "refuted", evidence, details, blocking=False)
+    else:
+        evidence = f"all {count} locations have an edge for each of the {len(symbols)} symbols"
+        yield Check("input-enabled", "proven", evidence, blocking=False)
 
-
-def _reachability(sha: SHA) -> Check:
     lost = structure.unreachable(sha)
-    if not lost:
-        said = f"all {len(sha.locations)} locations are reached from {sha.initial!r}"
-        return Check("reachability", "proven", said, blocking=False)
-    said = f"{len(lost)} of {len(sha.locations)} locations are never reached, the first: {lost[0]!r}"
-    return Check("reachability", "refuted", said, lost, blocking=False)
+    if lost:
+        evidence = f"{len(lost)} of {count} locations are never reached, the first: {lost[0]!r}"
+        yield Check("reachability", "refuted", evidence, lost, blocking=False)
+    else:
+        evidence = f"all {count} locations are reached from {sha.initial!r}"
+        yield Check("reachability", "proven", evidence, blocking=False)
 
-
-def _dead_ends(sha: SHA) -> Check:
-    ends, traps, groups = structure.dead_ends(sha), structure.traps(sha), structure.components(sha)
+    ends, groups = structure.dead_ends(sha), structure.components(sha)
     shape = f"{len(groups)} strongly connected components, the largest of {len(groups[0])} locations"
-    kept = tuple(f"once in {group[0]!r}, only {len(group)} locations are ever seen again" for group in traps)
-    if not ends:
-        said = "; ".join(("every location has a way out", shape, *kept))
-        return Check("dead ends", "proven", said, kept, blocking=False)
-    details = (*(f"location {name!r} has no way out" for name in ends), *kept)
-    said = f"{len(ends)} of {len(sha.locations)} locations have no way out, the first: {ends[0]!r}; {shape}"
-    return Check("dead ends", "refuted", said, details, blocking=False)
+    kept = tuple(
+        f"once in {group[0]!r}, only {len(group)} locations are ever seen again" for group in structure.traps(sha)
+    )
+    if ends:
+        details = (*(f"location {name!r} has no way out" for name in ends), *kept)
+        evidence = f"{len(ends)} of {count} locations have no way out, the first: {ends[0]!r}; {shape}"
+        yield Check("dead ends", "refuted", evidence, details, blocking=False)
+    else:
+        evidence = "; ".join(("every location has a way out", shape, *kept))
+        yield Check("dead ends", "proven", evidence, kept, blocking=False)
 
-
-def _acceptance(sha: SHA, traces: Sequence[Trace]) -> Check:
-    results = [structure.accept(sha, trace.events, trace.name) for trace in traces]
-    stopped = tuple(one.sentence for one in results if one.index is not None)
-    if not stopped:
-        events = sum(one.events for one in results)
-        return Check("acceptance", "proven", f"all {len(results)} traces are accepted ({events} events)")
-    return Check("acceptance", "refuted", f"{len(stopped)} of {len(results)} traces; {stopped[0]}", stopped)
+    if traces:
+        results = [structure.accept(sha, trace.events, trace.name) for trace in traces]
+        stopped = tuple(result.sentence for result in results if result.index is not None)
+        if stopped:
+            evidence = f"{len(stopped)} of {len(results)} traces; {stopped[0]}"
+            yield Check("acceptance", "refuted", evidence, stopped)
+        else:
+            events = sum(result.events for result in results)
+            yield Check("acceptance", "proven", f"all {len(results)} traces are accepted ({events} events)")
 
 
 # ------------------------------------------------------------------ temperatures
@@ -235,16 +235,16 @@ def _lasting(
     """
     if not growing_from(model.sha):
         return _decided(model, claimed, assumptions, timed)
-    given = assumptions.horizon
-    horizons = [days * DAY for days in HORIZONS] if given is None else [given]
+    horizons = [days * DAY for days in HORIZONS] if assumptions.horizon is None else [assumptions.horizon]
+    # From the longest on, so that the first that is proven is the longest. Where none is, the longest one's reasons are
+    # told: they name what the wear will come to.
     first: tuple[Bounds | None, list[Check]] | None = None
     for horizon in horizons:
-        found, checks = _decided(model, claimed, replace(assumptions, horizon=horizon), timed)
-        against = [f"{each.name} {each.verdict}" for each in checks if each.blocking and each.verdict != "proven"]
-        first = first or (found, checks)
-        if not against:
-            said = worn(model.sha, horizon, horizons[0])
-            return found, [*checks, timed(Check("wear", "proven", said))]
+        bounds, checks = _decided(model, claimed, replace(assumptions, horizon=horizon), timed)
+        first = first or (bounds, checks)
+        if all(check.verdict == "proven" for check in checks if check.blocking):
+            evidence = worn(model.sha, horizon, horizons[0])
+            return bounds, [*checks, timed(Check("wear", "proven", evidence))]
     return first or (None, [])
 
 
@@ -257,70 +257,70 @@ def _decided(
         with np.errstate(over="raise", divide="raise", invalid="raise"):
             sha = in_sensor_scale(model).sha
             low, high = claimed or (sha.low, sha.high)
-            found = find_bounds(model, low, high, assumptions)
-            checks = [timed(_within(found, model, assumptions, blocking=claimed is not None))]
+            bounds = find_bounds(model, low, high, assumptions)
+            checks = [timed(_within(bounds, model, assumptions, blocking=claimed is not None))]
             # A claim may have an infinite border, which growth would never pass: growth is judged by the model's range.
-            own = found if claimed is None else find_bounds(model, sha.low, sha.high, assumptions)
+            own = bounds if claimed is None else find_bounds(model, sha.low, sha.high, assumptions)
             checks.append(timed(_growth(own, model)))
             width = sha.high - sha.low
             wider = sha.low - SLACK * width, sha.high + SLACK * width
             course = find_bounds(model, *wider, assumptions, doubt=MOST_DOUBT * width)
             checks += [timed(_mean_course(course, assumptions.z)), timed(_noise_check(model, assumptions.z))]
-            return found, checks if model.correction.identity else [*checks, timed(_correction(model))]
+            return bounds, checks if model.correction.identity else [*checks, timed(_correction(model))]
     except (UnboundedInput, UnboundedEffect) as error:
         return None, [Check("growth", "not decided", str(error))]
     except ArithmeticError as error:
-        said = f"the model's numbers lead beyond what can be computed ({error}); give parameters of a usual size"
-        return None, [Check("growth", "not decided", said)]
+        evidence = f"the model's numbers lead beyond what can be computed ({error}); give parameters of a usual size"
+        return None, [Check("growth", "not decided", evidence)]
 
 
-def _within(found: Bounds, model: Model, assumptions: Assumptions, *, blocking: bool) -> Check:
-    claim = f"[{found.low:g}, {found.high:g}] degC"
-    lows, highs = zip(*found.intervals.values(), strict=True)
-    details = tuple(f"{name}: {low:.4g} to {high:.4g} degC" for name, (low, high) in found.intervals.items())
-    if found.verdict == "proven":
-        said = f"T stays within {claim}: from {min(lows):.4g} to {max(highs):.4g}; {_noise(model, assumptions.z)}"
-        return Check("bounds", "proven", said, details, blocking=blocking)
-    said = "; ".join(_way_out(found, one.up) for one in found.escapes) or "the bounds did not settle"
+def _within(bounds: Bounds, model: Model, assumptions: Assumptions, *, blocking: bool) -> Check:
+    claim = f"[{bounds.low:g}, {bounds.high:g}] degC"
+    lows, highs = zip(*bounds.intervals.values(), strict=True)
+    details = tuple(f"{name}: {low:.4g} to {high:.4g} degC" for name, (low, high) in bounds.intervals.items())
+    if bounds.verdict == "proven":
+        evidence = f"T stays within {claim}: from {min(lows):.4g} to {max(highs):.4g}; {_noise(model, assumptions.z)}"
+        return Check("bounds", "proven", evidence, details, blocking=blocking)
+    ways = "; ".join(_way_out(bounds, escape.up) for escape in bounds.escapes) or "the bounds did not settle"
     hidden = in_sensor_scale(model).sha
     clamp = f"; the model's clamp to [{hidden.low:g}, {hidden.high:g}] would hide it and is left out here"
-    words = tuple(one.word for one in found.escapes if one.word is not None)
-    return Check("bounds", found.verdict, f"T can leave {claim}: {said}{clamp}", details, words, blocking=blocking)
+    words = tuple(escape.word for escape in bounds.escapes if escape.word is not None)
+    return Check("bounds", bounds.verdict, f"T can leave {claim}: {ways}{clamp}", details, words, blocking=blocking)
 
 
-def _way_out(found: Bounds, up: bool) -> str:
-    one = next(each for each in found.escapes if each.up == up)
-    border = f"{'above' if up else 'below'} {found.high if up else found.low:g}"
-    reach = "without bound" if one.grows else f"as far as {one.reach:.4g}"
-    if one.word is None:
+def _way_out(bounds: Bounds, up: bool) -> str:
+    escape = next(each for each in bounds.escapes if each.up == up)
+    border = f"{'above' if up else 'below'} {bounds.high if up else bounds.low:g}"
+    reach = "without bound" if escape.grows else f"as far as {escape.reach:.4g}"
+    if escape.word is None:
         return f"{border} ({reach}), but no word of at most {MOST_STAYS} stays was found that does it"
-    return f"{border} in {one.location!r} after {len(one.word.steps)} stays and {one.seconds:.6g} s ({reach})"
+    return f"{border} in {escape.location!r} after {len(escape.word.steps)} stays and {escape.seconds:.6g} s ({reach})"
 
 
 def _noise(model: Model, z: float) -> str:
     settled, walking = noise_band(model, z)
-    said = f"noise adds up to {settled:.3g} degC at z = {z:g} where a flow relaxes"
+    evidence = f"noise adds up to {settled:.3g} degC at z = {z:g} where a flow relaxes"
     if not walking:
-        return said
+        return evidence
     name = max(walking, key=lambda each: walking[each])
     most = f"most in {name!r}: {walking[name]:.3g} degC/sqrt(s)"
-    return f"{said}, and grows with the time spent in {len(walking)} others ({most})"
+    return f"{evidence}, and grows with the time spent in {len(walking)} others ({most})"
 
 
-def _growth(found: Bounds, model: Model) -> Check:
-    growing = [one for one in found.escapes if one.grows]
-    if not found.settled:
+def _growth(bounds: Bounds, model: Model) -> Check:
+    growing = [escape for escape in bounds.escapes if escape.grows]
+    if not bounds.settled:
         return Check("growth", "not decided", "the bounds did not settle in the rounds that they are given")
     if not growing:
-        lows, highs = zip(*found.intervals.values(), strict=True)
+        lows, highs = zip(*bounds.intervals.values(), strict=True)
         return Check("growth", "proven", f"T never passes {min(lows):.4g} or {max(highs):.4g} degC, whatever happens")
-    words = tuple(one.word for one in growing if one.word is not None)
-    directions = " and ".join("upwards" if one.up else "downwards" for one in growing)
-    said = "; ".join(_way_out(found, one.up) for one in growing)
+    words = tuple(escape.word for escape in growing if escape.word is not None)
+    directions = " and ".join("upwards" if escape.up else "downwards" for escape in growing)
+    ways = "; ".join(_way_out(bounds, escape.up) for escape in growing)
     kinds = {each.name: each.flow.kind for each in model.sha.locations if each.flow.kind not in (*RELAXING, "constant")}
-    name = next((one.location for one in growing if one.location in kinds), next(iter(kinds), ""))
+    name = next((escape.location for escape in growing if escape.location in kinds), next(iter(kinds), ""))
     cause = f"; the flow of {name!r} is {kinds[name]}, which has no target" if name else ""
-    evidence = f"T grows {directions} without bound: {said}{cause}"
+    evidence = f"T grows {directions} without bound: {ways}{cause}"
     return Check("growth", "refuted" if words else "not decided", evidence, (), words)
 
 
@@ -328,11 +328,11 @@ def _mean_course(mean: Bounds, z: float) -> Check:
     span = f"[{mean.low:g}, {mean.high:g}] degC (the model's range and {SLACK:.0%} of its width)"
     doubt = f"given the benefit of its own doubt (z = {z:g}, at most the range's width)"
     if mean.verdict == "proven":
-        said = f"with what is drawn at its mean, and each target {doubt}, T stays within {span}"
-        return Check("mean course", "proven", said)
-    said = "; ".join(_way_out(mean, one.up) for one in mean.escapes) or "the bounds did not settle"
-    words = tuple(one.word for one in mean.escapes if one.word is not None)
-    evidence = f"with what is drawn at its mean, and even with each target {doubt}, T leaves {span}: {said}"
+        evidence = f"with what is drawn at its mean, and each target {doubt}, T stays within {span}"
+        return Check("mean course", "proven", evidence)
+    ways = "; ".join(_way_out(mean, escape.up) for escape in mean.escapes) or "the bounds did not settle"
+    words = tuple(escape.word for escape in mean.escapes if escape.word is not None)
+    evidence = f"with what is drawn at its mean, and even with each target {doubt}, T leaves {span}: {ways}"
     return Check("mean course", mean.verdict, evidence, (), words)
 
 
@@ -341,11 +341,11 @@ def _correction(model: Model) -> Check:
     gain, offset = model.correction.gain, model.correction.offset
     low, high = model.sha.low, model.sha.high
     middle = corrected(model.correction, 0.5 * (low + high))
-    said = f"T' = {gain:.4g} T {offset:+.4g} degC, which puts the middle of the range at {middle:.4g} degC"
+    evidence = f"T' = {gain:.4g} T {offset:+.4g} degC, which puts the middle of the range at {middle:.4g} degC"
     if GAINS[0] <= gain <= GAINS[1] and low <= middle <= high:
-        return Check("correction", "proven", said)
+        return Check("correction", "proven", evidence)
     wanted = f"a sensor's calibration has a gain of {GAINS[0]:g} to {GAINS[1]:g} and leaves the middle in the range"
-    return Check("correction", "refuted", f"{said}; {wanted}")
+    return Check("correction", "refuted", f"{evidence}; {wanted}")
 
 
 def _noise_check(model: Model, z: float) -> Check:
@@ -355,13 +355,13 @@ def _noise_check(model: Model, z: float) -> Check:
     width = sha.high - sha.low
     worst = {name: z * noise * sqrt(NOISE_SECONDS) for name, noise in walking.items()}
     name = max(worst, key=lambda each: worst[each], default="")
-    said = f"{_noise(model, z)}; the sensor's is {model.sensor_sigma:.3g} degC"
+    evidence = f"{_noise(model, z)}; the sensor's is {model.sensor_sigma:.3g} degC"
     wide = max(settled, z * model.sensor_sigma, worst.get(name, 0.0))
     if wide <= width:
-        return Check("noise", "proven", said)
+        return Check("noise", "proven", evidence)
     return Check(
         "noise",
         "refuted",
         f"at z = {z:g} noise reaches {wide:.3g} degC (over {NOISE_SECONDS:g} s where it grows), which is wider than "
-        f"the model's range of {width:g} degC, so that nothing is predicted: {said}",
+        f"the model's range of {width:g} degC, so that nothing is predicted: {evidence}",
     )

@@ -13,13 +13,10 @@ _FIRST_CLOCK, _LAST_CLOCK = 3.0e7, 2.5e11
 def worn(sha: SHA, horizon: float, longest: float) -> str:
     """The sentence: until when what is proven holds, and that it does not hold for `longest` where that is so (s)."""
     until = min(growing_from(sha)) + horizon
-    said = f"what is said of temperatures holds for {horizon / DAY:g} days of wear, until {_moment(until)}"
+    moment = f"{until:.6g} s on the traces' clock"
+    if _FIRST_CLOCK <= until <= _LAST_CLOCK:
+        moment = datetime.fromtimestamp(until, UTC).strftime("%Y-%m-%d %H:%M UTC")
+    sentence = f"what is said of temperatures holds for {horizon / DAY:g} days of wear, until {moment}"
     if horizon < longest:
-        return f"{said}, and not for {longest / DAY:g}: diagnose or learn anew before then"
-    return f"{said}: the drift goes on growing, so verify anew before then (--wear DAYS looks further)"
-
-
-def _moment(time: float) -> str:
-    if not _FIRST_CLOCK <= time <= _LAST_CLOCK:
-        return f"{time:.6g} s on the traces' clock"
-    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M UTC")
+        return f"{sentence}, and not for {longest / DAY:g}: diagnose or learn anew before then"
+    return f"{sentence}: the drift goes on growing, so verify anew before then (--wear DAYS looks further)"

@@ -83,18 +83,18 @@ def parse_word(text: str) -> TimedWord:
 
 
 def _step(item: str) -> WordStep:
-    found = _ITEM.fullmatch(item)
-    if found is None:
+    match = _ITEM.fullmatch(item)
+    if match is None:
         raise ValueError(f"{item!r} is no item of a word; write SYMBOL@SECONDS, or SYMBOL@SECONDS,m=80,Signal=280")
     numbers = {}
-    for part in filter(None, found["rest"].split(",")):
+    for part in filter(None, match["rest"].split(",")):
         name, _, value = part.partition("=")
         numbers[name.strip()] = _number(value, item)
-    time = _number(found["time"], item)
+    time = _number(match["time"], item)
     if time < 0:
         raise ValueError(f"{item!r}: seconds count from the start and are never negative")
     m, temperature, clock = (numbers.pop(name, None) for name in (MODE, TEMPERATURE, CLOCK))
-    return WordStep(time, found["symbol"].strip(), m=m, temperature=temperature, inputs=numbers, clock=clock)
+    return WordStep(time, match["symbol"].strip(), m=m, temperature=temperature, inputs=numbers, clock=clock)
 
 
 def _number(text: str, item: str) -> float:

@@ -94,8 +94,8 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
     """
     model = in_sensor_scale(model)
     check_sha(model.sha)
-    given = word.steps[0].temperature
-    x = start if given is None else given
+    own = word.steps[0].temperature
+    x = start if own is None else own
     if x is None:
         if model.initial is None:
             raise ValueError("the word says no start temperature and the model has no initial law; begin it as @0,T=20")
@@ -115,7 +115,15 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
     clock = (word.steps[0].clock or 0.0) if sha.effects else 0.0  # without effects nothing depends on it
     steps = _schedule(sha, stays, word.end, clock)
     modes = [mode_parameter(location)[0] if step.m is None else step.m for step, location in stays]
-    fresh = [nan, *(_drawn(step, location) for step, location in stays[1:])]
+    # X where a location draws it on entry: the word's, or the law's mean; NaN where X goes on.
+    fresh = [nan]
+    for step, location in stays[1:]:
+        law = drawn_temperature(location)
+        if law is None and step.temperature is not None:
+            what = f"entering {location.name!r} leaves the temperature as it is"
+            raise ValueError(f"the word sets T at {step.time:g} s, but {what}")
+        mean = nan if law is None else distributions.mean(law)
+        fresh.append(mean if step.temperature is None else step.temperature)
     drawn = replace(
         stay_draws(steps), mode=np.array(modes)[steps.stay], fresh=np.nan_to_num(np.array(fresh))[steps.stay]
     )
@@ -183,18 +191,6 @@ def _schedule(sha: SHA, stays: Stays, end: float, clock: float) -> Schedule:
     signals = {name: np.array([each.get(name, nan) for each in inputs]) for name in names}
     trace = Trace("word", clock + begins, signals)
     return schedule(sha, events, np.unique(looks) + clock, start=clock, inputs=trace, policy="resync")
-
-
-def _drawn(step: WordStep, location: Location) -> float:
-    """The temperature that the location draws on entry (degC), the word's or the law's mean; NaN where X goes on."""
-    law = drawn_temperature(location)
-    if law is not None:
-        return distributions.mean(law) if step.temperature is None else step.temperature
-    if step.temperature is not None:
-        raise ValueError(
-            f"the word sets T at {step.time:g} s, but entering {location.name!r} leaves the temperature as it is"
-        )
-    return nan
 
 
 def offset_range(sha: SHA) -> tuple[float, float]:

@@ -46,38 +46,22 @@ def frame_of(record: Record) -> Frame:
     model = record.model
     visited = set(np.unique(record.runs.place).tolist())
     free = [location.name for place, location in enumerate(model.sha.locations) if place in visited]
-    shape, names = shape_of(
-        model.sha,
-        free,
-        record.signals,
-        Prior((20.0, TARGET_SPREAD)),
-        rates=_shared_rates(model),
-        gains=_shared_gains(model),
-    )
+    # The learner ties rates and gains of locations together by giving them equal numbers, to the last digit; equality
+    # is all that is left of it in a model. The first location of a group gives it its name.
+    rates: dict[str, str] = {}
+    gains: dict[str, str] = {}
+    of_rate: dict[tuple[str, float], str] = {}
+    of_gains: dict[tuple[tuple[str, float], ...], str] = {}
+    for location in model.sha.locations:
+        name, flow = location.name, location.flow
+        if flow.kind in RATES:
+            rate = RATES[flow.kind]
+            rates[name] = of_rate.setdefault((rate, flow.params[rate]), name)
+        if flow.inputs:
+            gains[name] = of_gains.setdefault(tuple((driving.signal, driving.gain) for driving in flow.inputs), name)
+    shape, names = shape_of(model.sha, free, record.signals, Prior((20.0, TARGET_SPREAD)), rates=rates, gains=gains)
     shape = _centred(model, shape, names)
     return Frame(record, shape, names, loads(record.runs, shape))
-
-
-def _shared_rates(model: Model) -> dict[str, str]:
-    """Locations of equal rate share it: the first of them gives the group its name."""
-    groups: dict[tuple[str, float], str] = {}
-    shared = {}
-    for location in model.sha.locations:
-        kind = location.flow.kind
-        if kind in RATES:
-            shared[location.name] = groups.setdefault((RATES[kind], location.flow.params[RATES[kind]]), location.name)
-    return shared
-
-
-def _shared_gains(model: Model) -> dict[str, str]:
-    groups: dict[tuple[tuple[str, float], ...], str] = {}
-    return {
-        location.name: groups.setdefault(
-            tuple((given.signal, given.gain) for given in location.flow.inputs), location.name
-        )
-        for location in model.sha.locations
-        if location.flow.inputs
-    }
 
 
 def _centred(model: Model, shape: FitShape, names: ParameterNames) -> FitShape:

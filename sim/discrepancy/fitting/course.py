@@ -46,7 +46,7 @@ class CourseState:
     @property
     def parameters(self) -> Array:
         """(p + r + e,) all of them as one vector."""
-        return np.concatenate([self.linear, self.log_rates, [one.strength for one in self.named]])
+        return np.concatenate([self.linear, self.log_rates, [named.strength for named in self.named]])
 
 
 def run_free(
@@ -59,6 +59,7 @@ def run_free(
     k = rates_of(frame, log_rates)
     effects = [effect for one in named for effect in effects_of(one, frame.record.model)]
     heating = [effect for effect in effects if not on_sensor(effect)]
+    # A run's first row has decay 0, so that one recursion serves all runs: what is pushed there is the start itself.
     push = pull * target
     push[runs.first] = start
     course = linear_recursion(decay, push, 0.0)
@@ -132,13 +133,22 @@ def sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
 
     In closed form without effects; with them by finite differences of the simulation itself.
     """
-    return _differences(frame, state, start) if state.named else _closed(frame, state)
+    p, r = frame.count
+    if state.named:
+        # Heats that depend on the course (a valve that opens, a housing) have no closed form. One more free run each,
+        # begun from the course at hand, so that only the change is iterated.
+        point = state.parameters
+        strengths = [max(1e-3 * abs(named.strength), 1e-18) for named in state.named]
+        columns = []
+        for number, size in enumerate([*(1e-3 * frame.shape.spread).tolist(), *[1e-3] * r, *strengths]):
+            moved = point.copy()
+            moved[number] += size
+            trial = at(frame, moved, start, state.named, state.course)
+            columns.append((trial.mean - state.mean) / size)
+        return np.column_stack(columns)
 
-
-def _closed(frame: Frame, state: CourseState) -> Array:
     runs, shape, step = frame.record.runs, frame.shape, 1e-4
     decay, pull = steps(runs, shape, state.log_rates)
-    p, r = frame.count
     linear = linear_recursion(decay[:, None], pull[:, None] * frame.load, np.zeros(p))
     before = np.concatenate([[0.0], state.mean[:-1]])
     # As in sim.learning.free_run: the course's own recursion, driven by the change of its coefficients with log(rate).
@@ -150,26 +160,11 @@ def _closed(frame: Frame, state: CourseState) -> Array:
     return np.column_stack([linear, rates])
 
 
-def _differences(frame: Frame, state: CourseState, start: Array) -> Array:
-    _, r = frame.count
-    point = state.parameters
-    sizes = np.concatenate(
-        [1e-3 * frame.shape.spread, np.full(r, 1e-3), [max(1e-3 * abs(one.strength), 1e-18) for one in state.named]]
-    )
-    columns = []
-    for number, size in enumerate(sizes.tolist()):
-        moved = point.copy()
-        moved[number] += size
-        trial = at(frame, moved, start, state.named, state.course)
-        columns.append((trial.mean - state.mean) / size)
-    return np.column_stack(columns)
-
-
 def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: Array | None = None) -> CourseState:
     """The free run at a vector of all parameters (p + r + e,)."""
     p, r = frame.count
     strengths = point[p + r :].tolist()
-    moved = [one.scaled(value) for one, value in zip(named, strengths, strict=True)]
+    moved = [effect.scaled(strength) for effect, strength in zip(named, strengths, strict=True)]
     return run_free(frame, point[:p], point[p : p + r], start, named=moved, guess=guess)
 
 
@@ -209,7 +204,7 @@ def scattered(frame: Frame, state: CourseState) -> Array:
 def as_read(frame: Frame, state: CourseState, column: Array) -> Array:
     """(n,) degC what the sensor shows of a part (n,) of the bearing's temperature: as late as it shows the whole."""
     model = frame.record.model
-    for effect in (effect for one in state.named if one.entry.whole for effect in effects_of(one, model)):
+    for effect in (effect for named in state.named if named.entry.whole for effect in effects_of(named, model)):
         column = as_sensed(frame.record, effect, column)
     return column
 

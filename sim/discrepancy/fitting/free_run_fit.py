@@ -87,6 +87,7 @@ def rounding(model: Model, record: Record) -> float:
     if moves.size == 0 or moves.size > MOVING * change.size:
         return 0.0
     step = float(np.median(moves))
+    # A rounding error spread evenly over one step has the standard deviation step / sqrt(12).
     return step / float(np.sqrt(12.0)) if model.sensor_sigma < step / 2.0 else 0.0
 
 
@@ -136,13 +137,13 @@ def fit(
     # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
     belief = WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
     noise = belief.centre if begin is None else begin.noise
-    state = at(frame, np.concatenate([own, [one.strength for one in named]]), start, named)
+    state = at(frame, np.concatenate([own, [effect.strength for effect in named]]), start, named)
     for _ in range(rounds):
         state = _newton_steps(frame, state, start=start, reading=reading, noise=noise, prior=prior)
         point = _around(frame, state, start, reading)
         before = noise
-        noise, cost = _noise(point, frame, belief, noise, iterations)
-        if _change(before, noise) < SETTLED:
+        noise, cost = noise_around(point, frame, belief, noise, iterations)
+        if largest_change(before, noise) < SETTLED:
             break
     whitener = Whitener(point.grid, noise)
     inverse = np.linalg.inv(point.columns.T @ whitener.weigh(point.columns) + np.diag(np.maximum(prior, 1e-12)))
@@ -162,9 +163,10 @@ def fit(
     )
 
 
-def _noise(
+def noise_around(
     point: _Point, frame: Frame, belief: WindowBelief, noise: NoiseModel, iterations: int
 ) -> tuple[NoiseModel, float]:
+    """(the noise of greatest restricted likelihood around a point, minus that likelihood), searched from `noise`."""
     # Only the model's own parameters are integrated out. The strengths of the effects are maximised, so that fits with
     # different effects have the same integral and their likelihoods differ by what the effects explain.
     own = sum(frame.count)
@@ -176,7 +178,8 @@ def _noise(
     return fit_noise(cost, belief, noise, iterations)
 
 
-def _change(before: NoiseModel, after: NoiseModel) -> float:
+def largest_change(before: NoiseModel, after: NoiseModel) -> float:
+    """The change of the part that moved most, in logarithms; the share at rest (a logit) is not asked."""
     pairs = zip(
         (before.sensor, before.process, before.rough, before.cycle, before.memory),
         (after.sensor, after.process, after.rough, after.cycle, after.memory),
@@ -200,7 +203,9 @@ def _newton_steps(
         normal = point.columns.T @ both[:, 1:] + np.diag(np.maximum(prior, 1e-12))
         step = cho_solve(cho_factor(normal), point.columns.T @ both[:, 0] - prior * point.off)
         # The whole step is shortened, not single parts of it: it must stay a descent direction.
-        step = step * min(1.0, 1.0 / float(np.max(np.abs(step) / _longest(frame, state), initial=1.0)))
+        strengths = [max(LARGEST_SHARE * abs(named.strength), 1e-15) for named in state.named]
+        longest = np.concatenate([LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior), strengths])
+        step = step * min(1.0, 1.0 / float(np.max(np.abs(step) / longest, initial=1.0)))
         # Backtracking, five lengths at most. If none helps, the linear problem does not describe the plant here.
         here = float(point.residual @ both[:, 0] + point.off @ (prior * point.off))
         for _half in range(5):
@@ -220,18 +225,14 @@ def _newton_steps(
     return state
 
 
-def _longest(frame: Frame, state: CourseState) -> Array:
-    own = LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior)
-    return np.concatenate([own, [max(LARGEST_SHARE * abs(one.strength), 1e-15) for one in state.named]])
-
-
 def _allowed(state: CourseState, point: Array) -> Array:
     """The point with strengths of the wrong sign put to a tiny one of the right sign."""
     out = point.copy()
     first = point.size - len(state.named)
-    for number, one in enumerate(state.named, start=first):
-        least = 1e-3 * abs(one.strength)
-        if one.entry.sign > 0:
+    # A strength at 0 or beyond would stay there: the sensitivity to an effect that is off tells nothing of its shape.
+    for number, named in enumerate(state.named, start=first):
+        least = 1e-3 * abs(named.strength)
+        if named.entry.sign > 0:
             out[number] = max(out[number], least)
     return out
 

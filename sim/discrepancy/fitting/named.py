@@ -58,7 +58,10 @@ def effect_of(named: Named, model: Model) -> Effect:
     acts, everywhere = kind.acts_with(signals), tuple(location.name for location in model.sha.locations)
     where: tuple[str, ...] = ()
     if acts != "everywhere":
-        where = _where_known(model, running_locations(model) if acts == "running" else everywhere)
+        where = running_locations(model) if acts == "running" else everywhere
+        # A constant flow holds a temperature of which nothing is known: there a heat would only add up.
+        flows = model.sha.by_name
+        where = tuple(name for name in where if flows[name].flow.kind != "constant") or where
     switch = first_switch(model.alphabet)
     return Effect(
         named.entry.name,
@@ -67,12 +70,6 @@ def effect_of(named: Named, model: Model) -> Effect:
         locations=where if len(where) < len(everywhere) else (),
         event=switch.rising if kind.from_event and switch is not None else "",
     )
-
-
-def _where_known(model: Model, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Those whose flow says how the temperature moves: a constant one holds what is not known and adds up a heat."""
-    flows = model.sha.by_name
-    return tuple(name for name in names if flows[name].flow.kind != "constant") or names
 
 
 def running_locations(model: Model) -> tuple[str, ...]:

@@ -98,6 +98,8 @@ class Whitener:
     @property
     def logdet(self) -> float:
         """ln |V| of the windows."""
+        # The determinant lemma beside each Woodbury step: |A + U U'| = |A| |I + U' A^-1 U|, first for the states, then
+        # for the cycles' scatter.
         sensor = 2.0 * self.grid.dt.size * np.log(self.noise.sensor)
         banded = 2.0 * np.log(self._factor[0]).sum() - self._prior_logdet
         return float(sensor + banded + 2.0 * np.log(np.diag(self._root)).sum())
@@ -118,6 +120,7 @@ class Whitener:
             if grid.first[row]:
                 heat, deviation = noise.rough * rng.standard_normal(count), np.zeros(count)
             else:
+                # As in `_precision`: the heat over a step is the mean of both ends'. Draws and weights share one law.
                 fresh = keep[row] * heat + noise.rough * np.sqrt(1 - keep[row] ** 2) * rng.standard_normal(count)
                 deviation = decay[row] * deviation + pull[row] * share[row] * (heat + fresh) / 2.0
                 deviation = deviation + np.sqrt(variance[row]) * rng.standard_normal(count)
@@ -225,11 +228,11 @@ def fit_noise(
     bounds[0] = max(bounds[0][0], float(np.log(max(belief.least, 1e-12)))), bounds[0][1]
     bounds[3] = bounds[3][0], MOST_SCATTER
     bounds[4] = SHORTEST, LONGEST
-    found = minimize(
+    optimum = minimize(
         cost,
         np.clip(start, [low for low, _ in bounds], [high for _, high in bounds]),
         method="L-BFGS-B",
         bounds=bounds,
         options={"maxiter": iterations, "ftol": 2e-6, "eps": 1e-3},
     )
-    return noise_of(found.x), float(found.fun)
+    return noise_of(optimum.x), float(optimum.fun)

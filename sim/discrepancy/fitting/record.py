@@ -87,6 +87,8 @@ class Record:
         heat acts, `heats` (m, cycles) as in `Grid`."""
         passed = np.cumsum(np.column_stack([k, running]) * self.runs.dt[:, None], axis=0)
         times, mean = self.times, self.windowed(passed)
+        # Rate and running share between two windows are those between their mean times: the integral over all knots,
+        # averaged in each window as the readings are, then differenced.
         first = self.window_first
         dt = np.where(first, 1.0, np.diff(times, prepend=times[0] - 1.0))
         rate, share = (np.diff(mean, axis=0, prepend=mean[:1]) / dt[:, None]).T
@@ -134,6 +136,7 @@ def patiently(trace: Trace, alphabet: Alphabet) -> Trace:
 
     Events that a trace has already are kept where its rows come in time, and where it lacks a channel's signal.
     """
+    # The 99th percentile, not the largest: single pauses of a recorder are the gaps that the encoder must see.
     usual = SLOW * float(np.quantile(np.diff(trace.times), 0.99)) if trace.times.size > 2 else 0.0
     if usual <= alphabet.gap or any(channel.signal not in trace.signals for channel in alphabet.channels):
         return encoded(trace, alphabet)
@@ -206,9 +209,11 @@ def _machine(runs: FreeRuns, traces: Sequence[Trace], switch: Switch | None) -> 
         rows = np.flatnonzero(runs.trace == number)
         if not rows.size:
             continue
+        # Everything is asked at the step's start: an event at a row's own time acts from that row on, not before it.
         begin = runs.time[rows] - runs.dt[rows]
         starts = np.empty(0)
         if switch is not None:
+            # After UNKNOWN the machine counts as stopped until its next start is seen.
             switching = [event for event in trace.events if event.symbol in (switch.rising, switch.falling, UNKNOWN)]
             times = np.array([event.time for event in switching])
             state = np.array([0.0, *(float(event.symbol == switch.rising) for event in switching)])
@@ -219,8 +224,7 @@ def _machine(runs: FreeRuns, traces: Sequence[Trace], switch: Switch | None) -> 
         place = np.searchsorted(starts, begin, side="right")
         if starts.size:
             since[rows] = np.where(place > 0, begin - starts[np.maximum(place, 1) - 1], NEVER)
-        number_of = np.maximum(place - 1, 0)
-        cycle[rows] = count + number_of
+        cycle[rows] = count + np.maximum(place - 1, 0)
         count += max(int(starts.size), 1)
     return running, since, cycle
 

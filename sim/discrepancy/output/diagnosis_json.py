@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.discrepancy import LONGEST, Diagnosis, DiagnosisCourse, HeatPlace, HeldOutProof, NamedEffect, TriedEffect
+from sim.discrepancy import LONGEST, Diagnosis, DiagnosisCourse, HeatPlace, NamedEffect, TriedEffect
 from sim.strict_json import json_text, strict
 
 FORMAT, VERSION = "decanter-diagnosis", 1
@@ -17,25 +17,28 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
 
     `sentence` and all that follows may gain keys. The course of the pictures is left out.
     """
-    one = diagnosis
-    held_out = None if one.held_out is None else _held_out(one.held_out)
+    held_out = None
+    if diagnosis.held_out is not None:
+        names = ("before", "after", "noise_floor")
+        rows = [dict(zip(names, row, strict=True)) for row in diagnosis.held_out.per_cycle]
+        held_out = asdict(diagnosis.held_out) | {"per_cycle": rows}
     content = {
-        "verdict": one.verdict,
-        "effects": [_effect(effect) for effect in one.effects],
-        "parameter_shift": [asdict(shift) for shift in one.shifts],
-        "unexplained": [_place(place, one.course) for place in one.unexplained],
-        "localisation": [_place(place, one.course) for place in one.places],
+        "verdict": diagnosis.verdict,
+        "effects": [_effect(effect) for effect in diagnosis.effects],
+        "parameter_shift": [asdict(shift) for shift in diagnosis.shifts],
+        "unexplained": [_place(place, diagnosis.course) for place in diagnosis.unexplained],
+        "localisation": [_place(place, diagnosis.course) for place in diagnosis.places],
         "held_out": held_out,
-        "model_before": one.model_before,
-        "model_after": one.model_after,
+        "model_before": diagnosis.model_before,
+        "model_after": diagnosis.model_after,
         "format": FORMAT,
         "version": VERSION,
-        "sentence": one.sentence,
-        "reasons": one.reasons,
-        "untested": one.untested,
-        "candidates": [_candidate(candidate) for candidate in one.candidates],
-        "ceiling": {"before": one.ceiling_before, "after": one.ceiling_after},
-        "settings": one.settings,
+        "sentence": diagnosis.sentence,
+        "reasons": diagnosis.reasons,
+        "untested": diagnosis.untested,
+        "candidates": [_candidate(candidate) for candidate in diagnosis.candidates],
+        "ceiling": {"before": diagnosis.ceiling_before, "after": diagnosis.ceiling_after},
+        "settings": diagnosis.settings,
     }
     return {key: strict(value) for key, value in content.items()}
 
@@ -45,48 +48,36 @@ def document_text(diagnosis: Diagnosis) -> str:
     return json_text(document(diagnosis), indent=2) + "\n"
 
 
-def _effect(one: NamedEffect) -> dict[str, Any]:
+def _effect(effect: NamedEffect) -> dict[str, Any]:
     return {
-        "name": one.name,
-        "class": one.members,
-        "confidence": one.confidence,
-        "gain_nats": one.gain,
-        "parameters": one.params,
-        "needs": list(dict.fromkeys(one.signals.values())),
-        "distinguish_by": one.experiment,
-        "plain": one.plain,
-        "margin_nats": one.margin,
-        "standard_errors": one.errors,
-        "signals": one.signals,
-        "signal_to_noise": one.signal_to_noise,
+        "name": effect.name,
+        "class": effect.members,
+        "confidence": effect.confidence,
+        "gain_nats": effect.gain,
+        "parameters": effect.params,
+        "needs": list(dict.fromkeys(effect.signals.values())),
+        "distinguish_by": effect.experiment,
+        "plain": effect.plain,
+        "margin_nats": effect.margin,
+        "standard_errors": effect.errors,
+        "signals": effect.signals,
+        "signal_to_noise": effect.signal_to_noise,
     }
 
 
-def _place(one: HeatPlace, course: DiagnosisCourse | None) -> dict[str, Any]:
+def _place(place: HeatPlace, course: DiagnosisCourse | None) -> dict[str, Any]:
     """`cycles` as "9/11"; a span without an end goes to the longest time that was seen there."""
-    low, high = one.seconds
+    low, high = place.seconds
     if not isfinite(high):
-        high = _longest(one.location, course)
-    return asdict(one) | {"seconds": [low, max(low, high)], "cycles": f"{one.cycles[0]}/{one.cycles[1]}"}
+        since = np.empty(0) if course is None else course.since_event[np.array(course.location) == place.location]
+        since = since[np.isfinite(since) & (since <= LONGEST)]
+        high = float(since.max()) if since.size else 0.0
+    return asdict(place) | {"seconds": [low, max(low, high)], "cycles": f"{place.cycles[0]}/{place.cycles[1]}"}
 
 
-def _longest(location: str, course: DiagnosisCourse | None) -> float:
-    """Seconds since the last start or stop that were seen in a location; 0 where none were."""
-    if course is None:
-        return 0.0
-    since = course.since_event[np.array(course.location) == location]
-    since = since[np.isfinite(since) & (since <= LONGEST)]
-    return float(since.max()) if since.size else 0.0
-
-
-def _candidate(one: TriedEffect) -> dict[str, Any]:
-    fields = asdict(one)
+def _candidate(candidate: TriedEffect) -> dict[str, Any]:
+    fields = asdict(candidate)
     fields["gain_nats"] = fields.pop("gain")
     fields["parameters"] = fields.pop("params")
     fields["distinguish_by"] = fields.pop("experiment")
-    return fields | {"cycles": f"{one.cycles[0]}/{one.cycles[1]}"}
-
-
-def _held_out(one: HeldOutProof) -> dict[str, Any]:
-    names = ("before", "after", "noise_floor")
-    return asdict(one) | {"per_cycle": [dict(zip(names, row, strict=True)) for row in one.per_cycle]}
+    return fields | {"cycles": f"{candidate.cycles[0]}/{candidate.cycles[1]}"}

@@ -30,25 +30,25 @@ def check_folder(out: Path, model: Path) -> None:
         raise ValueError(f"{out}: the new model would replace the one that is diagnosed; give --out another folder")
     if (out / MODEL).exists() and not _is_ours(out / DOCUMENT):
         raise ValueError(f"{out / MODEL}: is not from a diagnosis; give --out a folder that has no {MODEL!r} in it")
-    there = next(path for path in (out.absolute(), *out.absolute().parents) if path.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+    nearest = next(path for path in (out.absolute(), *out.absolute().parents) if path.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
         raise ValueError(f"{out}: no folder can be written there; give one that this user may write")
 
 
 def _is_ours(file: Path) -> bool:
+    """Whether a file is a diagnosis' document, of whatever version."""
     try:
-        said = json.loads(file.read_text(encoding="utf-8"))
+        content = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    return isinstance(said, dict) and said.get("format") == FORMAT
+    return isinstance(content, dict) and content.get("format") == FORMAT
 
 
 def write_diagnosis(diagnosis: Diagnosis, occasion: Occasion, model: Model | None, *, report: bool = True) -> Path:
     """Write all of a diagnosis to `occasion.folder`; returns the path of its document.
 
     `model` is the augmented one, which gets a directory of its own. Without `report` there are no page and no pictures.
-    Everything is made in a hidden folder first and
-    then moved in; the document is removed first and comes last, so that a folder that has it is whole. Raises
+    Everything is made in a hidden folder first and then moved in, so that a folder with a document is whole. Raises
     ArtefactError or OSError.
     """
     out = occasion.folder
@@ -61,19 +61,17 @@ def write_diagnosis(diagnosis: Diagnosis, occasion: Occasion, model: Model | Non
         replace_durably(beside / DOCUMENT, document_text(diagnosis))
         if model is not None:
             write_model_directory(beside / MODEL, model)
-        _move_in(beside, out)
+        # What is new is whole by now. The document goes first and comes last: whoever reads while the rest is being
+        # exchanged, or after a crash in between, finds a folder without a diagnosis and not one of two halves.
+        (out / DOCUMENT).unlink(missing_ok=True)
+        for name in (*FILES, REPORT):
+            (out / name).unlink(missing_ok=True)
+        if (out / MODEL).exists():
+            shutil.rmtree(out / MODEL)
+        for name in (MODEL, *FILES, REPORT, DOCUMENT):
+            if (beside / name).exists():
+                (beside / name).replace(out / name)
+        sync_directory(out)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return out / DOCUMENT
-
-
-def _move_in(beside: Path, out: Path) -> None:
-    (out / DOCUMENT).unlink(missing_ok=True)
-    for name in (*FILES, REPORT):
-        (out / name).unlink(missing_ok=True)
-    if (out / MODEL).exists():
-        shutil.rmtree(out / MODEL)
-    for name in (MODEL, *FILES, REPORT, DOCUMENT):
-        if (beside / name).exists():
-            (beside / name).replace(out / name)
-    sync_directory(out)

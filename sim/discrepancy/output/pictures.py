@@ -14,7 +14,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Rectangle
 
 from sim.discrepancy import Diagnosis, DiagnosisCourse, HeatMap, HeldOutProof, heat_map
-from sim.sha import Array, Mask
+from sim.sha import Array
 
 WHERE, CYCLES, ERRORS, SHEET = "where.png", "held_out_cycles.png", "held_out_errors.png", "diagnosis.png"
 FILES = (WHERE, CYCLES, ERRORS, SHEET)
@@ -23,19 +23,21 @@ SHOWN = 6
 """Held-out cycles that are drawn as curves."""
 ANNOTATED = 160
 """Cells of a map at most in which the number stands too."""
+LONGEST_NAME = 28
+"""Characters of a location's name on an axis."""
 DPI = 110
 
 
 def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
     """Draw what the diagnosis has to show into `folder`; gives the files by their names. Raises OSError."""
     course, held_out = _to_show(diagnosis)
-    found = None if course is None else heat_map(course)
+    heat = None if course is None else heat_map(course)
     shown = [] if course is None else cycles_to_show(course)
     labels = [] if course is None else held_out_cycles(course)
     jobs: list[tuple[str, Figure]] = []
-    if found is not None:
-        figure = _figure(_map_width(found), _map_height(found))
-        draw_where(figure, found)
+    if heat is not None:
+        figure = _figure(11.0 if heat.after is not None else 8.0, _map_height(heat))
+        draw_where(figure, heat)
         jobs.append((WHERE, figure))
     if course is not None and shown:
         figure = _figure(11.0, 4.6)
@@ -46,8 +48,12 @@ def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
         draw_errors(figure.subplots(), held_out, labels)
         jobs.append((ERRORS, figure))
     if len(jobs) > 1:
-        jobs.append((SHEET, _sheet(diagnosis, title, found, shown)))
-    return {name: _save(figure, folder / name) for name, figure in jobs}
+        jobs.append((SHEET, _sheet(diagnosis, title, heat, shown)))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
+        for name, figure in jobs:
+            figure.savefig(folder / name, dpi=DPI)
+    return {name: folder / name for name, _ in jobs}
 
 
 def _to_show(diagnosis: Diagnosis) -> tuple[DiagnosisCourse | None, HeldOutProof | None]:
@@ -58,31 +64,29 @@ def _to_show(diagnosis: Diagnosis) -> tuple[DiagnosisCourse | None, HeldOutProof
             nothing = np.full(course.times.shape, np.nan)
             course = replace(course, after=nothing, heat_after=nothing)
         if held_out is not None:
-            held_out = replace(held_out, per_cycle=tuple((one[0], np.nan, one[2]) for one in held_out.per_cycle))
+            per_cycle = tuple((before, np.nan, floor) for before, _, floor in held_out.per_cycle)
+            held_out = replace(held_out, per_cycle=per_cycle)
     return course, held_out
 
 
-def _sheet(diagnosis: Diagnosis, title: str, found: HeatMap | None, shown: Sequence[int]) -> Figure:
+def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequence[int]) -> Figure:
     """All of it on one sheet, the verdict on top."""
     course, held_out = _to_show(diagnosis)
     errors = held_out is not None and bool(held_out.per_cycle)
-    heights = [_map_height(found)] if found else []
+    heights = [_map_height(heat)] if heat else []
     heights += [4.6] if course is not None and shown else []
     heights += [3.2] if errors else []
     figure = _figure(11.5, sum(heights) + 0.9)
     parts = iter(figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0])
-    if found is not None:
-        draw_where(next(parts), found)
+    if heat is not None:
+        draw_where(next(parts), heat)
     if course is not None and shown:
         draw_cycles(next(parts), course, shown, held_out)
     if held_out is not None and errors:
         draw_errors(next(parts).subplots(), held_out, [] if course is None else held_out_cycles(course))
-    figure.suptitle(f"{title}\n{_wrapped(diagnosis.sentence)}", fontsize=12, x=0.01, ha="left", parse_math=False)
+    sentence = "\n".join(wrap(diagnosis.sentence, 120)[:3])
+    figure.suptitle(f"{title}\n{sentence}", fontsize=12, x=0.01, ha="left", parse_math=False)
     return figure
-
-
-def _wrapped(text: str, width: int = 120) -> str:
-    return "\n".join(wrap(text, width)[:3])
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -91,45 +95,36 @@ def _figure(width: float, height: float) -> Figure:
     return figure
 
 
-def _save(figure: Figure, path: Path) -> Path:
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
-        figure.savefig(path, dpi=DPI)
-    return path
-
-
 # -------------------------------------------------------------------- where
 
 
-def _map_height(found: HeatMap) -> float:
-    return 1.7 + 0.34 * len(found.locations)
+def _map_height(heat: HeatMap) -> float:
+    return 1.7 + 0.34 * len(heat.locations)
 
 
-def _map_width(found: HeatMap) -> float:
-    return 11.0 if found.after is not None else 8.0
-
-
-def draw_where(figure: Figure | SubFigure, found: HeatMap) -> None:
+def draw_where(figure: Figure | SubFigure, heat: HeatMap) -> None:
     """The map before, and beside it the map after, on one scale of colours."""
-    maps = [("before: heat that the refitted model leaves", found.before)]
-    if found.after is not None:
-        maps.append(("after: with what was added", found.after))
+    maps = [("before: heat that the refitted model leaves", heat.before)]
+    if heat.after is not None:
+        maps.append(("after: with what was added", heat.after))
     axes = figure.subplots(1, len(maps), sharey=True, squeeze=False)[0]
-    limit = found.largest or 1.0
+    limit = heat.largest or 1.0
     norm = Normalize(-limit, limit)
     for axis, (title, values) in zip(axes, maps, strict=True):
         image = axis.imshow(values, cmap="RdBu_r", norm=norm, aspect="auto", interpolation="nearest")
-        for row, column in zip(*np.nonzero(found.few & np.isfinite(values)), strict=True):
+        for row, column in zip(*np.nonzero(heat.few & np.isfinite(values)), strict=True):
             frame = (float(column) - 0.5, float(row) - 0.5)
             axis.add_patch(Rectangle(frame, 1, 1, fill=False, hatch="////", edgecolor="#b8c0c8", linewidth=0))
-        _numbers(axis, np.where(found.few, np.nan, values), limit)
+        _numbers(axis, np.where(heat.few, np.nan, values), limit)
         axis.set_title(title, fontsize=10, loc="left")
-        axis.set_xticks(range(len(found.columns)), found.columns, rotation=35, ha="right", fontsize=8)
-        axis.set_yticks(range(len(found.locations)), [_short(name) for name in found.locations], fontsize=8)
+        axis.set_xticks(range(len(heat.columns)), heat.columns, rotation=35, ha="right", fontsize=8)
+        # A $ would begin a formula in matplotlib's text.
+        short = [name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…" for name in heat.locations]
+        axis.set_yticks(range(len(short)), [name.replace("$", r"\$") for name in short], fontsize=8)
         axis.set_xlabel("time since the last start or stop", fontsize=9)
         axis.set_facecolor("#eceff2")
-    if found.left_out:
-        axes[0].set_ylabel(f"{found.left_out} rarer locations are left out", fontsize=8)
+    if heat.left_out:
+        axes[0].set_ylabel(f"{heat.left_out} rarer locations are left out", fontsize=8)
     bar = figure.colorbar(image, ax=list(axes), fraction=0.03, pad=0.01)
     bar.set_label("mean heat, °C/h", fontsize=9)
 
@@ -144,11 +139,6 @@ def _numbers(axis: Axes, values: Array, limit: float) -> None:
         colour = "white" if abs(value) > 0.6 * limit else "#333333"
         text = f"{value:+.{digits}f}" if round(abs(value), digits) else "0"
         axis.text(int(column), int(row), text, ha="center", va="center", fontsize=7, color=colour)
-
-
-def _short(name: str, most: int = 28) -> str:
-    """Neither a formula ($) nor too long."""
-    return (name if len(name) <= most else f"{name[: most - 1]}…").replace("$", r"\$")
 
 
 # -------------------------------------------------------------------- cycles
@@ -182,8 +172,17 @@ def draw_cycles(
         rows = np.asarray(course.cycle == cycle)
         kind = "held out" if course.held_out[rows].max() > 0.5 else "fitted"
         clock = (course.times[rows] - course.times[rows][0]) / size
-        _curves(above, course, rows, clock)
-        _errors(below, course, rows, clock, held_out)
+        reading, before, after = course.reading[rows], course.before[rows], course.after[rows]
+        above.plot(clock, reading, ".", color=MEASURED, markersize=2.0, zorder=3, label="measured")
+        above.plot(clock, before, color=BEFORE, linewidth=1.3, label="free run before (refitted)")
+        if held_out is not None and np.isfinite(held_out.noise_floor):
+            floor = held_out.noise_floor
+            below.axhspan(-floor, floor, color=FLOOR, alpha=0.15, linewidth=0, label="noise floor (rms)")
+        below.axhline(0.0, color="#999999", linewidth=0.7)
+        below.plot(clock, before - reading, color=BEFORE, linewidth=1.1)
+        if np.isfinite(course.after).any():
+            above.plot(clock, after, color=AFTER, linewidth=1.3, label="free run after")
+            below.plot(clock, after - reading, color=AFTER, linewidth=1.1)
         above.set_title(f"cycle {cycle + 1}, {kind}", fontsize=9, loc="left")
         below.set_xlabel(unit, fontsize=8)
         for axis in (above, below):
@@ -192,32 +191,15 @@ def draw_cycles(
         if not number:
             above.set_ylabel("temperature (°C)", fontsize=9)
             below.set_ylabel("free run −\nmeasured (°C)", fontsize=9)
-            found = [axis.get_legend_handles_labels() for axis in (above, below)]
+            entries = [axis.get_legend_handles_labels() for axis in (above, below)]
     figure.legend(
-        found[0][0] + found[1][0],
-        found[0][1] + found[1][1],
+        entries[0][0] + entries[1][0],
+        entries[0][1] + entries[1][1],
         loc="outside upper left",
         ncols=4,
         fontsize=8,
         frameon=False,
     )
-
-
-def _curves(axis: Axes, course: DiagnosisCourse, rows: Mask, clock: Array) -> None:
-    axis.plot(clock, course.reading[rows], ".", color=MEASURED, markersize=2.0, zorder=3, label="measured")
-    axis.plot(clock, course.before[rows], color=BEFORE, linewidth=1.3, label="free run before (refitted)")
-    if np.isfinite(course.after).any():
-        axis.plot(clock, course.after[rows], color=AFTER, linewidth=1.3, label="free run after")
-
-
-def _errors(axis: Axes, course: DiagnosisCourse, rows: Mask, clock: Array, held_out: HeldOutProof | None) -> None:
-    if held_out is not None and np.isfinite(held_out.noise_floor):
-        floor = held_out.noise_floor
-        axis.axhspan(-floor, floor, color=FLOOR, alpha=0.15, linewidth=0, label="noise floor (rms)")
-    axis.axhline(0.0, color="#999999", linewidth=0.7)
-    axis.plot(clock, course.before[rows] - course.reading[rows], color=BEFORE, linewidth=1.1)
-    if np.isfinite(course.after).any():
-        axis.plot(clock, course.after[rows] - course.reading[rows], color=AFTER, linewidth=1.1)
 
 
 def draw_errors(axis: Axes, held_out: HeldOutProof, cycles: Sequence[int]) -> None:

@@ -62,52 +62,14 @@ class Occasion:
 
 def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str, Path]) -> str:
     """The whole report. Raises OSError when a picture cannot be read."""
-    data = {name: _embedded(path) for name, path in pictures.items() if name != SHEET}
-    best = max((one.gain for one in diagnosis.candidates if isfinite(one.gain)), default=0.0)
-    return (
-        _environment()
-        .get_template("diagnosis.html")
-        .render(
-            one=diagnosis,
-            occasion=occasion,
-            meaning=MEANINGS[diagnosis.verdict],
-            colour=COLOURS[diagnosis.verdict],
-            where=data.get(WHERE),
-            cycles=data.get(CYCLES),
-            errors=data.get(ERRORS),
-            places=[place_sentence(place) for place in diagnosis.places[:TOLD]],
-            unexplained=[place_sentence(place) for place in diagnosis.unexplained],
-            candidates=diagnosis.candidates,
-            best=max(best, 1e-9),
-            rivals={effect.name: rivals_of(effect, diagnosis.candidates) for effect in diagnosis.effects},
-        )
-    )
-
-
-def _embedded(path: Path) -> str:
-    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
-
-
-def place_sentence(place: HeatPlace) -> str:
-    """One sentence of where heat is: "62 % of the unexplained heat is in ON/200-300, 0-4 min after W_ON, ..."."""
-    after = f", {span(*place.seconds)} after {place.after}" if place.after else ""
-    after += f", with {place.when}" if place.when else ""
-    sign = "too little" if place.heat < 0 else "too much"
-    said = (
-        f"{place.share:.0%} of the unexplained heat is in {place.location}{after}: the plant makes "
-        f"{abs(place.heat):.2g} °C/h {sign} for the model there, in {place.cycles[0]} of {place.cycles[1]} cycles "
-        f"(p = {place.p:.2g})"
-    )
-    return said + (f"; it goes with {place.correlates}" if place.correlates and not place.when else "")
-
-
-def rivals_of(effect: NamedEffect, candidates: Sequence[TriedEffect]) -> tuple[str, ...]:
-    """The names that look somewhat like a named effect in these data, outside its class."""
-    own = next((one for one in candidates if one.name == effect.name), None)
-    return () if own is None else tuple(name for name in own.rivals if name not in effect.members)
-
-
-def _environment() -> Environment:
+    data = {
+        name: "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
+        for name, path in pictures.items()
+        if name != SHEET
+    }
+    best = max((tried.gain for tried in diagnosis.candidates if isfinite(tried.gain)), default=0.0)
+    # Names of models, signals and traces come from whoever wrote them: they are escaped, and a variable that the
+    # template misspells stops the report instead of leaving a hole in it.
     environment = Environment(
         loader=PackageLoader("sim.discrepancy.output"),
         autoescape=True,
@@ -116,7 +78,39 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": _number, "share": _share, "span": lambda seconds: span(*seconds)}
-    return environment
+    return environment.get_template("diagnosis.html").render(
+        one=diagnosis,
+        occasion=occasion,
+        meaning=MEANINGS[diagnosis.verdict],
+        colour=COLOURS[diagnosis.verdict],
+        where=data.get(WHERE),
+        cycles=data.get(CYCLES),
+        errors=data.get(ERRORS),
+        places=[place_sentence(place) for place in diagnosis.places[:TOLD]],
+        unexplained=[place_sentence(place) for place in diagnosis.unexplained],
+        candidates=diagnosis.candidates,
+        best=max(best, 1e-9),
+        rivals={effect.name: rivals_of(effect, diagnosis.candidates) for effect in diagnosis.effects},
+    )
+
+
+def place_sentence(place: HeatPlace) -> str:
+    """One sentence of where heat is: "62 % of the unexplained heat is in ON/200-300, 0-4 min after W_ON, ..."."""
+    after = f", {span(*place.seconds)} after {place.after}" if place.after else ""
+    after += f", with {place.when}" if place.when else ""
+    sign = "too little" if place.heat < 0 else "too much"
+    sentence = (
+        f"{place.share:.0%} of the unexplained heat is in {place.location}{after}: the plant makes "
+        f"{abs(place.heat):.2g} °C/h {sign} for the model there, in {place.cycles[0]} of {place.cycles[1]} cycles "
+        f"(p = {place.p:.2g})"
+    )
+    return sentence + (f"; it goes with {place.correlates}" if place.correlates and not place.when else "")
+
+
+def rivals_of(effect: NamedEffect, candidates: Sequence[TriedEffect]) -> tuple[str, ...]:
+    """The names that look somewhat like a named effect in these data, outside its class."""
+    own = next((candidate for candidate in candidates if candidate.name == effect.name), None)
+    return () if own is None else tuple(name for name in own.rivals if name not in effect.members)
 
 
 def _number(value: float | None, digits: int = 2, sign: bool = False) -> str:

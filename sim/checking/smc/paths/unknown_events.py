@@ -104,8 +104,9 @@ class SemiMarkov:
         stop = np.minimum(state.leaves[there], end)
         entered = state.entered[there]
         if looked:
-            for place in np.unique(state.location[there]).tolist():
-                here = np.flatnonzero(state.location[there] == place)
+            location = state.location[there]
+            for place in _visited(location):
+                here = np.flatnonzero(location == place)
                 longest = limit(self.world.sha.locations[place].flow, now[here] - entered[here])
                 stop[here] = np.minimum(stop[here], now[here] + longest)
         instant = np.zeros(now.size, dtype=np.bool_)
@@ -126,7 +127,7 @@ class SemiMarkov:
         fast = np.zeros(there.size, dtype=np.bool_)
         mean = np.empty(there.size)
         rate = self.world.sha.max_rate
-        for place in np.unique(location).tolist():
+        for place in _visited(location):
             here = location == place
             flow = self.world.sha.locations[place].flow
             decay[here], pull[here], variance[here] = flows.coefficients(flow, age[here], dt[here])
@@ -172,7 +173,7 @@ class SemiMarkov:
         state.location[rows] = (u[:, None] >= self.chain.cumulative[state.location[rows]]).sum(axis=1)
         state.entered[rows] = state.leaves[rows]
         state.stays[rows] += 1
-        for place in np.unique(state.location[rows]).tolist():
+        for place in _visited(state.location[rows]):
             here = rows[state.location[rows] == place]
             state.mode[here] = draw_mode(self.world.sha, place, here.size, rng) + self._offset(place, here.size, rng)
             law, fresh = self.chain.laws[place], drawn_temperature(self.world.sha.locations[place])
@@ -186,6 +187,12 @@ class SemiMarkov:
     def _offset(self, place: int, runs: int, rng: np.random.Generator) -> Array | float:
         mean, sigma = self.inputs[place].tolist()
         return np.asarray(mean + sigma * rng.standard_normal(runs)) if sigma else float(mean)
+
+
+def _visited(location: Indices) -> list[int]:
+    """The locations in which some run is, ascending; counted, which for a few small numbers is far cheaper than a hash
+    of all runs."""
+    return [place for place, runs in enumerate(np.bincount(location).tolist()) if runs]
 
 
 def semi_markov(world: World, cuts: Cuts) -> SemiMarkov:
