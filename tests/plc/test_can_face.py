@@ -238,6 +238,8 @@ def test_a_device_file_that_the_face_cannot_serve_is_refused_in_one_sentence(tmp
         ("has no such tag", text, ["TFango"]),
         ("'dbc:Message.Signal'", text.replace('"dbc:Drive.Coppia"', '"holding:3"'), known),
         ("no Drive.Nothing", text.replace("dbc:Drive.Coppia", "dbc:Drive.Nothing"), known),
+        ("give 'dbc:Message.{field}'", text.replace('"dbc:Writeback.{field}"', '"holding:400"'), known),
+        ("device.driver: 'cn' is no driver", text.replace('driver = "can"', 'driver = "cn"'), known),
         ("names no echo", text.replace('Writeback = "WritebackEcho"', ""), known),
         ("is no DBC file", text.replace("decanter.dbc", "nowhere.dbc"), known),
     ):
