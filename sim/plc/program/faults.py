@@ -161,7 +161,20 @@ def wrong_count(_: float, *, delta: int = -1, honest: bool = True) -> FaultEffec
 
     `honest`: the byte count tells the truth about it; otherwise it still says what was asked for.
     """
-    return FaultEffect(alter=lambda request, reply, rng: replace(reply, pdu=_recounted(reply.pdu, delta, honest)))
+
+    def alter(_: ModbusRequest, reply: ModbusReply, __: Random) -> ModbusReply:
+        pdu = reply.pdu
+        if pdu[0] in (15, 16):  # a write's echo: function, address, count
+            count = int.from_bytes(pdu[3:5], "big") + delta
+            return replace(reply, pdu=pdu[:3] + (count & 0xFFFF).to_bytes(2, "big"))
+        if pdu[0] not in (1, 2, 3, 4, 23):
+            return reply
+        step = 1 if pdu[0] in (1, 2) else 2
+        length = min(max(0, len(pdu) - 2 + delta * step), 250)
+        payload = pdu[2 : 2 + length].ljust(length, b"\0")
+        return replace(reply, pdu=pdu[:1] + bytes((length if honest else pdu[1],)) + payload)
+
+    return FaultEffect(alter=alter)
 
 
 @fault()
@@ -380,15 +393,3 @@ def refusal(effect: FaultEffect, request: ModbusRequest, touched: Sequence[tuple
         if any(table == other and int(number) in addresses for other, addresses in touched):
             return exception(request.function, code)
     return None
-
-
-def _recounted(pdu: bytes, delta: int, honest: bool) -> bytes:
-    if pdu[0] in (15, 16):
-        count = int.from_bytes(pdu[3:5], "big") + delta
-        return pdu[:3] + (count & 0xFFFF).to_bytes(2, "big")
-    if pdu[0] not in (1, 2, 3, 4, 23):
-        return pdu
-    step = 1 if pdu[0] in (1, 2) else 2
-    length = min(max(0, len(pdu) - 2 + delta * step), 250)
-    payload = pdu[2 : 2 + length].ljust(length, b"\0")
-    return pdu[:1] + bytes((length if honest else pdu[1],)) + payload
