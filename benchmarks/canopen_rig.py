@@ -9,11 +9,12 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import click
 
-from benchmarks.fault_matrix import PERIOD, TOLERANCE_S, Matrix, suffered, table
+from benchmarks.fault_matrix import PAUSE_S, PERIOD, TOLERANCE_S, Matrix, Seen, suffered, table
 from gateway.demo.can_bus import can_hub
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.recording import PlcRecording
@@ -89,10 +90,16 @@ def _toml(value: object) -> str:
     return json.dumps(value)
 
 
-def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]]) -> Matrix:
+def measure(
+    folder: Path,
+    faults: Mapping[str, Mapping[str, Any]],
+    *,
+    pause: float = PAUSE_S,
+    held: Mapping[str, Seen] = MappingProxyType({}),
+) -> Matrix:
     """Run the faults one after the other against one pair of processes, and judge what was recorded."""
     with canopen_rig(folder, restless_trace(160.0), period=PERIOD) as (rig, options):
-        return suffered(rig, faults, options, TOLERANCE_S + EVENT_TIMER_S)
+        return suffered(rig, faults, options, TOLERANCE_S + EVENT_TIMER_S, pause=pause, held=held)
 
 
 def outside(recording: PlcRecording) -> list[str]:

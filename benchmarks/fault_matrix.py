@@ -11,10 +11,11 @@ import struct
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import inf, isfinite
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import click
@@ -73,6 +74,10 @@ TOLERATED = ("split reply", "duplicate reply")
 """No reading and no block may be lost to these."""
 
 
+Seen = Callable[[dict[str, Any]], bool]
+"""True for a status of the gateway that shows a fault."""
+
+
 @dataclass(frozen=True, slots=True)
 class Row:
     """One fault: real seconds (None: nothing was lost), readings that were judged, and how many were wrong.
@@ -111,12 +116,21 @@ class Matrix:
     failures: int
 
 
-def measure(folder: Path, faults: Mapping[str, Mapping[str, Any]], device: Path = MAP) -> Matrix:
+def measure(
+    folder: Path,
+    faults: Mapping[str, Mapping[str, Any]],
+    device: Path = MAP,
+    *,
+    pause: float = PAUSE_S,
+    held: Mapping[str, Seen] = MappingProxyType({}),
+) -> Matrix:
     """Run the faults one after the other against one pair of processes, and judge what was recorded.
 
-    `device` is the register map that the gateway works by; the PLC always has its own.
+    `device` is the register map that the gateway works by; the PLC always has its own. For `pause` and `held` see
+    `suffered`.
     """
-    return suffered(make_rig(folder, restless_trace(160.0), period=PERIOD, device=device), faults)
+    rig = make_rig(folder, restless_trace(160.0), period=PERIOD, device=device)
+    return suffered(rig, faults, pause=pause, held=held)
 
 
 def suffered(
@@ -124,15 +138,21 @@ def suffered(
     faults: Mapping[str, Mapping[str, Any]],
     options: Sequence[str] = (),
     tolerance: float = TOLERANCE_S,
+    *,
+    pause: float = PAUSE_S,
+    held: Mapping[str, Seen] = MappingProxyType({}),
 ) -> Matrix:
     """The same on a rig that is there already; `options` are the PLC's own, such as another face.
 
-    `tolerance` (s) is the age that a good value may have by the link's own rules.
+    `tolerance` (s) is the age that a good value may have by the link's own rules, `pause` (s) is between two faults.
+    A fault in `held` lasts beyond its duration until the gateway's status shows it: a machine that is busy with other
+    things may look away for longer than any duration.
     """
     with rig.plc(*options) as plc, rig.gateway(plc) as gateway:
         gateway.wait_for(_well)
         for name, fault in faults.items():
-            _suffer(name, fault, plc, gateway)
+            time.sleep(pause)
+            _suffer(name, fault, plc, gateway, held.get(name))
         status = gateway.status
         code, _ = gateway.stop()
         assert code == 0, gateway.words()
@@ -142,8 +162,7 @@ def suffered(
 
 
 def _well(status: Mapping[str, Any]) -> bool:
-    good = all(value["quality"] == "GOOD" for value in status["values"].values())
-    return bool(status["values"]) and good and status["writeback"].get("last_verdict") == "written"
+    return bool(status["values"]) and not reading_lost(status) and not block_lost(status)
 
 
 def _read_at(status: Mapping[str, Any]) -> float:
@@ -151,10 +170,29 @@ def _read_at(status: Mapping[str, Any]) -> float:
     return float(status["values"][TEMPERATURE]["time"])
 
 
-def _suffer(name: str, fault: Mapping[str, Any], plc: Plc, gateway: Gateway) -> None:
+def reading_lost(status: Mapping[str, Any]) -> bool:
+    """True if a reading is not good."""
+    return any(value["quality"] != "GOOD" for value in status["values"].values())
+
+
+def block_lost(status: Mapping[str, Any]) -> bool:
+    """True if the newest block was not confirmed."""
+    return bool(status["writeback"].get("last_verdict") != "written")
+
+
+def _suffer(name: str, fault: Mapping[str, Any], plc: Plc, gateway: Gateway, seen: Seen | None) -> None:
     """One fault from its beginning until the gateway says that all is well again."""
-    time.sleep(PAUSE_S)
-    plc.order("fault", fault=dict(fault))
+    if seen is None:
+        plc.order("fault", fault=dict(fault))
+    else:
+        endless = {key: value for key, value in fault.items() if key != "duration"}
+        number = plc.order("fault", fault=endless)["number"]
+        time.sleep(fault.get("duration", 0.0))
+        try:
+            gateway.wait_for(seen)
+        except AssertionError as error:
+            raise AssertionError(f"the fault {name!r} is not seen: {error}") from None
+        plc.order("clear", number=number)
     while plc.order("status")["faults"]:
         time.sleep(0.02)
     over = float(plc.order("status")["plant_time"])

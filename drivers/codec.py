@@ -72,8 +72,23 @@ def decode(tag: Tag, registers: Sequence[int]) -> Reading:
         text = payload[: tag.length].split(b"\0", 1)[0].decode("latin-1").rstrip(" ")
         return text, Quality.GOOD, ""
     if tag.bit is not None or tag.dtype is DType.BOOL:
-        return _boolean(tag, int.from_bytes(payload, "big"))
-    return _number(tag, payload)
+        register = int.from_bytes(payload, "big")
+        if tag.sentinel is not None and register == tag.sentinel:
+            return None, Quality.NO_DATA, _not_available(tag)
+        return bool(register >> tag.bit & 1 if tag.bit is not None else register), Quality.GOOD, ""
+    raw, reason = _RAW[tag.dtype](tag, payload)
+    if raw is None:
+        return None, Quality.DECODING_ERROR, reason
+    # The sentinel is a raw number: it is looked for before scale and offset.
+    if _is_sentinel(tag, raw):
+        return None, Quality.NO_DATA, _not_available(tag)
+    if not math.isfinite(raw):
+        return None, Quality.SENSOR_FAILURE, f"the device sent {raw}"
+    # A plain integer stays an int: times 1.0 it would be a float, exact only up to 2**53.
+    value = raw if tag.scale == 1.0 and tag.offset == 0.0 else raw * tag.scale + tag.offset
+    if not math.isfinite(value):
+        return None, Quality.DECODING_ERROR, f"{raw} times scale {tag.scale} is beyond any number"
+    return value, *judge(tag, value)
 
 
 def judge(tag: Tag, value: Value) -> tuple[Quality, str]:
@@ -99,7 +114,9 @@ def encode(tag: Tag, value: Value) -> list[int]:
     if tag.dtype is DType.STRING:
         payload = _text_bytes(tag, value)
     elif tag.dtype is DType.BOOL:
-        payload = _boolean_bytes(tag, value)
+        if isinstance(value, str) or value not in (0, 1):
+            raise EncodingError(f"{tag.name}: {value!r} is not a bool")
+        payload = struct.pack(">H", int(value))
     else:
         payload = _number_bytes(tag, value)
     words = struct.unpack(f"{_endian(tag)}{len(payload) // 2}H", payload)
@@ -118,7 +135,7 @@ def _swaps_words(tag: Tag) -> bool:
     return tag.order in _SWAPPED_WORDS and tag.dtype is not DType.STRING
 
 
-# ---------------------------------------------------------------- text and bits
+# ---------------------------------------------------------------- values to bytes, bytes to raw numbers
 
 
 def _text_bytes(tag: Tag, value: Value) -> bytes:
@@ -133,35 +150,6 @@ def _text_bytes(tag: Tag, value: Value) -> bytes:
     if b"\0" in text:
         raise EncodingError(f"{tag.name}: a NUL character would cut the text short")
     return text.ljust(2 * registers_needed(tag), b"\0")
-
-
-def _boolean(tag: Tag, register: int) -> Reading:
-    if tag.sentinel is not None and register == tag.sentinel:
-        return None, Quality.NO_DATA, _not_available(tag)
-    return bool(register >> tag.bit & 1 if tag.bit is not None else register), Quality.GOOD, ""
-
-
-def _boolean_bytes(tag: Tag, value: Value) -> bytes:
-    if isinstance(value, str) or value not in (0, 1):
-        raise EncodingError(f"{tag.name}: {value!r} is not a bool")
-    return struct.pack(">H", int(value))
-
-
-# ---------------------------------------------------------------- numbers
-
-
-def _number(tag: Tag, payload: bytes) -> Reading:
-    raw, reason = _RAW[tag.dtype](tag, payload)
-    if raw is None:
-        return None, Quality.DECODING_ERROR, reason
-    if _is_sentinel(tag, raw):
-        return None, Quality.NO_DATA, _not_available(tag)
-    if not math.isfinite(raw):
-        return None, Quality.SENSOR_FAILURE, f"the device sent {raw}"
-    value = raw if tag.scale == 1.0 and tag.offset == 0.0 else raw * tag.scale + tag.offset
-    if not math.isfinite(value):
-        return None, Quality.DECODING_ERROR, f"{raw} times scale {tag.scale} is beyond any number"
-    return value, *judge(tag, value)
 
 
 def _number_bytes(tag: Tag, value: Value) -> bytes:

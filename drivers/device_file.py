@@ -125,13 +125,7 @@ class DeviceFile(Section):
 def read_device_file(path: Path) -> DeviceFile:
     """The device file in `path`. Raises ConfigError with one sentence for each thing that is wrong."""
     content = checked(DeviceFile, read_toml(path), path)
-    if problems := _inconsistencies(content):
-        raise ConfigError([f"{path}: {problem}" for problem in problems])
-    return content
-
-
-def _inconsistencies(content: DeviceFile) -> list[str]:
-    """What no single key shows: doubled names, ranges upside down, a heartbeat that is no tag, a block without CRC."""
+    # What no single key shows: doubled names, ranges upside down, a heartbeat that is no tag, a block without CRC.
     names = [row.name for row in content.tags]
     problems = [
         f"tags[{index}].name: {name!r} is already used; give each tag a name of its own"
@@ -156,4 +150,6 @@ def _inconsistencies(content: DeviceFile) -> list[str]:
             f"writeback.fields: {name!r} is missing; the PLC cannot check the block without it"
             for name in sorted(set(NEEDED_FIELDS) - set(fields))
         ]
-    return problems
+    if problems:
+        raise ConfigError([f"{path}: {problem}" for problem in problems])
+    return content

@@ -91,16 +91,21 @@ def sentences(section: type[BaseModel], error: ValidationError, place: str) -> l
 
 def _sentence(section: type[BaseModel], detail: ErrorDetails, place: str) -> str:
     unknown = detail["type"] == "extra_forbidden"
-    key, models, field = _found(section, detail["loc"], unknown=unknown)
+    key, models, field = _located(section, detail["loc"], unknown=unknown)
     where = f"{place}: {key}" if key else place
     if unknown:
-        return f"{where}: there is no such key; {_nearest(models, str(detail['loc'][-1]))}"
+        known = list(dict.fromkeys(name for model in models for name in model.model_fields))
+        close = difflib.get_close_matches(str(detail["loc"][-1]), known, n=1, cutoff=0.6)
+        remedy = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
+        return f"{where}: there is no such key; {remedy}"
     if detail["type"] == "value_error":
         return f"{where}: {detail['msg'].removeprefix('Value error, ')}"
     remedy = f"give {field.description}" if field and field.description else ""
     if detail["type"] == "missing":
         return f"{where}: is missing; {remedy or 'add it'}"
-    return f"{where}: {reason_of(detail)}, got {_short(detail['input'])}; {remedy or 'correct the value'}"
+    value = repr(detail["input"])
+    short = value if len(value) <= 40 else value[:37] + "..."
+    return f"{where}: {reason_of(detail)}, got {short}; {remedy or 'correct the value'}"
 
 
 _REASONS = {
@@ -137,18 +142,7 @@ def reason_of(detail: ErrorDetails) -> str:
     return f"must {rest}" if should else detail["msg"][0].lower() + detail["msg"][1:]
 
 
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else text[:37] + "..."
-
-
-def _nearest(models: Sequence[type[BaseModel]], key: str) -> str:
-    known = list(dict.fromkeys(name for model in models for name in model.model_fields))
-    close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
-    return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
-
-
-def _found(
+def _located(
     section: type[BaseModel], loc: Sequence[str | int], *, unknown: bool
 ) -> tuple[str, Sequence[type[BaseModel]], FieldInfo | None]:
     """The key as the file has it, the models that may lie there, and the last field on the way.
@@ -168,7 +162,9 @@ def _found(
         elif is_mapping or not models or (unknown and number == len(loc)):
             key, is_mapping = f"{key}.{part}", False
         else:
-            models = [model for model in models if _is_tagged(model, part)] or models
+            # The tag of a union's member: the model in which one field can be this word and no other.
+            tagged = [m for m in models if any(get_args(f.annotation) == (part,) for f in m.model_fields.values())]
+            models = tagged or models
     return key.lstrip("."), models, field
 
 
@@ -177,8 +173,3 @@ def _models_in(annotation: object) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models_in(part)]
-
-
-def _is_tagged(model: type[BaseModel], tag: str) -> bool:
-    """True if one of the model's fields can only be this word: it is the union's member of that name."""
-    return any(get_args(field.annotation) == (tag,) for field in model.model_fields.values())

@@ -127,12 +127,23 @@ def _completed(tag: Tag, signal: Signal) -> Tag:
     bit = tag.dtype is DType.BOOL and tag.bit is None
     if bit and signal.length != 1:
         raise AddressError(f"{tag.name}: a bool has 1 bit, and {tag.address} has {signal.length}; give its bit")
-    scale, offset = float(signal.scale), float(signal.offset)
+    # The tag says how one bit is read; any other number is what the file makes of it.
+    is_number, dtype = not bit and tag.bit is None, DType(tag.dtype)
+    if is_number and signal.is_float:
+        kinds = {32: DType.FLOAT32, 64: DType.FLOAT64}
+        if signal.length not in kinds:
+            raise AddressError(f"{tag.name}: {tag.address} is a float of {signal.length} bits; 32 and 64 can be read")
+        dtype = kinds[signal.length]
+    elif is_number and signal.length > 64:
+        raise AddressError(f"{tag.name}: {tag.address} has {signal.length} bits; a number has 64 at most")
+    elif is_number:
+        signed, plain = next(((signed, plain) for bits, signed, plain in _SIZES if signal.length <= bits), _LARGEST)
+        dtype = signed if signal.is_signed else plain
     return replace(
         tag,
-        dtype=tag.dtype if bit or tag.bit is not None else _dtype(tag, signal),
-        scale=scale,
-        offset=offset,
+        dtype=dtype,
+        scale=float(signal.scale),
+        offset=float(signal.offset),
         low=_limit(tag.low, signal.minimum, signal),
         high=_limit(tag.high, signal.maximum, signal),
         unit=tag.unit or signal.unit or "",
@@ -144,15 +155,3 @@ def _limit(own: float | None, given: float | None, signal: Signal) -> float | No
     if own is not None or given is None or not math.isfinite(given) or signal.minimum == signal.maximum:
         return own
     return float(given)
-
-
-def _dtype(tag: Tag, signal: Signal) -> DType:
-    if signal.is_float:
-        kinds = {32: DType.FLOAT32, 64: DType.FLOAT64}
-        if signal.length not in kinds:
-            raise AddressError(f"{tag.name}: {tag.address} is a float of {signal.length} bits; 32 and 64 can be read")
-        return kinds[signal.length]
-    if signal.length > 64:
-        raise AddressError(f"{tag.name}: {tag.address} has {signal.length} bits; a number has 64 at most")
-    pair = next(((signed, plain) for bits, signed, plain in _SIZES if signal.length <= bits), _LARGEST)
-    return pair[0] if signal.is_signed else pair[1]

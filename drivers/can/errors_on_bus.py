@@ -45,7 +45,13 @@ class BusErrors:
             self.transmit_errors, self.receive_errors = data[6], data[7]
         if classes & _CONTROLLER:
             self.counts["overruns"] += bool(data[1] & _OVERFLOW)
-            self.state = _state(data[1], self.state)
+            # The worst flag of the frame counts; a frame about an overrun alone has none of the three.
+            if data[1] & _PASSIVE:
+                self.state = ControllerState.PASSIVE
+            elif data[1] & _WARNING:
+                self.state = ControllerState.WARNING
+            elif data[1] & _ACTIVE:
+                self.state = ControllerState.ACTIVE
         if classes & _RESTARTED:
             self.restart()
         if classes & _BUS_OFF:
@@ -56,11 +62,3 @@ class BusErrors:
     def restart(self) -> None:
         """The controller begins anew."""
         self.state, self.transmit_errors, self.receive_errors = ControllerState.ACTIVE, 0, 0
-
-
-def _state(flags: int, before: ControllerState) -> ControllerState:
-    if flags & _PASSIVE:
-        return ControllerState.PASSIVE
-    if flags & _WARNING:
-        return ControllerState.WARNING
-    return ControllerState.ACTIVE if flags & _ACTIVE else before

@@ -12,7 +12,7 @@ The type of the number (sign, float, text) is the tag's `dtype`.
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from struct import pack
 from typing import Literal
@@ -155,17 +155,23 @@ def value_of(tag: Tag, field: Field, data: bytes) -> Reading:
         return None, Quality.DECODING_ERROR, f"the frame has {len(data)} bytes, and the value needs {field.size}"
     if tag.dtype is DType.STRING:
         first = field.bits.start // 8
-        return decode(tag, _text_registers(data[first : first + tag.length]))
+        octets = data[first : first + tag.length]
+        octets += bytes(len(octets) % 2)
+        return decode(tag, [int.from_bytes(octets[at : at + 2], "big") for at in range(0, len(octets), 2)])
     raw = field.bits.get(data)
     if tag.dtype in _SIGNED and raw >> field.bits.length - 1:
         raw -= 1 << field.bits.length
-    return decode(tag, _registers(tag, raw))
+    # As registers, so that scale, range, sentinel and labels are judged by the one codec; a negative number fills all
+    # of them with its sign.
+    count = registers_needed(tag)
+    return decode(tag, [raw >> 16 * place & 0xFFFF for place in reversed(range(count))])
 
 
 def raw_of(tag: Tag, field: Field, value: Value) -> int:
     """The field's bits for an engineering value. Raises EncodingError for one that does not fit its type or bits."""
     words = encode(tag, value)
     if tag.dtype is DType.STRING:
+        # Text stands in a payload from its first byte on; in Intel order that is the least one of the number.
         octets = pack(f">{len(words)}H", *words)[: tag.length]
         return int.from_bytes(octets, "big" if field.bits.motorola else "little")
     raw = int.from_bytes(pack(f">{len(words)}H", *words), "big")
@@ -186,17 +192,6 @@ def raw_of(tag: Tag, field: Field, value: Value) -> int:
 def _container(tag: Tag) -> int:
     """The bits of the tag's type."""
     return 8 if tag.dtype in _BYTE_WIDE else 16 * registers_needed(tag)
-
-
-def _registers(tag: Tag, raw: int) -> list[int]:
-    count = registers_needed(tag)
-    whole = raw & (1 << 16 * count) - 1
-    return [whole >> 16 * place & 0xFFFF for place in reversed(range(count))]
-
-
-def _text_registers(octets: bytes) -> Sequence[int]:
-    padded = octets + bytes(len(octets) % 2)
-    return [int.from_bytes(padded[at : at + 2], "big") for at in range(0, len(padded), 2)]
 
 
 def _key(digits: str, where: str) -> int:

@@ -34,7 +34,12 @@ class SignalMap:
         self._settings = settings
         self._dbc = None if settings.dbc is None else Dbc(Path(settings.dbc))
         self._messages = {} if self._dbc is None else {facts.key: facts for facts in self._dbc.messages.values()}
-        self._timeouts = {self.key(name, "timeouts"): _seconds(name, s) for name, s in settings.timeouts.items()}
+        self._timeouts: dict[int, float] = {}
+        for name, seconds in settings.timeouts.items():
+            key = self.key(name, "timeouts")
+            if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 < seconds <= 86_400:
+                raise DriverError(f"can: timeouts: {name}: {seconds!r} must be seconds above 0, at most a day")
+            self._timeouts[key] = float(seconds)
 
     def key(self, name: str, where: str) -> int:
         """The key of a message by its name in the DBC file, or of a frame by its id. Raises DriverError."""
@@ -83,18 +88,11 @@ def describe(places: Sequence[SignalPlace]) -> list[str]:
     groups: dict[tuple[int, object], list[SignalPlace]] = {}
     for place in places:
         groups.setdefault((place.field.key, place.field.conditions), []).append(place)
-    return [_describe(group) for _, group in sorted(groups.items(), key=lambda item: item[0][0])]
-
-
-def _describe(group: Sequence[SignalPlace]) -> str:
-    rules, names = group[0].rules, ", ".join(place.tag.name for place in group)
-    length = "any length" if rules.length is None else f"{rules.length} bytes"
-    guarded = ", with CRC and counter" if rules.protection else ""
-    layout = layout_name(group[0].field.conditions)
-    return f"{rules.name}{layout}, {length}{guarded}, bad after {group[0].timeout:.3g} s: {names}"
-
-
-def _seconds(name: str, seconds: object) -> float:
-    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 < seconds <= 86_400:
-        raise DriverError(f"can: timeouts: {name}: {seconds!r} must be seconds above 0, at most a day")
-    return float(seconds)
+    lines = []
+    for _, group in sorted(groups.items(), key=lambda item: item[0][0]):
+        rules, names = group[0].rules, ", ".join(place.tag.name for place in group)
+        length = "any length" if rules.length is None else f"{rules.length} bytes"
+        guarded = ", with CRC and counter" if rules.protection else ""
+        layout = layout_name(group[0].field.conditions)
+        lines.append(f"{rules.name}{layout}, {length}{guarded}, bad after {group[0].timeout:.3g} s: {names}")
+    return lines

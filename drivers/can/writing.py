@@ -119,7 +119,9 @@ def _frames(places: Sequence[tuple[str, SignalPlace]], echoes: Mapping[int, int]
         _check_overlaps(group, conditions)
         first = next(iter(group.values()))
         needed = max(place.field.size for place in group.values())
-        length = _padded(max(needed, pad) if first.length is None else first.length)
+        length = max(needed, pad) if first.length is None else first.length
+        # Above 8 bytes a CAN FD frame has one of few lengths (ISO 11898-1): the next one is taken.
+        length = next((size for size in (*range(9), 12, 16, 20, 24, 32, 48, 64) if size >= length), length)
         frames.append(
             Outgoing(
                 key=key,
@@ -140,20 +142,11 @@ def _check_overlaps(group: Mapping[str, SignalPlace], conditions: Sequence[Layou
     if next(iter(group.values())).rules.protection is not None:
         taken.append(("the checksum and the counter", Bits(0, 24)))
     for name, bits in (*taken, *((name, place.field.bits) for name, place in group.items())):
-        for bit in _numbers(bits):
+        numbers: Sequence[int] = range(bits.start, bits.end)
+        if bits.motorola:  # its `end` counts from the payload's front, most significant bit first
+            fronts = range(bits.end - bits.length, bits.end)
+            numbers = [8 * (front // 8) + 7 - front % 8 for front in fronts]
+        for bit in numbers:
             if bit in owners:
                 raise AddressError(f"{name}: bit {bit} of its frame belongs to {owners[bit]} already; move one of them")
             owners[bit] = name
-
-
-def _numbers(bits: Bits) -> list[int]:
-    """The numbers of the bits, as a DBC file counts them."""
-    if not bits.motorola:
-        return list(range(bits.start, bits.end))
-    fronts = range(bits.end - bits.length, bits.end)
-    return [8 * (front // 8) + 7 - front % 8 for front in fronts]
-
-
-def _padded(length: int) -> int:
-    """The length itself up to 8 bytes, else the next one that a CAN FD frame can have."""
-    return next((size for size in (*range(9), 12, 16, 20, 24, 32, 48, 64) if size >= length), length)

@@ -54,8 +54,8 @@ class DataSheet:
 
     def pdos(self, kind: Kind) -> tuple[PdoMapping, ...]:
         """The PDOs as the EDS maps them. Raises AddressError for a mapping that no frame can carry."""
-        found = (from_objects(kind, number, self.value) for number in self.numbers(kind))
-        return tuple(pdo for pdo in found if pdo is not None)
+        mappings = (from_objects(kind, number, self.value) for number in self.numbers(kind))
+        return tuple(pdo for pdo in mappings if pdo is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,22 +108,16 @@ def parse_sheet(text: str, node: int, origin: str) -> DataSheet:
     objects: dict[ObjectPlace, EdsEntry] = {}
     for index, item in dictionary.items():
         members = [item] if isinstance(item, ODVariable) else list(item.values())
-        for one in members:
-            objects[ObjectPlace(index, one.subindex)] = _entry(one)
+        for member in members:
+            number = member.default if member.value is None else member.value
+            objects[ObjectPlace(index, member.subindex)] = EdsEntry(
+                name=member.name,
+                size=len(member) // 8 if member.fixed_size else None,
+                readable=member.readable,
+                writable=member.writable,
+                mappable=member.pdo_mappable,
+                value=number if isinstance(number, int) else None,
+            )
     if not objects:
         raise DriverError(f"canopen: eds: {origin} has no objects; give the device's own")
     return DataSheet(origin, objects)
-
-
-def _entry(one: ODVariable) -> EdsEntry:
-    given = one.default if one.value is None else one.value
-    value = given if isinstance(given, int) else None
-    size = len(one) // 8 if one.fixed_size else None
-    return EdsEntry(
-        name=one.name,
-        size=size,
-        readable=one.readable,
-        writable=one.writable,
-        mappable=one.pdo_mappable,
-        value=value,
-    )

@@ -96,13 +96,13 @@ def from_objects(kind: Kind, number: int, value: Callable[[ObjectPlace], int | N
 
 def laid_out(objects: Iterable[tuple[ObjectPlace, int]], what: str) -> tuple[Mapped, ...]:
     """Places and bits, one after the other from bit 0 on. Raises AddressError if they exceed 64 bits."""
-    found, offset = [], 0
+    mapped, offset = [], 0
     for place, bits in objects:
-        found.append(Mapped(place, offset, bits))
+        mapped.append(Mapped(place, offset, bits))
         offset += bits
     if offset > 64:
         raise AddressError(f"{what}: {offset} bits are mapped, and a frame carries 64")
-    return tuple(found)
+    return tuple(mapped)
 
 
 def wanted(
@@ -141,7 +141,16 @@ def _changed(pdo: PdoMapping, change: Mapping[str, Any], bits: Callable[[ObjectP
             raise DriverError(f"{what}: {key} must be {remedy}, not {value!r}")
     objects = pdo.objects
     if "map" in change:
-        objects = laid_out([_sized(str(text), what, bits) for text in change["map"]], what)
+        sized = []
+        for text in change["map"]:
+            place = parse_place(str(text), what)
+            size = bits(place)
+            if not size:
+                raise DriverError(
+                    f"{what}: {place} is no object of the EDS that has a fixed size, so it cannot be mapped"
+                )
+            sized.append((place, size))
+        objects = laid_out(sized, what)
     return replace(
         pdo,
         enabled=True,
@@ -152,20 +161,15 @@ def _changed(pdo: PdoMapping, change: Mapping[str, Any], bits: Callable[[ObjectP
     )
 
 
-def _sized(text: str, what: str, bits: Callable[[ObjectPlace], int | None]) -> tuple[ObjectPlace, int]:
-    place = parse_place(text, what)
-    size = bits(place)
-    if not size:
-        raise DriverError(f"{what}: {place} is no object of the EDS that has a fixed size, so it cannot be mapped")
-    return place, size
-
-
 def writes(pdo: PdoMapping, present: PdoMapping) -> list[tuple[ObjectPlace, bytes]]:
     """What must be written, in CiA 301's order, to make the `present` PDO of the device the one that is wanted.
 
     Empty if nothing differs. The PDO is switched off first, its mapping emptied, and both are put back last.
     """
-    changes = _differences(pdo, present)
+    keys = ("cob_id", "enabled", "transmission", "objects")
+    changes = {key for key in keys if getattr(pdo, key) != getattr(present, key)}
+    # Half of the finest step in which a device keeps a time (the inhibit time's 100 us) is no difference.
+    changes |= {key for key in ("inhibit", "event_timer") if abs(getattr(pdo, key) - getattr(present, key)) > 5e-5}
     if not changes:
         return []
     communication, mapping = COMMUNICATION[pdo.kind] + pdo.number - 1, MAPPING[pdo.kind] + pdo.number - 1
@@ -189,10 +193,3 @@ def writes(pdo: PdoMapping, present: PdoMapping) -> list[tuple[ObjectPlace, byte
     if last != off:
         steps.append((ObjectPlace(communication, 1), last.to_bytes(4, "little")))
     return steps
-
-
-def _differences(pdo: PdoMapping, present: PdoMapping) -> set[str]:
-    keys = ("cob_id", "enabled", "transmission", "objects")
-    found = {key for key in keys if getattr(pdo, key) != getattr(present, key)}
-    found |= {key for key in ("inhibit", "event_timer") if abs(getattr(pdo, key) - getattr(present, key)) > 5e-5}
-    return found

@@ -54,13 +54,20 @@ def from_bytes(tag: Tag, payload: bytes) -> Reading:
         return payload.split(b"\0", 1)[0].decode("latin-1").rstrip(" "), Quality.GOOD, ""
     if len(payload) != needed and not (needed == 0 and len(payload) in (1, 2)):
         return None, Quality.DECODING_ERROR, f"{len(payload)} bytes for a {tag.dtype}, which has {needed or '1 or 2'}"
-    return decode(_straight(tag), _words(payload))
+    # The codec takes registers, most significant first; an odd byte fills the low half of one.
+    words = payload[::-1].rjust((len(payload) + 1) // 2 * 2, b"\0")
+    return decode(_straight(tag), [int.from_bytes(words[at : at + 2], "big") for at in range(0, len(words), 2)])
 
 
 def to_bytes(tag: Tag, value: Value, size: int | None) -> bytes:
     """The bytes of the tag's object, `size` of them where the EDS knows. Raises EncodingError or AddressError."""
     if tag.dtype is DType.STRING:
-        return _text(tag, value)
+        if not isinstance(value, str):
+            raise EncodingError(f"{tag.name}: {value!r} is not text")
+        text = value.encode("latin-1", errors="replace")
+        if len(text) > tag.length:
+            raise EncodingError(f"{tag.name}: {len(text)} characters do not fit in {tag.length}")
+        return text
     words = encode(_straight(tag), value)
     whole = b"".join(word.to_bytes(2, "big") for word in words)[::-1]
     length = size if size is not None else (bytes_needed(tag) or 1)
@@ -69,21 +76,7 @@ def to_bytes(tag: Tag, value: Value, size: int | None) -> bytes:
     return whole[:length]
 
 
-def _text(tag: Tag, value: Value) -> bytes:
-    if not isinstance(value, str):
-        raise EncodingError(f"{tag.name}: {value!r} is not text")
-    data = value.encode("latin-1", errors="replace")
-    if len(data) > tag.length:
-        raise EncodingError(f"{tag.name}: {len(data)} characters do not fit in {tag.length}")
-    return data
-
-
 def _straight(tag: Tag) -> Tag:
     if tag.order is Order.ABCD:
         return tag
     raise AddressError(f"{tag.name}: order {tag.order} is of registers; CANopen has one byte order, leave it out")
-
-
-def _words(payload: bytes) -> list[int]:
-    straight = payload[::-1].rjust((len(payload) + 1) // 2 * 2, b"\0")
-    return [int.from_bytes(straight[at : at + 2], "big") for at in range(0, len(straight), 2)]

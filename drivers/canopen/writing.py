@@ -63,13 +63,16 @@ class Writing:
         async with self._lock:
             waiting = self._acknowledges(pieces, node)
             carriers = self._carriers(pieces, node)
-            carried = {one.place for pdo in carriers for one in pdo.objects}
+            carried = {mapped.place for pdo in carriers for mapped in pdo.objects}
             for piece in pieces:
                 if piece.place not in carried:
                     await node.sdo.write(piece.place, piece.data)
             data = {piece.place: piece.data for piece in pieces}
             for pdo in carriers:
-                node.send(pdo.cob_id, _frame(pdo, data))
+                number = 0
+                for mapped in pdo.objects:
+                    number |= int.from_bytes(data[mapped.place], "little") << mapped.offset
+                node.send(pdo.cob_id, number.to_bytes(pdo.length, "little"))
             if waiting is None:
                 await self._read_back(pieces, node)
             else:
@@ -79,16 +82,16 @@ class Writing:
         """The RPDOs that carry pieces and nothing else, the one with the last piece last."""
         order = {piece.place: number for number, piece in enumerate(pieces)}
         sizes = {piece.place: 8 * len(piece.data) for piece in pieces}
-        found: list[PdoMapping] = []
+        carriers: list[PdoMapping] = []
         taken: set[ObjectPlace] = set()
         for pdo in node.brought.rpdos if node.brought else ():
-            places = [one.place for one in pdo.objects]
-            fits = all(sizes.get(one.place) == one.bits for one in pdo.objects)
+            places = [mapped.place for mapped in pdo.objects]
+            fits = all(sizes.get(mapped.place) == mapped.bits for mapped in pdo.objects)
             # An RPDO that carries an object from outside the write map is never sent, whatever is written.
             if pdo.enabled and places and fits and self._places.issuperset(places) and taken.isdisjoint(places):
-                found.append(pdo)
+                carriers.append(pdo)
                 taken.update(places)
-        return sorted(found, key=lambda pdo: max(order[one.place] for one in pdo.objects))
+        return sorted(carriers, key=lambda pdo: max(order[mapped.place] for mapped in pdo.objects))
 
     def _acknowledges(self, pieces: Sequence[WritePiece], node: RemoteNode) -> tuple[ObjectPlace, bytes] | None:
         """The object that will tell, and what it has to say; None if there is none or it says so already."""
@@ -118,10 +121,3 @@ class Writing:
                     f"{piece.name}: {piece.place} was written as 0x{piece.data[::-1].hex()} and reads back as "
                     f"0x{stored[::-1].hex()}"
                 )
-
-
-def _frame(pdo: PdoMapping, data: dict[ObjectPlace, bytes]) -> bytes:
-    number = 0
-    for one in pdo.objects:
-        number |= int.from_bytes(data[one.place], "little") << one.offset
-    return number.to_bytes(pdo.length, "little")

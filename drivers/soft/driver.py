@@ -100,7 +100,14 @@ class SoftDriver:
         self._clock = clock
         self._write_map = write_map
         self._values: dict[str, tuple[Value | None, Quality, str]] = {}
-        self._outages = tuple(_outage(item) for item in settings.outages or ())
+        self._outages: list[tuple[float, float, str]] = []
+        for item in settings.outages or ():
+            match item:
+                case [int() | float() as begin, int() | float() as end, fault] if begin <= end:
+                    self._outages.append((float(begin), float(end), _known_fault(fault)))
+                case _:
+                    sentence = f"{item!r} is not [from, to, fault] in seconds since the first open"
+                    raise DriverError(f"soft: outages: {sentence}")
         self._fault: str | None = None
         self._opened_at: float | None = None
         self._open = False
@@ -338,10 +345,3 @@ def _known_fault(fault: object) -> str:
     if not isinstance(fault, str) or fault not in FAULTS:
         raise DriverError(f"soft: unknown fault {fault!r}: known are {', '.join(FAULTS)}")
     return fault
-
-
-def _outage(item: object) -> tuple[float, float, str]:
-    match item:
-        case [int() | float() as begin, int() | float() as end, fault] if begin <= end:
-            return float(begin), float(end), _known_fault(fault)
-    raise DriverError(f"soft: outages: {item!r} is not [from, to, fault] in seconds since the first open")

@@ -3,7 +3,7 @@
 import csv
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -70,23 +70,13 @@ def load_csv(path: Path, time_column: str, *, loop: bool) -> SoftRecording:
     Empty cells are missing values, true and false are bools, what is not a number is text. Raises DriverError with
     file, line and reason for anything that cannot be used.
     """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            return _read(stream, time_column, loop, str(path))
-    except OSError as error:
-        raise DriverError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise DriverError(f"{path}: is not UTF-8 text ({error.reason})") from None
-
-
-def _read(stream: Iterable[str], time_column: str, loop: bool, source: str) -> SoftRecording:
-    rows = _rows(stream, source)
+    rows = _rows(path)
     _, header = next(rows, (1, []))
     header = [name.strip() for name in header]
     if header.count(time_column) != 1:
-        raise DriverError(f"{source}, line 1: one column must be called {time_column!r}; it has {', '.join(header)}")
+        raise DriverError(f"{path}, line 1: one column must be called {time_column!r}; it has {', '.join(header)}")
     if len(set(header)) != len(header):
-        raise DriverError(f"{source}, line 1: two columns have the same name")
+        raise DriverError(f"{path}, line 1: two columns have the same name")
     clock = header.index(time_column)
     table: list[list[Value | None]] = []
     times: list[float] = []
@@ -94,40 +84,44 @@ def _read(stream: Iterable[str], time_column: str, loop: bool, source: str) -> S
         if not row:
             continue
         if len(row) != len(header):
-            raise DriverError(f"{source}, line {number}: {len(row)} cells for {len(header)} columns")
-        times.append(_time(row[clock], f"{source}, line {number}"))
+            raise DriverError(f"{path}, line {number}: {len(row)} cells for {len(header)} columns")
+        times.append(_seconds(row[clock], f"{path}, line {number}"))
         table.append([_cell(cell) for cell in row])
     columns = {name: [row[index] for row in table] for index, name in enumerate(header) if index != clock}
-    return make_recording(times, columns, loop=loop, source=source)
+    return make_recording(times, columns, loop=loop, source=str(path))
 
 
-def _rows(stream: Iterable[str], source: str) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """(number of its first line, cells) of each row: a quoted cell may go on over several lines."""
-    reader, number = csv.reader(stream, strict=True), 1
+    number = 1
     try:
-        for row in reader:
-            yield number, row
-            number = reader.line_num + 1
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream, strict=True)
+            for row in reader:
+                yield number, row
+                number = reader.line_num + 1
     except csv.Error as error:
-        raise DriverError(f"{source}, line {number}: is not CSV: {error}") from None
+        raise DriverError(f"{path}, line {number}: is not CSV: {error}") from None
+    except OSError as error:
+        raise DriverError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise DriverError(f"{path}: is not UTF-8 text ({error.reason})") from None
 
 
-def _time(text: str, place: str) -> float:
+def _seconds(text: str, place: str) -> float:
+    """A cell's time: a number of seconds, or an ISO 8601 moment as seconds UTC."""
     try:
         number = float(text)
     except ValueError:
-        return _instant(text, place)
+        try:
+            moment = datetime.fromisoformat(text.strip())
+        except ValueError:
+            raise DriverError(f"{place}: {text!r} is neither seconds nor an ISO 8601 time") from None
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    # "nan" and "inf" are numbers to Python, and no row can be found by them.
     if not math.isfinite(number):
         raise DriverError(f"{place}: {text!r} is not a time")
     return number
-
-
-def _instant(text: str, place: str) -> float:
-    try:
-        moment = datetime.fromisoformat(text.strip())
-    except ValueError:
-        raise DriverError(f"{place}: {text!r} is neither seconds nor an ISO 8601 time") from None
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def _cell(text: str) -> Value | None:

@@ -38,10 +38,20 @@ def place(tag: Tag) -> VehicleAddress:
     if match is None:
         example = "give one such as 'obd:0C', 'obd:05@7E9', 'spn:190', 'spn:84@47' or 'pgn:F004/4.1/16'"
         raise AddressError(f"{tag.name}: {tag.address!r} is no address of this driver; {example}")
-    limit = _limit(tag, match["limit"])
-    return VehicleAddress(
-        match["space"], match["what"], None if match["source"] is None else int(match["source"], 16), limit
-    )
+    limit, written = None, match["limit"]
+    if written is not None:
+        if tag.dtype is not DType.BOOL:
+            raise AddressError(
+                f"{tag.name}: a limit belongs to a tag of dtype bool; leave out >{written} or set the dtype"
+            )
+        try:
+            limit = float(written)
+        except ValueError:
+            raise AddressError(
+                f"{tag.name}: {written!r} behind > is no number; give one such as 'obd:0C>100'"
+            ) from None
+    source = None if match["source"] is None else int(match["source"], 16)
+    return VehicleAddress(match["space"], match["what"], source, limit)
 
 
 def number(tag: Tag, where: VehicleAddress, value: float, *, whole: bool) -> Reading:
@@ -66,14 +76,3 @@ def text(tag: Tag, words: str) -> Reading:
     if tag.dtype is not DType.STRING:
         return None, Quality.DECODING_ERROR, f"{words!r} is text, and the tag's dtype is {tag.dtype}"
     return words, Quality.GOOD, ""
-
-
-def _limit(tag: Tag, written: str | None) -> float | None:
-    if written is None:
-        return None
-    if tag.dtype is not DType.BOOL:
-        raise AddressError(f"{tag.name}: a limit belongs to a tag of dtype bool; leave out >{written} or set the dtype")
-    try:
-        return float(written)
-    except ValueError:
-        raise AddressError(f"{tag.name}: {written!r} behind > is no number; give one such as 'obd:0C>100'") from None

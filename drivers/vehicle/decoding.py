@@ -32,7 +32,11 @@ class Vehicle:
     def __init__(self, settings: DecodingSettings) -> None:
         self._settings = settings
         self._dbc = None if settings.dbc is None else Dbc(Path(settings.dbc))
-        self._timeouts = {name: _seconds(name, s) for name, s in settings.answer_timeouts.items()}
+        self._timeouts: dict[str, float] = {}
+        for name, seconds in settings.answer_timeouts.items():
+            if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 < seconds <= 86_400:
+                raise DriverError(f"can: answer_timeouts: {name}: {seconds!r} must be seconds above 0, at most a day")
+            self._timeouts[name] = float(seconds)
         self._tags: dict[str, Tag] = {}
         self._listeners: list[FrameListener] = []
         self._obd: list[Tag] = []
@@ -144,9 +148,3 @@ class Decoder:
         """What became of the frames and messages; `raw_`: frames of fields, used, refused, and of no tag."""
         raw = {f"raw_{name}": count for name, count in self._reception.counts.items()} if self._fields else {}
         return self.vehicle.counts() | raw
-
-
-def _seconds(name: str, seconds: object) -> float:
-    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 < seconds <= 86_400:
-        raise DriverError(f"can: answer_timeouts: {name}: {seconds!r} must be seconds above 0, at most a day")
-    return float(seconds)

@@ -25,29 +25,27 @@ def trouble_codes(data: bytes, conversion: int | None = None) -> Sequence[Troubl
     `conversion` (1, 2 or 3) says how codes with the conversion method bit set write their SPN; without the bit it is
     version 4, the present one, whose layout version 3 shares.
     """
-    quads = (data[at : at + 4] for at in range(2, len(data) - 3, 4))
-    codes = (_code(quad, conversion) for quad in quads if quad not in (b"\0\0\0\0", b"\xff\xff\xff\xff"))
-    return [code for code in codes if code is not None]
+    codes = []
+    for at in range(2, len(data) - 3, 4):
+        low, middle, high, last = quad = data[at : at + 4]
+        if quad in (b"\0\0\0\0", b"\xff\xff\xff\xff"):
+            continue
+        # The top bit of the last byte: written by an older method, of which the message does not say which.
+        version = conversion if last >> 7 else 4
+        top, spn = high >> 5, None
+        if version == 1:
+            spn = low << 11 | middle << 3 | top
+        elif version == 2:
+            spn = middle << 11 | low << 3 | top
+        elif version is not None:
+            spn = top << 16 | middle << 8 | low
+        code = TroubleCode(spn, high & 0x1F, last & 0x7F)
+        # Beside the method bit the rest can still be all zeros: "none", too.
+        if code != (0, 0, 0):
+            codes.append(code)
+    return codes
 
 
 def lamp(data: bytes, name: str) -> int:
     """The lamp's two bits. `data` has at least one byte; raises KeyError for a lamp that there is not."""
     return data[0] >> LAMPS[name] & 3
-
-
-def _code(quad: bytes, conversion: int | None) -> TroubleCode | None:
-    old = quad[3] >> 7
-    spn = _spn(quad, conversion if old else 4)
-    fmi, count = quad[2] & 0x1F, quad[3] & 0x7F
-    return None if (spn, fmi, count) == (0, 0, 0) else TroubleCode(spn, fmi, count)
-
-
-def _spn(quad: bytes, version: int | None) -> int | None:
-    top = quad[2] >> 5
-    if version is None:
-        return None
-    if version == 1:
-        return quad[0] << 11 | quad[1] << 3 | top
-    if version == 2:
-        return quad[1] << 11 | quad[0] << 3 | top
-    return top << 16 | quad[1] << 8 | quad[0]

@@ -138,7 +138,10 @@ class J1939Listener:
         if len(data) < 2:
             return None, Quality.DECODING_ERROR, f"DM1 with {len(data)} bytes"
         if one.word in j1939_dm1.LAMPS:
-            return _lamp(one, j1939_dm1.lamp(data, one.word))
+            lamp = j1939_dm1.lamp(data, one.word)
+            if lamp > 1:
+                return None, *_SPECIAL[0xFF if lamp == 3 else 0xFE]
+            return address.number(one.tag, one.where, lamp, whole=True)
         codes = j1939_dm1.trouble_codes(data, self._conversion)
         if one.word == "count":
             return address.number(one.tag, one.where, len(codes), whole=True)
@@ -184,12 +187,6 @@ def _number(one: J1939Tag, signal: GroupSignal, data: bytes) -> Reading:
         raw -= 1 << signal.bits.length
     whole = float(signal.scale).is_integer() and float(signal.offset).is_integer()
     return address.number(one.tag, one.where, raw * signal.scale + signal.offset, whole=whole)
-
-
-def _lamp(one: J1939Tag, bits: int) -> Reading:
-    if bits > 1:
-        return None, *_SPECIAL[0xFF if bits == 3 else 0xFE]
-    return address.number(one.tag, one.where, bits, whole=True)
 
 
 def _spn(tag: Tag, where: VehicleAddress, _: Dbc | None) -> GroupSignal:

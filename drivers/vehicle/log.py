@@ -163,7 +163,11 @@ class Log:
                 return
 
     def _from_binary(self, kind: Format, stream: "BinaryIO | gzip.GzipFile") -> Iterator[can.Message]:
-        errors: tuple[type[Exception], ...] = (*_PARSE_ERRORS, *_errors_of_mf4(self.format))
+        errors: tuple[type[Exception], ...] = _PARSE_ERRORS
+        if self.format == "mf4":
+            # asammdf and its decompressors raise errors of their own; they are there if an MF4 is read.
+            names = [(module, name) for module, name in _MF4_RAISES if find_spec(module.partition(".")[0]) is not None]
+            errors += (RuntimeError, *(getattr(import_module(module), name) for module, name in names))
         try:
             # asammdf maps a file of its own; the other readers take the open one.
             yield from kind.reader(str(self.path) if self.format == "mf4" else stream)
@@ -212,14 +216,6 @@ _NEEDS_ASAMMDF = (
     "MF4 logs need the package asammdf, which is not installed here; install it, or convert the log to BLF, ASC or "
     "candump text"
 )
-
-
-def _errors_of_mf4(format_: str) -> tuple[type[Exception], ...]:
-    """What asammdf and its decompressors raise for a file that they cannot read; they are there if an MF4 is read."""
-    if format_ != "mf4":
-        return ()
-    names = [(module, name) for module, name in _MF4_RAISES if find_spec(module.partition(".")[0]) is not None]
-    return (RuntimeError, *(getattr(import_module(module), name) for module, name in names))
 
 
 def open_log(path: Path, format_: str | None = None) -> Log:

@@ -127,7 +127,11 @@ def run(options: EmulatorOptions) -> int:
     epoch = time.time() if options.epoch is None else options.epoch
     clock = EmulatorClock(epoch, origin, options.speed)
     registers = read_map(options.map_path)
-    replay = _replay(options, clock.monotonic())
+    replay = None
+    if options.trace is not None:
+        now = clock.monotonic()
+        replay = TraceReplay(read_trace(options.trace), now, rate=options.speed, held=True, loop=options.loop)
+        replay = replay.sought(now, options.offset)
     faults = read_faults(options.faults) if options.faults else ()
     settings = PlcSettings(
         permit=options.permit,
@@ -172,14 +176,6 @@ def parse_stretch(text: str) -> Place:
     return Place(table, address, end - address + 1)
 
 
-def _replay(options: EmulatorOptions, now: float) -> TraceReplay | None:
-    if options.trace is None:
-        return None
-    table = read_trace(options.trace)
-    replay = TraceReplay(table, now, rate=options.speed, held=True, loop=options.loop)
-    return replay.sought(now, options.offset)
-
-
 async def _live(plc: Plc, options: EmulatorOptions, recorder: PlcRecorder | None) -> int:
     loop = asyncio.get_running_loop()
     server = ModbusServer(plc, options.host, options.port, options.max_clients, complain)
@@ -197,23 +193,13 @@ async def _live(plc: Plc, options: EmulatorOptions, recorder: PlcRecorder | None
         loop.add_signal_handler(number, lambda: setattr(plc, "stopping", True))
     if ignored := plc.ignored_signals():
         complain(f"the trace's signals {', '.join(ignored)} have no register in {options.map_path} and are ignored")
+    # Before the ready line: whoever reads that may connect at once, and finds the faces as the first cycle has them.
     for face in faces:
         await face.apply(line.at(face.name))
     say(_ready(plc, faces, options, control))
     if options.stdin:
         listen_to_stdin(plc, loop)
-    await _run_cycles(plc, faces, options.cycle)
-    plc.event("stopped", plc.clock.monotonic())
-    if control is not None:
-        control.close()
-    for face in faces:
-        await face.close()
-    say({"event": "stopped", "lost_rows": recorder.lost if recorder else 0})
-    return 0
-
-
-async def _run_cycles(plc: Plc, faces: Sequence[Face], cycle_s: float) -> None:
-    """Cycles on absolute deadlines until the PLC is to stop; a missed cycle is skipped, never made up for."""
+    # Cycles on absolute deadlines until the PLC is to stop; a missed cycle is skipped, never made up for.
     due = plc.clock.monotonic()
     while not plc.stopping:
         now = plc.clock.monotonic()
@@ -224,8 +210,15 @@ async def _run_cycles(plc: Plc, faces: Sequence[Face], cycle_s: float) -> None:
             plc.ended = True
             plc.event("end of trace", now)
             say({"event": "end_of_trace", "position": plc.replay.at(now), "plant_time": plc.clock.at(now)})
-        due = max(due + cycle_s, plc.clock.monotonic())
+        due = max(due + options.cycle, plc.clock.monotonic())
         await asyncio.sleep(due - plc.clock.monotonic())
+    plc.event("stopped", plc.clock.monotonic())
+    if control is not None:
+        control.close()
+    for face in faces:
+        await face.close()
+    say({"event": "stopped", "lost_rows": recorder.lost if recorder else 0})
+    return 0
 
 
 def _ready(

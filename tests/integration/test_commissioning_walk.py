@@ -1,18 +1,42 @@
 """The engineer's hour in short: an unknown PLC from `probe` to a sealed report and blocks that the PLC uses."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
-from benchmarks.commissioning import ANALOGUE, FLAGS, made
+from benchmarks.commissioning import ANALOGUE, FLAGS, Walk, WalkError, made
+from gateway.cli.main import main
 from gateway.commission.session.records import broken_at, read_records
 from gateway.store.audit import read, verify
 
 
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands without the time that each needs to begin as a process; those that ask a person have their own.
+
+    The terminal that answers is a real one, and so is the gateway that the walk runs: both are processes all the same.
+    """
+    as_process = Walk.decanter
+
+    def decanter(walked: Walk, *arguments: object, expect: int = 0, answers: Callable[[str], str] | None = None) -> str:
+        if answers is not None:
+            return as_process(walked, *arguments, expect=expect, answers=answers)
+        words = [str(argument) for argument in arguments]
+        monkeypatch.chdir(walked.folder)
+        done = CliRunner(env={"DECANTER_BY": "M. Rossi"}).invoke(main, words)
+        if done.exit_code != expect:
+            raise WalkError(f"decanter {' '.join(words)}: exit code {done.exit_code}: {done.output} {done.exception!r}")
+        return done.output
+
+    monkeypatch.setattr(Walk, "decanter", decanter)
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_an_unknown_plc_is_commissioned_by_commands_alone(tmp_path: Path) -> None:
+def test_an_unknown_plc_is_commissioned_by_commands_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_this_process(monkeypatch)
     walked, _ = made(tmp_path, soak_s=2.0, conformance=False)
     records = read_records(tmp_path / "out/commissioning.jsonl")
     assert broken_at(tmp_path / "out/commissioning.jsonl") is None

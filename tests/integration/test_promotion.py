@@ -1,19 +1,19 @@
 """A promotion by the command line reaches a running, armed gateway: over real processes and a real socket."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner, Result
 
+from gateway.cli.main import main
 from gateway.store.read_back import reading
 from sim.artefacts.formats.write_model import save, write_model_directory
 from sim.artefacts.store import CURRENT
 from sim.plc.record.recording import read_recording
 from sim.sha.automaton import Distribution, Effect, Flow
 from sim.sha.model import Model, Stay
-from tests.rig.pair import ROOT, TARGETS, Gateway, Rig, known_model, make_rig, restless_trace
+from tests.rig.pair import TARGETS, Gateway, Rig, known_model, make_rig, restless_trace
 
 PERIOD = 0.1
 FULL = 2 | 4 | 8 | 16
@@ -54,16 +54,16 @@ def augmented() -> Model:
     return replace(model, sha=replace(model.sha, effects=effects), semi_markov={running[0]: stay})
 
 
-def decanter(*arguments: object) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-m", "gateway.cli.main", *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60.0, check=False)
+def decanter(*arguments: object) -> Result:
+    """The command in this process: the gateway that it speaks to is another one all the same."""
+    return CliRunner().invoke(main, list(map(str, arguments)))
 
 
 def promoted(store: Path, folder: Path, model: Model) -> str:
     """Promote a model as an operator would; the version's name."""
     write_model_directory(folder / model.sha.name, model)
     done = decanter("model", "promote", store, "--add", folder / model.sha.name)
-    assert done.returncode == 0, done.stderr
+    assert done.exit_code == 0, done.stderr
     return (store / CURRENT).read_text(encoding="utf-8").strip()
 
 
@@ -105,7 +105,7 @@ def test_promoted_versions_run_without_a_restart_one_with_effects_too_and_one_th
 
         bad = save(store, diverging(), created=1.0)
         refused = decanter("model", "promote", store, bad)
-        assert refused.returncode == 2 and "is not promoted, as it does not verify: growth" in refused.stderr
+        assert refused.exit_code == 2 and "is not promoted, as it does not verify: growth" in refused.stderr
         (store / CURRENT).write_text(bad + "\n", encoding="utf-8")  # past the command, which refused it
         said = gateway.wait_for(lambda status: bool(status["model"]["refused"]))
         assert said["model"]["version"] == third and "growth refuted" in said["model"]["refused"]

@@ -12,6 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from click.testing import CliRunner
+
+from sim.plc.__main__ import main
+
 ROOT = Path(__file__).parents[2]
 DECANTER = ROOT / "config/devices/decanter_plc.toml"
 PATIENCE_S = 20.0
@@ -74,6 +78,13 @@ class Process:
 
 def command_line(*options: str | Path, map_path: Path = DECANTER) -> list[str]:
     return [sys.executable, "-m", "sim.plc", "--map", str(map_path), *map(str, options)]
+
+
+def refusal(*options: str | Path, map_path: Path = DECANTER) -> tuple[int, str]:
+    """The exit code and the words on stderr of a PLC that must not start; run in this process."""
+    done = CliRunner().invoke(main, ["--map", str(map_path), *map(str, options)])
+    assert isinstance(done.exception, SystemExit) and done.stdout == ""
+    return done.exit_code, done.stderr
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """The raw-frame CAN face, seen by a bare python-can program and by the gateway's driver, each fault included."""
 
 import asyncio
+import itertools
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,7 +22,7 @@ from sim.plc.program.checks import InputError
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import EventRow, read_recording
 from tests.drivers.conftest import open_anyway
-from tests.plc.bench import DECANTER, block, crc, ramp, running, trace_file
+from tests.plc.bench import DECANTER, Process, block, crc, ramp, running, trace_file, wait_until
 
 MAP = DECANTER.parent / "decanter_can.toml"
 DATABASE = cantools.database.load_file(MAP.parents[1] / "decanter.dbc")
@@ -39,6 +40,26 @@ def path(tmp_path: Path) -> Iterator[Path]:
 @pytest.fixture
 def device() -> DeviceMap:
     return load_device(MAP)
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Process]]:
+    """A bus, and a PLC on it that holds the ramp; blocks are told apart by `beats`."""
+    folder = tmp_path_factory.mktemp("can")
+    with Hub(folder / "bus"), running(*face(folder / "bus"), "--trace", ramp(folder), "--hold") as plc:
+        yield folder / "bus", plc
+
+
+@pytest.fixture
+def bus(shared: tuple[Path, Process]) -> Iterator[can.BusABC]:
+    """A client of the shared bus, on which the PLC speaks."""
+    with open_bus("hub", str(shared[0])) as bus:
+        answers(bus, 0x100, 1)
+        yield bus
+
+
+beats = itertools.count(1)
+"""A block with the heartbeat of the one before is refused: each has its own."""
 
 
 def face(path: Path) -> list[str | Path]:
@@ -85,15 +106,14 @@ def status(bus: can.BusABC, page: int) -> dict[str, object]:
     return next(values for one in answers(bus, 0x140, 4) if (values := decoded(one))["Page"] == page)
 
 
-def test_all_messages_come_in_their_cycles_with_checksum_and_counter(path: Path, tmp_path: Path) -> None:
-    with open_bus("hub", str(path)) as bus, running(*face(path), "--trace", ramp(tmp_path), "--hold"):
-        assert isinstance(DATABASE, Database)
-        heard: dict[int, list[can.Message]] = {}
-        end = time.monotonic() + 1.0
-        while time.monotonic() < end:
-            one = bus.recv(0.2)
-            if one is not None:
-                heard.setdefault(one.arbitration_id, []).append(one)
+def test_all_messages_come_in_their_cycles_with_checksum_and_counter(bus: can.BusABC) -> None:
+    assert isinstance(DATABASE, Database)
+    heard: dict[int, list[can.Message]] = {}
+    end = time.monotonic() + 1.0
+    while time.monotonic() < end:
+        message = bus.recv(0.2)
+        if message is not None:
+            heard.setdefault(message.arbitration_id, []).append(message)
     own = [message for message in DATABASE.messages if not message.name.startswith("Writeback")]
     assert set(heard) == {message.frame_id for message in own}
     for message in own:
@@ -105,50 +125,52 @@ def test_all_messages_come_in_their_cycles_with_checksum_and_counter(path: Path,
             assert len(ones) >= 8
 
 
-def test_a_block_of_eight_frames_is_echoed_and_judged_by_its_last_frame(path: Path) -> None:
-    with open_bus("hub", str(path)) as bus, running(*face(path)):
-        answers(bus, 0x100, 1)
-        sent = frames(block(7, 1))
-        for one in sent:
-            bus.send(one)
-        assert [bytes(one.data) for one in answers(bus, ECHO, 8)] == [bytes(one.data) for one in sent]
-        assert status(bus, 0)["BlocksAccepted"] == 1
+def counted(bus: can.BusABC) -> tuple[int, int]:
+    """The blocks that the PLC has accepted and refused, by its own service message."""
+    page = status(bus, 0)
+    accepted, refused = page["BlocksAccepted"], page["BlocksRefused"]
+    assert isinstance(accepted, int) and isinstance(refused, int)
+    return accepted, refused
+
+
+def test_a_block_of_eight_frames_is_echoed_and_judged_by_its_last_frame(bus: can.BusABC) -> None:
+    accepted, refused = counted(bus)
+    sent = frames(block(7, next(beats)))
+    for frame in sent:
+        bus.send(frame)
+    assert [bytes(echo.data) for echo in answers(bus, ECHO, 8)] == [bytes(frame.data) for frame in sent]
+    assert counted(bus) == (accepted + 1, refused)
 
 
 @pytest.mark.parametrize(("lost", "reason"), [(0, 2), (3, 3), (6, 3)])
-def test_a_block_that_has_lost_a_frame_is_refused_as_torn(path: Path, lost: int, reason: int) -> None:
-    with open_bus("hub", str(path)) as bus, running(*face(path)):
-        answers(bus, 0x100, 1)
-        for one in frames(block(7, 1, temperature=4000)):
-            bus.send(one)
-        later = block(8, 2, validity=3, temperature=4100)
-        later[11:22] = [word + 1 & 0xFFFF for word in later[11:22]]
-        later[22] = crc(later[:22])
-        for place, one in enumerate(frames(later)):
-            if place != lost:
-                bus.send(one)
-        assert (status(bus, 0)["BlocksAccepted"], status(bus, 0)["BlocksRefused"]) == (1, 1)
-        assert status(bus, 1)["LastRefusal"] == reason
+def test_a_block_that_has_lost_a_frame_is_refused_as_torn(bus: can.BusABC, lost: int, reason: int) -> None:
+    accepted, refused = counted(bus)
+    for frame in frames(block(7, next(beats), temperature=4000)):
+        bus.send(frame)
+    later = block(8, next(beats), validity=3, temperature=4100)
+    later[11:22] = [word + 1 & 0xFFFF for word in later[11:22]]
+    later[22] = crc(later[:22])
+    for place, frame in enumerate(frames(later)):
+        if place != lost:
+            bus.send(frame)
+    assert counted(bus) == (accepted + 1, refused + 1)
+    assert status(bus, 1)["LastRefusal"] == reason
 
 
-def test_a_block_whose_last_frame_is_lost_is_not_judged_at_all(path: Path) -> None:
-    with open_bus("hub", str(path)) as bus, running(*face(path)):
-        answers(bus, 0x100, 1)
-        for one in frames(block(7, 1))[:-1]:
-            bus.send(one)
-        counters = status(bus, 0)
-        assert (counters["BlocksAccepted"], counters["BlocksRefused"]) == (0, 0)
+def test_a_block_whose_last_frame_is_lost_is_not_judged_at_all(bus: can.BusABC) -> None:
+    before = counted(bus)
+    for frame in frames(block(7, next(beats)))[:-1]:
+        bus.send(frame)
+    assert counted(bus) == before
 
 
-def test_frames_that_are_no_part_of_the_block_change_nothing(path: Path) -> None:
-    with open_bus("hub", str(path)) as bus, running(*face(path)) as plc:
-        answers(bus, 0x100, 1)
-        for data in (b"", b"\x00", b"\xff" * 8, bytes(7), bytes(range(200, 208))):
-            bus.send(can.Message(arbitration_id=WRITEBACK, is_extended_id=False, data=data))
-        bus.send(can.Message(arbitration_id=WRITEBACK, is_extended_id=True, data=bytes(8)))
-        counters = status(bus, 0)
-        assert (counters["BlocksAccepted"], counters["BlocksRefused"]) == (0, 0)
-        assert plc.order("status")["running"]
+def test_frames_that_are_no_part_of_the_block_change_nothing(bus: can.BusABC, shared: tuple[Path, Process]) -> None:
+    before = counted(bus)
+    for data in (b"", b"\x00", b"\xff" * 8, bytes(7), bytes(range(200, 208))):
+        bus.send(can.Message(arbitration_id=WRITEBACK, is_extended_id=False, data=data))
+    bus.send(can.Message(arbitration_id=WRITEBACK, is_extended_id=True, data=bytes(8)))
+    assert counted(bus) == before
+    assert shared[1].order("status")["running"]
 
 
 async def test_the_driver_reads_what_the_modbus_face_serves(path: Path, device: DeviceMap, tmp_path: Path) -> None:
@@ -216,8 +238,10 @@ async def test_no_fault_of_the_bus_makes_a_wrong_value_good_and_each_is_seen_and
             during = await _polled(driver, tags, samples, 0.6)
             good = sum(one.quality.is_good for one in during) / len(during)
             assert good > 0.8 if kind in STAYS_GOOD else good < 0.9, (kind, good)
-            after = await _polled(driver, tags, samples, 1.0)
-            assert all(one.quality.is_good for one in after[-4:]), (kind, after[-4:])
+            wait_until(lambda: plc.order("status")["faults"] == [])
+            after = await _polled(driver, tags, samples, 1.0, until_good=True)
+            assert all(sample.quality.is_good for sample in after[-4:]), (kind, after[-4:])
+            await _polled(driver, tags, samples, 0.1)
         counted = driver.statistics()
         await driver.close()
         plc.stop()
@@ -238,6 +262,8 @@ def test_a_device_file_that_the_face_cannot_serve_is_refused_in_one_sentence(tmp
         ("has no such tag", text, ["TFango"]),
         ("'dbc:Message.Signal'", text.replace('"dbc:Drive.Coppia"', '"holding:3"'), known),
         ("no Drive.Nothing", text.replace("dbc:Drive.Coppia", "dbc:Drive.Nothing"), known),
+        ("give 'dbc:Message.{field}'", text.replace('"dbc:Writeback.{field}"', '"holding:400"'), known),
+        ("device.driver: 'cn' is no driver", text.replace('driver = "can"', 'driver = "cn"'), known),
         ("names no echo", text.replace('Writeback = "WritebackEcho"', ""), known),
         ("is no DBC file", text.replace("decanter.dbc", "nowhere.dbc"), known),
     ):
@@ -263,11 +289,17 @@ async def _settled(driver: CanDriver, device: DeviceMap) -> list[Sample]:
         await asyncio.sleep(0.02)
 
 
-async def _polled(driver: CanDriver, tags: list[Tag], samples: list[Sample], seconds: float) -> list[Sample]:
+async def _polled(
+    driver: CanDriver, tags: list[Tag], samples: list[Sample], seconds: float, *, until_good: bool = False
+) -> list[Sample]:
+    """What is read in so many seconds; `until_good`: at most."""
     got: list[Sample] = []
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        got += await driver.read(tags)
+        read = await driver.read(tags)
+        got += read
+        if until_good and all(sample.quality.is_good for sample in read):
+            break
         await asyncio.sleep(0.02)
     samples += got
     return got

@@ -265,6 +265,8 @@ def spoiled(tmp_path: Path, change: Callable[[str], str]) -> Path:
     [
         ('"0x2001:1"', '"holding:1"', "tag 7: address: must match"),
         ('"0x2001:1"', '"0x2009:1"', "0x2009:1 is not in the EDS"),
+        ('"0x2100:1"', '"holding:400"', r"\[writeback\]: address: must match index:sub-index, got 'holding:400'"),
+        ('dtype = "bool"', 'dtyp = "bool"', r"tags\[0\]\.dtyp: there is no such key; did you mean 'dtype'"),
         ('name = "Assorbimento"', 'name = "Corrente"', "the register map has no 'Corrente'"),
         ("node = 1", "node = 100", "node: must be at most 63, got 100; give a node id"),
         ("../decanter.eds", "../none.eds", "none.eds: there is no such file"),

@@ -4,7 +4,6 @@ import os
 import socket
 import ssl
 import struct
-import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,7 +16,7 @@ from sim.plc.program.faults import FAULTS, ONLY_AT
 from sim.plc.record.recording import read_recording
 from tests.drivers import certified
 from tests.drivers.scripted_line import rtu
-from tests.plc.bench import PATIENCE_S, Process, Raw, block, client, command_line, ramp, running, wait_until
+from tests.plc.bench import PATIENCE_S, Process, Raw, block, client, ramp, refusal, running, wait_until
 
 READ = struct.pack(">BHH", 3, 101, 1)
 """Assorbimento, which the ramp moves."""
@@ -125,13 +124,23 @@ def test_a_fault_of_one_face_leaves_the_others_alone() -> None:
         assert raw.ask(READ)[0] == 3
 
 
-def test_a_fault_of_the_whole_plc_takes_no_face() -> None:
-    with running() as plc:
-        reply = plc.order("fault", fault={"kind": "frozen", "face": "tcp"})
-        assert not reply["ok"] and "strikes the program behind all faces; leave it out" in reply["error"]
+def test_a_fault_of_the_whole_plc_takes_no_face(plain_plc: Process) -> None:
+    reply = plain_plc.order("fault", fault={"kind": "frozen", "face": "tcp"})
+    assert not reply["ok"] and "strikes the program behind all faces; leave it out" in reply["error"]
 
 
 # ------------------------------------------------------------------ roles
+
+
+@pytest.fixture(scope="module")
+def tls_record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("tls") / "plc.jsonl"
+
+
+@pytest.fixture(scope="module")
+def tls_plc(tls_record: Path) -> Iterator[Process]:
+    with running("--tls", certified.for_plc(tls_record.parent / "c"), "--record", tls_record) as plc:
+        yield plc
 
 
 @pytest.mark.parametrize(
@@ -139,20 +148,18 @@ def test_a_fault_of_the_whole_plc_takes_no_face() -> None:
     [("Gateway", True, True), ("Viewer", True, False), ("Stranger", False, False), ("", False, False)],
 )
 def test_a_role_may_do_what_the_table_says_and_exception_1_is_the_answer_to_all_else(
-    tmp_path: Path, role: str, reads: bool, writes: bool
+    tls_plc: Process, tls_record: Path, tmp_path: Path, role: str, reads: bool, writes: bool
 ) -> None:
-    folder = certified.for_plc(tmp_path / "c")
-    certified.write(folder, "client", certified.client(role=role))
-    record = tmp_path / "plc.jsonl"
-    with running("--tls", folder, "--record", record) as plc, secured(plc, folder) as raw:
+    folder = certified.folder(tmp_path / "c", of_client=certified.client(role=role))
+    before = tls_plc.order("status")["accepted"]
+    with secured(tls_plc, folder) as raw:
         assert raw.ask(READ)[0] == (3 if reads else 0x83)
         answer = raw.write(400, block(sequence=1, heartbeat=1))
         assert answer[0] == 16 if writes else answer == b"\x90\x01"
-        assert plc.order("status")["accepted"] == int(writes)
-        plc.stop()
-    recording = read_recording(record)
+        assert tls_plc.order("status")["accepted"] - before == int(writes)
+    recording = read_recording(tls_record)
     assert recording.requests[-1].exception == (None if writes else 1)
-    assert next(row for row in recording.events if row.event == "connected").detail["role"] == role
+    assert [row for row in recording.events if row.event == "connected"][-1].detail["role"] == role
 
 
 def test_the_roles_of_the_command_line_replace_the_shipped_ones(tmp_path: Path) -> None:
@@ -162,10 +169,9 @@ def test_the_roles_of_the_command_line_replace_the_shipped_ones(tmp_path: Path) 
         assert raw.write(400, block(sequence=1, heartbeat=1)) == b"\x90\x01"
 
 
-def test_a_client_without_a_certificate_of_the_authority_is_not_served(tmp_path: Path) -> None:
-    folder = certified.for_plc(tmp_path / "c")
-    certified.write(folder, "client", certified.client("another"))
-    with running("--tls", folder) as plc, pytest.raises((OSError, EOFError)), secured(plc, folder) as raw:
+def test_a_client_without_a_certificate_of_the_authority_is_not_served(tls_plc: Process, tmp_path: Path) -> None:
+    folder = certified.folder(tmp_path / "c", of_client=certified.client("another"))
+    with pytest.raises((OSError, EOFError)), secured(tls_plc, folder) as raw:
         raw.ask(READ)
 
 
@@ -180,15 +186,14 @@ def test_a_client_without_a_certificate_of_the_authority_is_not_served(tmp_path:
     ],
 )
 def test_a_face_that_cannot_be_made_is_one_sentence_and_code_2(options: tuple[str, ...], said: str) -> None:
-    done = subprocess.run(command_line(*options), capture_output=True, text=True, check=False, timeout=PATIENCE_S)
-    assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
+    code, stderr = refusal(*options)
+    assert code == 2 and said in stderr
 
 
 def test_a_role_that_makes_no_sense_is_one_sentence(tmp_path: Path) -> None:
     folder = certified.for_plc(tmp_path / "c")
-    command = command_line("--tls", folder, "--tls-role", "Gateway=all")
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
-    assert done.returncode == 2 and "'Gateway=all' cannot be read; give ROLE=read or ROLE=write" in done.stderr
+    code, stderr = refusal("--tls", folder, "--tls-role", "Gateway=all")
+    assert code == 2 and "'Gateway=all' cannot be read; give ROLE=read or ROLE=write" in stderr
 
 
 def test_every_face_is_asked_for_by_an_option_of_its_own() -> None:

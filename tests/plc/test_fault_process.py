@@ -16,6 +16,7 @@ from tests.plc.bench import (
     BLOCK,
     BLOCK_WORDS,
     HEARTBEAT,
+    Process,
     Raw,
     block,
     client,
@@ -45,28 +46,28 @@ def ended(raw: Raw) -> bool:
         return True
 
 
-def test_refuse_closes_the_listener_and_resets_who_is_there() -> None:
-    with running() as plc, client(plc.port) as raw:
+def test_refuse_closes_the_listener_and_resets_who_is_there(plain_plc: Process) -> None:
+    with client(plain_plc.port) as raw:
         assert raw.ask(ASK) == ANSWER
-        number = plc.fault("refuse")
+        number = plain_plc.fault("refuse")
         with pytest.raises(ConnectionResetError):
             raw.sock.recv(1)
-        assert refused(plc.port)
-        plc.order("clear", number=number)
-        wait_until(lambda: not refused(plc.port))
-        with client(plc.port) as again:
+        assert refused(plain_plc.port)
+        plain_plc.order("clear", number=number)
+        wait_until(lambda: not refused(plain_plc.port))
+        with client(plain_plc.port) as again:
             assert again.ask(ASK) == ANSWER
 
 
-def test_silent_takes_connections_and_requests_and_answers_none() -> None:
-    with running() as plc, client(plc.port) as raw:
-        number = plc.fault("silent")
+def test_silent_takes_connections_and_requests_and_answers_none(plain_plc: Process) -> None:
+    with client(plain_plc.port) as raw:
+        number = plain_plc.fault("silent")
         raw.send(ASK)
-        with client(plc.port) as other:
+        with client(plain_plc.port) as other:
             other.send(ASK)
             assert other.silent_for(0.2) and raw.silent_for(0.2)
-        plc.order("clear", number=number)
-        wait_until(lambda: plc.order("status")["faults"] == [])
+        plain_plc.order("clear", number=number)
+        wait_until(lambda: plain_plc.order("status")["faults"] == [])
         assert raw.ask(ASK) == ANSWER
 
 
@@ -81,23 +82,23 @@ def test_half_open_lets_old_connections_go_deaf_and_serves_new_ones() -> None:
             assert old.silent_for(0.2)
 
 
-def test_reset_comes_after_part_of_the_reply() -> None:
-    with running() as plc, client(plc.port) as raw:
-        plc.fault("reset", after=9, count=1)
+def test_reset_comes_after_part_of_the_reply(plain_plc: Process) -> None:
+    with client(plain_plc.port) as raw:
+        plain_plc.fault("reset", after=9, count=1)
         sent = raw.send(ASK)
         assert raw.exactly(9) == struct.pack(">HHHB", sent, 0, 7, 1) + ANSWER[:2]
         with pytest.raises(ConnectionResetError):
             raw.sock.recv(1)
-        with client(plc.port) as again:
+        with client(plain_plc.port) as again:
             assert again.ask(ASK) == ANSWER
 
 
-def test_a_late_reply_holds_what_was_true_when_it_was_asked(tmp_path: Path) -> None:
-    with running("--trace", ramp(tmp_path), "--hold") as plc, client(plc.port) as raw:
-        plc.fault("late", delay_s=0.4, count=1)
+def test_a_late_reply_holds_what_was_true_when_it_was_asked(ramp_plc: Process) -> None:
+    with client(ramp_plc.port) as raw:
+        ramp_plc.fault("late", delay_s=0.4, count=1)
         before = time.monotonic()
         raw.send(struct.pack(">BHH", 3, 101, 1))
-        plc.order("seek", position=2.0)
+        ramp_plc.order("seek", position=2.0)
         assert raw.frame()[2] == bytes.fromhex("03020000")
         assert time.monotonic() - before >= 0.4
         assert raw.words(101) == [200]
@@ -117,30 +118,30 @@ def test_a_late_reply_holds_what_was_true_when_it_was_asked(tmp_path: Path) -> N
     ],
 )
 def test_a_bent_reply_arrives_once_and_the_next_is_right(
-    kind: str, keys: dict[str, object], reply: tuple[int, int, bytes]
+    plain_plc: Process, kind: str, keys: dict[str, object], reply: tuple[int, int, bytes]
 ) -> None:
-    with running() as plc, client(plc.port) as raw:
-        plc.fault(kind, count=1, **keys)
+    with client(plain_plc.port) as raw:
+        plain_plc.fault(kind, count=1, **keys)
         sent = raw.send(ASK)
         transaction, unit, pdu = raw.frame()
         assert (transaction - sent, unit, pdu) == reply
         assert raw.ask(ASK) == ANSWER
 
 
-def test_an_illegal_register_leaves_its_neighbours_alone() -> None:
-    with running() as plc, client(plc.port) as raw:
-        plc.fault("illegal_register", registers=["holding:102"])
+def test_an_illegal_register_leaves_its_neighbours_alone(plain_plc: Process) -> None:
+    with client(plain_plc.port) as raw:
+        plain_plc.fault("illegal_register", registers=["holding:102"])
         assert raw.ask(struct.pack(">BHH", 3, 100, 10)) == bytes((0x83, 2))
         assert raw.words(100, 2) == [0, 0xFFFF]
         assert len(raw.words(103, 8)) == 8
 
 
-def test_a_duplicate_reply_arrives_twice_and_garbage_instead_of_one() -> None:
-    with running("--seed", "3") as plc, client(plc.port) as raw:
-        plc.fault("duplicate", count=1)
+def test_a_duplicate_reply_arrives_twice_and_garbage_instead_of_one(plain_plc: Process) -> None:
+    with client(plain_plc.port) as raw:
+        plain_plc.fault("duplicate", count=1)
         sent = raw.send(ASK)
         assert raw.frame() == raw.frame() == (sent, 1, ANSWER)
-        plc.fault("garbage", length=11, count=1)
+        plain_plc.fault("garbage", length=11, count=1)
         raw.send(ASK)
         assert len(raw.exactly(11)) == 11
         assert raw.ask(ASK) == ANSWER
@@ -165,10 +166,10 @@ def test_frozen_stands_still_with_the_heartbeat_while_the_truth_goes_on(tmp_path
     assert wrong_good(recording, [sample], tolerance_s=60.0) == []
 
 
-def test_one_tag_can_freeze_alone(tmp_path: Path) -> None:
-    with running("--trace", ramp(tmp_path), "--hold") as plc, client(plc.port) as raw:
-        plc.fault("frozen", tags=["Assorbimento"])
-        plc.order("seek", position=3.0)
+def test_one_tag_can_freeze_alone(ramp_plc: Process) -> None:
+    with client(ramp_plc.port) as raw:
+        ramp_plc.fault("frozen", tags=["Assorbimento"])
+        ramp_plc.order("seek", position=3.0)
         wait_until(lambda: raw.words(109) == [30])
         assert raw.words(101) == [0]
 
@@ -250,9 +251,9 @@ def test_every_fault_of_the_table_is_observed_here() -> None:
     assert [kind for kind in FAULTS if f'"{kind}"' not in text and kind not in ONLY_AT] == []
 
 
-def test_two_faults_in_force_are_both_seen() -> None:
-    with running() as plc, client(plc.port) as raw:
-        plc.fault("wrong_unit", count=1)
-        plc.fault("wrong_transaction", count=1)
+def test_two_faults_in_force_are_both_seen(plain_plc: Process) -> None:
+    with client(plain_plc.port) as raw:
+        plain_plc.fault("wrong_unit", count=1)
+        plain_plc.fault("wrong_transaction", count=1)
         sent = raw.send(ASK)
         assert raw.frame() == (sent + 1, 2, ANSWER)

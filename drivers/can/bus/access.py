@@ -31,23 +31,16 @@ def open_bus(
         more["bitrate"] = bitrate
     if fd:
         more["fd"] = True
-    tap = current()
-    bus = _opened(interface, channel, filters, more)
-    return bus if tap is None else TappedBus(bus, tap, f"{interface} {channel}")
-
-
-def _opened(
-    interface: str, channel: str, filters: can.typechecking.CanFilters | None, more: dict[str, Any]
-) -> can.BusABC:
+    bus: can.BusABC
     try:
         if interface == "hub":
-            return HubBus(channel, filters, **more)
-        return can.Bus(channel, interface, ignore_config=True, can_filters=filters, **more)
+            bus = HubBus(channel, filters, **more)
+        else:
+            bus = can.Bus(channel, interface, ignore_config=True, can_filters=filters, **more)
     except NotImplementedError as error:
         raise DriverError(f"CAN interface {interface!r} cannot be used here: {error}") from None
     except (can.CanError, OSError, ValueError, TypeError) as error:
-        raise LinkDown(f"CAN {interface} {channel}: {_sentence(error)}") from None
-
-
-def _sentence(error: Exception) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise LinkDown(f"CAN {interface} {channel}: {reason}") from None
+    tap = current()
+    return bus if tap is None else TappedBus(bus, tap, f"{interface} {channel}")

@@ -56,7 +56,20 @@ class Hub:
         self._path, self._queue = Path(path), queue
         self._clients: set[_Client] = set()
         self._counts = dict.fromkeys(("frames", "delivered", "dropped", "malformed"), 0)
-        self._listener = _listen(self._path)
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            # A path that a dead hub has left behind is taken over; a living hub's answers, and is in use.
+            if self._path.is_socket():
+                with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+                    if probe.connect_ex(str(path)) == errno.ECONNREFUSED:
+                        self._path.unlink()
+            self._listener.bind(str(path))
+            self._path.chmod(_MODE)
+            self._listener.listen(64)
+        except OSError as error:
+            self._listener.close()
+            raise OSError(error.errno, f"no CAN hub at {path}: {error.strerror or error}") from None
+        self._listener.setblocking(False)
         self._stopped, self._stop = socket.socketpair()
         self._thread = threading.Thread(target=self.run, name="can hub", daemon=True)
 
@@ -85,17 +98,14 @@ class Hub:
             stopping = False
             while not stopping:
                 for key, mask in self._selector.select():
-                    client = key.data
-                    if client is None:
-                        stopping = stopping or key.fileobj is self._stopped
-                        if key.fileobj is self._listener:
-                            self._accept()
-                        continue
+                    stopping = stopping or key.fileobj is self._stopped
+                    if key.fileobj is self._listener:
+                        self._accept()
                     # One that another's frames, or these, have found gone is a client no more.
-                    if mask & selectors.EVENT_WRITE and client in self._clients:
-                        self._flush(client)
-                    if mask & _READ and client in self._clients:
-                        self._forward(client)
+                    if mask & selectors.EVENT_WRITE and key.data in self._clients:
+                        self._flush(key.data)
+                    if mask & _READ and key.data in self._clients:
+                        self._forward(key.data)
             for client in tuple(self._clients):
                 self._part(client)
             self._path.unlink(missing_ok=True)
@@ -119,7 +129,7 @@ class Hub:
                 return
             except OSError:
                 packet = b""
-            if not packet:
+            if not packet:  # its end; an empty packet would look the same, and is no frame either
                 self._part(sender)
                 return
             if len(packet) not in FRAME_SIZES:
@@ -162,24 +172,6 @@ class Hub:
         self._clients.discard(client)
         self._selector.unregister(client.sock)
         client.sock.close()
-
-
-def _listen(path: Path) -> socket.socket:
-    """The listening socket; a path that a dead hub has left behind is taken over."""
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    try:
-        if path.is_socket():
-            with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
-                if probe.connect_ex(str(path)) == errno.ECONNREFUSED:
-                    path.unlink()
-        listener.bind(str(path))
-        path.chmod(_MODE)
-        listener.listen(64)
-    except OSError as error:
-        listener.close()
-        raise OSError(error.errno, f"no CAN hub at {path}: {error.strerror or error}") from None
-    listener.setblocking(False)
-    return listener
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

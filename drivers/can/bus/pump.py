@@ -4,12 +4,13 @@ import asyncio
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 
 import can
 
 _BURST = 256
 _LOOK = 0.1
-_QUEUE = 10_000
+_QUEUE = 10_000  # frames kept for a loop that is behind a thread; a bus with a descriptor keeps them itself
 
 
 class Pump:
@@ -26,7 +27,10 @@ class Pump:
         self._loop = asyncio.get_running_loop()
         self._waiting: deque[can.Message] = deque()
         self._closed = False
-        self._fd = _descriptor(bus)
+        self._fd: int | None = None
+        # An interface without a descriptor raises; that of a socket which is closed already is below 0.
+        with suppress(NotImplementedError):
+            self._fd = number if (number := bus.fileno()) >= 0 else None
         if self._fd is None:
             threading.Thread(target=self._listen, name=f"can {bus.channel_info}", daemon=True).start()
         else:
@@ -93,11 +97,3 @@ class Pump:
             self._waiting.popleft()
         if self._waiting:
             self._loop.call_soon(self._drain)
-
-
-def _descriptor(bus: can.BusABC) -> int | None:
-    try:
-        number = bus.fileno()
-    except NotImplementedError:
-        return None
-    return number if number >= 0 else None

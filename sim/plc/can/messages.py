@@ -5,6 +5,7 @@ gateway's decoder cannot cancel itself out in a round trip.
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,57 +15,36 @@ import cantools
 from cantools.database.can import Database, Message, Signal
 from pydantic import ConfigDict, Field
 
+from drivers.device_file import TagTable
 from drivers.tag import Value
-from sim.plc.program import FileTable, InputError, listed, read_toml, validated
+from sim.plc.program import FileTable, InputError, listed, read_device, validated
 
-_PREFIX = "dbc:"
+_SIGNAL = re.compile(r"dbc:(\w+)\.(\w+)")
+_BLOCK = re.compile(r"dbc:(\w+)\.\{field\}")
 _HEADER = 3  # of E2E profile 5: two bytes of CRC, one of counter
+_CYCLE_MS = 100
+"""The cycle (ms) of a message to which the DBC file gives none."""
 
 
 class _BusDevice(FileTable):
+    """The settings of the driver that hold for the device's side, too; all others are the gateway's business."""
+
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
     dbc: str = Field(min_length=1, description="the path of a DBC file, relative to this one")
     echo: dict[str, str] = Field(default_factory=dict, description="a table of messages and their echoes, by name")
-
-
-class _SignalEntry(FileTable):
-    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
-    name: str = Field(min_length=1, description="the tag's name")
-    address: str = Field(pattern=rf"^{_PREFIX}\w+\.\w+$", description="'dbc:Message.Signal'")
-    sentinel: int | None = Field(None, description="a whole number")
-
-
-class _FieldEntry(FileTable):
-    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
-    name: str = Field(min_length=1, description="the field's name")
-
-
-class _BlockMessageEntry(FileTable):
-    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
-    address: str = Field(pattern=rf"^{_PREFIX}\w+\.\{{field\}}$", description="'dbc:Message.{field}'")
-    fields: list[_FieldEntry] = Field(min_length=1, description="the block's fields")
-
-
-@dataclass(frozen=True, slots=True)
-class _Content:
-    """One signal of a payload: the tag that it shows, and the raw number that says "not available"."""
-
-    signal: Signal
-    tag: str
-    sentinel: int | None
 
 
 @dataclass(slots=True, eq=False)
 class Sender:
     """One payload layout that the PLC sends: every `cycle` seconds, and when its content changes.
 
-    `selected` are the numbers of the message's multiplexors. `content` and `wire` are what was sent last, without and
-    with checksum and counter.
+    `selected` are the numbers of the message's multiplexors, `contents` its signals and the tags that they show.
+    `content` and `wire` are what was sent last, without and with checksum and counter.
     """
 
     message: Message
     selected: Mapping[str, int]
-    contents: Sequence[_Content]
+    contents: Sequence[tuple[Signal, TagTable]]
     cycle: float
     data_id: int | None
     content: bytes | None = None
@@ -75,8 +55,20 @@ class Sender:
         """The message as the image has it, checksum and counter 0. A tag that the image has lost reads as 0."""
         raw: dict[str, float | str] = {signal.name: 0 for signal in self.message.signals}
         raw.update(self.selected)
-        for one in self.contents:
-            raw[one.signal.name] = _raw(one, served[one.tag]) if one.tag in served else 0
+        for signal, tag in self.contents:
+            value = served.get(tag.name, "")
+            number: float = 0  # of a text, too, which has no place in a signal
+            if value is None:
+                absent = math.nan if signal.is_float else 0
+                number = absent if tag.sentinel is None else tag.sentinel
+            elif not isinstance(value, str):
+                number = (value - float(signal.offset)) / float(signal.scale)
+                if not signal.is_float:
+                    # What does not fit stands at the limit of its bits.
+                    half = 1 << signal.length - 1
+                    low, high = (-half, half - 1) if signal.is_signed else (0, 2 * half - 1)
+                    number = min(max(round(number), low), high)
+            raw[signal.name] = number
         return bytes(self.message.encode(raw, scaling=False, strict=False))
 
 
@@ -120,35 +112,50 @@ class Messages:
 
 def read_messages(path: Path, known: Sequence[str]) -> Messages:
     """The messages of the device file in `path` for the image's tags. Raises InputError."""
-    data = read_toml(path, "a device file such as config/devices/decanter_can.toml")
-    device = validated(_BusDevice, data.get("device", {}), f"{path}: [device]")
-    database = _database(path.parent / device.dbc)
-    tags = [validated(_SignalEntry, row, f"{path}: tag {number}") for number, row in enumerate(data.get("tags", []), 1)]
-    if strange := [tag.name for tag in tags if tag.name not in known]:
+    content = read_device(path)
+    device = validated(_BusDevice, content.device.model_extra or {}, f"{path}: [device]")
+    dbc = path.parent / device.dbc
+    try:
+        database = cantools.database.load_file(dbc, database_format="dbc")
+    except (OSError, UnicodeError, cantools.Error) as error:
+        raise InputError(f"{dbc}: is no DBC file that can be used ({error}); give one") from None
+    if not isinstance(database, Database):
+        raise InputError(f"{dbc}: is no DBC file; give one")
+    if strange := [row.name for row in content.tags if row.name not in known]:
         raise InputError(f"{path}: tag {strange[0]!r}: the register map has no such tag; known are {listed(known)}")
-    by_message: dict[str, dict[str, _SignalEntry]] = {}
-    for tag in tags:
-        name, _, signal = tag.address.removeprefix(_PREFIX).partition(".")
-        _signal(database, name, signal, f"{path}: tag {tag.name!r}")
-        by_message.setdefault(name, {})[signal] = tag
+    by_message: dict[str, dict[str, TagTable]] = {}
+    for row in content.tags:
+        where = f"{path}: tag {row.name!r}"
+        match = _SIGNAL.fullmatch(row.address)
+        if match is None:
+            raise InputError(f"{where}: address: {row.address!r} is no signal; give 'dbc:Message.Signal'")
+        _signal(database, match[1], match[2], where)
+        by_message.setdefault(match[1], {})[match[2]] = row
     senders = [
-        sender for name, found in by_message.items() for sender in _senders(database.get_message_by_name(name), found)
+        sender for name, rows in by_message.items() for sender in _senders(database.get_message_by_name(name), rows)
     ]
-    block = _block(data["writeback"], device, database, path) if "writeback" in data else None
+    block = None
+    if content.writeback is not None:
+        where = f"{path}: [writeback]"
+        match = _BLOCK.fullmatch(content.writeback.address)
+        if match is None:
+            raise InputError(
+                f"{where}: address: {content.writeback.address!r} is no message; give 'dbc:Message.{{field}}'"
+            )
+        name = match[1]
+        if name not in device.echo:
+            raise InputError(f"{where}: [device.echo] names no echo of {name!r}; the PLC answers each frame with one")
+        fields = [row.name for row in content.writeback.fields]
+        for field_name in fields:
+            _signal(database, name, field_name, where)
+            _signal(database, device.echo[name], field_name, where)
+        echo = database.get_message_by_name(device.echo[name])
+        block = BlockMemory(database.get_message_by_name(name), echo, fields)
     return Messages(path, tuple(senders), block)
 
 
-def _database(path: Path) -> Database:
-    try:
-        database = cantools.database.load_file(path, database_format="dbc")
-    except (OSError, UnicodeError, cantools.Error) as error:
-        raise InputError(f"{path}: is no DBC file that can be used ({error}); give one") from None
-    if not isinstance(database, Database):
-        raise InputError(f"{path}: is no DBC file; give one")
-    return database
-
-
 def _signal(database: Database, message: str, name: str, where: str) -> Signal:
+    """The signal of a message. Raises InputError if the DBC file has none."""
     try:
         return database.get_message_by_name(message).get_signal_by_name(name)
     except KeyError as error:
@@ -157,63 +164,28 @@ def _signal(database: Database, message: str, name: str, where: str) -> Signal:
         ) from None
 
 
-def _block(data: object, device: _BusDevice, database: Database, path: Path) -> BlockMemory:
-    where = f"{path}: [writeback]"
-    entry = validated(_BlockMessageEntry, data, where)
-    name = entry.address.removeprefix(_PREFIX).partition(".")[0]
-    if name not in device.echo:
-        raise InputError(f"{where}: [device.echo] names no echo of {name!r}; the PLC answers each frame with one")
-    fields = [row.name for row in entry.fields]
-    for one in fields:
-        _signal(database, name, one, where)
-        _signal(database, device.echo[name], one, where)
-    return BlockMemory(database.get_message_by_name(name), database.get_message_by_name(device.echo[name]), fields)
-
-
-def _senders(message: Message, found: Mapping[str, _SignalEntry]) -> list[Sender]:
-    """One sender for each layout of the message that shows a tag."""
-    layouts: dict[tuple[tuple[str, int], ...], list[_Content]] = {}
-    common: list[_Content] = []
+def _senders(message: Message, rows: Mapping[str, TagTable]) -> list[Sender]:
+    """One sender for each layout of the message that shows a tag; `rows` are the tags by their signals' names."""
+    layouts: dict[tuple[tuple[str, int], ...], list[tuple[Signal, TagTable]]] = {}
+    common: list[tuple[Signal, TagTable]] = []
     for signal in message.signals:
-        if signal.name in found:
-            tag = found[signal.name]
-            content = _Content(signal, tag.name, tag.sentinel)
-            selected = _selected(message, signal)
-            (layouts.setdefault(selected, []) if selected else common).append(content)
+        if signal.name not in rows:
+            continue
+        # The multiplexors that select the signal, its own first; one of several numbers is as good as the others.
+        selected: list[tuple[str, int]] = []
+        selector = signal
+        while selector.multiplexer_ids and selector.multiplexer_signal:
+            selected.append((selector.multiplexer_signal, selector.multiplexer_ids[0]))
+            selector = message.get_signal_by_name(selector.multiplexer_signal)
+        # What no multiplexor selects is in every layout.
+        (layouts.setdefault(tuple(selected), []) if selected else common).append((signal, rows[signal.name]))
     attributes = message.dbc.attributes if message.dbc is not None else {}
     plain: dict[str, Any] = {name: attribute.value for name, attribute in attributes.items()}
     data_id = plain.get("E2EDataID", message.frame_id & 0xFFFF) if plain.get("E2EProfile") == "P05" else None
-    cycle = (message.cycle_time or 100) / 1000.0
-    rows = layouts or {(): []}
-    return [
-        Sender(message, dict(selected), [*common, *own], cycle * len(rows), data_id) for selected, own in rows.items()
-    ]
-
-
-def _selected(message: Message, signal: Signal) -> tuple[tuple[str, int], ...]:
-    """The multiplexors' numbers of the layout in which a signal lies."""
-    chosen: list[tuple[str, int]] = []
-    while signal.multiplexer_ids and signal.multiplexer_signal:
-        chosen.append((signal.multiplexer_signal, signal.multiplexer_ids[0]))
-        signal = message.get_signal_by_name(signal.multiplexer_signal)
-    return tuple(chosen)
-
-
-def _raw(one: _Content, value: Value | None) -> float:
-    signal = one.signal
-    if value is None:
-        if one.sentinel is not None:
-            return one.sentinel
-        return math.nan if signal.is_float else 0
-    if isinstance(value, str):
-        return 0
-    number = (value - float(signal.offset)) / float(signal.scale)
-    if signal.is_float:
-        return number
-    low, high = (
-        (-(1 << signal.length - 1), (1 << signal.length - 1) - 1) if signal.is_signed else (0, (1 << signal.length) - 1)
-    )
-    return min(max(round(number), low), high)
+    # The layouts of a multiplexed message take turns, so that the message keeps its cycle.
+    layouts = layouts or {(): []}
+    cycle = (message.cycle_time or _CYCLE_MS) / 1000.0 * len(layouts)
+    return [Sender(message, dict(chosen), [*common, *own], cycle, data_id) for chosen, own in layouts.items()]
 
 
 def protected(data_id: int, counter: int, data: bytes) -> bytes:

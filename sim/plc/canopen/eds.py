@@ -53,27 +53,33 @@ def read_eds(path: Path, node: int) -> tuple[Mapping[Address, EdsObject], str]:
         match = _OBJECT.fullmatch(section)
         if match is None or parser.get(section, "ObjectType", fallback="0x7").lower() not in _LEAF:
             continue
-        address = int(match[1], 16), int(match[2] or "0", 16)
-        objects[address] = _entry(dict(parser.items(section)), node, f"{path}: [{section}]")
+        keys = dict(parser.items(section))
+        try:
+            kind = int(keys["datatype"], 0)
+            form = _FORMATS.get(kind)
+            text_of_default = keys.get("defaultvalue", "")
+            if form is None:
+                default = text_of_default.encode("latin-1")
+            else:
+                default = struct.pack(form, _number(text_of_default or "0", kind, node))
+        except (KeyError, ValueError, struct.error) as error:
+            raise InputError(
+                f"{path}: [{section}]: cannot be read ({error}); give DataType, and a DefaultValue that fits it"
+            ) from None
+        objects[int(match[1], 16), int(match[2] or "0", 16)] = EdsObject(
+            name=keys.get("parametername", ""),
+            access=keys.get("accesstype", "ro").strip().lower(),
+            size=struct.calcsize(form) if form else None,
+            mappable=keys.get("pdomapping", "0").strip() not in ("0", "0x0"),
+            default=default,
+        )
     if not objects:
         raise InputError(f"{path}: has no objects; give an electronic data sheet")
     return objects, text
 
 
-def _entry(keys: Mapping[str, str], node: int, where: str) -> EdsObject:
-    try:
-        kind = int(keys["datatype"], 0)
-        form = _FORMATS.get(kind)
-        given = keys.get("defaultvalue", "")
-        default = given.encode("latin-1") if form is None else struct.pack(form, _number(given or "0", kind, node))
-    except (KeyError, ValueError, struct.error) as error:
-        raise InputError(f"{where}: cannot be read ({error}); give DataType, and a DefaultValue that fits it") from None
-    mappable = keys.get("pdomapping", "0").strip() not in ("0", "0x0")
-    access = keys.get("accesstype", "ro").strip().lower()
-    return EdsObject(keys.get("parametername", ""), access, struct.calcsize(form) if form else None, mappable, default)
-
-
 def _number(text: str, kind: int, node: int) -> float | int:
+    """A default value: a number, or one that counts from the node id (`$NODEID+0x180`, CiA 306)."""
     compact = text.replace(" ", "").upper()
     if kind in _FLOATS:
         return float(compact)

@@ -93,14 +93,14 @@ class CanopenFace:
         left = disturbed(striking, data, None, self._rng)
         record(self._plc, self.name, identifier, left, sent=True)
         if left is not None:
-            self._station.put(_message(identifier, left))
+            self._station.put(can.Message(arbitration_id=identifier, is_extended_id=False, data=left))
 
     # ---------------------------------------------------------------- what arrives
 
     def _heard(self, message: can.Message) -> None:
         if message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd:
             return
-        if self._down or not self._booted:
+        if self._down or not self._booted or self._own_disturbance.reset:
             return
         identifier, data, now = message.arbitration_id, bytes(message.data), self._plc.clock.monotonic()
         if identifier == SDO_REQUEST + self.node.id:
@@ -164,7 +164,3 @@ def make(plc: Plc, options: Mapping[str, Any], complain: Callable[[str], None]) 
     block = plc.registers.block
     layout = read_layout(Path(options["canopen"]), plc.registers.tags, block.place.words if block else 0)
     return CanopenFace(plc, layout, (options["can_interface"], options["can_channel"]), complain)
-
-
-def _message(identifier: int, data: bytes) -> can.Message:
-    return can.Message(arbitration_id=identifier, is_extended_id=False, data=data)

@@ -39,7 +39,9 @@ class CanopenNode:
         self.sdo = SdoServer(self.objects.read, self.objects.write)
         self.state = PRE_OPERATIONAL
         self.counts: dict[str, int] = dict.fromkeys(("tpdos", "rpdos", "boots", "syncs"), 0)
-        self._life = _life_of(layout, plc)
+        # The object of the PLC's own heartbeat: it moves in every cycle, which is no event.
+        holders = (at for at, tags in layout.tags.items() if any(tag.name == plc.registers.heartbeat for tag in tags))
+        self._life: Address | None = next(holders, None)
         self._beat_due = 0.0
         self._beat_time = 0.0
         self._sent: dict[int, _Sent] = {}
@@ -175,9 +177,3 @@ class CanopenNode:
     def _new_beat(self, seconds: float) -> None:
         self._beat_time = seconds
         self._beat_due = 0.0
-
-
-def _life_of(layout: NodeLayout, plc: Plc) -> Address | None:
-    """The object of the PLC's own heartbeat."""
-    name = plc.registers.heartbeat
-    return next((address for address, tags in layout.tags.items() if any(tag.name == name for tag in tags)), None)

@@ -1,13 +1,13 @@
 """The node's object dictionary: the EDS's objects, those of them that show tags of the process image, and the block."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field
 
-from drivers.tag import DType, Tag
+from drivers.tag import DType, Order, Tag
 from sim.plc.canopen import pdo, sdo
 from sim.plc.canopen.eds import Address, EdsObject, read_eds
 from sim.plc.canopen.sdo import Abort
@@ -19,7 +19,7 @@ from sim.plc.program import (
     encode,
     encode_absent,
     is_bool,
-    read_toml,
+    read_device,
     validated,
 )
 
@@ -27,33 +27,15 @@ ERROR_REGISTER, ERRORS, STORE_EDS = (0x1001, 0), 0x1003, (0x1021, 0)
 ACCEPTED_SEQUENCE, WHOLE_BLOCK = (0x2101, 1), (0x2102, 0)
 """Objects of config/decanter.eds that show no tag: the last accepted block's sequence, and the block as one object."""
 
-Text = Annotated[str, Field(strict=True)]
-_OBJECT = r"^0x[0-9A-Fa-f]{1,4}:\d{1,3}$"
+_OBJECT = re.compile(r"0x([0-9A-Fa-f]{1,4}):(\d{1,3})")
 
 
 class _NodeDevice(FileTable):
+    """The settings of the driver that hold for the node, too; all others are the gateway's business."""
+
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
     node: int = Field(1, strict=True, ge=1, le=63, description="a node id in 1..63")
-    eds: Text = Field(min_length=1, description="the path of the EDS, relative to this file")
-
-
-class _TagTable(FileTable):
-    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
-    name: Text = Field(min_length=1, description="the tag's name in quotes")
-    address: Text = Field(pattern=_OBJECT, description="an object such as '0x2001:1'")
-    dtype: DType = Field(DType.UINT16, description="a data type")
-    scale: float = Field(1.0, description="a number other than 0")
-    offset: float = Field(0.0, description="a number")
-    bit: int | None = Field(None, strict=True, ge=0, le=15, description="a bit's number in 0..15")
-    length: int = Field(0, strict=True, ge=0, le=1024, description="the string's length in bytes")
-    sentinel: int | None = Field(None, strict=True, description="a whole number")
-    unit: Text = Field("", description="the unit")
-
-
-class _Block(FileTable):
-    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
-    address: Text = Field(pattern=_OBJECT, description="the object of the block's first word, such as '0x2100:1'")
-    fields: list[dict[str, Any]] = Field(min_length=1, description="the block's words in order")
+    eds: str = Field(strict=True, min_length=1, description="the path of the EDS, relative to this file")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,29 +54,31 @@ def read_layout(path: Path, known: Mapping[str, Tag], words: int) -> NodeLayout:
 
     Raises InputError naming file, key, reason and remedy.
     """
-    data = read_toml(path, "a CANopen device file such as config/devices/decanter_canopen.toml")
-    device = validated(_NodeDevice, data.get("device", {}), f"{path}: [device]")
+    content = read_device(path)
+    device = validated(_NodeDevice, content.device.model_extra or {}, f"{path}: [device]")
     entries, text = read_eds(path.parent / device.eds, device.node)
     tags: dict[Address, list[Tag]] = {}
-    for number, row in enumerate(data.get("tags", []), start=1):
+    for number, row in enumerate(content.tags, start=1):
         where = f"{path}: tag {number}"
-        tag = Tag(**dict(validated(_TagTable, row, where)))
-        if tag.name not in known:
-            raise InputError(f"{where}: name: the register map has no {tag.name!r}; give one of its tags")
-        tags.setdefault(_address(tag.address, entries, where), []).append(tag)
+        if row.name not in known:
+            raise InputError(f"{where}: name: the register map has no {row.name!r}; give one of its tags")
+        # An order is of registers: what a node sends has the least byte first, whatever the file says of it.
+        tag = replace(row.tag(), order=Order.ABCD)
+        tags.setdefault(_address(row.address, entries, where), []).append(tag)
     block = None
-    if "writeback" in data:
+    if content.writeback is not None:
         where = f"{path}: [writeback]"
-        table = validated(_Block, data["writeback"], where)
-        block = _address(table.address, entries, where)
-        if len(table.fields) != words:
-            raise InputError(f"{where}: fields: {len(table.fields)} words, and the register map's has {words}")
+        block = _address(content.writeback.address, entries, where)
+        if (count := len(content.writeback.fields)) != words:
+            raise InputError(f"{where}: fields: {count} words, and the register map's has {words}")
     return NodeLayout(device.node, entries, text, tags, block)
 
 
 def _address(text: str, entries: Mapping[Address, EdsObject], where: str) -> Address:
-    index, _, sub = text.partition(":")
-    address = int(index, 16), int(sub)
+    match = _OBJECT.fullmatch(text)
+    if match is None:
+        raise InputError(f"{where}: address: must match index:sub-index, got {text!r}; give one such as '0x2001:1'")
+    address = int(match[1], 16), int(match[2])
     if address not in entries:
         raise InputError(f"{where}: address: {text} is not in the EDS; give one of its objects")
     return address

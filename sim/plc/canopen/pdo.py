@@ -60,27 +60,22 @@ def check_write(entries: Mapping[Address, EdsObject], number: Number, address: A
         if sub == 2 and 241 <= value <= 253:
             raise Abort(VALUE)
     elif RPDO + _MAPPING <= index < RPDO + 2 * _MAPPING or TPDO + _MAPPING <= index < TPDO + 2 * _MAPPING:
-        _check_mapping(entries, number, address, value)
-
-
-def _check_mapping(entries: Mapping[Address, EdsObject], number: Number, address: Address, value: int) -> None:
-    index, sub = address
-    if not number((index - _MAPPING, 1)) & NOT_VALID:
-        raise Abort(STATE)
-    if sub > 0:
-        if number((index, 0)) != 0:
+        # A mapping is changed while its PDO is off and its count is 0; the count is written last, and is the moment at
+        # which the whole is judged.
+        if not number((index - _MAPPING, 1)) & NOT_VALID or (sub > 0 and number((index, 0)) != 0):
             raise Abort(STATE)
-        if value:
-            _check_mappable(entries, value)
-        return
-    bits = 0
-    for entry in range(1, value + 1):
-        if (index, entry) not in entries:
-            raise Abort(VALUE)
-        _check_mappable(entries, number((index, entry)))
-        bits += number((index, entry)) & 0xFF
-    if bits > 64:
-        raise Abort(PDO_LENGTH)
+        if sub > 0:
+            if value:
+                _check_mappable(entries, value)
+            return
+        bits = 0
+        for entry in range(1, value + 1):
+            if (index, entry) not in entries:
+                raise Abort(VALUE)
+            _check_mappable(entries, number((index, entry)))
+            bits += number((index, entry)) & 0xFF
+        if bits > 64:
+            raise Abort(PDO_LENGTH)
 
 
 def _check_mappable(entries: Mapping[Address, EdsObject], mapped: int) -> None:

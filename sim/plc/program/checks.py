@@ -8,7 +8,8 @@ from typing import Any, TypeVar, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from drivers.settings import reason_of, sentences
+from drivers.device_file import DeviceFile, read_device_file
+from drivers.settings import ConfigError, reason_of, sentences
 
 
 class InputError(ValueError):
@@ -44,6 +45,14 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
         raise InputError(f"{path}: is not TOML: {error}; correct that place") from None
 
 
+def read_device(path: Path) -> DeviceFile:
+    """The device file in `path` by the gateway's own schema. Raises InputError about the first thing that is wrong."""
+    try:
+        return read_device_file(path)
+    except ConfigError as error:
+        raise InputError(error.problems[0]) from None
+
+
 def validated(entry: type[E], data: object, where: str) -> E:
     """`data` as an `entry`. Raises InputError about the first thing that is wrong, naming `where` and the key."""
     try:
@@ -71,18 +80,19 @@ def checked_arguments(function: Callable[..., object], given: Mapping[str, objec
     if missing := [p.name for p in known if p.default is p.empty and p.name not in given]:
         raise InputError(f"{where}: {missing[0]}: is missing; it must be given")
     hints = get_type_hints(function)
-    return {name: _checked(hints[name], value, f"{where}: {name}") for name, value in given.items()}
+    arguments = {}
+    for name, value in given.items():
+        hint = hints[name]
+        try:
+            adapter = TypeAdapter(hint, config=ConfigDict(allow_inf_nan=False))
+            arguments[name] = adapter.validate_python(value, strict=True)
+        except ValidationError as error:
+            details = error.errors()  # one for each member of a union: none of them alone is the reason
+            reason = reason_of(details[0]) if len(details) == 1 else f"fits none of {hint}"
+            raise InputError(f"{where}: {name}: {reason}, got {value!r}") from None
+    return arguments
 
 
 def _keywords(function: Callable[..., object]) -> list[inspect.Parameter]:
     parameters = inspect.signature(function).parameters.values()
     return [parameter for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
-
-
-def _checked(hint: Any, value: object, where: str) -> object:
-    try:
-        return TypeAdapter(hint, config=ConfigDict(allow_inf_nan=False)).validate_python(value, strict=True)
-    except ValidationError as error:
-        details = error.errors()
-        reason = reason_of(details[0]) if len(details) == 1 else f"fits none of {hint}"
-        raise InputError(f"{where}: {reason}, got {value!r}") from None

@@ -73,10 +73,33 @@ def encode(tag: Tag, value: Value) -> list[int]:
     if is_bool(tag):
         return ordered(struct.pack(">H", bool(value)), tag.order)
     if tag.dtype is DType.STRING:
-        return _string_words(tag, str(value))
+        octets = str(value).encode("latin-1", errors="replace")
+        words = ordered(octets[: tag.length].ljust(2 * words_of_type(tag), b"\0"), _string_order(tag))
+        if len(octets) > tag.length:
+            sentence = f"{tag.name} cannot hold {str(value)!r}: {len(octets)} bytes for {tag.length}"
+            raise Unrepresentable(sentence, words)
+        return words
     if tag.dtype in FLOATS:
-        return _float_words(tag, (float(value) - tag.offset) / tag.scale)
-    return _whole_words(tag, (value if isinstance(value, int) else float(value), tag.offset, tag.scale))
+        real = (float(value) - tag.offset) / tag.scale
+        try:
+            return ordered(struct.pack(_FORMATS[tag.dtype], real), tag.order)
+        except OverflowError:
+            greatest = struct.unpack(">f", b"\x7f\x7f\xff\xff")[0]
+            nearest = ordered(struct.pack(">f", math.copysign(greatest, real)), tag.order)
+            raise Unrepresentable(f"{tag.name} cannot hold {real!r} (float32)", nearest) from None
+    number = value if isinstance(value, int) else float(value)
+    # By way of a float only where there is something to scale: a 64-bit number has more digits than a float.
+    exact = isinstance(number, int) and tag.offset == 0 and tag.scale == 1
+    raw = int(number) if exact else round((number - tag.offset) / tag.scale)
+    low, high = limits(tag.dtype)
+    fitting = min(max(raw, low), high)
+    # A reading that happens to be the sentinel's number must not say "not available": its neighbour comes closest.
+    if tag.sentinel is not None and _pack(tag, fitting) == _sentinel_bytes(tag, tag.sentinel):
+        fitting += 1 if fitting == low else -1
+    words = ordered(_pack(tag, fitting), tag.order)
+    if fitting != raw:
+        raise Unrepresentable(f"{tag.name} cannot hold {number!r} {tag.unit}".rstrip() + f" ({tag.dtype})", words)
+    return words
 
 
 def encode_absent(tag: Tag) -> list[int]:
@@ -97,7 +120,10 @@ def value_at_rest(tag: Tag) -> Value | None:
 
 def decode(tag: Tag, words: Sequence[int]) -> Value | None:
     """The engineering value of words that a client wrote; None for the sentinel, NaN and digits that are no BCD."""
-    octets = _bytes(words, _string_order(tag))
+    order = _string_order(tag)
+    letter = "<" if order in (Order.BADC, Order.DCBA) else ">"
+    straight = words[::-1] if order in (Order.CDAB, Order.DCBA) else words
+    octets = struct.pack(f"{letter}{len(straight)}H", *straight)
     if is_bool(tag):
         return bool(int.from_bytes(octets, "big") >> tag.bit & 1 if tag.bit is not None else any(octets))
     if tag.dtype is DType.STRING:
@@ -126,12 +152,6 @@ def ordered(octets: bytes, order: Order) -> list[int]:
     return words[::-1] if order in (Order.CDAB, Order.DCBA) else words
 
 
-def _bytes(words: Sequence[int], order: Order) -> bytes:
-    letter = "<" if order in (Order.BADC, Order.DCBA) else ">"
-    straight = words[::-1] if order in (Order.CDAB, Order.DCBA) else words
-    return struct.pack(f"{letter}{len(straight)}H", *straight)
-
-
 def _scaled(tag: Tag, raw: float) -> Value:
     return raw if tag.scale == 1 and tag.offset == 0 else raw * tag.scale + tag.offset
 
@@ -152,40 +172,8 @@ def _pack(tag: Tag, raw: int) -> bytes:
     return struct.pack(_FORMATS[tag.dtype], raw)
 
 
-def _whole_words(tag: Tag, parts: tuple[float, float, float]) -> list[int]:
-    value, offset, scale = parts
-    low, high = limits(tag.dtype)
-    exact = isinstance(value, int) and offset == 0 and scale == 1
-    raw = int(value) if exact else round((value - offset) / scale)
-    nearest = min(max(raw, low), high)
-    if tag.sentinel is not None and _pack(tag, nearest) == _sentinel_bytes(tag, tag.sentinel):
-        nearest += 1 if nearest == low else -1
-    words = ordered(_pack(tag, nearest), tag.order)
-    if nearest != raw:
-        raise Unrepresentable(f"{tag.name} cannot hold {value!r} {tag.unit}".rstrip() + f" ({tag.dtype})", words)
-    return words
-
-
-def _float_words(tag: Tag, raw: float) -> list[int]:
-    try:
-        octets = struct.pack(_FORMATS[tag.dtype], raw)
-    except OverflowError:
-        greatest = struct.unpack(">f", b"\x7f\x7f\xff\xff")[0]
-        nearest = ordered(struct.pack(">f", math.copysign(greatest, raw)), tag.order)
-        raise Unrepresentable(f"{tag.name} cannot hold {raw!r} (float32)", nearest) from None
-    return ordered(octets, tag.order)
-
-
 def _string_order(tag: Tag) -> Order:
     """A string runs on register by register: only the bytes within a register may be swapped."""
     if tag.dtype is not DType.STRING:
         return tag.order
     return Order.BADC if tag.order in (Order.BADC, Order.DCBA) else Order.ABCD
-
-
-def _string_words(tag: Tag, text: str) -> list[int]:
-    octets = text.encode("latin-1", errors="replace")
-    words = ordered(octets[: tag.length].ljust(2 * words_of_type(tag), b"\0"), _string_order(tag))
-    if len(octets) > tag.length:
-        raise Unrepresentable(f"{tag.name} cannot hold {text!r}: {len(octets)} bytes for {tag.length}", words)
-    return words

@@ -161,7 +161,20 @@ def wrong_count(_: float, *, delta: int = -1, honest: bool = True) -> FaultEffec
 
     `honest`: the byte count tells the truth about it; otherwise it still says what was asked for.
     """
-    return FaultEffect(alter=lambda request, reply, rng: replace(reply, pdu=_recounted(reply.pdu, delta, honest)))
+
+    def alter(_: ModbusRequest, reply: ModbusReply, __: Random) -> ModbusReply:
+        pdu = reply.pdu
+        if pdu[0] in (15, 16):  # a write's echo: function, address, count
+            count = int.from_bytes(pdu[3:5], "big") + delta
+            return replace(reply, pdu=pdu[:3] + (count & 0xFFFF).to_bytes(2, "big"))
+        if pdu[0] not in (1, 2, 3, 4, 23):
+            return reply
+        step = 1 if pdu[0] in (1, 2) else 2
+        length = min(max(0, len(pdu) - 2 + delta * step), 250)
+        payload = pdu[2 : 2 + length].ljust(length, b"\0")
+        return replace(reply, pdu=pdu[:1] + bytes((length if honest else pdu[1],)) + payload)
+
+    return FaultEffect(alter=alter)
 
 
 @fault()
@@ -289,9 +302,12 @@ def sdo_late(_: float, *, delay_s: float = 1.0) -> FaultEffect:
 
 
 @fault(only_at=("canopen",))
-def node_reset(_: float) -> FaultEffect:
-    """The CANopen node boots: the EDS's parameters, pre-operational, no PDO until a master starts it."""
-    return FaultEffect(node=NodeDisturbance(reset=True), over=True)
+def node_reset(elapsed_s: float, *, deaf_s: float = 0.0) -> FaultEffect:
+    """The CANopen node boots: the EDS's parameters, pre-operational, no PDO until a master starts it.
+
+    For `deaf_s` it takes no frame, as a device whose program is not up yet.
+    """
+    return FaultEffect(node=NodeDisturbance(reset=True), over=elapsed_s >= deaf_s)
 
 
 def describe() -> str:
@@ -380,15 +396,3 @@ def refusal(effect: FaultEffect, request: ModbusRequest, touched: Sequence[tuple
         if any(table == other and int(number) in addresses for other, addresses in touched):
             return exception(request.function, code)
     return None
-
-
-def _recounted(pdu: bytes, delta: int, honest: bool) -> bytes:
-    if pdu[0] in (15, 16):
-        count = int.from_bytes(pdu[3:5], "big") + delta
-        return pdu[:3] + (count & 0xFFFF).to_bytes(2, "big")
-    if pdu[0] not in (1, 2, 3, 4, 23):
-        return pdu
-    step = 1 if pdu[0] in (1, 2) else 2
-    length = min(max(0, len(pdu) - 2 + delta * step), 250)
-    payload = pdu[2 : 2 + length].ljust(length, b"\0")
-    return pdu[:1] + bytes((length if honest else pdu[1],)) + payload

@@ -30,11 +30,23 @@ class ProcessImage:
         self._served: dict[str, Value | None] = {}
         self._complain = complain
         self._complained: set[str] = set()
-        self._writable = _writable(registers, writable)
-        self._owners = _owners(registers)
+        own = [registers.places[name] for name, tag in registers.tags.items() if tag.writable]
+        block = [registers.block.place] if registers.block else []
+        self._writable = frozenset((place.table, at) for place in (*own, *block, *writable) for at in place.addresses())
+        # Several tags may share a register, each with a bit of its own.
+        self._owners: dict[tuple[str, int], list[str]] = {}
+        for name, place in registers.places.items():
+            for address in place.addresses():
+                self._owners.setdefault((place.table, address), []).append(name)
         self._tables: dict[str, dict[int, int]] = {table: {} for table in (*WORD_TABLES, *BIT_TABLES)}
-        for table, address in (*self._owners, *self._writable, *_gaps(registers)):
+        for table, address in (*self._owners, *self._writable):
             self._tables[table][address] = 0
+        for table in self._tables:
+            places = (place for place in registers.places.values() if place.table == table)
+            used = sorted({address for place in places for address in place.addresses()})
+            for left, right in pairwise(used):
+                if 1 < right - left <= registers.max_gap + 1:
+                    self._tables[table].update(dict.fromkeys(range(left + 1, right), 0))
 
     def learn(self, values: Values) -> dict[str, Value | None]:
         """Take in what the program knows; give what changed. The tables stay as they are until `serve`."""
@@ -117,33 +129,10 @@ class ProcessImage:
 
 
 _NEVER = object()
+"""Equal to no value: None is one that a tag may have."""
 
 
 def _mask(tag: Tag) -> int:
+    """The tag's bit in its register; where the bytes are swapped, bit 0 lies in the high one."""
     bit = tag.bit or 0
     return 1 << ((bit ^ 8) if tag.order in ("BADC", "DCBA") else bit)
-
-
-def _owners(registers: RegisterMap) -> dict[tuple[str, int], list[str]]:
-    owners: dict[tuple[str, int], list[str]] = {}
-    for name, place in registers.places.items():
-        for address in place.addresses():
-            owners.setdefault((place.table, address), []).append(name)
-    return owners
-
-
-def _writable(registers: RegisterMap, extra: Iterable[Place]) -> frozenset[tuple[str, int]]:
-    places = [registers.places[name] for name, tag in registers.tags.items() if tag.writable]
-    block = [registers.block.place] if registers.block else []
-    return frozenset((place.table, at) for place in (*places, *block, *extra) for at in place.addresses())
-
-
-def _gaps(registers: RegisterMap) -> list[tuple[str, int]]:
-    """The unused addresses between two used ones of a table that lie at most `max_gap` apart."""
-    gaps: list[tuple[str, int]] = []
-    for table in (*WORD_TABLES, *BIT_TABLES):
-        used = sorted({at for place in registers.places.values() if place.table == table for at in place.addresses()})
-        for left, right in pairwise(used):
-            if 1 < right - left <= registers.max_gap + 1:
-                gaps += [(table, at) for at in range(left + 1, right)]
-    return gaps

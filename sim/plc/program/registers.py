@@ -1,15 +1,15 @@
 """The register map (TOML) as the PLC reads it: which tag lies where, and where the gateway's block is taken in."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 from pydantic import ConfigDict, Field
 
-from drivers.device_file import BlockField, BlockTable, read_device_file
-from drivers.settings import ConfigError
+from drivers.device_file import BlockField
 from drivers.tag import DType, Tag
-from sim.plc.program.checks import FileTable, InputError, validated
+from sim.plc.program.checks import FileTable, InputError, read_device, validated
 from sim.plc.program.encoding import sentinel_fits, words_of_type
 
 WORD_TABLES = ("holding", "input")
@@ -77,20 +77,44 @@ class _ServedDevice(FileTable):
 
 def read_map(path: Path) -> RegisterMap:
     """The register map in `path`. Raises InputError with file, tag and key, reason and remedy."""
-    try:
-        content = read_device_file(path)
-    except ConfigError as error:
-        raise InputError(error.problems[0]) from None
+    content = read_device(path)
     device = content.device
     served = validated(_ServedDevice, device.model_extra or {}, f"{path}: [device]")
     tags = {row.name: row.tag() for row in content.tags}
     for number, tag in enumerate(tags.values(), start=1):
         _check_tag(tag, f"{path}: tag {number} ({tag.name})")
     places = {name: place_of(tag, str(path)) for name, tag in tags.items()}
-    block = _layout(content.writeback, f"{path}: [writeback]") if content.writeback else None
-    _check_overlaps(tags, places, block, path)
+    block = None
+    if content.writeback is not None:
+        where, count = f"{path}: [writeback]", len(content.writeback.fields)
+        table, address = parse_address(content.writeback.address, f"{where}: address")
+        if table != "holding":
+            raise InputError(f"{where}: address: a {table} cannot be written by function 16; give 'holding:N'")
+        if count > MOST_WORDS:
+            raise InputError(f"{where}: fields: there are {count}, and function 16 writes {MOST_WORDS}; leave some out")
+        if address + count > 0x10000:
+            raise InputError(f"{where}: address: {count} registers from {address} run beyond 65535")
+        fields = tuple(row.field() for row in content.writeback.fields)
+        place = Place(table, address, count)
+        block = BlockLayout(place, content.writeback.layout_version, content.writeback.timeout_s, fields)
+    # Bits of one register may be tags of their own: what two of them must not share is a bit, not an address.
+    owners: dict[tuple[str, int, int], str] = {}
+    covered: list[tuple[str, Place, int | None]] = [("[writeback]", block.place, None)] if block else []
+    covered += [(name, places[name], tag.bit) for name, tag in tags.items()]
+    for name, place, bit in covered:
+        for spot in product((place.table,), place.addresses(), range(16) if bit is None else (bit,)):
+            if spot in owners:
+                raise InputError(
+                    f"{path}: tag {name!r}: address: {spot[0]}:{spot[1]} belongs to {owners[spot]!r} already; "
+                    "move one of them"
+                )
+            owners[spot] = name
     if device.heartbeat is not None:
-        _check_heartbeat(tags[device.heartbeat], path)
+        beat = tags[device.heartbeat]
+        if beat.dtype is not DType.UINT16 or beat.scale != 1 or beat.offset != 0:
+            raise InputError(
+                f"{path}: tag {beat.name!r}: a heartbeat is a plain uint16; leave dtype, scale and offset out"
+            )
     return RegisterMap(
         path=path,
         device=device.name,
@@ -137,42 +161,3 @@ def _check_tag(tag: Tag, where: str) -> None:
     ):
         if wrong:
             raise InputError(f"{where}: {key}: {remedy}")
-
-
-def _layout(entry: BlockTable, where: str) -> BlockLayout:
-    table, address = parse_address(entry.address, f"{where}: address")
-    count = len(entry.fields)
-    if table != "holding":
-        raise InputError(f"{where}: address: a {table} cannot be written by function 16; give 'holding:N'")
-    if count > MOST_WORDS:
-        raise InputError(f"{where}: fields: there are {count}, and function 16 writes {MOST_WORDS}; leave some out")
-    if address + count > 0x10000:
-        raise InputError(f"{where}: address: {count} registers from {address} run beyond 65535")
-    fields = tuple(row.field() for row in entry.fields)
-    return BlockLayout(Place(table, address, count), entry.layout_version, entry.timeout_s, fields)
-
-
-def _check_overlaps(
-    tags: Mapping[str, Tag], places: Mapping[str, Place], block: BlockLayout | None, path: Path
-) -> None:
-    owners: dict[tuple[str, int, int], str] = {}
-    for spot in _spots("[writeback]", None, block.place) if block else ():
-        owners[spot] = "[writeback]"
-    for name, tag in tags.items():
-        for spot in _spots(name, tag, places[name]):
-            if spot in owners:
-                at = f"{spot[0]}:{spot[1]}"
-                raise InputError(
-                    f"{path}: tag {name!r}: address: {at} belongs to {owners[spot]!r} already; move one of them"
-                )
-            owners[spot] = name
-
-
-def _spots(name: str, tag: Tag | None, place: Place) -> Iterator[tuple[str, int, int]]:
-    bits = range(16) if tag is None or tag.bit is None else (tag.bit,)
-    return ((place.table, address, bit) for address in place.addresses() for bit in bits)
-
-
-def _check_heartbeat(tag: Tag, path: Path) -> None:
-    if tag.dtype is not DType.UINT16 or tag.scale != 1 or tag.offset != 0:
-        raise InputError(f"{path}: tag {tag.name!r}: a heartbeat is a plain uint16; leave dtype, scale and offset out")

@@ -100,7 +100,13 @@ def read_trace(path: Path) -> TraceTable:
     except StopIteration:
         raise InputError(f"{path}: has no header; the first line names the columns: time, then the signals") from None
     names = [name.strip() for name in header]
-    _check_header(names, f"{path}: line {number}")
+    where = f"{path}: line {number}"
+    if names[0] != "time":
+        raise InputError(f"{where}: the first column is {names[0]!r}; it must be 'time', in seconds")
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError(f"{where}: column {listed(twice)} occurs twice; give each signal its own name")
+    if not all(names):
+        raise InputError(f"{where}: column {names.index('') + 1} has no name; name it or remove it")
     times = array("d")
     columns = [array("d") for _ in names[1:]]
     held = [math.nan] * len(columns)
@@ -108,7 +114,12 @@ def read_trace(path: Path) -> TraceTable:
         where = f"{path}: line {number}"
         if len(cells) != len(names):
             raise InputError(f"{where}: has {len(cells)} cells for {len(names)} columns; give one a column")
-        times.append(_time(cells[0], times[-1] if times else -math.inf, where))
+        moment = _reading(cells[0], f"{where}: column 'time'")
+        if math.isnan(moment):
+            raise InputError(f"{where}: column 'time': is empty; give seconds")
+        if times and moment < times[-1]:
+            raise InputError(f"{where}: column 'time': {moment:g} goes back from {times[-1]:g}; sort the rows by time")
+        times.append(moment)
         for index, cell in enumerate(cells[1:]):
             reading = _reading(cell, f"{where}: column {names[index + 1]!r}")
             if not math.isnan(reading):
@@ -139,24 +150,6 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
             inside = 0
     except csv.Error as error:
         raise InputError(f"{path}: line {number - inside + 1}: is not CSV: {error}; correct that line") from None
-
-
-def _check_header(names: list[str], where: str) -> None:
-    if names[0] != "time":
-        raise InputError(f"{where}: the first column is {names[0]!r}; it must be 'time', in seconds")
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise InputError(f"{where}: column {listed(twice)} occurs twice; give each signal its own name")
-    if not all(names):
-        raise InputError(f"{where}: column {names.index('') + 1} has no name; name it or remove it")
-
-
-def _time(cell: str, before: float, where: str) -> float:
-    moment = _reading(cell, f"{where}: column 'time'")
-    if math.isnan(moment):
-        raise InputError(f"{where}: column 'time': is empty; give seconds")
-    if moment < before:
-        raise InputError(f"{where}: column 'time': {moment:g} goes back from {before:g}; sort the rows by time")
-    return moment
 
 
 def _reading(cell: str, where: str) -> float:

@@ -1,7 +1,7 @@
 """The judge: every value that a client called good must be one that the PLC truly had at that time."""
 
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from drivers.tag import Sample, Value
@@ -37,35 +37,27 @@ def wrong_good(recording: PlcRecording, samples: Iterable[Sample], tolerance_s: 
     read, the detection time of a standing heartbeat for a PLC whose image froze. A value may differ from the truth by
     the rounding of its register, no more. A good sample of a tag that the PLC does not have is wrong.
     """
-    histories = _histories(recording.truth)
-    roundings = {name: rounding for run in recording.runs for name, rounding in run.roundings.items()}
-    found = (_judged(sample, histories, roundings, tolerance_s) for sample in samples if sample.quality.is_good)
-    return [wrong for wrong in found if wrong is not None]
-
-
-def _histories(rows: Iterable[TruthRow]) -> dict[str, _History]:
     by_tag: dict[str, list[TruthRow]] = {}
-    for row in sorted(rows, key=lambda row: row.time):
+    for row in sorted(recording.truth, key=lambda row: row.time):
         by_tag.setdefault(row.tag, []).append(row)
-    return {tag: _History([row.time for row in rows], [row.value for row in rows]) for tag, rows in by_tag.items()}
-
-
-def _judged(
-    sample: Sample,
-    histories: Mapping[str, _History],
-    roundings: Mapping[str, tuple[float, float]],
-    tolerance_s: float,
-) -> WrongGood | None:
-    history = histories.get(sample.tag)
-    if history is None:
-        return WrongGood(sample, (), f"the PLC has no tag {sample.tag!r}")
-    start = (sample.time if sample.sent is None else sample.sent) - tolerance_s
-    truths = history.during(start, sample.time)
-    rounding = roundings.get(sample.tag, (0.0, 0.0))
-    if any(_same(sample.value, truth, rounding) for truth in truths):
-        return None
-    shown = ", ".join(map(repr, truths[-_LISTED:])) or "nothing yet"
-    return WrongGood(sample, truths, f"{sample.tag} was said to be {sample.value!r} and was {shown}")
+    histories = {tag: _History([row.time for row in rows], [row.value for row in rows]) for tag, rows in by_tag.items()}
+    roundings = {name: rounding for run in recording.runs for name, rounding in run.roundings.items()}
+    wrong = []
+    for sample in samples:
+        if not sample.quality.is_good:
+            continue
+        history = histories.get(sample.tag)
+        if history is None:
+            wrong.append(WrongGood(sample, (), f"the PLC has no tag {sample.tag!r}"))
+            continue
+        # The device looked at its memory at some moment between request and reply: any value of that time is right.
+        start = (sample.time if sample.sent is None else sample.sent) - tolerance_s
+        truths = history.during(start, sample.time)
+        rounding = roundings.get(sample.tag, (0.0, 0.0))
+        if not any(_same(sample.value, truth, rounding) for truth in truths):
+            shown = ", ".join(map(repr, truths[-_LISTED:])) or "nothing yet"
+            wrong.append(WrongGood(sample, truths, f"{sample.tag} was said to be {sample.value!r} and was {shown}"))
+    return wrong
 
 
 def _same(value: Value | None, truth: Value | None, rounding: tuple[float, float]) -> bool:

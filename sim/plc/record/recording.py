@@ -121,23 +121,27 @@ def read_recording(path: Path) -> PlcRecording:
     for row in _rows(path, counts):
         kind = row["k"]
         if kind == "run":
-            runs.append(_run(row))
-            expected = 1
+            clock = EmulatorClock(row["epoch"], row["monotonic"], row["speed"])
+            roundings = {name: (absolute, relative) for name, (absolute, relative) in row["roundings"].items()}
+            runs.append(Run(clock, row["device"], row["trace"], row["seed"], roundings))
+            expected = 1  # each process numbers its rows from 1
         if not runs:
             raise InputError(f"{path}: line 1: is no start of a run; give a file that the software PLC recorded")
         counts["missing"] += row["n"] - expected
         expected = row["n"] + 1
         time = runs[-1].clock.at(row["t"])
         if kind == "truth":
-            truth += _truth(row, time)
+            truth += [TruthRow(row["t"], time, row["version"], tag, value) for tag, value in row["values"].items()]
         elif kind == "request":
             requests.append(_request(row, time))
         elif kind == "block":
             blocks.append(_block(row, time))
         elif kind == "frame":
-            frames.append(_frame(row, time))
+            data = None if row["data"] is None else bytes.fromhex(row["data"])
+            frames.append(FrameRow(row["t"], time, face=row["face"], sent=row["sent"], id=row["id"], data=data))
         elif kind == "event":
-            events.append(_event(row, time))
+            detail = {key: value for key, value in row.items() if key not in ("k", "n", "t", "event")}
+            events.append(EventRow(row["t"], time, row["event"], detail))
     return PlcRecording(
         runs=tuple(runs),
         truth=tuple(truth),
@@ -157,23 +161,13 @@ def _rows(path: Path, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
         try:
             row = json.loads(line)
         except json.JSONDecodeError:
-            counts["damaged"] += 1
+            counts["damaged"] += 1  # a killed writer leaves half a line
             continue
         if not isinstance(row, dict) or row.get("k") not in _KINDS:
             raise InputError(
                 f"{path}: {line[:60]!r} is no row of a recording; give a file that the software PLC recorded"
             )
         yield row
-
-
-def _run(row: Mapping[str, Any]) -> Run:
-    clock = EmulatorClock(row["epoch"], row["monotonic"], row["speed"])
-    roundings = {name: (absolute, relative) for name, (absolute, relative) in row["roundings"].items()}
-    return Run(clock, row["device"], row["trace"], row["seed"], roundings)
-
-
-def _truth(row: Mapping[str, Any], time: float) -> list[TruthRow]:
-    return [TruthRow(row["t"], time, row["version"], tag, value) for tag, value in row["values"].items()]
 
 
 def _request(row: Mapping[str, Any], time: float) -> RequestRow:
@@ -206,13 +200,3 @@ def _block(row: Mapping[str, Any], time: float) -> BlockRow:
         verdict=row["verdict"],
         accepted=row["accepted"],
     )
-
-
-def _frame(row: Mapping[str, Any], time: float) -> FrameRow:
-    data = None if row["data"] is None else bytes.fromhex(row["data"])
-    return FrameRow(monotonic=row["t"], time=time, face=row["face"], sent=row["sent"], id=row["id"], data=data)
-
-
-def _event(row: Mapping[str, Any], time: float) -> EventRow:
-    detail = {key: value for key, value in row.items() if key not in ("k", "n", "t", "event")}
-    return EventRow(row["t"], time, row["event"], detail)
