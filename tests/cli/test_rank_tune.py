@@ -35,20 +35,8 @@ def test_rank_runs_models_marks_what_they_were_trained_on_and_writes_page_and_pi
     model: Path, rival: Path, traces: Path, tmp_path: Path
 ) -> None:
     page, picture = tmp_path / "r.html", tmp_path / "r.png"
-    options = (
-        "--traces",
-        traces,
-        "--runs",
-        100,
-        "--jobs",
-        1,
-        "--semantics",
-        "both",
-        "--page",
-        page,
-        "--picture",
-        picture,
-    )
+    options = ("--traces", traces, "--runs", 100, "--jobs", 1, "--semantics", "both")
+    files = ("--page", page, "--picture", picture)
     found = only_object(decanter("model", "rank", model, rival, *options, *files, "--json").stdout)
     rows = {row["entrant"]: row for row in found["models"]}
     assert set(rows) == {f"decanter ({name}) ({kind})" for name in ("model", "rival") for kind in ("own", "thesis")}
@@ -64,9 +52,8 @@ def test_rank_reads_an_earlier_campaign_with_what_it_knew_of_its_models(
     model: Path, traces: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "campaign"
-    done = decanter(
-        "model", "validate", model, "--traces", traces, "--out", out, "--runs", 100, "--no-pictures", "--jobs", 1
-    )
+    quick = ("--runs", 100, "--no-pictures", "--jobs", 1)
+    done = decanter("model", "validate", model, "--traces", traces, "--out", out, *quick)
     assert done.exit_code == 0
     (row,) = only_object(decanter("model", "rank", "--results", out, "--json").stdout)["models"]
     kept = {one["criterion"]: one["kept"] for one in row["findings"]}
