@@ -261,11 +261,11 @@ def _sign(walked: Walk) -> None:
 # ---------------------------------------------------------------- the command
 
 
-def made(folder: Path, *, soak_s: float, conformance: bool) -> tuple[Walk, float]:
-    """One walk in a folder; gives it and the seconds that it took. Raises WalkError."""
+def made(folder: Path, *, soak_s: float, conformance: bool, kind: type[Walk] = Walk) -> tuple[Walk, float]:
+    """One walk of this kind in a folder; gives it and the seconds that it took. Raises WalkError."""
     unknown = make_unknown(folder)
     plc = start(unknown)
-    walked = Walk(unknown, plc, Person(plc), Cast("An unknown PLC, from probe to a signed report"))
+    walked = kind(unknown, plc, Person(plc), Cast("An unknown PLC, from probe to a signed report"))
     begun, used = time.monotonic(), _computed()
     try:
         walk(walked, soak_s=soak_s, conformance=conformance)

@@ -3,6 +3,7 @@
 import hashlib
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 
 from drivers.tag import DType, Tag, Value
 from gateway.commission.encodings import ReadingError, parse_shown
-from gateway.commission.files import COLUMNS, ListError, ListSheet, flag_of, key_of, read_sheet
+from gateway.commission.files import COLUMNS, ListError, flag_of, key_of, read_sheet
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "name": COLUMNS["name"],
@@ -80,15 +81,23 @@ def read_hmi_list(path: Path, tags: Sequence[Tag], now: float) -> list[HmiReadin
     Times without a date are of the day of `now`, in this machine's time zone. Raises ListError.
     """
     known = {key_of(tag.name): tag.name for tag in tags}
-    columns = {tag.name: (key_of(tag.name),) for tag in tags}
+    readings = []
     try:
         sheet = read_sheet(path, _COLUMNS, ("name", "value"))
     except ListError as error:
-        wide = _wide(path, columns)
-        if wide is None:
+        # A list with a column a tag: any one of the tags is enough to know the header by.
+        columns = {"time": _COLUMNS["time"], **{tag.name: (key_of(tag.name),) for tag in tags}}
+        for tag in tags:
+            with suppress(ListError):
+                sheet = read_sheet(path, columns, (tag.name,))
+                break
+        else:
             raise error from None
-        return _shown_wide(wide, now)
-    found = []
+        for line in sheet.lines:
+            when = _time(sheet.where(line, "time"), line.get("time"), now)
+            names = [name for name in sheet.columns if name != "time" and line.get(name)]
+            readings += [HmiReading(name, line.get(name), when, sheet.where(line, name)) for name in names]
+        return readings
     for line in sheet.lines:
         name, text = line.get("name"), line.get("value")
         if key_of(name) not in known:
@@ -97,27 +106,8 @@ def read_hmi_list(path: Path, tags: Sequence[Tag], now: float) -> list[HmiReadin
             )
         if text:
             when = _time(sheet.where(line, "time"), line.get("time"), now)
-            found.append(HmiReading(known[key_of(name)], text, when, sheet.where(line, "value")))
-    return found
-
-
-def _wide(path: Path, columns: Mapping[str, tuple[str, ...]]) -> ListSheet | None:
-    """The list with a column a tag: the tags that it has columns of; None where it has none."""
-    for name in columns:
-        try:
-            return read_sheet(path, {"time": _COLUMNS["time"], **columns}, (name,))
-        except ListError:
-            continue
-    return None
-
-
-def _shown_wide(sheet: ListSheet, now: float) -> list[HmiReading]:
-    found = []
-    for line in sheet.lines:
-        when = _time(sheet.where(line, "time"), line.get("time"), now)
-        names = [name for name in sheet.columns if name != "time" and line.get(name)]
-        found += [HmiReading(name, line.get(name), when, sheet.where(line, name)) for name in names]
-    return found
+            readings.append(HmiReading(known[key_of(name)], text, when, sheet.where(line, "value")))
+    return readings
 
 
 def _time(where: str, text: str, now: float) -> float | None:

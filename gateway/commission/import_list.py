@@ -62,23 +62,19 @@ def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
         registers = capabilities(files.driver).registers
         how = Reading(options["registers"], options["order"], options["shift"], registers, options["rename"])
         found = read_io_list(path, how, options["columns"], options["sheet"])
-        if options["only"] or options["without"]:
-            found = _chosen(found, options["only"], options["without"])
+        only, without = options["only"], options["without"]
+        if only or without:
+            known = [tag.name for tag in found.tags]
+            if missing := [name for name in (*only, *without) if name not in known]:
+                raise ValueError(f"{missing[0]!r}: the list has no usable row of that name; it has {', '.join(known)}")
+            tags = tuple(tag for tag in found.tags if (not only or tag.name in only) and tag.name not in without)
+            found = replace(found, tags=tags, problems=() if only else found.problems)
         wanted = FileChange(bindings(found), None, options["heartbeat"], device, plant)
         dry_run, skip = options["dry_run"], options["skip_bad"]
         return import_outcome(found, files, wanted, template(), dry_run=dry_run, skip=skip)
 
     arguments = {"list": str(path), **{key: value for key, value in options.items() if value not in (None, (), {})}}
     edit_files(given, "import", arguments, work)
-
-
-def _chosen(found: IoList, only: tuple[str, ...], without: tuple[str, ...]) -> IoList:
-    """The list with some tags alone, or without some. Raises ValueError for one that it does not have."""
-    known = [tag.name for tag in found.tags]
-    if missing := [name for name in (*only, *without) if name not in known]:
-        raise ValueError(f"{missing[0]!r}: the list has no usable row of that name; it has {', '.join(known)}")
-    tags = tuple(tag for tag in found.tags if (not only or tag.name in only) and tag.name not in without)
-    return replace(found, tags=tags, problems=() if only else found.problems)
 
 
 def bindings(found: IoList) -> list[Binding]:

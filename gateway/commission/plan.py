@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from drivers.driver import Explains, PlanKind
-from drivers.survey import ReadPlan, read_plan
+from drivers.survey import read_plan
 from gateway.commission.session import (
     CommandResult,
     SharedOptions,
@@ -43,29 +43,21 @@ async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
         "period_s": period,
         "problems": [*found.problems, *found.overlaps],
     }
-    complaint = _complaint(site, found, period)
-    return CommandResult(data, int(bool(complaint)), complaint)
-
-
-def _complaint(site: Site, found: ReadPlan, period: float) -> str:
-    problems = [*found.problems, *found.overlaps]
-    if problems:
-        return f"{len(problems)} things stand in the way, the first: {problems[0]}"
-    total = found.seconds + found.write_seconds
-    longer = f"longer than the period of {period:g} s: ticks are missed while replies are late"
-    if total <= period:
-        return ""
-    # The block follows the scan and may be late by itself: that alone is no fault of the configuration.
-    if found.seconds <= period:
+    complaint, longer = "", f"longer than the period of {period:g} s: ticks are missed while replies are late"
+    if data["problems"]:
+        complaint = f"{len(data['problems'])} things stand in the way, the first: {data['problems'][0]}"
+    elif total > period and found.seconds <= period:
+        # The block follows the scan and may be late by itself: that alone is no fault of the configuration.
         site.notes.append(f"with the write-back a cycle can take {total:.3g} s, {longer}")
-        return ""
-    count = len(found.requests)
-    shortest = int(1000 * period / count) // 10 / 100  # down to 10 ms, so that all requests fit
-    shorter = f", or timeout to {shortest:g} s if the device is fast enough (see soak)"
-    return (
-        f"a scan of {count} requests can take {found.seconds:.3g} s, {longer}; set scan.period to "
-        f"{ceil(10 * total) / 10:g} s{shorter if 'timeout' in site.target.settings else ''}"
-    )
+    elif total > period:
+        count = len(found.requests)
+        shortest = int(1000 * period / count) // 10 / 100  # down to 10 ms, so that all requests fit
+        shorter = f", or timeout to {shortest:g} s if the device is fast enough (see soak)"
+        complaint = (
+            f"a scan of {count} requests can take {found.seconds:.3g} s, {longer}; set scan.period to "
+            f"{ceil(10 * total) / 10:g} s{shorter if 'timeout' in site.target.settings else ''}"
+        )
+    return CommandResult(data, int(bool(complaint)), complaint)
 
 
 def _reference(place: str, count: int) -> str:

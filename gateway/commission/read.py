@@ -55,25 +55,24 @@ def tags_of(site: Site, wanted: Sequence[str], how: How) -> list[Tag]:
         if not known:
             raise ValueError("what is to be read? Name addresses such as holding:100 or 40101, or give --device FILE")
         return list(known.values())
-    tags: list[Tag] = []
-    for text in wanted:
-        tags += [known[text]] if text in known else _addressed(site, text, how, list(known))
-    return tags
-
-
-def _addressed(site: Site, text: str, how: How, known: Sequence[str]) -> list[Tag]:
     dtype = how.dtype or DType.UINT16
     plain = Tag("", "", dtype, order=how.order, scale=how.scale, offset=how.offset, bit=how.bit, length=how.length)
-    if not site.target.capabilities.registers:
-        return [replace(plain, name=text, address=text)]
-    try:
-        first, count = parse_stretch(text)
-    except AddressTextError as error:
-        tags = f", and no tag of the device file, which has {', '.join(known)}" if known else ""
-        raise ValueError(f"{error}{tags}") from None
-    places = [first.moved(step * width_of(plain)) for step in range(max(count, how.count))]
-    kind = DType.BOOL if first.is_bit else dtype
-    return [replace(plain, name=str(place), address=str(place), dtype=kind) for place in places]
+    tags: list[Tag] = []
+    for text in wanted:
+        if text in known:
+            tags.append(known[text])
+        elif not site.target.capabilities.registers:
+            tags.append(replace(plain, name=text, address=text))
+        else:
+            try:
+                first, count = parse_stretch(text)
+            except AddressTextError as error:
+                others = f", and no tag of the device file, which has {', '.join(known)}" if known else ""
+                raise ValueError(f"{error}{others}") from None
+            places = [first.moved(step * width_of(plain)) for step in range(max(count, how.count))]
+            kind = DType.BOOL if first.is_bit else dtype
+            tags += [replace(plain, name=str(place), address=str(place), dtype=kind) for place in places]
+    return tags
 
 
 def width_of(tag: Tag) -> int:

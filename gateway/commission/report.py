@@ -47,34 +47,29 @@ def report(
         _verify(out, seal, as_json=given.as_json)
         return
     with sentences():
-        made = _make(given, out, site, remarks, audit_path(audit, given))
+        now, by, log_path = time.time(), given.by or login(), audit_path(audit, given)
+        records = given.records.read_bytes()
+        data = gather(given.records, log_path, site=site, by=by, now=now, remarks=remarks)
+        data["site"] = site or "; ".join(data["places"]) or "no device"
+        own_seal = write(out, data, records)
+        # The seal stands apart from the report too: whoever makes all of it anew makes another seal.
+        if log_path.exists():
+            log = open_audit(log_path)
+            detail = {"seal": own_seal, "folder": str(out)}
+            stored = log.record(AuditEntry(now, "acceptance report", by, data["verdict"], detail))
+            log.close()
+            if not stored:
+                raise ValueError(f"the report is made, but its seal is not in the audit log: {log.failure}")
+    made = {
+        "verdict": data["verdict"],
+        "checks": {check["command"]: check["state"] for check in data["checks"]},
+        "open_points": data["open_points"],
+        "out": str(out),
+        "seal": own_seal,
+    }
     emit({"ok": made["verdict"] != "failed", **made}, lambda: _show(made), as_json_line=given.as_json)
     if made["verdict"] == "failed":
         fail(f"the site is not accepted: {made['open_points'][0]}", Exit.CHECK_FAILED)
-
-
-def _make(given: SharedOptions, out: Path, site: str, remarks: tuple[str, ...], audit: Path) -> dict[str, Any]:
-    now, by = time.time(), given.by or login()
-    records = given.records.read_bytes()
-    data = gather(given.records, audit, site=site, by=by, now=now, remarks=remarks)
-    data["site"] = site or "; ".join(data["places"]) or "no device"
-    seal = write(out, data, records)
-    if audit.exists():
-        log = open_audit(audit)
-        stored = log.record(
-            AuditEntry(now, "acceptance report", by, data["verdict"], {"seal": seal, "folder": str(out)})
-        )
-        log.close()
-        if not stored:
-            raise ValueError(f"the report is made, but its seal is not in the audit log: {log.failure}")
-    done = {check["command"]: check["state"] for check in data["checks"]}
-    return {
-        "verdict": data["verdict"],
-        "checks": done,
-        "open_points": data["open_points"],
-        "out": str(out),
-        "seal": seal,
-    }
 
 
 def _show(made: Mapping[str, Any]) -> None:
@@ -92,12 +87,12 @@ def _verify(folder: Path, seal: str, *, as_json: bool) -> None:
         found, rows = verify(folder, seal)
     bad = [row for row in rows if not row["ok"]]
     data = {"ok": not bad, "folder": str(folder), "seal": found, "files": rows}
-    emit(data, lambda: _show_verified(data), as_json_line=as_json)
+
+    def show() -> None:
+        states = [[row["file"], "as it was made" if row["ok"] else row["problem"]] for row in rows]
+        table(f"report in {folder}", ("file", ""), states)
+        click.echo(f"seal: {found}")
+
+    emit(data, show, as_json_line=as_json)
     if bad:
         fail(f"{folder / bad[0]['file']}: {bad[0]['problem']}", Exit.CHECK_FAILED)
-
-
-def _show_verified(data: Mapping[str, Any]) -> None:
-    rows = [[row["file"], "as it was made" if row["ok"] else row["problem"]] for row in data["files"]]
-    table(f"report in {data['folder']}", ("file", ""), rows)
-    click.echo(f"seal: {data['seal']}")

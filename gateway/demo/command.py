@@ -14,7 +14,6 @@ from rich.console import Console
 from gateway.console import config_dir, emit, finite, map_option, progress, seed_option, shipped, table
 from gateway.demo.child import DemoError
 from gateway.demo.folder import clear, held
-from gateway.demo.gap import demonstrate
 from gateway.demo.links import DEFAULT_LINK, LINKS
 from gateway.demo.play import play
 from gateway.demo.prepare import DemoRun, limit_for, pace, split, suits, write_device
@@ -23,8 +22,8 @@ from gateway.entry import Exit, fail, sentences
 from gateway.lab.learn import learn_from, write
 from gateway.lab.traces.load import load
 from sim.plant import history_and_day
-from sim.sha import Trace, encode
-from sim.traces import ColumnMap, load_map, write_trace
+from sim.sha import encode
+from sim.traces import load_map, write_trace
 
 
 @click.command(short_help="Run the main job end to end on this machine: PLC, gateway, outage, summary, picture.")
@@ -80,6 +79,9 @@ def demo(
             raise click.UsageError(
                 "--discrepancy simulates its own plant; leave --trace, --limit, --seconds, --link out"
             )
+        # What `decanter diagnose` needs takes longer to load than all the rest: the main job shall not wait for it.
+        from gateway.demo.gap import demonstrate
+
         demonstrate(seed, out or Path("out/demo-discrepancy"), as_json=as_json)
         return
     out = out or Path("out/demo")
@@ -136,10 +138,13 @@ def prepare(
     with progress("demo") as report:
         report("traces", 0.0)
         if paths:
-            given, column_map = load(paths, map_name)
-            training, rest = split(given)
+            traces, column_map = load(paths, map_name)
+            training, rest = split(traces)
         else:
-            training, rest, column_map = _embedded(map_name, seed)
+            column_map = load_map(shipped("traces", map_name))
+            history, day = history_and_day(seed)
+            days = [replace(trace, events=encode(trace, column_map.alphabet)) for trace in (*history, day)]
+            training, rest = days[:-1], days[-1]
         learned = learn_from(training, column_map, name="demo", seed=seed, report=report)
     clear(out)
     write(out / "model", learned)
@@ -152,8 +157,13 @@ def prepare(
             raise ValueError(f"--link {link}: {addresses} has not all signals of this trace; give --link modbus for it")
         units = {name: signal.unit for name, signal in column_map.signals.items()}
         device = write_device(replayed, column_map.alphabet, units, template, out / "device.toml")
+    # What people read first: that nothing of it was measured, what was learned from, what is replayed and for how long.
+    made = "SYNTHETIC data, not measured on a plant: " if replayed.synthetic else ""
+    cut = f" (of {rest.times.size}: --seconds ends it)" if replayed.times.size < rest.times.size else ""
+    learned_from = f"learned from {len(training)} traces with {sum(trace.times.size for trace in training)} rows"
+    origin = f"{made}{learned_from}, replaying {replayed.times.size} rows{cut} of {replayed.name}"
     lasts = f"the replay takes {np.ptp(replayed.times) / speed:.0f} s over {link}"
-    notes = tuple(filter(None, (f"{_origin(training, replayed, rest)}; {lasts}", note)))
+    notes = tuple(filter(None, (f"{origin}; {lasts}", note)))
     return DemoRun(
         folder=out,
         trace=replayed,
@@ -168,22 +178,6 @@ def prepare(
         link=link,
         addresses=addresses,
     )
-
-
-def _origin(training: Sequence[Trace], replayed: Trace, rest: Trace) -> str:
-    rows = sum(trace.times.size for trace in training)
-    made = "SYNTHETIC data, not measured on a plant: " if replayed.synthetic else ""
-    cut = f" (of {rest.times.size}: --seconds ends it)" if replayed.times.size < rest.times.size else ""
-    learned = f"learned from {len(training)} traces with {rows} rows"
-    return f"{made}{learned}, replaying {replayed.times.size} rows{cut} of {replayed.name}"
-
-
-def _embedded(map_name: str, seed: int) -> tuple[list[Trace], Trace, ColumnMap]:
-    """The synthetic history and the new day, encoded."""
-    column_map = load_map(shipped("traces", map_name))
-    history, day = history_and_day(seed)
-    encoded = [replace(trace, events=encode(trace, column_map.alphabet)) for trace in (*history, day)]
-    return encoded[:-1], encoded[-1], column_map
 
 
 def show(data: dict[str, Any]) -> None:

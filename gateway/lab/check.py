@@ -1,8 +1,7 @@
 """`decanter model check`: a query put to a model, answered by runs or decided over its locations."""
 
 import csv
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isfinite, nan
 from pathlib import Path
 
@@ -83,7 +82,7 @@ def _place(_: click.Context, parameter: click.Parameter, path: Path | None) -> P
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Equal seeds, equal answers.")
 @click.option(
     "--csv",
-    "csv",
+    "courses",
     type=click.Path(path_type=Path, dir_okay=False),
     callback=_place,
     help="Write the courses of a simulation there.",
@@ -109,7 +108,7 @@ def check(
     delta: float,
     rare: bool,
     seed: int,
-    csv: Path | None,
+    courses: Path | None,
     picture: Path | None,
     as_json: bool,
 ) -> None:
@@ -123,71 +122,64 @@ def check(
     """
     settings = QuerySettings(alpha, epsilon, rule, runs, delta, seed=seed, rare=rare)
     with sentences(), progress("checking") as report:
-        found = _answered(model_name, query_text, _Origin(events, map_name, origin, future), settings, report)
-        if csv is not None:
-            if not found.courses:
+        report("model and query", 0.0)
+        trace = None
+        if events is None:
+            found = find_model(model_name)
+        else:
+            # The trace comes first: a set of artefacts is read by its column map's alphabet.
+            traces, column_map = load([events], map_name)
+            if len(traces) != 1:
+                raise ValueError(
+                    f"{events} holds {len(traces)} traces; --events takes one, whose events drive the runs"
+                )
+            trace = traces[0]
+            found = find_model(model_name, alphabet=column_map.alphabet, temperature=column_map.temperature)
+        query = parse_query(query_text, found.model if found.model is not None else found.structure)
+        if isinstance(query, Symbolic):
+            result = decided(query, found.structure)
+        else:
+            start = _start(found.runnable(), trace, origin=origin, future=future)
+            result = answer(query, start, settings, report)
+        if courses is not None:
+            if not result.courses:
                 raise ValueError("--csv writes the courses of a simulate query; this query has none")
-            _write_csv(found, csv)
+            labels = result.query.labels if isinstance(result.query, Simulation) else ()
+            with courses.open("w", encoding="utf-8", newline="") as file:
+                writer = csv.writer(file)
+                writer.writerow(["run", "time", *labels])
+                for number, course in enumerate(result.courses):
+                    for row, time in enumerate(course.times.tolist()):
+                        # By repr, so that the numbers come back to the last bit.
+                        values = (repr(value) for value in course.values[:, row].tolist())
+                        writer.writerow([number, repr(time), *values])
         if picture is not None:
-            draw_answer(found, query_text, picture)
+            draw_answer(result, query_text, picture)
     data = {
         "query": query_text,
-        "kind": found.kind,
-        "answer": found.sentence,
-        "verdict": found.verdict,
-        "numbers": dict(found.numbers),
-        "rule": found.rule,
-        "runs": found.runs,
-        "seed": found.seed,
-        "start": found.start,
-        "levels": [{"temperature": level, "chance": chance} for level, chance in found.levels],
-        "notes": list(found.notes),
-        "csv": csv and str(csv),
+        "kind": result.kind,
+        "answer": result.sentence,
+        "verdict": result.verdict,
+        "numbers": dict(result.numbers),
+        "rule": result.rule,
+        "runs": result.runs,
+        "seed": result.seed,
+        "start": result.start,
+        "levels": [{"temperature": level, "chance": chance} for level, chance in result.levels],
+        "notes": list(result.notes),
+        "csv": courses and str(courses),
         "picture": picture and str(picture),
     }
-    emit(data, lambda: _say(found, query_text, csv, picture), as_json_line=as_json)
-    if found.kind in ("hypothesis", "comparison", "symbolic") and found.verdict is not True:
+    emit(data, lambda: _show(result, query_text, courses, picture), as_json_line=as_json)
+    if result.kind in ("hypothesis", "comparison", "symbolic") and result.verdict is not True:
         raise SystemExit(int(Exit.CHECK_FAILED))
 
 
-@dataclass(frozen=True, slots=True)
-class _Origin:
-    """Where the runs start and what drives them, as the options say it."""
-
-    events: str | None
-    map_name: str
-    origin: str
-    future: str | None
-
-
-def _answered(
-    name: str, text: str, origin: _Origin, settings: QuerySettings, report: Callable[[str, float], None]
-) -> Answer:
-    """The answer. Raises ValueError, the sentences' way."""
-    report("model and query", 0.0)
-    trace = None
-    if origin.events is None:
-        found = find_model(name)
-    else:
-        # The trace comes first: a set of artefacts is read by its column map's alphabet.
-        traces, column_map = load([origin.events], origin.map_name)
-        if len(traces) != 1:
-            raise ValueError(
-                f"{origin.events} holds {len(traces)} traces; --events takes one, whose events drive the runs"
-            )
-        trace = traces[0]
-        found = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature)
-    query = parse_query(text, found.model if found.model is not None else found.structure)
-    if isinstance(query, Symbolic):
-        return decided(query, found.structure)
-    return answer(query, _start(found.runnable(), origin, trace), settings, report)
-
-
-def _start(model: Model, origin: _Origin, trace: Trace | None) -> Start:
-    """Where the runs start. Raises ValueError for options that do not go together."""
-    kind, _, value = origin.origin.partition(":")
+def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None) -> Start:
+    """Where the runs start, by --from and --future. Raises ValueError for options that do not go together."""
+    kind, _, value = origin.partition(":")
     if kind == "initial" and not value:
-        if origin.future == "semi-markov" and trace is not None:
+        if future == "semi-markov" and trace is not None:
             raise ValueError("--events gives the events to come: leave it or --future semi-markov out")
         return initial(model, trace)
     if kind == "location" and value:
@@ -203,57 +195,43 @@ def _start(model: Model, origin: _Origin, trace: Trace | None) -> Start:
             seconds = nan
         if not (isfinite(seconds) and seconds >= 0):
             raise ValueError(f"--from trace:{value}: give the seconds since the trace's first row, such as trace:600")
-        recorded = origin.future != "semi-markov"
+        recorded = future != "semi-markov"
         return believed(model, trace, float(trace.times[0]) + seconds, recorded=recorded)
     if kind == "historian" and value:
-        if trace is not None or origin.future == "recorded":
+        if trace is not None or future == "recorded":
             raise ValueError("what comes after a historian's end is not recorded: leave --events and --future out")
-        return believed(model, _history(Path(value), model))
-    raise ValueError(f"--from {origin.origin!r}: write initial, location:NAME, trace:SECONDS or historian:FILE")
+        path = Path(value)
+        with reading(path) as connection:
+            last = connection.execute("SELECT max(time) FROM scans").fetchone()[0]
+        if last is None:
+            raise ValueError(f"{path}: this historian has no scans yet; let the gateway run first")
+        past = to_trace(path, path.name, start=last - HISTORY)
+        # Encoded by the model's own alphabet, as the gateway does.
+        return believed(model, replace(past, events=encode(past, model.alphabet)))
+    raise ValueError(f"--from {origin!r}: write initial, location:NAME, trace:SECONDS or historian:FILE")
 
 
-def _history(path: Path, model: Model) -> Trace:
-    """The historian's last day, encoded by the model's own alphabet as the gateway does. Raises HistorianError."""
-    with reading(path) as connection:
-        last = connection.execute("SELECT max(time) FROM scans").fetchone()[0]
-    if last is None:
-        raise ValueError(f"{path}: this historian has no scans yet; let the gateway run first")
-    trace = to_trace(path, path.name, start=last - HISTORY)
-    return replace(trace, events=encode(trace, model.alphabet))
-
-
-def _write_csv(found: Answer, path: Path) -> None:
-    """One row an instant: run, seconds, one column an expression."""
-    labels = found.query.labels if isinstance(found.query, Simulation) else ()
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["run", "time", *labels])
-        for number, course in enumerate(found.courses):
-            for row, time in enumerate(course.times.tolist()):
-                writer.writerow([number, repr(time), *(repr(value) for value in course.values[:, row].tolist())])
-
-
-def _say(found: Answer, text: str, csv: Path | None, picture: Path | None) -> None:
+def _show(result: Answer, text: str, courses: Path | None, picture: Path | None) -> None:
     """The answer on one screen: what was asked, the answer, how it came about, what limits it."""
     click.echo(text)
-    click.secho(f"  {found.sentence}", bold=True)
-    if isinstance(found.query, Simulation):
+    click.secho(f"  {result.sentence}", bold=True)
+    if isinstance(result.query, Simulation):
         kinds = ("least", "greatest", "mean at the end")
-        named = [(label, [found.numbers[f"{label}: {kind}"] for kind in kinds]) for label in found.query.labels]
-        courses = [[label, *(f"{number:.5g}" for number in numbers)] for label, numbers in named]
-        table("courses", ["expression", *kinds], courses)
-    if found.levels:
+        named = [(label, [result.numbers[f"{label}: {kind}"] for kind in kinds]) for label in result.query.labels]
+        rows = [[label, *(f"{number:.5g}" for number in numbers)] for label, numbers in named]
+        table("courses", ["expression", *kinds], rows)
+    if result.levels:
         # The levels lead to the event; of an invariant that is its violation, and `probability` is the complement.
-        chance = found.numbers.get("violation", found.numbers["probability"])
-        rows = [[f"{level:.4g} °C", f"{share:.2e}"] for level, share in found.levels]
+        chance = result.numbers.get("violation", result.numbers["probability"])
+        rows = [[f"{level:.4g} °C", f"{share:.2e}"] for level, share in result.levels]
         table("way", ["level", "chance to reach it"], [*rows, ["the event", f"{chance:.2e}"]])
-    click.echo(f"  method   {found.rule}")
-    if found.runs:
-        click.echo(f"  runs     {found.runs}, seed {found.seed}")
-    if found.start:
-        click.echo(f"  start    {found.start}")
-    for note in found.notes:
+    click.echo(f"  method   {result.rule}")
+    if result.runs:
+        click.echo(f"  runs     {result.runs}, seed {result.seed}")
+    if result.start:
+        click.echo(f"  start    {result.start}")
+    for note in result.notes:
         click.echo(f"  note     {note}")
-    for name, path in (("csv", csv), ("picture", picture)):
+    for name, path in (("csv", courses), ("picture", picture)):
         if path is not None:
             click.echo(f"{name}: {path}")

@@ -15,9 +15,6 @@ from sim.artefacts import STORE_FILE, model_hash
 from sim.artefacts.formats import find_model, save, write_model_directory
 from sim.learning import (
     FORMS,
-    Bite,
-    LearnedCorrection,
-    MaxRate,
     bite,
     corrected_model,
     learn_correction,
@@ -55,7 +52,7 @@ def correct(
         model = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature).runnable()
         if model.alphabet.channels:  # the model's own alphabet, where it has one, and not the map's
             traces = [replace(trace, events=encode(trace, model.alphabet)) for trace in traces]
-        wanted = [one for one in FORMS if form in ("best", one)]
+        wanted = [candidate for candidate in FORMS if form in ("best", candidate)]
         learned = learn_correction(model, traces, forms=wanted, progress=report)
         rate = bites = None
         if limit_rate:
@@ -69,7 +66,16 @@ def correct(
                 new = with_max_rate(new, rate)
             is_store = (out / STORE_FILE).is_file()
             written = save(out, new, created=time.time()) if is_store else str(write_model_directory(out, new))
-    data = _plain(learned, rate, bites) | {
+    fits = []
+    for fit in learned.fits:
+        row = asdict(fit)
+        fits.append({"form": fit.form, **row.pop("correction"), **{k: v for k, v in row.items() if k != "form"}})
+    data = {
+        "chosen": learned.chosen,
+        "correction": asdict(learned.correction),
+        "fits": fits,
+        "skipped": list(learned.skipped),
+        "max_rate": None if rate is None or bites is None else asdict(rate) | asdict(bites),
         # Of the very traces that the model was learned from, the held-out error is none.
         "training traces": model.provenance.data_hash == joint_hash(traces),
         "written": written,
@@ -78,21 +84,6 @@ def correct(
     emit(data, lambda: _show(data), as_json_line=as_json)
     if not accepted:
         fail(f"nothing was accepted, so nothing was written: {learned.best.reason}", Exit.CHECK_FAILED)
-
-
-def _plain(learned: LearnedCorrection, rate: MaxRate | None, bites: Bite | None) -> dict[str, Any]:
-    fits = []
-    for fit in learned.fits:
-        row = asdict(fit)
-        fits.append({"form": fit.form, **row.pop("correction"), **{k: v for k, v in row.items() if k != "form"}})
-    limit = None if rate is None or bites is None else asdict(rate) | asdict(bites)
-    return {
-        "chosen": learned.chosen,
-        "correction": asdict(learned.correction),
-        "fits": fits,
-        "skipped": list(learned.skipped),
-        "max_rate": limit,
-    }
 
 
 def _show(data: dict[str, Any]) -> None:

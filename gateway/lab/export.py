@@ -81,13 +81,13 @@ def export_uppaal(
     for index, trace in enumerate(traces):
         report(trace.name, index / len(traces))
         try:
-            rows.append(_one(model, trace, order, engine, missing))
+            rows.append(_exported(model, trace, order, engine, missing))
         except ValueError as error:
             rows.append({"trace": trace.name, "error": str(error)})
     return rows
 
 
-def _one(model: Model, trace: Trace, order: ExportOptions, engine: Path | None, missing: str) -> dict[str, Any]:
+def _exported(model: Model, trace: Trace, order: ExportOptions, engine: Path | None, missing: str) -> dict[str, Any]:
     """The files of one trace, and where there is an engine its answers beside the native ones."""
     exported = export_trace(
         model, trace, policy=order.policy, start=order.start, tick=order.tick, formulas=order.queries

@@ -1,6 +1,6 @@
 """`decanter model learn`: a model from traces, written with all its artefacts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -62,7 +62,9 @@ def learn(
     settings |= {"complete": False} if observed_edges else {}
     with sentences(), progress(f"learning ({method})") as report:
         if settings and method != "lsha":
-            raise ValueError(f"--{_option(settings)} belongs to --method lsha; leave it out, or choose that method")
+            first = next(iter(settings))
+            option = {"complete": "observed-edges"}.get(first, first.replace("_", "-"))
+            raise ValueError(f"--{option} belongs to --method lsha; leave it out, or choose that method")
         traces, column_map = load(paths, map_name)
         if method == "lsha":
             words_learned = learn_lsha(
@@ -74,12 +76,13 @@ def learn(
                 settings=LshaSettings(**settings),
                 progress=report,
             )
-            written = _write_lsha(out, words_learned, name)
-            model, shown, acceptance = (
-                words_learned.model,
-                lsha_diagnostics(words_learned),
-                words_learned.report.acceptance,
-            )
+            account = words_learned.report
+            more = {
+                f"{REPORT}.json": json_text(report_document(account), indent=1) + "\n",
+                f"{REPORT}.md": report_text(account, name),
+            }
+            model, shown, acceptance = words_learned.model, lsha_diagnostics(words_learned), account.acceptance
+            written = write_model_directory(out, model, words_learned.values, observations=account.table, more=more)
         else:
             learned = learn_from(traces, column_map, name=name, seed=seed, report=report)
             written = write(out, learned)
@@ -100,11 +103,6 @@ def learn(
     emit(data, show, as_json_line=as_json)
 
 
-def _option(settings: Mapping[str, Any]) -> str:
-    first = next(iter(settings))
-    return {"complete": "observed-edges"}.get(first, first.replace("_", "-"))
-
-
 def learn_from(traces: Sequence[Trace], column_map: ColumnMap, *, name: str, seed: int, report: Any) -> Learned:
     """A model of the traces by the map's alphabet and temperature."""
     return learn_bins(
@@ -120,16 +118,6 @@ def learn_from(traces: Sequence[Trace], column_map: ColumnMap, *, name: str, see
 def write(out: Path, learned: Learned) -> Path:
     """Write the model directory; returns the path of its model.json."""
     return write_model_directory(out, learned.model, learned.values)
-
-
-def _write_lsha(out: Path, learned: LearnedLsha, name: str) -> Path:
-    """Write the model directory with the learning report beside the model; returns the path of its model.json."""
-    document = report_document(learned.report)
-    more = {
-        f"{REPORT}.json": json_text(document, indent=1) + "\n",
-        f"{REPORT}.md": report_text(learned.report, name),
-    }
-    return write_model_directory(out, learned.model, learned.values, observations=learned.report.table, more=more)
 
 
 def diagnostics(learned: Learned) -> dict[str, list[dict[str, Any]]]:

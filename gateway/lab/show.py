@@ -25,25 +25,23 @@ def show(name: str, as_json: bool) -> None:
     with sentences():
         found = find_model(name)
         if found.model is None or found.artefacts is not None:
-            emit(_artefacts(found), lambda: _show_artefacts(found), as_json_line=as_json)
+            structure = found.structure
+            data = {
+                "name": found.name,
+                "initial": structure.initial,
+                "locations": _location_rows(structure, {}),
+                "edges": [
+                    {"source": edge.source, "symbol": edge.symbol, "target": edge.target, "guard": edge.guard}
+                    for edge in structure.edges
+                ],
+                "runnable": found.model is not None,
+                "refusal": found.refusal,
+                "notes": list(found.notes),
+            }
+            emit(data, lambda: _show_artefacts(found), as_json_line=as_json)
             return
         shown = found.model
         emit(summary(shown), lambda: show_model(shown), as_json_line=as_json)
-
-
-def _artefacts(found: FoundModel) -> dict[str, Any]:
-    edges = [
-        {"source": e.source, "symbol": e.symbol, "target": e.target, "guard": e.guard} for e in found.structure.edges
-    ]
-    return {
-        "name": found.name,
-        "initial": found.structure.initial,
-        "locations": _location_rows(found.structure, {}),
-        "edges": edges,
-        "runnable": found.model is not None,
-        "refusal": found.refusal,
-        "notes": list(found.notes),
-    }
 
 
 def _show_artefacts(found: FoundModel) -> None:

@@ -16,7 +16,7 @@ from sim.artefacts.formats import find_model
 from sim.engine import Policy, Start, errors, measured, open_loop, open_loop_schedule, start_law
 from sim.engine import simulate as sample_runs
 from sim.forecast import beyond, standardised
-from sim.sha import Array, Model, Trace
+from sim.sha import Model, Trace
 from sim.validation import Curve, Picture, draw
 
 BAND = (0.05, 0.95)
@@ -59,7 +59,7 @@ def _simulate_one(
     model: Model, trace: Trace, runs: int, policy: Policy, start: Start, rng: np.random.Generator, picture: Path | None
 ) -> dict[str, Any]:
     mean = open_loop(model, trace, policy, start)
-    wrong = errors(mean, trace, model.temperature)
+    missed = errors(mean, trace, model.temperature)
     steps = open_loop_schedule(model, trace, policy)
     sampled = sample_runs(steps, start_law(model, trace, start), runs, rng)
     noisy = sampled.temperatures + model.sensor_sigma * rng.normal(size=sampled.temperatures.shape)
@@ -69,17 +69,33 @@ def _simulate_one(
     inside = (values >= low[place]) & (values <= high[place])
     outside = beyond(*standardised(mean, trace, model))
     if picture is not None:
-        _draw(model, trace, (mean.times, mean.mean), (sampled.times, low, high), picture)
+        # The band is of the runs' moments, the line of the exact mean's: it is drawn at the latter.
+        edges = (np.interp(mean.times, sampled.times, edge) for edge in (low, high))
+        driving = [channel.signal for channel in model.alphabet.channels if channel.signal in trace.signals]
+        inputs = [
+            Curve(name, trace.times[present], trace.signals[name][present])
+            for name in driving
+            if (present := np.isfinite(trace.signals[name])).any() and np.nanmax(trace.signals[name]) > 1
+        ]
+        drawn = Picture(
+            f"{model.sha.name} along {trace.name}, open loop",
+            Curve(f"measured {model.temperature}", times, values),
+            open_loop=Curve("simulated, 90 % band", mean.times, mean.mean, *edges),
+            inputs=inputs,
+            events=trace.events,
+            note="SYNTHETIC: not measured on a plant" if trace.synthetic else trace.origin,
+        )
+        draw(drawn, picture)
     return {
         "trace": trace.name,
         "synthetic": trace.synthetic,
         "events": len(trace.events),
-        "rmse": wrong.at_samples.rmse,
-        "mae": wrong.at_samples.mae,
-        "rmse at events": wrong.at_events.rmse,
-        "mae at events": wrong.at_events.mae,
-        "final": wrong.final,
-        "final %": wrong.final_percent,
+        "rmse": missed.at_samples.rmse,
+        "mae": missed.at_samples.mae,
+        "rmse at events": missed.at_events.rmse,
+        "mae at events": missed.at_events.mae,
+        "final": missed.final,
+        "final %": missed.final_percent,
         "coverage 90 %": float(np.mean(inside)),
         "clamps": mean.clamps,
         "limited": mean.limited,
@@ -88,31 +104,6 @@ def _simulate_one(
         "review": outside.review,
         "flags": ", ".join((*mean.flags, *(["review"] if outside.review else []))),
     }
-
-
-def _draw(
-    model: Model, trace: Trace, mean: tuple[Array, Array], band: tuple[Array, Array, Array], picture: Path
-) -> None:
-    times, values = measured(trace, model.temperature)
-    low, high = (np.interp(mean[0], band[0], edge) for edge in band[1:])
-    driving = [channel.signal for channel in model.alphabet.channels if channel.signal in trace.signals]
-    inputs = [
-        Curve(name, trace.times[present], trace.signals[name][present])
-        for name in driving
-        if (present := np.isfinite(trace.signals[name])).any() and np.nanmax(trace.signals[name]) > 1
-    ]
-    note = "SYNTHETIC: not measured on a plant" if trace.synthetic else trace.origin
-    draw(
-        Picture(
-            f"{model.sha.name} along {trace.name}, open loop",
-            Curve(f"measured {model.temperature}", times, values),
-            open_loop=Curve("simulated, 90 % band", mean[0], mean[1], low, high),
-            inputs=inputs,
-            events=trace.events,
-            note=note,
-        ),
-        picture,
-    )
 
 
 @click.command(short_help="Let a model run along measured traces; say how far off it is.")

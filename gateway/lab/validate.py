@@ -247,11 +247,11 @@ def validate(
         "out": str(out),
         "report": str(out / "index.html"),
         "summaries": [asdict(summary) for summary in summaries(results)],
-        "gains": {name: asdict(found) | {"sentence": found.sentence} for name, found in gains.items() if found},
+        "gains": {name: asdict(gained) | {"sentence": gained.sentence} for name, gained in gains.items() if gained},
         "results": [asdict(run) | {"verdict": asdict(verdict(run))} for run in results],
     }
     emit(data, lambda: _show(out, results), as_json_line=as_json)
-    if all(one.failure for one in results):
+    if all(result.failure for result in results):
         fail(f"no model could be run along any trace; {results[0].trace}: {results[0].failure}", Exit.CHECK_FAILED)
 
 
@@ -260,27 +260,26 @@ def _show(out: Path, results: Sequence[TraceResult]) -> None:
     more = ("coverage", "CRPS", "persistence")
     names = ("mae", "rmse", "at_events", "dense", "final_percent", "coverage", "crps", "persistence")
     rows = [
-        [one.model, one.semantics, one.good, one.review, one.failed, *(getattr(one, name) for name in names)]
-        for one in summaries(results)
+        [summary.model, summary.semantics, summary.good, summary.review, summary.failed]
+        + [getattr(summary, name) for name in names]
+        for summary in summaries(results)
     ]
     table("validation, means over traces (°C)", (*columns, *more), rows)
-    for name in dict.fromkeys(one.model for one in results):
-        found = gain([one for one in results if one.model == name])
-        if found is not None:
-            click.echo(f"{name}: {found.sentence}")
-        for sentence in _reasons([one for one in results if one.model == name]):
+    for name in dict.fromkeys(result.model for result in results):
+        own = [result for result in results if result.model == name]
+        gained = gain(own)
+        if gained is not None:
+            click.echo(f"{name}: {gained.sentence}")
+        # Why traces failed or are to be looked at, the failed ones first; the report has all of them.
+        judged = [(result, verdict(result)) for result in sorted(own, key=lambda result: natural(result.trace))]
+        lines = [
+            f"{found.word}: {result.trace} ({result.semantics}): {'; '.join(found.reasons)}"
+            for word in ("failed", "review")
+            for result, found in judged
+            if found.word == word
+        ]
+        for sentence in lines[:MOST_REASONS]:
             click.echo(f"{name}: {sentence}")
+        if len(lines) > MOST_REASONS:
+            click.echo(f"{name}: {len(lines) - MOST_REASONS} more of these are in the report")
     click.echo(f"report: {out / 'index.html'}")
-
-
-def _reasons(results: Sequence[TraceResult]) -> list[str]:
-    """Why traces failed or are to be looked at, the first MOST_REASONS of them; the report has all."""
-    judged = [(one, verdict(one)) for one in sorted(results, key=lambda one: natural(one.trace))]
-    lines = [
-        f"{found.word}: {one.trace} ({one.semantics}): {'; '.join(found.reasons)}"
-        for word in ("failed", "review")
-        for one, found in judged
-        if found.word == word
-    ]
-    more = len(lines) - MOST_REASONS
-    return [*lines[:MOST_REASONS], *([f"{more} more of these are in the report"] if more > 0 else [])]

@@ -7,7 +7,7 @@ import click
 from gateway.console import emit, table
 from gateway.entry import sentences
 from sim.artefacts.formats import find_model
-from sim.checking.proof import WordReplay, parse_word, replay
+from sim.checking.proof import parse_word, replay
 from sim.effects import in_sensor_scale
 from sim.engine import Policy
 
@@ -18,7 +18,15 @@ def replay_word(directory: str, given: str, policy: Policy, *, as_json: bool) ->
     """Replay a word, given as text or as a file's name, and say whether the model's own range is left."""
     with sentences():
         model = in_sensor_scale(find_model(directory).runnable())
-        done = replay(model, parse_word(_text(given)), policy)
+        text = given
+        # Every word has an @; a file's name may have one too.
+        if "@" not in given or Path(given).is_file():
+            try:
+                text = Path(given).read_text(encoding="utf-8")
+            except UnicodeDecodeError as error:
+                reason = f"byte {error.start} is not UTF-8; give a text file with a timed word"
+                raise ValueError(f"{given}: {reason}") from None
+        done = replay(model, parse_word(text), policy)
     low, high = model.sha.low, model.sha.high
     outside = done.leaves(low, high)
     data = {
@@ -31,24 +39,10 @@ def replay_word(directory: str, given: str, policy: Policy, *, as_json: bool) ->
     }
 
     def show() -> None:
-        _show(done)
+        rows = [[getattr(visit, name) for name in COLUMNS] for visit in done.visits]
+        table("replay without noise and clamps (s, °C)", COLUMNS, rows)
         sentence = f"from {done.lowest:.6g} to {done.highest:.6g} °C; the model's range is {low:g} to {high:g} °C"
         left = f": it is left in {outside.location!r}, in the stay from {outside.time:.6g} s on" if outside else ""
         click.echo(sentence + left)
 
     emit(data, show, as_json_line=as_json)
-
-
-def _text(given: str) -> str:
-    """The word itself: what a file of this name holds, or what was given. Raises OSError and ValueError."""
-    if "@" in given and not Path(given).is_file():
-        return given
-    try:
-        return Path(given).read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{given}: byte {error.start} is not UTF-8; give a text file with a timed word") from None
-
-
-def _show(done: WordReplay) -> None:
-    rows = [[getattr(visit, name) for name in COLUMNS] for visit in done.visits]
-    table("replay without noise and clamps (s, °C)", COLUMNS, rows)

@@ -106,21 +106,16 @@ async def _withdrawn(machine: Machine, why: str) -> None:
         machine.log.warning("validity 0 could not be written", reason=str(error))
 
 
-async def _last_counts(machine: Machine) -> None:
-    """What the PLC says of the last blocks, once its program has had a cycle's time to count them."""
-    config, block = machine.config, machine.block
-    if block is None or not block.writer.armed or not machine.link.alive:
-        return
-    await asyncio.sleep(max(LAST_WORD_SECONDS, config.device.heartbeat_period))
-    now = machine.clock.now()
-    samples = {sample.tag: sample for sample in await machine.driver.read(config.map.tags)}
-    block.take_counts(Scan(number=machine.counters.scans, time=now, samples=samples, missed=0, duration=0.0))
-
-
 async def _stopped(machine: Machine) -> None:
     # First the PLC, while the link stands; then what is computed; then what is kept, so that all of it is in there.
     await _withdrawn(machine, "stop")
-    await _last_counts(machine)
+    config, block = machine.config, machine.block
+    if block is not None and block.writer.armed and machine.link.alive:
+        # What the PLC says of the last blocks, once its program has had a cycle's time to count them.
+        await asyncio.sleep(max(LAST_WORD_SECONDS, config.device.heartbeat_period))
+        now = machine.clock.now()
+        samples = {sample.tag: sample for sample in await machine.driver.read(config.map.tags)}
+        block.take_counts(Scan(number=machine.counters.scans, time=now, samples=samples, missed=0, duration=0.0))
     if machine.model is not None:
         await machine.model.close()
     machine.save(machine.clock.now())

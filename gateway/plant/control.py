@@ -145,7 +145,15 @@ async def _status(machine: Machine, _: Mapping[str, Any], snapshot: Snapshot) ->
 async def _read(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
     """The samples of the last scan: of the `tags` named, or of all; or of `addresses`, asked of the device now."""
     if "addresses" in request:
-        return {"pid": os.getpid(), **await _asked(machine, request["addresses"])}
+        # By way of the gateway's own connection, so that a device of one client can be asked.
+        if isinstance(machine.driver, Redundant):
+            raise ControlError("bare addresses differ from link to link, and this gateway has several; name tags")
+        rows = request["addresses"]
+        if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+            raise ControlError('addresses are a list such as [{"address": "holding:100", "dtype": "uint16"}]')
+        samples = await machine.driver.read([_tag(row) for row in rows])
+        answers = [plain(sample) for sample in samples]
+        return {"pid": os.getpid(), "time": machine.clock.now(), "samples": answers}
     known = machine.config.map.by_name
     names = request.get("tags", list(known))
     if not isinstance(names, list) or (strange := [name for name in names if name not in known]):
@@ -162,25 +170,15 @@ async def _read(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> di
     }
 
 
-async def _asked(machine: Machine, given: Any) -> dict[str, Any]:
-    """Bare addresses by way of the gateway's own connection, so that a device of one client can be asked."""
-    if isinstance(machine.driver, Redundant):
-        raise ControlError("bare addresses differ from link to link, and this gateway has several; name tags")
-    if not isinstance(given, list) or not all(isinstance(one, dict) for one in given):
-        raise ControlError('addresses are a list such as [{"address": "holding:100", "dtype": "uint16"}]')
-    samples = await machine.driver.read([_tag(one) for one in given])
-    return {"time": machine.clock.now(), "samples": [plain(sample) for sample in samples]}
-
-
-def _tag(given: Mapping[str, Any]) -> Tag:
-    unknown = sorted(set(given) - _TAG_KEYS)
-    if unknown or not isinstance(given.get("address"), str):
-        raise ControlError(f"{dict(given)!r} is no address; it has 'address' and may have {', '.join(_TAG_KEYS)}")
+def _tag(row: Mapping[str, Any]) -> Tag:
+    unknown = sorted(set(row) - _TAG_KEYS)
+    if unknown or not isinstance(row.get("address"), str):
+        raise ControlError(f"{dict(row)!r} is no address; it has 'address' and may have {', '.join(_TAG_KEYS)}")
     try:
-        typed = {"dtype": DType(given.get("dtype", "uint16")), "order": Order(given.get("order", "ABCD"))}
+        typed = {"dtype": DType(row.get("dtype", "uint16")), "order": Order(row.get("order", "ABCD"))}
     except ValueError as error:
-        raise ControlError(f"{given['address']}: {error}") from None
-    return Tag(**{"name": given["address"], **given, **typed})
+        raise ControlError(f"{row['address']}: {error}") from None
+    return Tag(**{"name": row["address"], **row, **typed})
 
 
 def plain(sample: Sample) -> dict[str, Any]:
@@ -202,10 +200,10 @@ async def _arm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dic
     if not (isinstance(by, str) and isinstance(reason, str) and number):
         raise ControlError("arming needs by and reason as text and minutes as a number")
     try:
-        made = await machine.arm(by, reason, float(minutes or 0.0))
+        arming = await machine.arm(by, reason, float(minutes or 0.0))
     except ArmingError as error:
         raise ControlError(str(error)) from None
-    return {"pid": os.getpid(), "by": made.by, "reason": made.reason, "until": made.until}
+    return {"pid": os.getpid(), "by": arming.by, "reason": arming.reason, "until": arming.until}
 
 
 async def _disarm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:

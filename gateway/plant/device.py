@@ -3,7 +3,6 @@
 from drivers.driver import Driver, capabilities, open_driver
 from drivers.errors import AddressError, DriverError
 from drivers.settings import ConfigError
-from drivers.tag import Tag
 from gateway.machine.reading import Clock, RedundancyRules, Redundant, RedundantPath
 from gateway.settings import Config, DeviceLink
 
@@ -15,7 +14,12 @@ def make_driver(config: Config, clock: Clock) -> Driver:
     """
     if len(config.links) == 1:
         return link_driver(config, config.links[0], clock)
-    paths = [RedundantPath(link.name, link_driver(config, link, clock), _addressed(link)) for link in config.links]
+    paths = []
+    for link in config.links:
+        # The words of the block too: each link has its own addresses for them.
+        block = link.map.writeback
+        addressed = {tag.name: tag for tag in (*link.map.tags, *(block.words if block else ()))}
+        paths.append(RedundantPath(link.name, link_driver(config, link, clock), addressed))
     beat = max(config.scan.period, config.device.heartbeat_period * clock.speed)
     rules = RedundancyRules(config.device.switch_after, config.device.return_after, config.map.heartbeat, beat)
     return Redundant(paths, rules, clock.now)
@@ -37,12 +41,6 @@ def link_driver(config: Config, link: DeviceLink, clock: Clock) -> Driver:
             return open_driver(link.map.driver, link.settings, clock=clock.now)
     except DriverError as error:
         raise ConfigError([f"{link.map.path}: device: {error}"]) from None
-
-
-def _addressed(link: DeviceLink) -> dict[str, Tag]:
-    """All tags of a link by name, the words of its block too."""
-    block = link.map.writeback
-    return {tag.name: tag for tag in (*link.map.tags, *(block.words if block else ()))}
 
 
 def scans_on_change(config: Config) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.device_file import BlockField, BlockTable, read_device_file
+from drivers.device_file import BlockField, read_device_file
 from drivers.driver import capabilities
 from drivers.settings import ConfigError
 from drivers.tag import Tag
@@ -78,6 +78,24 @@ def load_device(path: Path) -> DeviceMap:
             problems = [f"{path}: writeback.fields: the last two must be 'crc' and 'sequence_copy', in this order"]
         if problems:
             raise ConfigError(problems)
+    table, layout = content.writeback, None
+    if table is not None:
+        # A pattern names each word; from any other address they are counted up: holding:400 -> holding:403,
+        # 0x2100:1 -> 0x2100:4 for the word of index 3.
+        addresses = [table.address.replace(_FIELD, row.name) for row in table.fields]
+        if _FIELD not in table.address:
+            space, _, first = table.address.rpartition(":")
+            addresses = [f"{space}:{int(first) + index}" for index in range(len(table.fields))]
+        layout = WritebackLayout(
+            version=table.layout_version,
+            timeout=table.timeout_s,
+            unknown=table.unknown,
+            fields=tuple(row.field() for row in table.fields),
+            words=tuple(
+                Tag(f"Writeback.{row.name}", address, writable=True)
+                for row, address in zip(table.fields, addresses, strict=True)
+            ),
+        )
     return DeviceMap(
         path=path,
         name=content.device.name,
@@ -85,24 +103,5 @@ def load_device(path: Path) -> DeviceMap:
         settings=complete_paths(content.device.driver, content.device.model_extra or {}, path.parent),
         heartbeat=content.device.heartbeat,
         tags=tuple(row.tag() for row in content.tags),
-        writeback=_layout(content.writeback) if content.writeback else None,
-    )
-
-
-def _layout(table: BlockTable) -> WritebackLayout:
-    # A pattern names each word; from any other address they are counted up: holding:400 -> holding:403,
-    # 0x2100:1 -> 0x2100:4 for the word of index 3.
-    addresses = [table.address.replace(_FIELD, row.name) for row in table.fields]
-    if _FIELD not in table.address:
-        space, _, first = table.address.rpartition(":")
-        addresses = [f"{space}:{int(first) + index}" for index in range(len(table.fields))]
-    return WritebackLayout(
-        version=table.layout_version,
-        timeout=table.timeout_s,
-        unknown=table.unknown,
-        fields=tuple(row.field() for row in table.fields),
-        words=tuple(
-            Tag(f"Writeback.{row.name}", address, writable=True)
-            for row, address in zip(table.fields, addresses, strict=True)
-        ),
+        writeback=layout,
     )

@@ -75,15 +75,12 @@ def links_of(section: DeviceSection, home: Path) -> tuple[DeviceLink, ...]:
         wanted = {"host", "timeout"} if networked else set()
         given = section.model_dump(include={"host", "port", "timeout"} & (section.model_fields_set | wanted))
         return (DeviceLink(device.driver, device, dict(device.settings) | given),)
-    made = []
+    links = []
     for row in section.links:
         device = load_device(home / row.file)
-        made.append(
-            DeviceLink(
-                row.name, device, dict(device.settings) | complete_paths(device.driver, row.model_extra or {}, home)
-            )
-        )
-    return tuple(made)
+        own = complete_paths(device.driver, row.model_extra or {}, home)
+        links.append(DeviceLink(row.name, device, dict(device.settings) | own))
+    return tuple(links)
 
 
 def link_problems(links: Sequence[DeviceLink], speed: float) -> list[str]:
@@ -109,23 +106,23 @@ def _differences(first: DeviceMap, other: DeviceMap) -> list[str]:
     """Why the second device file cannot stand in for the first, in sentences."""
     ours, theirs = first.by_name, other.by_name
     missing = [name for name in ours if name not in theirs]
-    found = []
+    reasons = []
     if missing:
-        found.append(f"{other.path} has no tag {missing[0]!r}, which {first.path} has; the links must share all tags")
-    found += [
+        reasons.append(f"{other.path} has no tag {missing[0]!r}, which {first.path} has; the links must share all tags")
+    reasons += [
         f"{name!r} is in {theirs[name].unit!r} in {other.path} and in {tag.unit!r} in {first.path}; make them the same"
         for name, tag in ours.items()
         if name in theirs and theirs[name].unit != tag.unit
     ]
     if first.heartbeat != other.heartbeat or first.heartbeat is None:
-        found.append(
+        reasons.append(
             f"{other.path} has the heartbeat {other.heartbeat!r} and {first.path} {first.heartbeat!r}; give both the "
             "tag of the same heartbeat: it tells that both links lead to the same PLC"
         )
     block, same = first.writeback, other.writeback
     if block is not None and (same is None or (same.version, same.fields) != (block.version, block.fields)):
-        found.append(f"{other.path} has another [writeback] block than {first.path}; the links must share its fields")
-    return found
+        reasons.append(f"{other.path} has another [writeback] block than {first.path}; the links must share its fields")
+    return reasons
 
 
 def _loopback(host: str) -> bool:

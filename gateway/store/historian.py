@@ -212,7 +212,13 @@ def open_historian(path: Path, tags: Iterable[Tag], *, max_mb: float = 4096.0) -
         full = _connected(path, "FULL", max_mb)
     except sqlite3.Error as error:
         os.close(lock)
-        raise HistorianError(f"{path}: cannot be used ({error}); {_remedy(error)}") from None
+        # SQLite tells these apart by its words only, and each wants another remedy.
+        remedy = "make room or give another path"
+        if "not a database" in str(error):
+            remedy = "give the path of a historian or of a new file"
+        elif "readonly" in str(error) or "unable to open" in str(error):
+            remedy = "give a path that this user may write"
+        raise HistorianError(f"{path}: cannot be used ({error}); {remedy}") from None
     except HistorianError:
         os.close(lock)
         raise
@@ -258,14 +264,6 @@ def _prepared(connection: sqlite3.Connection, path: Path, tags: Iterable[Tag]) -
     numbers = {str(name): int(number) for number, name in connection.execute("SELECT id, name FROM tags")}
     connection.execute("COMMIT")
     return numbers
-
-
-def _remedy(error: sqlite3.Error) -> str:
-    if "not a database" in str(error):
-        return "give the path of a historian or of a new file"
-    if "readonly" in str(error) or "unable to open" in str(error):
-        return "give a path that this user may write"
-    return "make room or give another path"
 
 
 def saved_state(historian: Historian, key: str, log: FilteringBoundLogger) -> tuple[float, dict[str, Any]] | None:

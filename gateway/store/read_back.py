@@ -160,8 +160,17 @@ def to_trace(path: Path, name: str = "historian", start: float = -1e18, end: flo
                 "AND typeof(value) != 'text' ORDER BY time",
                 (number, start - reach, end),
             ).fetchall()
-            if rows:
-                signals[tag], bad[tag] = _column(times, rows)
+            if not rows:
+                continue
+            kept = np.array([row[0] for row in rows], dtype=float)
+            good = np.array([Quality(row[2]).is_good for row in rows])
+            values = np.array([nan if row[1] is None else row[1] for row in rows], dtype=float)
+            values = np.where(good, values, nan)
+            # The sample in force at each scan is the last one kept; before the first one there is no reading, and its
+            # place -1 would be numpy's last sample, so these rows are put right here.
+            place = np.searchsorted(kept, times, side="right") - 1
+            before = place < 0
+            signals[tag], bad[tag] = np.where(before, nan, values[place]), ~before & ~good[place]
     return Trace(name, times, signals, bad=bad, origin=str(path))
 
 
@@ -196,14 +205,3 @@ def _moment(since: str, last: float) -> float:
 
 def _date(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M")
-
-
-def _column(times: Array, rows: list[tuple[float, float | None, int]]) -> tuple[Array, Mask]:
-    """The sample in force at each scan: the last one kept; before the first one there is no reading."""
-    kept = np.array([row[0] for row in rows], dtype=float)
-    good = np.array([Quality(row[2]).is_good for row in rows])
-    values = np.array([nan if row[1] is None else row[1] for row in rows], dtype=float)
-    values = np.where(good, values, nan)
-    place = np.searchsorted(kept, times, side="right") - 1
-    before = place < 0  # -1 would be numpy's last sample: these rows are put right below
-    return np.where(before, nan, values[place]), ~before & ~good[place]

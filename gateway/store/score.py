@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
 from pathlib import Path
-from sqlite3 import Connection
 from typing import Any
 
 import numpy as np
@@ -73,7 +72,11 @@ def scorecard(path: Path) -> Scorecard:
         latencies = [
             float(row[0]) for row in connection.execute("SELECT latency_ms FROM writes WHERE latency_ms IS NOT NULL")
         ]
-        guards = _guards(connection)
+        # A file of an earlier gateway has no such table, and a run without a model no report in it.
+        guards: dict[str, Any] = {}
+        if connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'guards'").fetchone()[0]:
+            newest = connection.execute("SELECT content FROM guards ORDER BY time DESC LIMIT 1").fetchone()
+            guards = json.loads(newest[0]) or {} if newest else {}
     seen = history(path)
     known = np.isfinite(seen.mean) & np.isfinite(seen.measured)
     band90 = coverage(seen.low[known], seen.high[known], seen.measured[known]) if known.any() else nan
@@ -95,14 +98,6 @@ def percentile(values: Sequence[float], share: float) -> float:
     ordered = sorted(values)
     # Limited to the last one: a share of 1 would lie one beyond it.
     return ordered[min(int(share * len(ordered)), len(ordered) - 1)] if ordered else nan
-
-
-def _guards(connection: Connection) -> dict[str, Any]:
-    """The newest report of the guards; nothing in a file of an earlier gateway or without a model."""
-    if not connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'guards'").fetchone()[0]:
-        return {}
-    row = connection.execute("SELECT content FROM guards ORDER BY time DESC LIMIT 1").fetchone()
-    return json.loads(row[0]) or {} if row else {}
 
 
 def error(predicted: Array, measured: Array) -> Error:

@@ -67,7 +67,7 @@ def test_check_reads_every_link_and_names_the_one_that_fails(tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_the_demo_does_the_main_job_over_tls(tmp_path: Path, traces: Path) -> None:
-    data = performed(tmp_path / "out", "--trace", traces / "cd17.csv", "--seconds", 8, "--link", "modbus-tls")
+    data = performed(tmp_path / "out", "--trace", traces / "cd1.csv", "--seconds", 8, "--link", "modbus-tls")
     sane(data)
     assert data["link"] == "modbus-tls"
     plant = (tmp_path / "out" / "plant.toml").read_text(encoding="utf-8")

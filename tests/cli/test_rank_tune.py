@@ -23,12 +23,21 @@ def rival(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two traces of some 400 rows: a search learns from them a dozen times."""
+    folder = tmp_path_factory.mktemp("few")
+    assert decanter("trace", "synth", "cd1", "cd9", "--out", folder).exit_code == 0
+    return folder
+
+
 def test_rank_runs_models_marks_what_they_were_trained_on_and_writes_page_and_picture(
     model: Path, rival: Path, traces: Path, tmp_path: Path
 ) -> None:
     page, picture = tmp_path / "r.html", tmp_path / "r.png"
-    options = ("--traces", traces, "--runs", 100, "--semantics", "both", "--page", page, "--picture", picture)
-    found = only_object(decanter("model", "rank", model, rival, *options, "--json").stdout)
+    options = ("--traces", traces, "--runs", 100, "--jobs", 1, "--semantics", "both")
+    files = ("--page", page, "--picture", picture)
+    found = only_object(decanter("model", "rank", model, rival, *options, *files, "--json").stdout)
     rows = {row["entrant"]: row for row in found["models"]}
     assert set(rows) == {f"decanter ({name}) ({kind})" for name in ("model", "rival") for kind in ("own", "thesis")}
     assert {row["in_sample"] for row in rows.values()} == {"in-sample (1 of 2 traces)"}
@@ -43,7 +52,8 @@ def test_rank_reads_an_earlier_campaign_with_what_it_knew_of_its_models(
     model: Path, traces: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "campaign"
-    done = decanter("model", "validate", model, "--traces", traces, "--out", out, "--runs", 100, "--no-pictures")
+    quick = ("--runs", 100, "--no-pictures", "--jobs", 1)
+    done = decanter("model", "validate", model, "--traces", traces, "--out", out, *quick)
     assert done.exit_code == 0
     (row,) = only_object(decanter("model", "rank", "--results", out, "--json").stdout)["models"]
     kept = {one["criterion"]: one["kept"] for one in row["findings"]}
@@ -78,10 +88,10 @@ def test_rank_says_what_it_cannot_use(model: Path, traces: Path, wrong: Path) ->
 
 
 @pytest.mark.slow
-def test_tune_searches_writes_the_model_and_refuses_other_traces(traces: Path, tmp_path: Path) -> None:
+def test_tune_searches_writes_the_model_and_refuses_other_traces(few: Path, tmp_path: Path) -> None:
     file, out = tmp_path / "s.db", tmp_path / "best"
     options = ("--map", "decanter", "--study", file, "--folds", 2)
-    command = ("model", "tune", "--traces", traces, *options)
+    command = ("model", "tune", "--traces", few, *options)
     found = only_object(decanter(*command, "--trials", 1, "--out", out, "--name", "best", "--json").stdout)
     assert found["best"]["settings"] == {} and found["default"]["number"] == 0
     assert found["sentence"] == "no settings were found that are better than the defaults"
@@ -90,7 +100,7 @@ def test_tune_searches_writes_the_model_and_refuses_other_traces(traces: Path, t
     assert learned.provenance.scores["tuning_crps"] == pytest.approx(found["best"]["value"])
     again = decanter(*command, "--trials", 1)
     assert again.exit_code == 0 and "bins: 1 trials; the best by held-out CRPS" in again.stdout
-    other = ("model", "tune", "--traces", traces / "cd1.csv", "--cycles", *options, "--trials", 2)
+    other = ("model", "tune", "--traces", few / "cd1.csv", "--cycles", *options, "--trials", 2)
     said = refused(decanter(*other), 2)
     assert "usable traces" in said or "another data" in said
 
@@ -135,9 +145,9 @@ def begun(study: Path) -> bool:
 
 
 @pytest.mark.slow
-def test_control_c_stops_a_search_with_a_sentence_and_its_own_code(traces: Path, tmp_path: Path) -> None:
+def test_control_c_stops_a_search_with_a_sentence_and_its_own_code(few: Path, tmp_path: Path) -> None:
     file = tmp_path / "s.db"
-    words = ["model", "tune", "--traces", str(traces), "--study", str(file), "--folds", "2"]
+    words = ["model", "tune", "--traces", str(few), "--study", str(file), "--folds", "2"]
     command = [sys.executable, "-m", "gateway.cli.main", *words]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while not begun(file):

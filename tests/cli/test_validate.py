@@ -175,7 +175,9 @@ def test_names_from_outside_are_text_everywhere_and_lead_nowhere(model: Path, tr
         (where / f"{name}.csv").write_bytes((traces / "cd1.csv").read_bytes())
     document = (model / "model.json").read_text(encoding="utf-8").replace('"ON/0-100"', '"<script>2&\'../..  $x$"')
     (tmp_path / "model.json").write_text(document, encoding="utf-8")
-    result = decanter("model", "validate", tmp_path / "model.json", "--traces", where, "--out", out, "--runs", 100)
+    result = decanter(
+        "model", "validate", tmp_path / "model.json", "--traces", where, "--out", out, "--runs", 100, "--jobs", 1
+    )
     assert result.exit_code == 0
     assert {one.trace for one in read_results(out)} >= set(names[:5])
     for page in out.rglob("*.html"):

@@ -1,6 +1,7 @@
 """`plan`, `check`, `verify`, `soak` and `replay` against the software PLC, over several links."""
 
 import csv
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -264,6 +265,16 @@ def test_a_recording_goes_through_the_whole_gateway_and_leaves_no_trace_of_its_o
     ]  # fmt: skip
 
 
+def test_a_recording_may_have_cells_with_line_breaks_and_comments_between_its_rows(tmp_path: Path) -> None:
+    path = tmp_path / "rec.csv"
+    path.write_text('# by hand\ntime,Coppia,"Corrente\n# [A]"\n\n0,"1\n",true\n# pause\n1,,7.5\n', encoding="utf-8")
+    kept = read_recording(path)
+    assert list(kept.times) == [0.0, 1.0]
+    assert list(kept.columns) == ["Coppia", "Corrente\n# [A]"]
+    assert kept.columns["Coppia"][0] == 1.0 and math.isnan(kept.columns["Coppia"][1])
+    assert list(kept.columns["Corrente\n# [A]"]) == [1.0, 7.5]
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -271,6 +282,9 @@ def test_a_recording_goes_through_the_whole_gateway_and_leaves_no_trace_of_its_o
         ("zeit,Coppia\n0,1\n", ("line 1", "'time'")),
         ("time,Coppia\n5,1\n4,2\n", ("line 3", "goes back")),
         ("time,Coppia\n5,x\n", ("line 2, 'Coppia'", "no number")),
+        ("time,Coppia\n# spoken\n\n5,1,2\n", ("line 4", "3 cells for 2 columns")),
+        ('time,Coppia\n5,1\n6,"2\n7,3\n', ("line 3", "is not CSV")),
+        ('time,"Coppia\n\n# Nm"\n5,1\n4,2\n', ("line 5", "goes back")),
     ],
 )
 def test_a_recording_that_cannot_be_used_is_one_sentence(tmp_path: Path, text: str, words: tuple[str, ...]) -> None:

@@ -13,31 +13,31 @@ from gateway.commission.session.records import broken_at, read_records
 from gateway.store.audit import read, verify
 
 
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands without the time that each needs to begin as a process; those that ask a person have their own.
+class InProcessWalk(Walk):
+    """A walk whose commands run in this process, which has their libraries loaded already.
 
-    The terminal that answers is a real one, and so is the gateway that the walk runs: both are processes all the same.
+    Processes of their own are the first command, the one that asks a person, and the gateway itself; the benchmark of
+    the walk starts one for each.
     """
-    as_process = Walk.decanter
 
-    def decanter(walked: Walk, *arguments: object, expect: int = 0, answers: Callable[[str], str] | None = None) -> str:
-        if answers is not None:
-            return as_process(walked, *arguments, expect=expect, answers=answers)
-        words = [str(argument) for argument in arguments]
-        monkeypatch.chdir(walked.folder)
-        done = CliRunner(env={"DECANTER_BY": "M. Rossi"}).invoke(main, words)
-        if done.exit_code != expect:
-            raise WalkError(f"decanter {' '.join(words)}: exit code {done.exit_code}: {done.output} {done.exception!r}")
-        return done.output
-
-    monkeypatch.setattr(Walk, "decanter", decanter)
+    def decanter(self, *arguments: object, expect: int = 0, answers: Callable[[str], str] | None = None) -> str:
+        if answers is not None or not self.commands:
+            return super().decanter(*arguments, expect=expect, answers=answers)
+        self.commands += 1
+        result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        if result.exit_code != expect:
+            raise WalkError(f"decanter {arguments}: exit code {result.exit_code} instead of {expect}:\n{result.output}")
+        return result.output
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_an_unknown_plc_is_commissioned_by_commands_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    in_this_process(monkeypatch)
-    walked, _ = made(tmp_path, soak_s=2.0, conformance=False)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DECANTER_BY", "M. Rossi")
+    walked, _ = made(tmp_path, soak_s=2.0, conformance=False, kind=InProcessWalk)
     records = read_records(tmp_path / "out/commissioning.jsonl")
     assert broken_at(tmp_path / "out/commissioning.jsonl") is None
     failed = [(record.command, record.reason) for record in records if record.code not in (0, 6)]

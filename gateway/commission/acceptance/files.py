@@ -50,7 +50,17 @@ def verify(folder: Path, seal: str = "") -> tuple[str, list[dict[str, Any]]]:
     With `seal`, the one that was signed must be the same. Raises OSError where there is no report, ValueError where the
     list cannot be read at all.
     """
-    listed, found = _listed(folder / LIST)
+    path = folder / LIST
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: is no list of hashes; it was changed") from None
+    # Lines of hashes, the seal's, and nothing after the last line break: no byte of the list is left unlooked at.
+    *lines, last, rest = (*text.split("\n"),) if "\n" in text else ("", text, "")
+    sealed, matches = _SEAL.fullmatch(last), [_LINE.fullmatch(line) for line in lines]
+    if rest or sealed is None or not all(matches):
+        raise ValueError(f"{path}: is not as a report's list of hashes is made; it was changed")
+    listed = {match[2]: match[1] for match in matches if match}
     rows = []
     # The files of every report and those of the list: neither a file nor its line can be taken out unseen.
     for name in dict.fromkeys((*FILES, *listed)):
@@ -62,23 +72,8 @@ def verify(folder: Path, seal: str = "") -> tuple[str, list[dict[str, Any]]]:
         else:
             problem = "" if hash_of(file.read_bytes()) == listed[name] else "was changed"
         rows.append({"file": name, "ok": not problem, "problem": problem})
-    lines = "".join(f"{digest}  {name}\n" for name, digest in listed.items())
-    own = hash_of(lines.encode())
-    problem = "" if own == found else "its seal is not that of its lines: the list was changed"
+    own = hash_of("".join(f"{digest}  {name}\n" for name, digest in listed.items()).encode())
+    problem = "" if own == sealed[1] else "its seal is not that of its lines: the list was changed"
     if not problem and seal and not own.startswith(seal.lower()):
         problem = "its seal is another one than was signed: all of it was made anew"
     return own, [*rows, {"file": LIST, "ok": not problem, "problem": problem}]
-
-
-def _listed(path: Path) -> tuple[dict[str, str], str]:
-    """The hashes by file name, and the seal that the list claims."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: is no list of hashes; it was changed") from None
-    *lines, last, rest = (*text.split("\n"),) if "\n" in text else ("", text, "")
-    seal = _SEAL.fullmatch(last)
-    matches = [_LINE.fullmatch(line) for line in lines]
-    if rest or seal is None or not all(matches):
-        raise ValueError(f"{path}: is not as a report's list of hashes is made; it was changed")
-    return {match[2]: match[1] for match in matches if match}, seal[1]

@@ -79,16 +79,11 @@ def advise(found: Sequence[EncodingCandidate], observations: Sequence[Observatio
     limits = (_beyond(last, -1, twins), _beyond(last, 1, twins))
     if not ties or best.share + sum(one.share for one in same) >= SETTLED:
         return Advice((), None, None, same, *limits)
-    return Advice(tuple(rivals[index] for index in ties), *_sides(last, ties), same, *limits)
-
-
-def _sides(last: Observation, ties: Mapping[int, tuple[float, float]]) -> tuple[float | None, float | None]:
-    """Below and above which values a reading tells; only one of them where the other leaves a rival that it removes."""
+    # Only one side is advised where a reading on the other would leave a rival that it removes.
     complete = [max(near[side] for near in ties.values()) < math.inf for side in (0, 1)]
-    return (
-        _beyond(last, -1, ties) if complete[0] or not complete[1] else None,
-        _beyond(last, 1, ties) if complete[1] or not complete[0] else None,
-    )
+    below = _beyond(last, -1, ties) if complete[0] or not complete[1] else None
+    above = _beyond(last, 1, ties) if complete[1] or not complete[0] else None
+    return Advice(tuple(rivals[index] for index in ties), below, above, same, *limits)
 
 
 def _beyond(last: Observation, side: int, apart: Mapping[int, tuple[float, float]]) -> float | None:

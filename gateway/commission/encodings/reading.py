@@ -36,21 +36,17 @@ def parse_shown(text: str) -> ShownNumber | bool:
     if match is None:
         raise ReadingError(f"{text!r} is no reading; give the number as the HMI shows it, such as 72.4, or on or off")
     sign, digits = match[1], re.sub(f"[{_SPACES}]", "", match[2])
-    whole, decimals = _split(digits)
+    marks = [mark for mark in digits if mark in ".,"]
+    whole, decimals = digits, ""
+    if len(marks) > 1 and len(set(marks)) == 1:
+        groups = re.split(r"[.,]", digits)
+        # Groups of three are thousands; anything else is no number, and is refused below by its marks.
+        if len(groups[0]) in (1, 2, 3) and all(len(group) == 3 for group in groups[1:]):
+            whole = "".join(groups)
+    elif marks:
+        whole, _, decimals = digits.rpartition(marks[-1])
+        whole = re.sub(r"[.,]", "", whole)
     if not (whole + decimals).isdecimal():
         raise ReadingError(f"{text!r} is no reading; give the number as the HMI shows it, such as 72.4")
     value = float(f"{whole or '0'}.{decimals or '0'}")
     return ShownNumber(-value if sign == "-" else value, 10.0 ** -len(decimals))
-
-
-def _split(digits: str) -> tuple[str, str]:
-    """The digits before and after the decimal mark."""
-    marks = [mark for mark in digits if mark in ".,"]
-    if not marks:
-        return digits, ""
-    if len(set(marks)) == 1 and len(marks) > 1:
-        groups = re.split(r"[.,]", digits)
-        thousands = len(groups[0]) in (1, 2, 3) and all(len(group) == 3 for group in groups[1:])
-        return ("".join(groups), "") if thousands else (digits, "")  # what is no number is refused by the caller
-    whole, _, decimals = digits.rpartition(marks[-1])
-    return re.sub(r"[.,]", "", whole), decimals

@@ -11,8 +11,9 @@ sooner than one so fine that it hits somewhere anyway. Words that stand still fr
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,48 +86,38 @@ def rank(observations: Sequence[Observation], address: int) -> list[EncodingCand
     if not observations:
         raise ValueError("a guess needs at least one reading of the HMI")
     grids = {False: _grid(floats=False), True: _grid(floats=True)}
-    found: list[tuple[float, _EncodingLayout, float, float, tuple[float, ...]]] = []
-    for layout in _layouts(observations, address):
-        scales, offsets, weights = grids[layout.dtype in priors.FLOATS]
-        found += _weighed(layout, observations, scales, offsets, weights)
-    found.sort(key=lambda one: one[0], reverse=True)
-    chance = math.log(ELSEWHERE) + sum(math.log(one.shown.step) for one in observations)
-    return _shared(found, chance)
-
-
-def _shared(
-    found: Sequence[tuple[float, _EncodingLayout, float, float, tuple[float, ...]]], chance: float
-) -> list[EncodingCandidate]:
-    """The candidates with their share of the belief, of which `chance` (that the value lies elsewhere) has one too."""
-    if not found or chance > found[0][0]:
+    weighed: list[tuple[float, _EncodingLayout, float, float, tuple[float, ...]]] = []
+    # Every type and order at every shift that all observations have the words for.
+    for (shift, near), (dtype, common) in product(priors.SHIFTS.items(), priors.TYPES.items()):
+        width, at = registers_needed(Tag("", "", dtype)), address + shift
+        if not all(seen.base <= at and at + width <= seen.base + len(seen.words) for seen in observations):
+            continue
+        scales, offsets, weights = grids[dtype in priors.FLOATS]
+        for order, usual in (priors.ONE_REGISTER if width == 1 else priors.MORE_REGISTERS).items():
+            layout = _EncodingLayout(at, dtype, order, math.log(near * common * usual))
+            weighed += _weighed(layout, observations, scales, offsets, weights)
+    # A stable sort: of equal weights the one that comes first in the tables of priors stays first.
+    weighed.sort(key=lambda row: row[0], reverse=True)
+    # That the value lies elsewhere has its share of the belief too; where that is the most likely, nothing is given.
+    chance = math.log(ELSEWHERE) + sum(math.log(seen.shown.step) for seen in observations)
+    if not weighed or chance > weighed[0][0]:
         return []
     # Relative to the best (log-sum-exp): the weights are sums of many logarithms, and exp of them would be 0.
-    best = found[0][0]
-    total = sum(math.exp(one[0] - best) for one in found) + math.exp(chance - best)
+    best = weighed[0][0]
+    total = sum(math.exp(row[0] - best) for row in weighed) + math.exp(chance - best)
     return [
         EncodingCandidate(
-            address=at.address,
-            dtype=at.dtype,
-            order=at.order,
+            address=layout.address,
+            dtype=layout.dtype,
+            order=layout.order,
             scale=scale,
             offset=offset,
             weight=weight,
             share=math.exp(weight - best) / total,
             values=values,
         )
-        for weight, at, scale, offset, values in found[:KEPT]
+        for weight, layout, scale, offset, values in weighed[:KEPT]
     ]
-
-
-def _layouts(observations: Sequence[Observation], address: int) -> Iterator[_EncodingLayout]:
-    """Every type and order at every shift that all observations have the words for."""
-    for shift, near in priors.SHIFTS.items():
-        for dtype, common in priors.TYPES.items():
-            width = registers_needed(Tag("", "", dtype))
-            for order, usual in (priors.ONE_REGISTER if width == 1 else priors.MORE_REGISTERS).items():
-                at = address + shift
-                if all(one.base <= at and at + width <= one.base + len(one.words) for one in observations):
-                    yield _EncodingLayout(at, dtype, order, math.log(near * common * usual))
 
 
 def _grid(*, floats: bool) -> tuple[Vector, Vector, Vector]:
@@ -187,16 +178,13 @@ def _raw(layout: _EncodingLayout, one: Observation) -> tuple[float, float] | Non
     value, quality, _ = decode(tag, _covered(layout, one))
     if quality is not Quality.GOOD or isinstance(value, bool | str) or value is None:
         return None
-    return float(value), _resolution(layout.dtype, float(value))
-
-
-def _resolution(dtype: DType, value: float) -> float:
-    if dtype not in priors.FLOATS:
-        return 1.0
-    bits = 23 if dtype is DType.FLOAT32 else 52
+    number = float(value)
+    if layout.dtype not in priors.FLOATS:
+        return number, 1.0
     # One unit in the last place of the mantissa (IEEE 754); of a subnormal float32, that of the least normal one.
+    bits = 23 if layout.dtype is DType.FLOAT32 else 52
     least = struct.unpack(">f", b"\0\x80\0\0")[0]
-    return float(2.0 ** (math.floor(math.log2(max(abs(value), least))) - bits))
+    return number, float(2.0 ** (math.floor(math.log2(max(abs(number), least))) - bits))
 
 
 def _covered(layout: _EncodingLayout, one: Observation) -> tuple[int, ...]:

@@ -57,7 +57,11 @@ def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool
         if wanted.heartbeat is not None:
             set_device(document, {"heartbeat": wanted.heartbeat or None})
         for tag in wanted.tags:
-            set_tag(document, tag.name, _keys(tag))
+            # A new place takes the old one's keys away too; of an old place only those change that were given.
+            lies = encoding(tag.keys)
+            place = lies if tag.place else {key: lies[key] for key in lies if key in tag.keys}
+            rest = {key: value for key, value in tag.keys.items() if key not in lies}
+            set_tag(document, tag.name, {**place, **rest})
         block = wanted.block
         if block is not None:
             table: Any = document.get("writeback", {})
@@ -86,9 +90,3 @@ def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool
         "backups": [str(path) for path in backups],
         "written": bool(edits) and not dry_run,
     }
-
-
-def _keys(tag: Binding) -> dict[str, Any]:
-    rest = {key: value for key, value in tag.keys.items() if key not in encoding({})}
-    own = encoding(tag.keys)
-    return {**(own if tag.place else {key: own[key] for key in own if key in tag.keys}), **rest}

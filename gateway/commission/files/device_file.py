@@ -132,22 +132,19 @@ def set_block(
         if "tags" in document and len(_tags(document)):
             _tags(document)[-1].add(tomlkit.nl())
         document["writeback"] = tomlkit.table()
-    table = document["writeback"]
+    table: Any = document["writeback"]
     for key, value in head.items():
         put(table, key, value)
-    wanted = BLOCK_FIELDS if names is None and "fields" not in table else names
-    if wanted is not None:
-        _set_fields(table, wanted, template)
-
-
-def _set_fields(table: Any, names: Sequence[str], template: Path) -> None:
-    if unknown := [name for name in names if name not in BLOCK_FIELDS]:
+    chosen = BLOCK_FIELDS if names is None and "fields" not in table else names
+    if chosen is None:
+        return
+    if unknown := [name for name in chosen if name not in BLOCK_FIELDS]:
         raise ConfigError(
             [f"--fields: {unknown[0]!r} is no field of the block; give some of {', '.join(BLOCK_FIELDS)}"]
         )
-    wanted = [name for name in BLOCK_FIELDS if name in (*names, *NEEDED_FIELDS)]
+    wanted = [name for name in BLOCK_FIELDS if name in (*chosen, *NEEDED_FIELDS)]
     present = {row["name"]: dict(row) for row in table.get("fields", ())}
-    if list(present) == wanted:
+    if list(present) == wanted:  # as it is written, with its comments
         return
     known = {row["name"]: row for row in read_toml(template)["writeback"]["fields"]} | present
     fields = tomlkit.array()

@@ -89,19 +89,6 @@ def _listed(sheet: ListSheet, line: ListRow, how: Reading, before: Sequence[List
     name = how.rename.get(listed, listed)
     if twice := next((tag for tag in before if tag.name == name), None):
         raise _RowError("name", f"{name!r} is in line {twice.line} already; give each tag a name of its own")
-    keys = _keys(sheet, line, how)
-    for other in before:
-        # Two tags may share a register only where each takes another bit of it.
-        bits = (keys["bit"], other.keys["bit"])
-        if keys["address"] == other.keys["address"] and (None in bits or bits[0] == bits[1]):
-            sentence = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
-            raise _RowError(
-                "address", f"{sentence}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)"
-            )
-    return Listed(name, keys, line.number)
-
-
-def _keys(sheet: ListSheet, line: ListRow, how: Reading) -> dict[str, Any]:
     address, bit = _address(sheet, line, how)
     dtype, length = _type(line, address, bit)
     low, high = _number(line, "low"), _number(line, "high")
@@ -115,7 +102,7 @@ def _keys(sheet: ListSheet, line: ListRow, how: Reading) -> dict[str, Any]:
         if order is None:
             raise _RowError("order", f"{text!r} is no order that is known here; give ABCD, CDAB, BADC or DCBA")
     unit = line.get("unit")
-    return {
+    keys = {
         "address": address,
         "dtype": dtype,
         "order": order,
@@ -128,6 +115,15 @@ def _keys(sheet: ListSheet, line: ListRow, how: Reading) -> dict[str, Any]:
         "high": high if numeric else None,
         "sentinel": _whole(line, "sentinel") if numeric else None,
     }
+    for other in before:
+        # Two tags may share a register only where each takes another bit of it.
+        bits = (bit, other.keys["bit"])
+        if address == other.keys["address"] and (None in bits or bits[0] == bits[1]):
+            sentence = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
+            raise _RowError(
+                "address", f"{sentence}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)"
+            )
+    return Listed(name, keys, line.number)
 
 
 def _number(line: ListRow, column: str) -> float | None:

@@ -135,10 +135,31 @@ def plant_edit(files: Files, keep: Mapping[str, Any]) -> Edit | None:
     """
     if files.plant is None:
         return None
-    new = not files.plant.exists()
+    folder, new = files.plant.parent, not files.plant.exists()
 
     def changed(document: tomlkit.TOMLDocument) -> None:
-        _place(document, files, new=new)
+        table: Any = document["device"] if "device" in document else document.setdefault("device", tomlkit.table())
+        # Relative paths in a plant file are relative to it, and those on the command line to where one stands.
+        place = {
+            key: str(Path(value).absolute()) if new and key == "certificates" else value
+            for key, value in files.place.items()
+        }
+        device = files.device.absolute()
+        beside = device.is_relative_to(folder.absolute())
+        file = (device.relative_to(folder.absolute()) if beside else device).as_posix()
+        if not new:
+            rows = table.get("links")
+            row = table if rows is None else next(row for row in rows if files.link in (None, row.get("name")))
+            for key, value in place.items():
+                put(row, key, value)
+        elif capabilities(files.driver).networked and set(place) <= _SHORT_FORM:
+            table.update({"file": file, **place})
+        else:
+            rows = tomlkit.aot()
+            row = tomlkit.table()
+            row.update({"name": files.link or files.driver, "file": file, **place})
+            rows.append(row)
+            table["links"] = rows
         for dotted, value in keep.items():
             section, _, key = dotted.partition(".")
             if section not in document:
@@ -146,30 +167,6 @@ def plant_edit(files: Files, keep: Mapping[str, Any]) -> Edit | None:
             put(document[section], key, value)
 
     return edited(files.plant, changed, _PLANT)
-
-
-def _place(document: tomlkit.TOMLDocument, files: Files, *, new: bool) -> None:
-    table: Any = document["device"] if "device" in document else document.setdefault("device", tomlkit.table())
-    if not new:
-        rows = table.get("links")
-        row = table if rows is None else next(row for row in rows if files.link in (None, row.get("name")))
-        for key, value in files.place.items():
-            put(row, key, value)
-        return
-    folder = (files.plant or Path()).parent
-    # Relative paths in a plant file are relative to it, and those on the command line to where one stands.
-    place = {key: str(Path(value).absolute()) if key == "certificates" else value for key, value in files.place.items()}
-    device = files.device.absolute()
-    beside = device.is_relative_to(folder.absolute())
-    file = (device.relative_to(folder.absolute()) if beside else device).as_posix()
-    if capabilities(files.driver).networked and set(place) <= _SHORT_FORM:
-        table.update({"file": file, **place})
-        return
-    rows = tomlkit.aot()
-    row = tomlkit.table()
-    row.update({"name": files.link or files.driver, "file": file, **place})
-    rows.append(row)
-    table["links"] = rows
 
 
 def save(device: Edit, plant: Edit | None) -> list[Path]:

@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -54,15 +54,12 @@ def read_recording(path: Path, start: float = -1e18, end: float = 1e18) -> SiteR
 
 
 def _from_csv(path: Path, start: float, end: float) -> SiteRecording:
-    """Lines that begin with # are comments."""
     names: list[str] = []
     times: list[float] = []
     columns: list[list[float]] = []
     with path.open(encoding="utf-8-sig", newline="") as stream:
-        for number, line in enumerate(stream, start=1):
-            if not line.strip() or line.startswith("#"):
-                continue
-            where, cells = f"{path}: line {number}", next(csv.reader([line]))
+        for number, cells in _rows(stream, path):
+            where = f"{path}: line {number}"
             if not names:
                 header = [cell.strip() for cell in cells]
                 if header[0] != "time" or len(header) < 2 or len(set(header)) < len(header) or not all(header):
@@ -88,6 +85,30 @@ def _from_csv(path: Path, start: float, end: float) -> SiteRecording:
                             f"{where}, {name!r}: {cell!r} is no number; give one, or leave it empty"
                         ) from None
     return SiteRecording(path, times, dict(zip(names, columns, strict=True)))
+
+
+def _rows(stream: Iterable[str], path: Path) -> Iterator[tuple[int, list[str]]]:
+    """(number of its first line, cells) of each row; a quoted cell may go on over several lines.
+
+    Lines that begin with # are comments. Raises ListError for a row that is not CSV, by the line at which it begins.
+    """
+    number, inside = 0, 0
+
+    def feed() -> Iterator[str]:
+        nonlocal number, inside
+        for line in stream:
+            number += 1
+            # Between rows comments and blank lines are left out; inside a quoted cell they are its text.
+            if inside or (line.strip() and not line.startswith("#")):
+                inside += 1
+                yield line
+
+    try:
+        for cells in csv.reader(feed(), strict=True):
+            yield number - inside + 1, cells
+            inside = 0
+    except csv.Error as error:
+        raise ListError(f"{path}: line {number - inside + 1}: is not CSV ({error}); correct that line") from None
 
 
 def _time(where: str, cell: str) -> float:

@@ -50,20 +50,17 @@ def edited(path: Path, change: Change, starter: str = "") -> Edit:
     try:
         document = tomlkit.parse(starter if before is None else before)
         change(document)
-        after = _spaced(tomlkit.dumps(document).rstrip("\n") + "\n", before)
+        after = tomlkit.dumps(document).rstrip("\n") + "\n"
+        # One blank line before each table; more of them only where the file has such already.
+        spaced = _CROWDED.sub(r"\1\n\n", after)
+        spaced = spaced if before is not None and _WIDE.search(before) else _WIDE.sub("\n\n", spaced)
+        # A line of a multi-line string may look like a table: then the text stays as it is.
+        after = spaced if tomllib.loads(spaced) == tomllib.loads(after) else after
     except TOMLKitError as error:
         raise ConfigError([f"{path}: cannot be changed ({error}); correct that place by hand"]) from None
     if before is not None and "\r\n" in before:
         after = after.replace("\r\n", "\n").replace("\n", "\r\n")
     return Edit(path, before, after)
-
-
-def _spaced(text: str, before: str | None) -> str:
-    """One blank line before each table; more of them only where the file has such already."""
-    spaced = _CROWDED.sub(r"\1\n\n", text)
-    spaced = spaced if before is not None and _WIDE.search(before) else _WIDE.sub("\n\n", spaced)
-    # A line of a multi-line string may look like a table: then the text stays as it is.
-    return spaced if tomllib.loads(spaced) == tomllib.loads(text) else text
 
 
 def commit(
@@ -93,8 +90,13 @@ def commit(
         # As late as can be: what somebody else saved since the file was read must not be lost.
         if (path.read_bytes().decode("utf-8") if path.exists() else None) != edit.before:
             raise ConfigError([f"{path}: was changed by somebody else meanwhile; {so_far}, try again"])
-        backup = _backup(edit, now()) if edit.before is not None else None
-        if backup is not None:
+        backup = None
+        if edit.before is not None:
+            # The old content beside the file, under the time of the change; a second change in it gets a number.
+            stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime(now()))
+            names = [f"{path.name}.{stamp}{f'-{count}' if count else ''}.bak" for count in range(1000)]
+            backup = next(place for name in names if not (place := path.with_name(name)).exists())
+            _write(backup, edit.before)
             fresh.chmod(path.stat().st_mode & 0o7777)
         fresh.replace(path)
     finally:
@@ -107,15 +109,6 @@ def commit(
     finally:
         os.close(folder)
     return backup
-
-
-def _backup(edit: Edit, now: float) -> Path:
-    """The old content under the time of the change, beside the file."""
-    stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime(now))
-    names = [f"{edit.path.name}.{stamp}{f'-{count}' if count else ''}.bak" for count in range(1000)]
-    free = next(place for name in names if not (place := edit.path.with_name(name)).exists())
-    _write(free, edit.before or "")
-    return free
 
 
 def _write(path: Path, text: str) -> None:

@@ -111,17 +111,15 @@ def record_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def _given(options: dict[str, Any]) -> SharedOptions:
     """Take the shared options out of all options."""
-    found = {setting: options.pop(name, None) for name, setting in _SETTINGS.items()}
-    settings = {name: _text(value) for name, value in found.items() if value is not None}
+    values = {setting: options.pop(name, None) for name, setting in _SETTINGS.items()}
+    settings: dict[str, Any] = {
+        name: str(value) if isinstance(value, Path) else value for name, value in values.items() if value is not None
+    }
     settings |= dict(map(_other, options.pop("others", ())))
     if "certificates" in settings and options["link"] is None and not (options["plant"] or options["device"]):
         options["link"] = "modbus-tls"
     kept = {name: options.pop(name, None) for name in ("plant", "device", "link", "as_json", "pcap", "records", "by")}
     return SharedOptions(settings=settings, **kept)
-
-
-def _text(value: object) -> object:
-    return str(value) if isinstance(value, Path) else value
 
 
 def _other(text: str) -> tuple[str, Any]:

@@ -94,9 +94,33 @@ def make_target(
     if plant is not None and device is not None:
         raise TargetError("--config and --device exclude each other: a plant file names its device files itself")
     if plant is not None:
-        return _of_plant(plant, link, settings)
+        config = load_config(plant)
+        row = config.links[0]
+        if link is not None:
+            # By its own name, else by its kind; of several of a kind the first one is meant (hence the reversal).
+            known = {each.name: each for each in reversed(config.links)}
+            kinds = {link_of(each.map.driver, each.settings): each for each in reversed(config.links)}
+            chosen = known.get(link) or kinds.get(link)
+            if chosen is None:
+                names = ", ".join(dict.fromkeys(known))
+                raise TargetError(f"--link: the plant file has no link {link!r}; it has {names}")
+            row = chosen
+        target = Target(
+            kind=link_of(row.map.driver, row.settings),
+            driver=row.map.driver,
+            settings={**row.settings, **settings},
+            map=row.map,
+            config=config,
+            files=(plant, *(each.map.path for each in config.links)),
+        )
+        return _complete(target)
     if device is not None:
-        return _of_device(device, link, settings)
+        table = load_device(device)
+        merged = {**table.settings, **settings}
+        kind = link or link_of(table.driver, merged)
+        if kind in LINKS and LINKS[kind].driver != table.driver:
+            raise TargetError(f"--link: {kind!r} is of driver {LINKS[kind].driver!r}, and {device} of {table.driver!r}")
+        return _complete(Target(kind=kind, driver=table.driver, settings=merged, map=table, files=(device,)))
     if link is None and not {"host", "port", "serial", "channel"} & set(settings):
         raise TargetError(
             "which device? Give --host HOST, or --serial PATH, or --link can|canopen --channel CHANNEL, or the plant "
@@ -105,41 +129,6 @@ def make_target(
     if link is None and "channel" in settings:
         raise TargetError("--channel is a CAN bus: say --link canopen or --link can")
     return _complete(Target(link or link_of(DEFAULT_DRIVER, settings), "", settings))
-
-
-def _of_plant(path: Path, name: str | None, settings: Mapping[str, Any]) -> Target:
-    config = load_config(path)
-    link = config.links[0]
-    if name is not None:
-        # By its own name, else by its kind; of several of a kind the first one is meant (hence the reversal).
-        known = {each.name: each for each in reversed(config.links)}
-        kinds = {link_of(each.map.driver, each.settings): each for each in reversed(config.links)}
-        chosen = known.get(name) or kinds.get(name)
-        if chosen is None:
-            names = ", ".join(dict.fromkeys(known))
-            raise TargetError(f"--link: the plant file has no link {name!r}; it has {names}")
-        link = chosen
-    kind = link_of(link.map.driver, link.settings)
-    files = (path, *(each.map.path for each in config.links))
-    return _complete(
-        Target(
-            kind=kind,
-            driver=link.map.driver,
-            settings={**link.settings, **settings},
-            map=link.map,
-            config=config,
-            files=files,
-        )
-    )
-
-
-def _of_device(path: Path, link: str | None, settings: Mapping[str, Any]) -> Target:
-    device = load_device(path)
-    merged = {**device.settings, **settings}
-    kind = link or link_of(device.driver, merged)
-    if kind in LINKS and LINKS[kind].driver != device.driver:
-        raise TargetError(f"--link: {kind!r} is of driver {LINKS[kind].driver!r}, and {path} of {device.driver!r}")
-    return _complete(Target(kind=kind, driver=device.driver, settings=merged, map=device, config=None, files=(path,)))
 
 
 def _complete(target: Target) -> Target:

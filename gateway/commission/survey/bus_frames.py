@@ -34,7 +34,9 @@ _ALONE = {0x000: "NMT", 0x080: "SYNC", 0x100: "TIME"}
 async def scan_can(site: Site, seconds: float) -> CommandResult:
     """Listen for so long; one row an identifier."""
     settings = site.target.settings
-    names = _names(settings)
+    names: dict[int, str] = {}
+    if settings.get("dbc"):
+        names = {facts.key: name for name, facts in Dbc(Path(settings["dbc"])).messages.items()}
     async with open_bus_survey(site.target.driver, settings, clock=time.time) as survey:
         try:
             frames = await survey.listen(seconds)
@@ -51,44 +53,32 @@ async def scan_can(site: Site, seconds: float) -> CommandResult:
     return CommandResult(data)
 
 
-def _names(settings: Mapping[str, Any]) -> dict[int, str]:
-    """The messages of the DBC file, where one is given, by the key of their frames."""
-    if not settings.get("dbc"):
-        return {}
-    return {facts.key: name for name, facts in Dbc(Path(settings["dbc"])).messages.items()}
-
-
 def rows_of(frames: Sequence[BusFrame], seconds: float, names: Mapping[int, str]) -> list[dict[str, Any]]:
     """Each identifier with its rate, the period between its frames, its lengths, what moves in it, what it may be."""
     by_key: dict[int, list[BusFrame]] = {}
     for frame in frames:
         by_key.setdefault(frame_key(frame.id, extended=frame.extended), []).append(frame)
     heartbeats = {frame.id - 0x700 for frame in frames if not frame.extended and 0x700 < frame.id <= 0x77F}
-    return [_row(key, heard, seconds, names, heartbeats) for key, heard in sorted(by_key.items())]
-
-
-def _row(
-    key: int, heard: Sequence[BusFrame], seconds: float, names: Mapping[int, str], heartbeats: set[int]
-) -> dict[str, Any]:
-    gaps = [1e3 * (later.time - former.time) for former, later in pairwise(heard)]
-    return {
-        "id": frame_name(key),
-        "what": names.get(key) or likely(heard[0], heartbeats),
-        "frames": len(heard),
-        "per_second": len(heard) / seconds,
-        "period_ms": mean(gaps) if gaps else None,
-        "jitter_ms": pstdev(gaps) if len(gaps) > 1 else None,
-        "bytes": " ".join(map(str, sorted({len(frame.data) for frame in heard}))),
-        "moves": _moving(heard),
-        "last": heard[-1].data.hex(" "),
-    }
-
-
-def _moving(heard: Sequence[BusFrame]) -> str:
-    """The bytes that were not always the same, as their numbers from 0."""
-    longest = max(len(frame.data) for frame in heard)
-    columns = [{frame.data[at : at + 1] for frame in heard} for at in range(longest)]
-    return " ".join(str(at) for at, seen in enumerate(columns) if len(seen) > 1)
+    rows = []
+    for key, heard in sorted(by_key.items()):
+        gaps = [1e3 * (later.time - former.time) for former, later in pairwise(heard)]
+        # By place, the bytes that were seen there: those that were not always the same move.
+        longest = max(len(frame.data) for frame in heard)
+        columns = [{frame.data[at : at + 1] for frame in heard} for at in range(longest)]
+        rows.append(
+            {
+                "id": frame_name(key),
+                "what": names.get(key) or likely(heard[0], heartbeats),
+                "frames": len(heard),
+                "per_second": len(heard) / seconds,
+                "period_ms": mean(gaps) if gaps else None,
+                "jitter_ms": pstdev(gaps) if len(gaps) > 1 else None,
+                "bytes": " ".join(map(str, sorted({len(frame.data) for frame in heard}))),
+                "moves": " ".join(str(at) for at, seen in enumerate(columns) if len(seen) > 1),
+                "last": heard[-1].data.hex(" "),
+            }
+        )
+    return rows
 
 
 def likely(frame: BusFrame, heartbeats: set[int]) -> str:

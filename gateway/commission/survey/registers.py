@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -100,20 +100,11 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
                 found: ReadableMap = stop.value
         finally:
             site.count(survey.statistics())
-    data = _plain(found, first, asking.reasons)
-    if found.unknown:
-        left = sum(stretch[1] for stretch in found.unknown)
-        site.notes.append(f"{left} addresses were not asked: {budget} requests were the bound; give --requests")
-    if not found.readable:
-        return CommandResult(data, Exit.CHECK_FAILED, f"nothing of {first} count {count} can be read")
-    return CommandResult(data)
 
+    def ranges(stretches: Sequence[Stretch]) -> list[dict[str, Any]]:
+        return [_range(Register(first.table, start), length) for start, length in stretches]
 
-def _plain(found: ReadableMap, first: Register, reasons: Mapping[str, int]) -> dict[str, Any]:
-    def ranges(stretches: list[Stretch]) -> list[dict[str, Any]]:
-        return [_range(Register(first.table, start), count) for start, count in stretches]
-
-    return {
+    data = {
         "table": first.table,
         "asked": _range(first, found.count),
         "readable": ranges(found.readable),
@@ -123,8 +114,14 @@ def _plain(found: ReadableMap, first: Register, reasons: Mapping[str, int]) -> d
         "too_long": found.too_long or None,
         "seams": [f"{first.table}:{seam}" for seam in sorted(found.seams)],
         "requests": found.requests,
-        "refusals": dict(reasons),
+        "refusals": dict(asking.reasons),
     }
+    if found.unknown:
+        left = sum(stretch[1] for stretch in found.unknown)
+        site.notes.append(f"{left} addresses were not asked: {budget} requests were the bound; give --requests")
+    if not found.readable:
+        return CommandResult(data, Exit.CHECK_FAILED, f"nothing of {first} count {count} can be read")
+    return CommandResult(data)
 
 
 def _range(start: Register, count: int) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 from drivers.driver import LINKS
@@ -64,16 +65,12 @@ async def _unit(survey: AsksRegisters, unit: int, register: Register) -> dict[st
             continue
         else:
             answer = f"{register} is {words.words[0]}"
-        return {"unit": unit, "answer": answer, "ms": 1e3 * (time.monotonic() - begun)} | await _identity(survey, unit)
+        row: dict[str, Any] = {"unit": unit, "answer": answer, "ms": 1e3 * (time.monotonic() - begun), "identity": ""}
+        # Most devices do not know the function that asks who they are.
+        with suppress(DeviceException, ReplyTimeout, ReplyMismatch):
+            row["identity"] = " ".join((await survey.identity(unit)).values())
+        return row
     return None
-
-
-async def _identity(survey: AsksRegisters, unit: int) -> dict[str, str]:
-    try:
-        identity = await survey.identity(unit)
-    except (DeviceException, ReplyTimeout, ReplyMismatch):
-        return {"identity": ""}
-    return {"identity": " ".join(identity.values())}
 
 
 async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, listen_only: bool) -> CommandResult:

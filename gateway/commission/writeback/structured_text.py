@@ -12,7 +12,6 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from drivers.device_file import BlockField
 from drivers.tag import DType, Order, Tag
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, FRAME, described, unknown_word
 from gateway.settings import DeviceMap, WritebackLayout
@@ -99,7 +98,23 @@ def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, A
     """All that the function block's template asks for."""
     codes = refusal_codes(device)
     index = {field.name: place for place, field in enumerate(layout.fields)}
-    outputs = [_output(field, place, layout) for place, field in enumerate(layout.fields) if field.name not in FRAME]
+    outputs = []
+    for place, field in enumerate(layout.fields):
+        if field.name in FRAME:
+            continue
+        kind, whole = "INT" if field.signed else "UINT", field.scale == 1.0
+        count = f"WORD_TO_{kind}(Words[{place}])"
+        outputs.append(
+            {
+                "name": field.name,
+                "index": place,
+                "output": _camel(field.name),
+                "type": kind if whole else "REAL",
+                "expression": count if whole else f"{kind}_TO_REAL({count}) * {_real(field.scale)}",
+                "unknown": "" if field.name in ALWAYS_KNOWN else f"{unknown_word(field, layout):04X}",
+                "note": described(field.name),
+            }
+        )
     advice = next((output for output in outputs if output["name"] == "p_limit"), None)
     bits = [
         {"number": bit, "mask": 1 << bit, "output": name, "index": index.get("alarms"), "meaning": ALARM_MEANINGS[name]}
@@ -115,26 +130,11 @@ def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, A
         "timer": round(layout.timeout * 1000),
         "reasons": ", ".join(f"{codes[reason]} {reason}" for reason in REFUSALS if reason != "length or start"),
         "codes": {key: codes[reason] for key, reason in (*_KEYS.items(), ("still", _STILL))},
-        **{field: {"index": index[field], "output": _camel(field)} for field in FRAME},
+        **{frame: {"index": index[frame], "output": _camel(frame)} for frame in FRAME},
         "outputs": outputs,
         "alarm_bits": bits if "alarms" in index else [],
         "advises": advice is not None,
         "advice": advice,
-    }
-
-
-def _output(field: BlockField, place: int, layout: WritebackLayout) -> dict[str, Any]:
-    kind = "INT" if field.signed else "UINT"
-    plain = f"WORD_TO_{kind}(Words[{place}])"
-    whole = field.scale == 1.0
-    return {
-        "name": field.name,
-        "index": place,
-        "output": _camel(field.name),
-        "type": kind if whole else "REAL",
-        "expression": plain if whole else f"{kind}_TO_REAL({plain}) * {_real(field.scale)}",
-        "unknown": "" if field.name in ALWAYS_KNOWN else f"{unknown_word(field, layout):04X}",
-        "note": described(field.name),
     }
 
 

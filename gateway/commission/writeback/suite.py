@@ -67,7 +67,14 @@ async def put_through(
     for number, step in enumerate(steps):
         progress(step.name, number / len(steps))
         try:
-            after = await _put(step, side)
+            # The permit before the pause, the pause before the block: the PLC's timer runs while nothing is written.
+            if step.permit is not None:
+                await side.permit(step.permit)
+            if step.wait_s:
+                await side.wait(step.wait_s)
+            if step.words:
+                await side.write(step.offset, step.words)
+            after = await side.account()
         except Unable as reason:
             results.append(Result(step.name, skipped=str(reason)))
             before = await side.account()
@@ -75,16 +82,6 @@ async def put_through(
         results.append(Result(step.name, judge(step, before, after, codes)))
         before = after
     return results
-
-
-async def _put(step: SuiteStep, side: PlcSide) -> Account:
-    if step.permit is not None:
-        await side.permit(step.permit)
-    if step.wait_s:
-        await side.wait(step.wait_s)
-    if step.words:
-        await side.write(step.offset, step.words)
-    return await side.account()
 
 
 def judge(step: SuiteStep, before: Account, after: Account, codes: Mapping[str, int]) -> str:

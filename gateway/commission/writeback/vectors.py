@@ -6,7 +6,7 @@ The steps are one story, to be put through in their order. A PLC that looks at i
 themselves, can pass them all: no step writes what stands in the memory already.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from random import Random
 from typing import Any
@@ -100,58 +100,44 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
     Before each block that is to be refused a whole one is accepted, so that the timer has not run out meanwhile,
     however slowly the PLC is asked.
     """
-    story = _Story(layout, seed)
-    return (
-        SuiteStep("once the timer has run out nothing is usable", wait_s=1.3 * layout.timeout, permit=True),
-        SuiteStep("a whole new block is accepted", story.block(), accepted=1, usable=True),
-        *_refusals(story),
-        *_usability(story),
-        *_timer(story, layout.timeout),
-        *_ends(story),
-        *_turned(story, flips),
-    )
+    story, timeout = _Story(layout, seed), layout.timeout
+    steps: list[SuiteStep] = []
 
+    def accepted(name: str, words: tuple[int, ...], *, usable: bool = True) -> None:
+        steps.append(SuiteStep(name, words, accepted=1, usable=usable))
 
-def _whole(story: _Story) -> SuiteStep:
-    return SuiteStep("a whole block is accepted", story.block(), accepted=1, usable=True)
+    def refused(name: str, words: tuple[int, ...], reasons: tuple[str, ...]) -> None:
+        steps.append(SuiteStep(f"{name} is refused", words, refused=1, reasons=reasons, usable=True))
+        accepted("a whole block is accepted", story.block())
 
-
-def _refusals(story: _Story) -> Iterator[SuiteStep]:
-    version = (story.layout.version + 1) & 0xFFFF
-    part = story.index["crc"] // 2  # in the middle of the block, where none begins
+    steps.append(SuiteStep("once the timer has run out nothing is usable", wait_s=1.3 * timeout, permit=True))
+    accepted("a whole new block is accepted", story.block())
+    # Each of the contract's refusals, one by one.
     torn = ("sequence and its copy differ",)
-    yield from _refused(story, "another layout version", story.bent("layout_version", version, sealed=True), _VERSION)
-    yield from _refused(story, "a torn block", story.bent("sequence_copy", 7), torn)
-    yield from _refused(story, "a changed number", story.bent("validity", 29), _CHECKSUM)
-    yield from _refused(story, "a wrong checksum", story.bent("crc", 4711), _CHECKSUM)
-    yield from _refused(story, "the heartbeat of the last block", story.block(beat=False), _STILL)
+    version = (layout.version + 1) & 0xFFFF
+    refused("another layout version", story.bent("layout_version", version, sealed=True), _VERSION)
+    refused("a torn block", story.bent("sequence_copy", 7), torn)
+    refused("a changed number", story.bent("validity", 29), _CHECKSUM)
+    refused("a wrong checksum", story.bent("crc", 4711), _CHECKSUM)
+    refused("the heartbeat of the last block", story.block(beat=False), _STILL)
+    part = story.index["crc"] // 2  # in the middle of the block, where none begins
     reasons = ("length or start", *_CHECKSUM, *torn)
-    yield SuiteStep("a part of a block is refused", (0x5AA5,), part, refused=1, reasons=reasons, usable=True)
-    yield _whole(story)
-
-
-def _refused(story: _Story, name: str, words: tuple[int, ...], reasons: tuple[str, ...]) -> Iterator[SuiteStep]:
-    yield SuiteStep(f"{name} is refused", words, refused=1, reasons=reasons, usable=True)
-    yield _whole(story)
-
-
-def _usability(story: _Story) -> Iterator[SuiteStep]:
-    """What makes a block that was accepted unusable: its own validity, and the plant's permit."""
+    steps.append(SuiteStep("a part of a block is refused", (0x5AA5,), part, refused=1, reasons=reasons, usable=True))
+    accepted("a whole block is accepted", story.block())
+    # What makes a block that was accepted unusable: its own validity, and the plant's permit.
     for bits in (0, 0b11110, 0b0010):
-        sentence = f"validity {bits:05b} is accepted and nothing of it is usable"
-        yield SuiteStep(sentence, story.block(Validity(bits)), accepted=1)
-    yield SuiteStep("a valid block is usable again", story.block(), accepted=1, usable=True)
-    yield SuiteStep("without the permit nothing is usable", permit=False)
-    yield SuiteStep("a block without the permit is not usable", story.block(), permit=False, accepted=1)
-    yield SuiteStep("with the permit it is", permit=True, usable=True)
-
-
-def _timer(story: _Story, timeout: float) -> Iterator[SuiteStep]:
-    yield SuiteStep("the timer is restarted by a block", story.block(), accepted=1, usable=True)
-    yield SuiteStep("the timer still runs after half its time", wait_s=0.5 * timeout, usable=True)
-    yield SuiteStep("the timer has run out after 130 % of its time", wait_s=0.8 * timeout)
-    yield SuiteStep("a block brings it back", story.block(), accepted=1, usable=True)
-    yield SuiteStep(
+        name = f"validity {bits:05b} is accepted and nothing of it is usable"
+        accepted(name, story.block(Validity(bits)), usable=False)
+    accepted("a valid block is usable again", story.block())
+    steps.append(SuiteStep("without the permit nothing is usable", permit=False))
+    steps.append(SuiteStep("a block without the permit is not usable", story.block(), permit=False, accepted=1))
+    steps.append(SuiteStep("with the permit it is", permit=True, usable=True))
+    # The timer: only a whole block restarts it.
+    accepted("the timer is restarted by a block", story.block())
+    steps.append(SuiteStep("the timer still runs after half its time", wait_s=0.5 * timeout, usable=True))
+    steps.append(SuiteStep("the timer has run out after 130 % of its time", wait_s=0.8 * timeout))
+    accepted("a block brings it back", story.block())
+    still = SuiteStep(
         "a heartbeat that stands still is refused",
         story.block(beat=False),
         wait_s=0.5 * timeout,
@@ -159,33 +145,29 @@ def _timer(story: _Story, timeout: float) -> Iterator[SuiteStep]:
         reasons=_STILL,
         usable=True,
     )
-    yield SuiteStep("a refused block does not restart the timer", wait_s=0.8 * timeout)
-    yield SuiteStep("the next whole block does", story.block(), accepted=1, usable=True)
-
-
-def _ends(story: _Story) -> Iterator[SuiteStep]:
-    """The ends of what the words can hold, and what a restart of the gateway looks like."""
-    unknown: Mapping[str, float | None] = {}
-    yield SuiteStep("numbers that are not known are no fault", story.block(Validity.NONE, unknown), accepted=1)
-    least = {name: -1e9 for name in _CALM if name not in ("alarms", "model_hash")}
-    most = {name: 1e9 for name in _CALM if name not in ("alarms", "model_hash")}
-    yield SuiteStep("the least numbers are accepted", story.block(values=least), accepted=1, usable=True)
-    yield SuiteStep("the greatest numbers are accepted", story.block(values=most), accepted=1, usable=True)
+    steps.append(still)
+    steps.append(SuiteStep("a refused block does not restart the timer", wait_s=0.8 * timeout))
+    accepted("the next whole block does", story.block())
+    # The ends of what the words can hold, and what a restart of the gateway looks like.
+    accepted("numbers that are not known are no fault", story.block(Validity.NONE, {}), usable=False)
+    numbers = [name for name in _CALM if name not in ("alarms", "model_hash")]
+    accepted("the least numbers are accepted", story.block(values=dict.fromkeys(numbers, -1e9)))
+    accepted("the greatest numbers are accepted", story.block(values=dict.fromkeys(numbers, 1e9)))
     # Over the end of both words: the sequence goes on at 0, the heartbeat, which is never 0, at 1.
     story.sequence = story.heartbeat = 0xFFFE
     for name in ("sequence 65535", "sequence 0 after 65535", "sequence 1"):
-        yield SuiteStep(f"{name} is accepted", story.block(), accepted=1, usable=True)
+        accepted(f"{name} is accepted", story.block())
     story.sequence, story.heartbeat = 0, 30_000
-    yield SuiteStep("a gateway that begins anew is accepted", story.block(), accepted=1, usable=True)
-
-
-def _turned(story: _Story, flips: int) -> Iterator[SuiteStep]:
+    accepted("a gateway that begins anew is accepted", story.block())
+    # Turned bits at random: what no list of faults thinks of.
     for number in range(1, flips + 1):
-        yield _whole(story)
+        accepted("a whole block is accepted", story.block())
         words, reason = story.flipped()
-        yield SuiteStep(f"one turned bit is refused ({number})", words, refused=1, reasons=(reason,), usable=True)
-    yield SuiteStep("the last whole block is accepted", story.block(), accepted=1, usable=True)
-    yield SuiteStep("a withdrawal is accepted", story.block(Validity.NONE, {}), accepted=1)
+        name = f"one turned bit is refused ({number})"
+        steps.append(SuiteStep(name, words, refused=1, reasons=(reason,), usable=True))
+    accepted("the last whole block is accepted", story.block())
+    accepted("a withdrawal is accepted", story.block(Validity.NONE, {}), usable=False)
+    return tuple(steps)
 
 
 def plain(layout: WritebackLayout, steps: Sequence[SuiteStep], codes: Mapping[str, int]) -> dict[str, Any]:

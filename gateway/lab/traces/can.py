@@ -8,8 +8,8 @@ from typing import Any, TextIO
 
 import click
 
-from drivers.driver import Recorded, open_recording
-from drivers.tag import Sample, Tag
+from drivers.driver import open_recording
+from drivers.tag import Sample
 from gateway.console import emit, json_option, make_folder, progress, shipped, table
 from gateway.entry import sentences
 from gateway.settings import load_device
@@ -41,9 +41,20 @@ def can_log(
         device_map = load_device(shipped("devices", device))
         settings = {**device_map.settings, **{key: value for key, value in given.items() if value is not None}}
         recorded = open_recording(device_map.driver, log, settings, device_map.tags)
-        with _written(out) as rows:
-            spans = _spans(rows(recorded.samples(report)))
-    data = _summary(recorded, device_map.tags, spans) | {
+        with _written(out) as keep:
+            spans = _spans(keep(recorded.samples(report)))
+    rows = []
+    for tag in device_map.tags:
+        counts = {quality: count for (name, quality), count in recorded.readings.items() if name == tag.name}
+        low, high, last = spans.get(tag.name, (None, None, None))
+        good = counts.pop("GOOD", 0)
+        row = {"tag": tag.name, "address": tag.address, "unit": tag.unit, "good": good, "not_good": counts}
+        rows.append(row | {"lowest": low, "highest": high, "last": last})
+    identifiers = [[bus, name, count] for (bus, name), count in recorded.identifiers.most_common(_MOST_IDENTIFIERS)]
+    data = {
+        "tags": rows,
+        "counts": dict(recorded.counts()),
+        "identifiers": identifiers,
         "log": str(log),
         "out": out and str(out),
         "problem": recorded.problem,
@@ -90,18 +101,6 @@ def _spans(samples: Iterable[Sample]) -> dict[str, list[Any]]:
         low, high, _ = spans.get(sample.tag, (value, value, value))
         spans[sample.tag] = [min(low, value), max(high, value), value]
     return spans
-
-
-def _summary(recorded: Recorded, tags: Iterable[Tag], spans: dict[str, list[Any]]) -> dict[str, Any]:
-    rows = []
-    for tag in tags:
-        found = {quality: count for (name, quality), count in recorded.readings.items() if name == tag.name}
-        low, high, last = spans.get(tag.name, (None, None, None))
-        good = found.pop("GOOD", 0)
-        row = {"tag": tag.name, "address": tag.address, "unit": tag.unit, "good": good, "not_good": found}
-        rows.append(row | {"lowest": low, "highest": high, "last": last})
-    counted = [[bus, name, count] for (bus, name), count in recorded.identifiers.most_common(_MOST_IDENTIFIERS)]
-    return {"tags": rows, "counts": dict(recorded.counts()), "identifiers": counted}
 
 
 def _show(data: dict[str, Any]) -> None:

@@ -1,6 +1,6 @@
 """`decanter trace show`: recorded traces, and what was refused of them and why."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -10,9 +10,11 @@ from gateway.console import emit, json_option, map_option, shipped
 from gateway.entry import sentences
 from gateway.lab.traces.picture import picture_option
 from gateway.lab.traces.summary import show_summaries, summary_of
-from sim.sha import Trace
 from sim.traces import load_map, load_traces
 from sim.validation import Curve, Picture, draw
+
+MOST_INPUTS = 3
+"""Inputs that are drawn below the temperature."""
 
 
 @click.command(short_help="Load traces; say what was used, what was refused and why.")
@@ -26,9 +28,28 @@ def show(paths: Sequence[str], map_name: str, picture: Path | None, as_json: boo
         column_map = load_map(shipped("traces", map_name))
         traces, report = load_traces(paths[0] if len(paths) == 1 else list(paths), column_map)
         if picture is not None:
-            units = {name: signal.unit for name, signal in column_map.signals.items()}
-            _draw(traces[0], column_map.temperature, units, picture)
-    rows = [summary_of(each, None) for each in traces]
+            first, temperature = traces[0], column_map.temperature
+            present = {name: ~np.isnan(column) for name, column in first.signals.items()}
+            curves = {
+                name: Curve(name, first.times[present[name]], column[present[name]])
+                for name, column in first.signals.items()
+            }
+            # Flags are left out: the events show them, and a curve of 0 and 1 takes a panel for itself.
+            inputs = [
+                curve
+                for name, curve in curves.items()
+                if name != temperature and not set(np.unique(first.signals[name])) <= {0.0, 1.0}
+            ]
+            drawn = Picture(
+                first.name,
+                curves[temperature],
+                inputs=inputs[:MOST_INPUTS],
+                events=first.events,
+                note="SYNTHETIC: not measured on a plant" if first.synthetic else first.origin,
+                units={name: signal.unit for name, signal in column_map.signals.items()},
+            )
+            draw(drawn, picture)
+    rows = [summary_of(trace, None) for trace in traces]
     data = {"traces": rows, "report": report.as_table(), "picture": picture and str(picture)}
 
     def show_all() -> None:
@@ -39,25 +60,3 @@ def show(paths: Sequence[str], map_name: str, picture: Path | None, as_json: boo
             click.echo(f"picture: {picture}")
 
     emit(data, show_all, as_json_line=as_json)
-
-
-def _draw(first: Trace, temperature: str, units: Mapping[str, str], picture: Path) -> None:
-    def curve(name: str) -> Curve:
-        present = ~np.isnan(first.signals[name])
-        return Curve(name, first.times[present], first.signals[name][present])
-
-    others = [
-        name for name in first.signals if name != temperature and not set(np.unique(first.signals[name])) <= {0.0, 1.0}
-    ]
-    note = "SYNTHETIC: not measured on a plant" if first.synthetic else first.origin
-    draw(
-        Picture(
-            first.name,
-            curve(temperature),
-            inputs=[curve(name) for name in others[:3]],
-            events=first.events,
-            note=note,
-            units=units,
-        ),
-        picture,
-    )

@@ -36,11 +36,16 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
     ]
     if config.model.path is not None:
         tag, off = config.model.temperature, a.off_delay
+        # When the model drifts the operator gets the command that diagnoses the historian's recent cycles.
+        command = ["decanter", "diagnose", "--model", str(config.model.path), "--historian", str(config.historian.path)]
+        command += ["--since", DRIFT_SINCE, "--out", str(config.historian.path.parent / "diagnosis")]
+        drifts = f"the model's free run is beyond its limit on {a.drift_cycles} cycles running"
+        offer = f"{drifts}; find out what has changed with: {join(command)}"
         conditions += [
             AlarmCondition("predicted over limit", tag, bit=1, limit=a.p_limit, deadband=a.p_limit / 2, off_delay=off),
             AlarmCondition("anomaly", tag, bit=2, limit=a.anomaly, deadband=a.anomaly / 3, off_delay=off, priority=3),
             AlarmCondition("review", tag, bit=5, limit=0.5, off_delay=off, priority=3, response=REVIEW),
-            AlarmCondition("drift", tag, bit=3, limit=a.drift_cycles - 0.5, priority=3, response=_offer(config)),
+            AlarmCondition("drift", tag, bit=3, limit=a.drift_cycles - 0.5, priority=3, response=offer),
         ]
     # One reading that came late is no alarm: inputs have to be bad for as long as a value may be held.
     bad = AlarmCondition("inputs bad", ", ".join(inputs), bit=4, limit=0.5, on_delay=STALE_PERIODS * period)
@@ -48,11 +53,3 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
         response = "the device or its bus says that something is wrong: see complaints in the status"
         conditions.append(AlarmCondition(DEVICE, config.map.name, 6, 0.5, off_delay=a.off_delay, response=response))
     return {condition.name: condition for condition in (*conditions, bad)}
-
-
-def _offer(config: Config) -> str:
-    """What an operator is told when the model drifts: the command that diagnoses the historian's recent cycles."""
-    command = ["decanter", "diagnose", "--model", str(config.model.path), "--historian", str(config.historian.path)]
-    command += ["--since", DRIFT_SINCE, "--out", str(config.historian.path.parent / "diagnosis")]
-    sentence = f"the model's free run is beyond its limit on {config.alarms.drift_cycles} cycles running"
-    return f"{sentence}; find out what has changed with: {join(command)}"
