@@ -21,7 +21,6 @@ from gateway.commission.session import (
 )
 from gateway.commission.survey import parse_register, reference_of
 from gateway.console import table
-from gateway.settings import DeviceMap
 
 
 async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
@@ -29,7 +28,18 @@ async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
     device, period = device_of(site), period_of(site, given_period)
     found = read_plan(site.target.driver, site.target.settings, device.tags, words_of(site))
     if found is None:
-        return _by_sentences(site, device, period)
+        # A device that is not read in requests of its own: what its driver says of the plan.
+        driver = site.target.make_driver()
+        lines = driver.explain(device.tags) if isinstance(driver, Explains) else ()
+        problems = [line for line in lines if line.kind is PlanKind.PROBLEM]
+        sentences: list[str] = [*lines] or [f"the driver {site.target.driver!r} has no plan to show"]
+        if site.target.capabilities.speaks:
+            site.notes.append(
+                "this device speaks by itself: a scan takes what it has said, and asks only for what is listed so"
+            )
+        heard = {"sentences": sentences, "tags": len(device.tags), "period_s": period, "problems": problems}
+        complaint = f"{len(problems)} tags cannot be read, the first: {problems[0]}" if problems else ""
+        return CommandResult(heard, int(bool(problems)), complaint)
     total = found.seconds + found.write_seconds
     data: dict[str, Any] = {
         "requests": [{**asdict(one), "reference": _reference(one.place, one.count)} for one in found.requests],
@@ -63,21 +73,6 @@ async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
 def _reference(place: str, count: int) -> str:
     first = reference_of(place)
     return f"{first}-{parse_register(place).moved(count - 1).reference}" if first and count > 1 else first
-
-
-def _by_sentences(site: Site, device: DeviceMap, period: float) -> CommandResult:
-    """A device that is not read in requests of its own: what its driver says of the plan."""
-    driver = site.target.make_driver()
-    lines = driver.explain(device.tags) if isinstance(driver, Explains) else ()
-    problems = [line for line in lines if line.kind is PlanKind.PROBLEM]
-    sentences: list[str] = [*lines] or [f"the driver {site.target.driver!r} has no plan to show"]
-    if site.target.capabilities.speaks:
-        site.notes.append(
-            "this device speaks by itself: a scan takes what it has said, and asks only for what is listed so"
-        )
-    data = {"sentences": sentences, "tags": len(device.tags), "period_s": period, "problems": problems}
-    complaint = f"{len(problems)} tags cannot be read, the first: {problems[0]}" if problems else ""
-    return CommandResult(data, int(bool(problems)), complaint)
 
 
 @click.command(short_help="The requests of one scan, and their longest time against the period.")

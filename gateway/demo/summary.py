@@ -170,6 +170,15 @@ def draw_result(setting: DemoRun, historian: Path, path: Path) -> Path:
     free = np.isfinite(seen.free_run)
     trace = to_trace(historian)
     ahead = matured(historian).get(AHEAD_S)
+    # Stretches without a good reading. Taken for good before the first scan and after the last, so that each beginning
+    # has its end: edges come in pairs.
+    outages: list[tuple[float, float]] = []
+    if seen.times.size:
+        edges = np.flatnonzero(np.diff(np.concatenate([[1], measured.astype(int), [1]])))
+        outages = [
+            (float(seen.times[start]), float(seen.times[min(end, seen.times.size - 1)]))
+            for start, end in zip(edges[::2], edges[1::2], strict=True)
+        ]
     picture = Picture(
         f"decanter demo: {temperature}, {setting.trace.name}",
         Curve("measured", seen.times[measured], seen.measured[measured]),
@@ -192,21 +201,9 @@ def draw_result(setting: DemoRun, historian: Path, path: Path) -> Path:
             and set(np.unique(trace.signals[channel.signal][present])) - {0.0, 1.0}
         ],
         events=events(historian),
-        outages=_outages(seen.times, measured),
+        outages=outages,
         limit=setting.limit,
         units={tag.name: tag.unit for tag in load_device(setting.device).tags},
         note="SYNTHETIC: not measured on a plant" if setting.trace.synthetic else setting.trace.origin,
     )
     return draw(picture, path)
-
-
-def _outages(times: Array, good: Mask) -> list[tuple[float, float]]:
-    """Stretches without a good reading of the temperature, as (start, end)."""
-    if not times.size:
-        return []
-    # Good before the first scan and after the last, so that each beginning has its end: edges come in pairs.
-    edges = np.flatnonzero(np.diff(np.concatenate([[1], good.astype(int), [1]])))
-    return [
-        (float(times[start]), float(times[min(end, times.size - 1)]))
-        for start, end in zip(edges[::2], edges[1::2], strict=True)
-    ]
