@@ -160,10 +160,10 @@ def _type(line: ListRow, address: str, bit: int | None) -> tuple[str, int]:
     text = line.get("dtype")
     if not text:
         return ("bool", 0) if bit is not None or address.partition(":")[0] in ("coil", "discrete") else ("uint16", 0)
-    found = type_of(key_of(text))
-    if found is None:
+    kind = type_of(key_of(text))
+    if kind is None:
         raise _RowError("dtype", f"{text!r} is no type that is known here; give one of {KNOWN_TYPES}")
-    dtype, length = found
+    dtype, length = kind
     if dtype == "string":
         length = length or _whole(line, "length") or 0
         if length <= 0:
@@ -197,10 +197,10 @@ def _address(sheet: ListSheet, line: ListRow, how: Reading) -> tuple[str, int | 
 
 
 def _bit(line: ListRow) -> int | None:
-    found = _whole(line, "bit")
-    if found is not None and not 0 <= found <= 15:
-        raise _RowError("bit", f"bit {found} is not in a register, which has bits 0 to 15")
-    return found
+    bit = _whole(line, "bit")
+    if bit is not None and not 0 <= bit <= 15:
+        raise _RowError("bit", f"bit {bit} is not in a register, which has bits 0 to 15")
+    return bit
 
 
 def _register(sheet: ListSheet, line: ListRow, plain: str, text: str, how: Reading) -> Register:
