@@ -1,6 +1,5 @@
 """`decanter plc bind`: a place in the device bound to a tag's name, in the device file's own text."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,8 @@ from gateway.commission.files import (
 from gateway.commission.read import ORDERS, TYPES
 from gateway.commission.session import CommandResult, SharedOptions, link_options, read_records
 from gateway.commission.survey import parse_register
+
+_LIMITS = ("low", "high", "sentinel", "max_rate")
 
 
 @click.command(short_help="Bind a place in the device to a tag's name; TOML edits keep comments.")
@@ -62,7 +63,23 @@ def bind(given: SharedOptions, **options: Any) -> None:
 
     def work(files: Files) -> CommandResult:
         device, plant = settings_of(options["keep"])
-        tags = [_binding(given, files, options)] if options["name"] else []
+        tags = []
+        if options["name"]:
+            keys = {key: options[key] for key in (*ENCODING, *_LIMITS) if options[key] is not None}
+            keys |= {"unit": options["units"]} if options["units"] is not None else {}
+            keys |= {"labels": options["labels"]} if options["labels"] else {}
+            if options["rank"] is not None:
+                # What was guessed gives way to what is given.
+                keys = guessed(given.records, options["rank"]) | keys
+            if "address" in keys:
+                keys["address"] = _address(files, str(keys["address"]))
+            if keys.get("bit") is not None and "dtype" not in keys:
+                keys["dtype"] = "bool"
+            if not keys:
+                name = options["name"]
+                raise ValueError(f"where is {name!r}? Give its ADDRESS, or --guess 1 for what the last guess found")
+            # A new place wins over the old one in all its keys.
+            tags.append(Binding(options["name"], keys, place="address" in keys))
         block = None
         if options["block"]:
             names = options["fields"].replace(",", " ").split() if options["fields"] else None
@@ -75,22 +92,6 @@ def bind(given: SharedOptions, **options: Any) -> None:
     edit_files(given, "bind", {key: value for key, value in options.items() if value not in (None, (), {})}, work)
 
 
-def _binding(given: SharedOptions, files: Files, options: Mapping[str, Any]) -> Binding:
-    """The tag of the command line; a new place wins over the old one in all its keys."""
-    keys = {key: options[key] for key in (*ENCODING, "low", "high", "sentinel", "max_rate") if options[key] is not None}
-    keys |= {"unit": options["units"]} if options["units"] is not None else {}
-    keys |= {"labels": options["labels"]} if options["labels"] else {}
-    if options["rank"] is not None:
-        keys = guessed(given.records, options["rank"]) | keys
-    if "address" in keys:
-        keys["address"] = _address(files, str(keys["address"]))
-    if keys.get("bit") is not None and "dtype" not in keys:
-        keys["dtype"] = "bool"
-    if not keys:
-        raise ValueError(f"where is {options['name']!r}? Give its ADDRESS, or --guess 1 for what the last guess found")
-    return Binding(options["name"], keys, place="address" in keys)
-
-
 def _address(files: Files, text: str) -> str:
     """A register as a PDU address, whichever way it is written; of any other device as it is. Raises ValueError."""
     return str(parse_register(text)) if capabilities(files.driver).registers else text
@@ -98,14 +99,14 @@ def _address(files: Files, text: str) -> str:
 
 def guessed(records: Path, rank: int) -> dict[str, Any]:
     """The keys of the candidate of that rank (1 the best) of the newest guess in the records. Raises ConfigError."""
-    found = [one for one in read_records(records) if one.command == "guess"] if records.exists() else []
-    if not found:
+    guesses = [record for record in read_records(records) if record.command == "guess"] if records.exists() else []
+    if not guesses:
         raise ConfigError(
             [f"{records}: holds no guess; run `decanter plc guess` first, or give the address and --type"]
         )
-    result = found[-1].result
-    candidates = result.get("candidates") or [{**one, "dtype": "bool"} for one in result.get("bits", [])]
+    result = guesses[-1].result
+    candidates = result.get("candidates") or [{**bit, "dtype": "bool"} for bit in result.get("bits", [])]
     if not 1 <= rank <= len(candidates):
         raise ConfigError([f"--guess {rank}: the last guess has {len(candidates)} candidates; give 1 for the best"])
-    one = candidates[rank - 1]
-    return {key: one[key] for key in ENCODING if one.get(key) is not None}
+    candidate = candidates[rank - 1]
+    return {key: candidate[key] for key in ENCODING if candidate.get(key) is not None}

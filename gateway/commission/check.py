@@ -72,7 +72,7 @@ def _places(site: Site) -> list[CheckStep]:
     problems = (*plan.problems, *plan.overlaps)
     if problems:
         return [failed("places", problem) for problem in problems]
-    count = sum(one.count for one in plan.requests)
+    count = sum(request.count for request in plan.requests)
     return [ok("places", f"{len(plan.requests)} requests for {count} addresses; none is used twice")]
 
 
@@ -127,7 +127,10 @@ async def _readings(site: Site, steps: list[CheckStep]) -> list[dict[str, Any]]:
         steps.append(ok("reading", f"all {len(samples)} tags are good"))
     if len(bad) < len(samples):
         steps += await _heartbeat(site, samples)
-    return [{"tag": one.tag, "value": one.value, "quality": one.quality.name, "reason": one.reason} for one in samples]
+    return [
+        {"tag": sample.tag, "value": sample.value, "quality": sample.quality.name, "reason": sample.reason}
+        for sample in samples
+    ]
 
 
 async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:

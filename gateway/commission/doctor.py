@@ -48,15 +48,57 @@ _NET = Path("/sys/class/net")
 
 async def examine_machine(site: Site, records: Path) -> CommandResult:
     """All checks of this machine, and of what the command's options name."""
-    target, found = site.target, versions()
-    steps = [ok("software", ", ".join(f"{name} {number}" for name, number in found.items()))]
-    steps += [_clock(), _network(), _disk(records.parent), _records(records), _can(target)]
+    target, installed = site.target, versions()
+    steps = [ok("software", ", ".join(f"{name} {number}" for name, number in installed.items()))]
+    # The clock: every record and every comparison with the HMI has its time.
+    now, error = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime()), clock_error()
+    if time.time() < OLDEST:
+        sentence = f"it is {now} by this machine's clock, which was never set: set it before anything else"
+        steps.append(failed("clock", sentence))
+    elif error is None:
+        sentence = f"{now}, and no time server steers this clock: compare it with the HMI's, and set up NTP"
+        steps.append(warning("clock", sentence))
+    else:
+        steps.append(ok("clock", f"{now}, steered by a time server, wrong by {1e3 * error:.0f} ms at most"))
+    links = [path for path in sorted(_NET.glob("*")) if path.name != "lo" and _word(path / "type") != _ARPHRD_CAN]
+    up = [path.name for path in links if _word(path / "operstate") == "up"]
+    down = [path.name for path in links if path.name not in up]
+    sentence = f"up: {', '.join(up) or 'none'}" + (f"; not up: {', '.join(down)}" if down else "")
+    network = ok("network", sentence) if up else warning("network", f"no network interface is up ({sentence})")
+    steps.append(network)
+    # The folder of the records may not be there yet: what counts is the disk that it will be on.
+    folder = records.parent.absolute()
+    place = next(path for path in (folder, *folder.parents) if path.exists())
+    free = shutil.disk_usage(place).free / 1e6
+    sentence = f"{free:,.0f} MB free at {place}"
+    enough = free >= LEAST_FREE_MB
+    steps.append(ok("disk", sentence) if enough else failed("disk", f"only {sentence}: records and history need room"))
+    if not records.is_file() or not records.stat().st_size:
+        steps.append(ok("records", f"{records}: begins with this command"))
+    else:
+        try:
+            line = broken_at(records)
+        except RecordsError as broken:
+            steps.append(failed("records", str(broken)))
+        else:
+            changed = f"{records}: line {line} does not follow the one before it: the file was changed"
+            steps.append(ok("records", f"{records}: unbroken") if line is None else failed("records", changed))
+    steps.append(_can(target))
     steps += await asyncio.to_thread(_serial_ports, target)
     if "host" in target.settings:
-        steps.append(await _host(str(target.settings["host"])))
+        # The way to the device, without asking it anything.
+        host = str(target.settings["host"])
+        try:
+            address = (await addresses_of(host))[0]
+            steps.append(ok("way", f"{host} is {address}, reached from {local_end(address)}"))
+        except (OSError, UnicodeError) as unreachable:
+            sentence = (
+                f"there is no way from here to {host!r} ({unreachable}): check the name, the address and the network"
+            )
+            steps.append(failed("way", sentence, LinkDown(sentence)))
     steps += _files(target)
     code, complaint = verdict(steps)
-    return CommandResult({"steps": [step.plain() for step in steps], "versions": found}, code, complaint)
+    return CommandResult({"steps": [step.plain() for step in steps], "versions": installed}, code, complaint)
 
 
 class _Timex(ctypes.Structure):
@@ -86,79 +128,29 @@ def clock_error() -> float | None:
     return float(state.maxerror) * 1e-6
 
 
-def _clock() -> CheckStep:
-    now = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime())
-    if time.time() < OLDEST:
-        return failed("clock", f"it is {now} by this machine's clock, which was never set: set it before anything else")
-    error = clock_error()
-    if error is None:
-        sentence = f"{now}, and no time server steers this clock: compare it with the HMI's, and set up NTP"
-        return warning("clock", sentence)
-    return ok("clock", f"{now}, steered by a time server, wrong by {1e3 * error:.0f} ms at most")
-
-
-def _network() -> CheckStep:
-    links = [path for path in sorted(_NET.glob("*")) if path.name != "lo" and _word(path / "type") != _ARPHRD_CAN]
-    up = [path.name for path in links if _word(path / "operstate") == "up"]
-    down = [path.name for path in links if path.name not in up]
-    sentence = f"up: {', '.join(up) or 'none'}" + (f"; not up: {', '.join(down)}" if down else "")
-    return ok("network", sentence) if up else warning("network", f"no network interface is up ({sentence})")
-
-
-async def _host(host: str) -> CheckStep:
-    """The way to the device, without asking it anything."""
-    try:
-        address = (await addresses_of(host))[0]
-        return ok("way", f"{host} is {address}, reached from {local_end(address)}")
-    except (OSError, UnicodeError) as error:
-        sentence = f"there is no way from here to {host!r} ({error}): check the name, the address and the network"
-        return failed("way", sentence, LinkDown(sentence))
-
-
-def _disk(folder: Path) -> CheckStep:
-    place = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-    free = shutil.disk_usage(place).free / 1e6
-    sentence = f"{free:,.0f} MB free at {place}"
-    return (
-        ok("disk", sentence)
-        if free >= LEAST_FREE_MB
-        else failed("disk", f"only {sentence}: records and history need room")
-    )
-
-
-def _records(path: Path) -> CheckStep:
-    if not path.is_file() or not path.stat().st_size:
-        return ok("records", f"{path}: begins with this command")
-    try:
-        line = broken_at(path)
-    except RecordsError as error:
-        return failed("records", str(error))
-    if line is not None:
-        return failed("records", f"{path}: line {line} does not follow the one before it: the file was changed")
-    return ok("records", f"{path}: unbroken")
-
-
 def _can(target: Target) -> CheckStep:
-    found = [path.name for path in sorted(_NET.glob("*")) if _word(path / "type") == _ARPHRD_CAN]
+    interfaces = [path.name for path in sorted(_NET.glob("*")) if _word(path / "type") == _ARPHRD_CAN]
     # Drivers without a carrier, as vcan, stay "unknown" when they are up.
-    up = [name for name in found if _word(_NET / name / "operstate") in ("up", "unknown")]
+    up = [name for name in interfaces if _word(_NET / name / "operstate") in ("up", "unknown")]
     wanted = str(target.settings.get("channel", ""))
     if target.medium != "can" or target.settings.get("interface", "socketcan") != "socketcan":
-        return ok("can", f"interfaces of the kernel: {', '.join(found) or 'none'}")
-    if wanted not in found:
-        return failed("can", f"there is no CAN interface {wanted!r} here (there are: {', '.join(found) or 'none'})")
+        return ok("can", f"interfaces of the kernel: {', '.join(interfaces) or 'none'}")
+    if wanted not in interfaces:
+        return failed(
+            "can", f"there is no CAN interface {wanted!r} here (there are: {', '.join(interfaces) or 'none'})"
+        )
     if wanted not in up:
         return failed("can", f"{wanted} is down: ip link set {wanted} up type can bitrate ...")
     return ok("can", f"{wanted} is up")
 
 
 def _serial_ports(target: Target) -> list[CheckStep]:
-    found = sorted(port.device for port in comports())
+    ports = sorted(port.device for port in comports())
     wanted = str(target.settings.get("serial", ""))
     if not wanted:
-        return [ok("serial", f"ports: {', '.join(found) or 'none'}")]
+        return [ok("serial", f"ports: {', '.join(ports) or 'none'}")]
     if not Path(wanted).exists():
-        return [failed("serial", f"there is no {wanted} here (there are: {', '.join(found) or 'none'}): plugged in?")]
+        return [failed("serial", f"there is no {wanted} here (there are: {', '.join(ports) or 'none'}): plugged in?")]
     if not os.access(wanted, os.R_OK | os.W_OK):
         return [failed("serial", f"this user may not open {wanted}: add it to the port's group (dialout), log in anew")]
     return [ok("serial", f"{wanted} is there and may be opened")]

@@ -21,40 +21,54 @@ from gateway.commission.session import (
 )
 from gateway.commission.survey import parse_register, reference_of
 from gateway.console import table
-from gateway.settings import DeviceMap
 
 
 async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
     """The plan of a scan. A failed check where a tag cannot be read or the worst case is longer than the period."""
     device, period = device_of(site), period_of(site, given_period)
-    found = read_plan(site.target.driver, site.target.settings, device.tags, words_of(site))
-    if found is None:
-        return _by_sentences(site, device, period)
-    total = found.seconds + found.write_seconds
+    scan_plan = read_plan(site.target.driver, site.target.settings, device.tags, words_of(site))
+    if scan_plan is None:
+        # A device that is not read in requests of its own: what its driver says of the plan.
+        driver = site.target.make_driver()
+        lines = driver.explain(device.tags) if isinstance(driver, Explains) else ()
+        problems = [line for line in lines if line.kind is PlanKind.PROBLEM]
+        sentences: list[str] = [*lines] or [f"the driver {site.target.driver!r} has no plan to show"]
+        if site.target.capabilities.speaks:
+            site.notes.append(
+                "this device speaks by itself: a scan takes what it has said, and asks only for what is listed so"
+            )
+        heard = {"sentences": sentences, "tags": len(device.tags), "period_s": period, "problems": problems}
+        complaint = f"{len(problems)} tags cannot be read, the first: {problems[0]}" if problems else ""
+        return CommandResult(heard, int(bool(problems)), complaint)
+    total = scan_plan.seconds + scan_plan.write_seconds
     data: dict[str, Any] = {
-        "requests": [{**asdict(one), "reference": _reference(one.place, one.count)} for one in found.requests],
-        "writes": [{**asdict(one), "reference": _reference(one.place, one.count)} for one in found.writes],
-        "registers": sum(one.count for one in found.requests),
-        "in_vain": sum(one.vain for one in found.requests),
+        "requests": [
+            {**asdict(request), "reference": _reference(request.place, request.count)} for request in scan_plan.requests
+        ],
+        "writes": [
+            {**asdict(request), "reference": _reference(request.place, request.count)} for request in scan_plan.writes
+        ],
+        "registers": sum(request.count for request in scan_plan.requests),
+        "in_vain": sum(request.vain for request in scan_plan.requests),
         "tags": len(device.tags),
-        "worst_read_s": found.seconds,
-        "worst_write_s": found.write_seconds,
+        "worst_read_s": scan_plan.seconds,
+        "worst_write_s": scan_plan.write_seconds,
         "worst_cycle_s": total,
         "period_s": period,
-        "problems": [*found.problems, *found.overlaps],
+        "problems": [*scan_plan.problems, *scan_plan.overlaps],
     }
     complaint, longer = "", f"longer than the period of {period:g} s: ticks are missed while replies are late"
     if data["problems"]:
         complaint = f"{len(data['problems'])} things stand in the way, the first: {data['problems'][0]}"
-    elif total > period and found.seconds <= period:
+    elif total > period and scan_plan.seconds <= period:
         # The block follows the scan and may be late by itself: that alone is no fault of the configuration.
         site.notes.append(f"with the write-back a cycle can take {total:.3g} s, {longer}")
     elif total > period:
-        count = len(found.requests)
+        count = len(scan_plan.requests)
         shortest = int(1000 * period / count) // 10 / 100  # down to 10 ms, so that all requests fit
         shorter = f", or timeout to {shortest:g} s if the device is fast enough (see soak)"
         complaint = (
-            f"a scan of {count} requests can take {found.seconds:.3g} s, {longer}; set scan.period to "
+            f"a scan of {count} requests can take {scan_plan.seconds:.3g} s, {longer}; set scan.period to "
             f"{ceil(10 * total) / 10:g} s{shorter if 'timeout' in site.target.settings else ''}"
         )
     return CommandResult(data, int(bool(complaint)), complaint)
@@ -63,21 +77,6 @@ async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
 def _reference(place: str, count: int) -> str:
     first = reference_of(place)
     return f"{first}-{parse_register(place).moved(count - 1).reference}" if first and count > 1 else first
-
-
-def _by_sentences(site: Site, device: DeviceMap, period: float) -> CommandResult:
-    """A device that is not read in requests of its own: what its driver says of the plan."""
-    driver = site.target.make_driver()
-    lines = driver.explain(device.tags) if isinstance(driver, Explains) else ()
-    problems = [line for line in lines if line.kind is PlanKind.PROBLEM]
-    sentences: list[str] = [*lines] or [f"the driver {site.target.driver!r} has no plan to show"]
-    if site.target.capabilities.speaks:
-        site.notes.append(
-            "this device speaks by itself: a scan takes what it has said, and asks only for what is listed so"
-        )
-    data = {"sentences": sentences, "tags": len(device.tags), "period_s": period, "problems": problems}
-    complaint = f"{len(problems)} tags cannot be read, the first: {problems[0]}" if problems else ""
-    return CommandResult(data, int(bool(problems)), complaint)
 
 
 @click.command(short_help="The requests of one scan, and their longest time against the period.")

@@ -95,7 +95,28 @@ async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResul
                 value = number if len(data) <= _LONGEST_NUMBER else data.decode("latin-1").strip("\0 ")
                 sample = replace(raw.sample, value=value, quality=Quality.GOOD, reason="")
                 raws[place] = replace(raw, sample=sample)
-    rows = [_row(raw, plainly=plainly and raw.tag not in site.target.tags) for raw in raws]
+    rows = []
+    for raw in raws:
+        sample, words = raw.sample, list(raw.raw) if raw.raw is not None else None
+        digits = 4 if reference_of(raw.place) else 2  # a register's words, or bytes
+        row: dict[str, Any] = {
+            "tag": sample.tag,
+            "address": raw.place,
+            "reference": reference_of(raw.place),
+            "raw": words,
+            "hex": "" if words is None else " ".join(f"{word:0{digits}X}" for word in words),
+            "value": sample.value,
+            "unit": raw.tag.unit,
+            "quality": sample.quality.name,
+            "time": sample.time,
+            "reason": sample.reason,
+        }
+        single = words is not None and len(words) == 1 and raw.tag.dtype is not DType.BOOL
+        if words is not None and single and plainly and raw.tag not in site.target.tags:
+            # Two's complement of the same bits.
+            row["int16"] = struct.unpack(">h", struct.pack(">H", words[0]))[0]
+            row["bits"] = f"{words[0]:016b}"
+        rows.append(row)
     bad = [raw.sample for raw in raws if not raw.sample.quality.is_good]
     if not bad:
         return CommandResult({"readings": rows})
@@ -153,29 +174,6 @@ async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
             return await survey.tags(tags)
         finally:
             site.count(survey.statistics())
-
-
-def _row(raw: Raw, *, plainly: bool) -> dict[str, Any]:
-    sample = raw.sample
-    words = list(raw.raw) if raw.raw is not None else None
-    digits = 4 if reference_of(raw.place) else 2
-    row: dict[str, Any] = {
-        "tag": sample.tag,
-        "address": raw.place,
-        "reference": reference_of(raw.place),
-        "raw": words,
-        "hex": "" if words is None else " ".join(f"{word:0{digits}X}" for word in words),
-        "value": sample.value,
-        "unit": raw.tag.unit,
-        "quality": sample.quality.name,
-        "time": sample.time,
-        "reason": sample.reason,
-    }
-    if plainly and words is not None and len(words) == 1 and raw.tag.dtype is not DType.BOOL:
-        # Two's complement of the same bits.
-        row["int16"] = struct.unpack(">h", struct.pack(">H", words[0]))[0]
-        row["bits"] = f"{words[0]:016b}"
-    return row
 
 
 TYPES = (

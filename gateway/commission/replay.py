@@ -63,7 +63,7 @@ class ReplayTally:
         """One scan, after the gateway has taken it."""
         self.scans += 1
         if machine.last is not None:
-            self.not_good.update(name for name, one in machine.last.samples.items() if not one.quality.is_good)
+            self.not_good.update(name for name, sample in machine.last.samples.items() if not sample.quality.is_good)
         prediction = machine.model.prediction if machine.model else None
         if prediction is not None:
             self.locations[prediction.location if prediction.known else "not known"] += 1
@@ -89,8 +89,21 @@ async def replay_recording(site: Site, config: Config, recording: SiteRecording,
         wanted = ", ".join(names[:5])
         raise ValueError(f"{recording.path}: has no column of a tag of {config.map.path}; it needs {wanted}, ...")
     with tempfile.TemporaryDirectory(prefix="decanter-replay-") as folder:
-        kept = Path(folder) / "historian.sqlite"
-        seen = await _through(_shadow(config, kept, missing), recording, progress)
+        kept, first = Path(folder) / "historian.sqlite", config.links[0]
+        # The configuration with its records elsewhere and nothing to write to; no heartbeat where none was recorded.
+        heartbeat = None if first.map.heartbeat in missing else first.map.heartbeat
+        shadow = replace(
+            config,
+            historian=HistorianSection(path=kept, max_mb=config.historian.max_mb),
+            writeback=WritebackSection(
+                mode="off" if config.map.writeback is None else "shadow",
+                horizon=config.writeback.horizon,
+                audit=kept.with_name("audit.sqlite"),
+            ),
+            log=config.log.model_copy(update={"path": kept.with_name("log.jsonl")}),
+            links=(replace(first, map=replace(first.map, heartbeat=heartbeat)),),
+        )
+        seen = await _through(shadow, recording, progress)
         scores = scorecard(kept)
     data = {
         "recording": str(recording.path),
@@ -116,23 +129,6 @@ async def replay_recording(site: Site, config: Config, recording: SiteRecording,
         complaint = f"the recording lacks {', '.join(needed)}, which the gateway needs: nothing could be predicted"
         return CommandResult(data, 1, complaint)
     return CommandResult(data)
-
-
-def _shadow(config: Config, kept: Path, missing: list[str]) -> Config:
-    """The configuration with its records elsewhere and nothing to write to; no heartbeat where none was recorded."""
-    first = config.links[0]
-    heartbeat = None if first.map.heartbeat in missing else first.map.heartbeat
-    return replace(
-        config,
-        historian=HistorianSection(path=kept, max_mb=config.historian.max_mb),
-        writeback=WritebackSection(
-            mode="off" if config.map.writeback is None else "shadow",
-            horizon=config.writeback.horizon,
-            audit=kept.with_name("audit.sqlite"),
-        ),
-        log=config.log.model_copy(update={"path": kept.with_name("log.jsonl")}),
-        links=(replace(first, map=replace(first.map, heartbeat=heartbeat)),),
-    )
 
 
 async def _through(config: Config, recording: SiteRecording, progress: Progress) -> ReplayTally:
@@ -210,10 +206,13 @@ def _show(data: Mapping[str, Any]) -> None:
         ("blocks", f"{data['blocks']} computed, {data['blocks_valid']} of them valid, none written"),
     ]
     table("what the gateway made of it", ("what", "found"), rows)
-    ahead = [(one["horizon"], one["mae"], one["persistence_mae"], one["count"]) for one in data["forecasts"]]
+    ahead = [(row["horizon"], row["mae"], row["persistence_mae"], row["count"]) for row in data["forecasts"]]
     if ahead:
         table("forecasts", ("s ahead", "median off (degC)", "persistence off (degC)", "matured"), ahead)
-    alarms = [(_at(one["time"]), one["alarm"], one["state"]) for one in data["alarms"]]
+    alarms = [
+        (datetime.fromtimestamp(alarm["time"], UTC).strftime("%Y-%m-%d %H:%M:%S"), alarm["alarm"], alarm["state"])
+        for alarm in data["alarms"]
+    ]
     if alarms:
         table(f"{len(alarms)} changes of alarms, the first 20", ("time", "alarm", "state"), alarms[:20])
 
@@ -227,7 +226,3 @@ def _error(error: Mapping[str, Any], band: float | None) -> str:
         return "nothing to compare"
     covered = f", {band:.0%} within the 90 % band" if band is not None else ""
     return f"{error['mae']:.3g} degC off on average, root mean square {error['rmse']:.3g} ({error['count']}){covered}"
-
-
-def _at(moment: float) -> str:
-    return datetime.fromtimestamp(moment, UTC).strftime("%Y-%m-%d %H:%M:%S")

@@ -60,26 +60,26 @@ def report(
             log.close()
             if not stored:
                 raise ValueError(f"the report is made, but its seal is not in the audit log: {log.failure}")
-    made = {
+    result = {
         "verdict": data["verdict"],
         "checks": {check["command"]: check["state"] for check in data["checks"]},
         "open_points": data["open_points"],
         "out": str(out),
         "seal": own_seal,
     }
-    emit({"ok": made["verdict"] != "failed", **made}, lambda: _show(made), as_json_line=given.as_json)
-    if made["verdict"] == "failed":
-        fail(f"the site is not accepted: {made['open_points'][0]}", Exit.CHECK_FAILED)
+    emit({"ok": result["verdict"] != "failed", **result}, lambda: _show(result), as_json_line=given.as_json)
+    if result["verdict"] == "failed":
+        fail(f"the site is not accepted: {result['open_points'][0]}", Exit.CHECK_FAILED)
 
 
-def _show(made: Mapping[str, Any]) -> None:
-    table("site acceptance test", ("check", "result"), [[name, state] for name, state in made["checks"].items()])
-    colour = {"passed": "green", "failed": "red"}.get(made["verdict"], "yellow")
-    click.secho(f"result: {made['verdict']}", fg=colour)
-    for number, point in enumerate(made["open_points"], start=1):
+def _show(result: Mapping[str, Any]) -> None:
+    table("site acceptance test", ("check", "result"), [[name, state] for name, state in result["checks"].items()])
+    colour = {"passed": "green", "failed": "red"}.get(result["verdict"], "yellow")
+    click.secho(f"result: {result['verdict']}", fg=colour)
+    for number, point in enumerate(result["open_points"], start=1):
         click.echo(f"open {number}: {point}")
-    click.echo(f"report: {made['out']}/report.html, report.pdf, report.json")
-    click.echo(f"seal: {made['seal']}")
+    click.echo(f"report: {result['out']}/report.html, report.pdf, report.json")
+    click.echo(f"seal: {result['seal']}")
 
 
 def _verify(folder: Path, seal: str, *, as_json: bool) -> None:

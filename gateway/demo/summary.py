@@ -143,15 +143,19 @@ def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) ->
 def findings(data: Mapping[str, Any]) -> list[str]:
     """What the figures say, honestly: where persistence wins, it is said."""
     lines = []
-    for horizon, one in data["forecast"].items():
-        if not one["count"]:
+    for horizon, forecast in data["forecast"].items():
+        if not forecast["count"]:
             lines.append(f"{float(horizon) / 60:g} min ahead: no forecast matured within the replay")
             continue
-        wins = "the model is better" if one["mae"] < one["persistence_mae"] else "PERSISTENCE IS AS GOOD OR BETTER"
+        wins = (
+            "the model is better"
+            if forecast["mae"] < forecast["persistence_mae"]
+            else "PERSISTENCE IS AS GOOD OR BETTER"
+        )
         lines += [
-            f"{float(horizon) / 60:g} min ahead: mean error {one['mae']:.3f} °C, persistence "
-            f"{one['persistence_mae']:.3f} °C: {wins}",
-            f"  the 90 % band held {100 * one['coverage90']:.0f} % of {one['count']} readings",
+            f"{float(horizon) / 60:g} min ahead: mean error {forecast['mae']:.3f} °C, persistence "
+            f"{forecast['persistence_mae']:.3f} °C: {wins}",
+            f"  the 90 % band held {100 * forecast['coverage90']:.0f} % of {forecast['count']} readings",
         ]
     guards = data["guards"]
     if guards.get("review"):
@@ -170,6 +174,15 @@ def draw_result(setting: DemoRun, historian: Path, path: Path) -> Path:
     free = np.isfinite(seen.free_run)
     trace = to_trace(historian)
     ahead = matured(historian).get(AHEAD_S)
+    # Stretches without a good reading. Taken for good before the first scan and after the last, so that each beginning
+    # has its end: edges come in pairs.
+    outages: list[tuple[float, float]] = []
+    if seen.times.size:
+        edges = np.flatnonzero(np.diff(np.concatenate([[1], measured.astype(int), [1]])))
+        outages = [
+            (float(seen.times[start]), float(seen.times[min(end, seen.times.size - 1)]))
+            for start, end in zip(edges[::2], edges[1::2], strict=True)
+        ]
     picture = Picture(
         f"decanter demo: {temperature}, {setting.trace.name}",
         Curve("measured", seen.times[measured], seen.measured[measured]),
@@ -192,21 +205,9 @@ def draw_result(setting: DemoRun, historian: Path, path: Path) -> Path:
             and set(np.unique(trace.signals[channel.signal][present])) - {0.0, 1.0}
         ],
         events=events(historian),
-        outages=_outages(seen.times, measured),
+        outages=outages,
         limit=setting.limit,
         units={tag.name: tag.unit for tag in load_device(setting.device).tags},
         note="SYNTHETIC: not measured on a plant" if setting.trace.synthetic else setting.trace.origin,
     )
     return draw(picture, path)
-
-
-def _outages(times: Array, good: Mask) -> list[tuple[float, float]]:
-    """Stretches without a good reading of the temperature, as (start, end)."""
-    if not times.size:
-        return []
-    # Good before the first scan and after the last, so that each beginning has its end: edges come in pairs.
-    edges = np.flatnonzero(np.diff(np.concatenate([[1], good.astype(int), [1]])))
-    return [
-        (float(times[start]), float(times[min(end, times.size - 1)]))
-        for start, end in zip(edges[::2], edges[1::2], strict=True)
-    ]

@@ -148,15 +148,15 @@ def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
     """The verification as plain values for JSON."""
     rows = [
         {
-            "check": one.name,
-            "verdict": one.verdict,
-            "blocking": one.blocking,
-            "evidence": one.evidence,
-            "details": list(one.details),
-            "words": [word_text(word) for word in one.words],
-            "seconds": one.seconds,
+            "check": row.name,
+            "verdict": row.verdict,
+            "blocking": row.blocking,
+            "evidence": row.evidence,
+            "details": list(row.details),
+            "words": [word_text(word) for word in row.words],
+            "seconds": row.seconds,
         }
-        for one in result.checks
+        for row in result.checks
     ]
     return {
         "model": found.name,
@@ -164,7 +164,7 @@ def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
         "reasons": list(result.reasons),
         "assumptions": list(result.assumptions),
         "checks": rows,
-        "intervals": {name: list(one) for name, one in result.bounds.intervals.items()} if result.bounds else {},
+        "intervals": {name: list(row) for name, row in result.bounds.intervals.items()} if result.bounds else {},
         "notes": list(found.notes),
     }
 
@@ -206,5 +206,5 @@ def _show(result: Verification, found: FoundModel, model: str, out: Path | None)
 
 def _counterexample(result: Verification) -> tuple[str, TimedWord] | None:
     """(check, word) of the first counterexample: one that decides comes before one that only informs."""
-    ordered = sorted(result.checks, key=lambda one: not one.blocking)
-    return next(((one.name, word) for one in ordered for word in one.words), None)
+    ordered = sorted(result.checks, key=lambda row: not row.blocking)
+    return next(((row.name, word) for row in ordered for word in row.words), None)

@@ -61,7 +61,27 @@ async def run(
         finally:
             machine.phase = "stopping"
             await control.close()
-            await _stopped(machine)
+            # First the PLC, while the link stands; then what is computed; then what is kept, so that all of it is in
+            # there.
+            await _withdrawn(machine, "stop")
+            block = machine.block
+            if block is not None and block.writer.armed and machine.link.alive:
+                # What the PLC says of the last blocks, once its program has had a cycle's time to count them.
+                await asyncio.sleep(max(LAST_WORD_SECONDS, config.device.heartbeat_period))
+                now = machine.clock.now()
+                samples = {sample.tag: sample for sample in await machine.driver.read(config.map.tags)}
+                last = Scan(number=machine.counters.scans, time=now, samples=samples, missed=0, duration=0.0)
+                block.take_counts(last)
+            if machine.model is not None:
+                await machine.model.close()
+            machine.save(machine.clock.now())
+            await machine.driver.close()
+            complete = await asyncio.to_thread(machine.close)
+            if complete:
+                machine.log.info("stopped", scans=machine.counters.scans, events=machine.counters.events)
+            else:
+                failure = machine.historian.failure or (block.audit.failure if block else "")
+                machine.log.error("stopped, with records that could not be stored", reason=failure)
             reporter.cancel()
             await asyncio.gather(reporter, return_exceptions=True)
             machine.phase = "stopped"
@@ -104,28 +124,6 @@ async def _withdrawn(machine: Machine, why: str) -> None:
         await machine.withdraw(why)
     except (DriverError, OSError) as error:
         machine.log.warning("validity 0 could not be written", reason=str(error))
-
-
-async def _stopped(machine: Machine) -> None:
-    # First the PLC, while the link stands; then what is computed; then what is kept, so that all of it is in there.
-    await _withdrawn(machine, "stop")
-    config, block = machine.config, machine.block
-    if block is not None and block.writer.armed and machine.link.alive:
-        # What the PLC says of the last blocks, once its program has had a cycle's time to count them.
-        await asyncio.sleep(max(LAST_WORD_SECONDS, config.device.heartbeat_period))
-        now = machine.clock.now()
-        samples = {sample.tag: sample for sample in await machine.driver.read(config.map.tags)}
-        block.take_counts(Scan(number=machine.counters.scans, time=now, samples=samples, missed=0, duration=0.0))
-    if machine.model is not None:
-        await machine.model.close()
-    machine.save(machine.clock.now())
-    await machine.driver.close()
-    complete = await asyncio.to_thread(machine.close)
-    if complete:
-        machine.log.info("stopped", scans=machine.counters.scans, events=machine.counters.events)
-    else:
-        failure = machine.historian.failure or (machine.block.audit.failure if machine.block else "")
-        machine.log.error("stopped, with records that could not be stored", reason=failure)
 
 
 # -------------------------------------------------------------------- status

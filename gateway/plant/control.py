@@ -43,6 +43,7 @@ def short(path: Path) -> Iterator[str]:
 
     Raises OSError where the folder is not there.
     """
+    # A socket's path has 108 bytes at most (unix(7)); this one is short wherever the folder lies.
     folder = os.open(path.parent, os.O_PATH | os.O_DIRECTORY)
     try:
         yield f"/proc/self/fd/{folder}/{path.name}"
@@ -72,7 +73,7 @@ def _is_alive(name: str) -> bool:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         try:
             probe.connect(name)
-        except ConnectionRefusedError:
+        except ConnectionRefusedError:  # a file that nobody listens at: its gateway was killed
             return False
     return True
 
@@ -95,6 +96,7 @@ class Control:
         if server is None:
             return
         server.close()
+        # A copy: each task takes itself out of the set as it ends.
         tasks = tuple(self._tasks)
         for task in tasks:
             task.cancel()

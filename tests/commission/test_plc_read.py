@@ -119,7 +119,7 @@ def test_a_watch_off_a_terminal_is_a_line_for_each_change(device: tuple[Process,
     process = device[0]
     result = plc(
         tmp_path, "watch", "Assorbimento", "PlcHeartbeat", "--device", DECANTER, *at(process), "--period", 0.05,
-        "--seconds", 0.4,
+        "--seconds", 1.0,
     )  # fmt: skip
     assert result.exit_code == 0
     lines = [line.split() for line in result.stdout.splitlines() if "GOOD" in line.split()]

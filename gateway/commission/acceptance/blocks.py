@@ -65,97 +65,84 @@ def at(moment: float | None) -> str:
 
 def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
     """The whole report; `digest` is the SHA-256 of its JSON file."""
-    return [*_front(data, digest), *_checks(data), *_audit(data), *_evidence(data, digest)]
-
-
-def _front(data: Mapping[str, Any], digest: str) -> Iterator[Block]:
-    made, clock = data["made"], data["clock"]
-    yield Heading(f"Site acceptance report: {data['site']}")
-    yield Text(f"Result: {data['verdict']}", _STATES[data["verdict"]])
+    made, clock, audit, records = data["made"], data["clock"], data["audit"], data["records"]
     offset = clock["hmi_offset_s"]
-    hmi = f"{offset:+.3f} s ahead of this machine's" if offset else "not given"
-    facts = [
+    facts = (
         ("made", f"{at(made['time'])} by {made['by']}"),
         ("device", "; ".join(data["places"]) or "none"),
         ("machine", ", ".join(data["machines"])),
         ("names", ", ".join(data["names"])),
         ("this machine's clock", clock["machine"]),
-        ("the HMI's clock", hmi),
+        ("the HMI's clock", f"{offset:+.3f} s ahead of this machine's" if offset else "not given"),
         ("versions", ", ".join(f"{name} {number}" for name, number in data["versions"].items())),
         ("data", f"report.json, SHA-256 {digest}"),
+    )
+    report: list[Block] = [
+        Heading(f"Site acceptance report: {data['site']}"),
+        Text(f"Result: {data['verdict']}", _STATES[data["verdict"]]),
+        ReportTable(("what", "value"), facts, widths=(0.16, 0.84)),
+        Heading("Open points", 2),
     ]
-    yield ReportTable(("what", "value"), tuple(facts), widths=(0.16, 0.84))
-    yield Heading("Open points", 2)
-    if not data["open_points"]:
-        yield Text("None.")
-    else:
-        rows = tuple((str(number), point) for number, point in enumerate(data["open_points"], start=1))
-        yield ReportTable(("no.", "what is open"), rows, widths=(0.06, 0.94))
+    points = tuple((str(number), point) for number, point in enumerate(data["open_points"], start=1))
+    report.append(ReportTable(("no.", "what is open"), points, widths=(0.06, 0.94)) if points else Text("None."))
 
-
-def _checks(data: Mapping[str, Any]) -> Iterator[Block]:
-    yield Heading("Checks", 2)
-    yield Text("Of a check that was repeated the last one counts. The number is that of its record below.")
+    report += [
+        Heading("Checks", 2),
+        Text("Of a check that was repeated the last one counts. The number is that of its record below."),
+    ]
     rows, states = [], []
     for check in data["checks"]:
         state = check["state"] if check["required"] or check["tries"] else "not asked for"
-        rows.append(
-            (
-                check["command"],
-                check["shows"],
-                state,
-                "" if check["record"] is None else str(check["record"]),
-                str(check["tries"]),
-                at(check["time"]),
-                check["who"],
-                check["reason"],
-            )
-        )
+        number = "" if check["record"] is None else str(check["record"])
+        what = (check["command"], check["shows"], state, number, str(check["tries"]))
+        rows.append((*what, at(check["time"]), check["who"], check["reason"]))
         states.append(_STATES.get(state, ""))
     columns = ("check", "what it shows", "result", "record", "tries", "time", "who", "reason")
-    yield ReportTable(columns, tuple(rows), tuple(states), (0.11, 0.22, 0.09, 0.06, 0.05, 0.14, 0.08, 0.25))
+    widths = (0.11, 0.22, 0.09, 0.06, 0.05, 0.14, 0.08, 0.25)
+    report.append(ReportTable(columns, tuple(rows), tuple(states), widths))
 
-
-def _audit(data: Mapping[str, Any]) -> Iterator[Block]:
-    audit = data["audit"]
-    yield Heading("Writing", 2)
+    report.append(Heading("Writing", 2))
     if not audit["rows"]:
-        yield Text("Nothing was armed and nothing was written: there is no audit log.")
-        return
-    kinds = ", ".join(f"{count} {kind}" for kind, count in audit["kinds"].items())
-    whole = audit["problem"] or "whole"
-    yield Text(f"Audit log {audit['path']}: {audit['rows']} rows ({kinds}); its chain is {whole}.")
-    yield Text(f"Newest hash: {audit['head']}")
-    rows = tuple(
-        (str(one["row"]), at(one["time"]), one["kind"], one["who"], one["reason"], at(one["detail"].get("until")))
-        for one in audit["armings"]
-    )
-    widths = (0.06, 0.18, 0.12, 0.14, 0.32, 0.18)
-    yield ReportTable(("row", "time", "what", "who", "reason", "until"), rows, widths=widths)
-
-
-def _evidence(data: Mapping[str, Any], digest: str) -> Iterator[Block]:
-    """The files of configuration, every record in full, and the lines to sign on."""
-    yield Heading("Configuration", 2)
-    rows = [(file["path"], file["sha256"], "yes" if file["changed"] else "no") for file in data["configuration"]]
-    if rows:
-        widths, mono = (0.36, 0.54, 0.1), frozenset({1})
-        yield ReportTable(("file", "SHA-256 when last used", "changed since"), tuple(rows), widths=widths, mono=mono)
+        report.append(Text("Nothing was armed and nothing was written: there is no audit log."))
     else:
-        yield Text("No file of configuration was used.")
-    yield Heading("Records", 2)
-    records = data["records"]
+        kinds = ", ".join(f"{count} {kind}" for kind, count in audit["kinds"].items())
+        whole = audit["problem"] or "whole"
+        armings = tuple(
+            (str(row["row"]), at(row["time"]), row["kind"], row["who"], row["reason"], at(row["detail"].get("until")))
+            for row in audit["armings"]
+        )
+        heads = ("row", "time", "what", "who", "reason", "until")
+        report += [
+            Text(f"Audit log {audit['path']}: {audit['rows']} rows ({kinds}); its chain is {whole}."),
+            Text(f"Newest hash: {audit['head']}"),
+            ReportTable(heads, armings, widths=(0.06, 0.18, 0.12, 0.14, 0.32, 0.18)),
+        ]
+
+    # The evidence: files of configuration, every record in full, and the lines to sign on.
+    report.append(Heading("Configuration", 2))
+    files = tuple((file["path"], file["sha256"], "yes" if file["changed"] else "no") for file in data["configuration"])
+    if files:
+        named = ("file", "SHA-256 when last used", "changed since")
+        report.append(ReportTable(named, files, widths=(0.36, 0.54, 0.1), mono=frozenset({1})))
+    else:
+        report.append(Text("No file of configuration was used."))
     chain = "whole" if records["broken_at"] is None else f"broken at line {records['broken_at']}"
-    yield Text(f"{records['path']}: {len(records['rows'])} records, chain {chain}, SHA-256 {records['sha256']}")
+    count = len(records["rows"])
+    report += [
+        Heading("Records", 2),
+        Text(f"{records['path']}: {count} records, chain {chain}, SHA-256 {records['sha256']}"),
+    ]
     for record in records["rows"]:
-        yield Heading(f"{record['number']}. {record['command']}", 2)
-        yield from _record(record)
-    yield Heading("Signatures", 2)
-    yield Text(
-        f"Those who sign have seen this report. Its data has the SHA-256 {digest}; the seal that `decanter plc report` "
-        "printed covers all files, and `decanter plc report --verify` checks them."
-    )
-    yield Signatures(("commissioning engineer", "plant operator"))
+        report += [Heading(f"{record['number']}. {record['command']}", 2), *_record(record)]
+    return [
+        *report,
+        Heading("Signatures", 2),
+        Text(
+            f"Those who sign have seen this report. Its data has the SHA-256 {digest}; the seal that `decanter plc "
+            "report` printed covers all files, and `decanter plc report --verify` checks them."
+        ),
+        Signatures(("commissioning engineer", "plant operator")),
+    ]
 
 
 def _record(record: Mapping[str, Any]) -> Iterator[Block]:

@@ -167,7 +167,7 @@ def _clock(records: Sequence[CommandRecord]) -> dict[str, Any]:
 
 
 def _dicts(value: object) -> list[Mapping[str, Any]]:
-    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []
+    return [row for row in value if isinstance(row, dict)] if isinstance(value, list) else []
 
 
 def _audit(path: Path, now: float) -> dict[str, Any]:
@@ -186,5 +186,5 @@ def _audit(path: Path, now: float) -> dict[str, Any]:
         "kinds": dict(Counter(row.entry.kind for row in rows)),
         "armings": armings,
         "standing": sentence,
-        "names": sorted({one["who"] for one in armings if one["who"]}),
+        "names": sorted({row["who"] for row in armings if row["who"]}),
     }

@@ -18,7 +18,7 @@ def page(made: Sequence[Block], title: str) -> str:
         lstrip_blocks=True,
     )
     plain = [
-        {"kind": type(block).__name__, **{one.name: getattr(block, one.name) for one in fields(block)}}
+        {"kind": type(block).__name__, **{field.name: getattr(block, field.name) for field in fields(block)}}
         for block in made
     ]
     return world.get_template("report.html.j2").render(blocks=plain, title=title)

@@ -55,7 +55,7 @@ def set_device(document: tomlkit.TOMLDocument, settings: Mapping[str, Any]) -> N
 def set_tag(document: tomlkit.TOMLDocument, name: str, given: Mapping[str, Any]) -> None:
     """Put the given keys into the tag of this name, which is made where it is not there; None takes a key out."""
     tags = _tags(document)
-    table = next((one for one in tags if one.get("name") == name), None)
+    table = next((tag for tag in tags if tag.get("name") == name), None)
     if table is not None:
         _fill(table, given)
         return
@@ -95,13 +95,13 @@ def encoding(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _tags(document: tomlkit.TOMLDocument) -> AoT:
-    found = document.get("tags")
-    if found is None:
-        document["tags"] = found = tomlkit.aot()
-        found = document["tags"]
-    if not isinstance(found, AoT):
+    tags = document.get("tags")
+    if tags is None:
+        document["tags"] = tags = tomlkit.aot()
+        tags = document["tags"]
+    if not isinstance(tags, AoT):
         raise ConfigError(["tags: is written as a plain list; write each as a [[tags]] table"])
-    return found
+    return tags
 
 
 # ---------------------------------------------------------------- the block

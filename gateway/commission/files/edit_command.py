@@ -15,24 +15,24 @@ from gateway.entry import sentences
 
 def pairs(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
     """A callback for LEFT=RIGHT, as often as it is given."""
-    found = {}
+    values = {}
     for text in texts:
         left, equals, right = text.partition("=")
         if not (equals and left.strip() and right.strip()):
             raise click.BadParameter(f"{text!r}: give {option.metavar}")
-        found[left.strip()] = right.strip()
-    return found
+        values[left.strip()] = right.strip()
+    return values
 
 
 def _values(context: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any]:
     """A callback for KEY=VALUE whose values are TOML, or else text."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for key, text in pairs(context, option, texts).items():
         try:
-            found[key] = tomllib.loads(f"value = {text}")["value"]
+            values[key] = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:
-            found[key] = text
-    return found
+            values[key] = text
+    return values
 
 
 KEEP = click.option(

@@ -92,7 +92,17 @@ def _listed(sheet: ListSheet, line: ListRow, how: Reading, before: Sequence[List
     address, bit = _address(sheet, line, how)
     dtype, length = _type(line, address, bit)
     low, high = _number(line, "low"), _number(line, "high")
-    scale, offset = _scaling(line, low, high)
+    # Scale and offset as they are given, or from a raw range and the range in units.
+    scale, offset = _number(line, "scale"), _number(line, "offset")
+    raw_low, raw_high = _number(line, "raw_low"), _number(line, "raw_high")
+    if scale == 0:
+        raise _RowError("scale", "is 0, which would make every reading 0; give the units per count")
+    if scale is None and raw_high is not None and high is not None:
+        span, least = raw_high - (raw_low or 0.0), low or 0.0
+        if span == 0 or high == least:
+            raise _RowError("raw_high", "the raw range or the range in units is empty; give two different ends")
+        slope = (high - least) / span
+        scale, offset = round(slope, _DIGITS), round(least - slope * (raw_low or 0.0), _DIGITS)
     if low is not None and high is not None and not low < high:
         raise _RowError("low", f"{low:g} is not below the highest value {high:g}; swap or correct them")
     numeric, order = dtype not in ("bool", "string"), None
@@ -146,29 +156,14 @@ def _whole(line: ListRow, column: str) -> int | None:
     return None if number is None else int(number)
 
 
-def _scaling(line: ListRow, low: float | None, high: float | None) -> tuple[float | None, float | None]:
-    """(scale, offset): as they are given, or from a raw range and the range in units."""
-    scale, offset = _number(line, "scale"), _number(line, "offset")
-    raw_low, raw_high = _number(line, "raw_low"), _number(line, "raw_high")
-    if scale == 0:
-        raise _RowError("scale", "is 0, which would make every reading 0; give the units per count")
-    if scale is not None or raw_high is None or high is None:
-        return scale, offset
-    span = raw_high - (raw_low or 0.0)
-    if span == 0 or high == (low or 0.0):
-        raise _RowError("raw_high", "the raw range or the range in units is empty; give two different ends")
-    found = (high - (low or 0.0)) / span
-    return round(found, _DIGITS), round((low or 0.0) - found * (raw_low or 0.0), _DIGITS)
-
-
 def _type(line: ListRow, address: str, bit: int | None) -> tuple[str, int]:
     text = line.get("dtype")
     if not text:
         return ("bool", 0) if bit is not None or address.partition(":")[0] in ("coil", "discrete") else ("uint16", 0)
-    found = type_of(key_of(text))
-    if found is None:
+    kind = type_of(key_of(text))
+    if kind is None:
         raise _RowError("dtype", f"{text!r} is no type that is known here; give one of {KNOWN_TYPES}")
-    dtype, length = found
+    dtype, length = kind
     if dtype == "string":
         length = length or _whole(line, "length") or 0
         if length <= 0:
@@ -202,10 +197,10 @@ def _address(sheet: ListSheet, line: ListRow, how: Reading) -> tuple[str, int | 
 
 
 def _bit(line: ListRow) -> int | None:
-    found = _whole(line, "bit")
-    if found is not None and not 0 <= found <= 15:
-        raise _RowError("bit", f"bit {found} is not in a register, which has bits 0 to 15")
-    return found
+    bit = _whole(line, "bit")
+    if bit is not None and not 0 <= bit <= 15:
+        raise _RowError("bit", f"bit {bit} is not in a register, which has bits 0 to 15")
+    return bit
 
 
 def _register(sheet: ListSheet, line: ListRow, plain: str, text: str, how: Reading) -> Register:

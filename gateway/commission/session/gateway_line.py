@@ -44,7 +44,7 @@ def read_through(line: GatewayLine, tags: Sequence[Tag], known: Sequence[Tag]) -
         reply = line.ask("read", tags=names)
     else:
         reply = line.ask("read", addresses=[as_request(tag) for tag in tags])
-    samples = {one["tag"]: sample_of(one) for one in reply.pop("samples")}
+    samples = {row["tag"]: sample_of(row) for row in reply.pop("samples")}
     return reply, [samples[name] for name in names if name in samples]
 
 

@@ -48,6 +48,7 @@ class PcapWriter:
         self._file.close()
 
     def _packet(self, frame: TapFrame) -> bytes:
+        # Each direction counts the bytes that it has sent, and acknowledges those of the other one.
         ours, theirs = frame.local or _UNKNOWN, frame.place or _UNKNOWN
         source, target = (ours, theirs) if frame.sent else (theirs, ours)
         sequence, heard = self._moved.get((source, target), 1), self._moved.get((target, source), 1)
@@ -57,16 +58,21 @@ class PcapWriter:
 
 def _ip_packet(source: str, target: str, sequence: int, heard: int, data: bytes) -> bytes:
     (from_ip, from_port), (to_ip, to_port) = _split(source), _split(target)
+    # TCP (RFC 9293): ports, sequence, acknowledgement, 5 words of header, flags, window, checksum, urgent pointer.
     head = struct.pack(">HHIIBBHHH", from_port, to_port, sequence, heard, 5 << 4, _PSH_ACK, 0xFFFF, 0, 0)
     length = len(head) + len(data)
     if from_ip.version == to_ip.version == 4:
+        # The checksum is over a pseudo header too, which ties the segment to its addresses.
         pseudo = from_ip.packed + to_ip.packed + struct.pack(">BBH", 0, _TCP, length)
+        # IPv4 (RFC 791): version 4 with 5 words, may not be fragmented, 64 hops; its own checksum is at byte 10.
         ip = struct.pack(">BBHHHBBH", 0x45, 0, 20 + length, 0, 0x4000, 64, _TCP, 0) + from_ip.packed + to_ip.packed
         ip = ip[:10] + struct.pack(">H", checksum(ip)) + ip[12:]
     else:
+        # One address of each kind, as a dual-stack socket gives them: both are written as IPv6.
         from_ip, to_ip = _as_v6(from_ip), _as_v6(to_ip)
         pseudo = from_ip.packed + to_ip.packed + struct.pack(">I3xB", length, _TCP)
         ip = struct.pack(">IHBB", 6 << 28, length, _TCP, 64) + from_ip.packed + to_ip.packed
+    # Over a header whose checksum is still 0; it then goes to byte 16, before the urgent pointer.
     total = checksum(pseudo + head + data)
     return ip + head[:16] + struct.pack(">HH", total, 0) + data
 
@@ -92,6 +98,6 @@ def checksum(data: bytes) -> int:
     """The internet checksum (RFC 1071)."""
     padded = data + b"\0" * (len(data) % 2)
     total = int(sum(struct.unpack(f">{len(padded) // 2}H", padded)))
-    while total >> 16:
+    while total >> 16:  # ones' complement: a carry is added at the other end
         total = (total & 0xFFFF) + (total >> 16)
     return ~total & 0xFFFF

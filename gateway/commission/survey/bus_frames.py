@@ -58,6 +58,7 @@ def rows_of(frames: Sequence[BusFrame], seconds: float, names: Mapping[int, str]
     by_key: dict[int, list[BusFrame]] = {}
     for frame in frames:
         by_key.setdefault(frame_key(frame.id, extended=frame.extended), []).append(frame)
+    # CANopen gives each node its identifiers by adding its number to a base (CiA 301); 0x700 is the heartbeat's.
     heartbeats = {frame.id - 0x700 for frame in frames if not frame.extended and 0x700 < frame.id <= 0x77F}
     rows = []
     for key, heard in sorted(by_key.items()):
@@ -87,6 +88,7 @@ def likely(frame: BusFrame, heartbeats: set[int]) -> str:
     CANopen is believed only of nodes whose heartbeat was heard; a question mark says that nothing confirms it.
     """
     if frame.extended:
+        # SAE J1939-21: below PDU format 240 the specific byte is the addressee, and no part of the group's number.
         pdu_format, specific = frame.id >> 16 & 0xFF, frame.id >> 8 & 0xFF
         pgn = (frame.id >> 8 & 0x3FF00) | (specific if pdu_format >= 240 else 0)
         return f"J1939? PGN {pgn} from {frame.id & 0xFF}"

@@ -123,7 +123,7 @@ class _RangeSearch:
         """Find out about a block that was refused as a whole."""
         if count == 1:
             return
-        if count > self.limit:
+        if count > self.limit:  # the limit has come down since this block was asked for
             parts = [(at, min(self.limit, start + count - at)) for at in range(start, start + count, self.limit)]
         elif count <= SINGLES:
             parts = [(at, 1) for at in range(start, start + count)]
@@ -158,6 +158,7 @@ class _RangeSearch:
 
     def _longest_from(self, start: int, refused: int) -> Generator[Stretch, bool, int]:
         """The longest block from `start` that is answered, where `refused` addresses are not and one is."""
+        # Bisection: a block of `low` is answered and one of `high` is not, until they are neighbours.
         low, high = 1, refused
         while high - low > 1:
             middle = (low + high) // 2

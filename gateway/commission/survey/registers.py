@@ -97,7 +97,7 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
                     progress(f"{first.table}:{block[0]} count {block[1]}", (block[0] - first.number) / count)
                     block = steps.send(await asking.answers(*block))
             except StopIteration as stop:  # a generator gives its result by this
-                found: ReadableMap = stop.value
+                readable: ReadableMap = stop.value
         finally:
             site.count(survey.statistics())
 
@@ -106,20 +106,20 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
 
     data = {
         "table": first.table,
-        "asked": _range(first, found.count),
-        "readable": ranges(found.readable),
-        "refused": ranges(found.refused),
-        "unknown": ranges(found.unknown),
-        "largest_block": found.largest,
-        "too_long": found.too_long or None,
-        "seams": [f"{first.table}:{seam}" for seam in sorted(found.seams)],
-        "requests": found.requests,
+        "asked": _range(first, readable.count),
+        "readable": ranges(readable.readable),
+        "refused": ranges(readable.refused),
+        "unknown": ranges(readable.unknown),
+        "largest_block": readable.largest,
+        "too_long": readable.too_long or None,
+        "seams": [f"{first.table}:{seam}" for seam in sorted(readable.seams)],
+        "requests": readable.requests,
         "refusals": dict(asking.reasons),
     }
-    if found.unknown:
-        left = sum(stretch[1] for stretch in found.unknown)
+    if readable.unknown:
+        left = sum(stretch[1] for stretch in readable.unknown)
         site.notes.append(f"{left} addresses were not asked: {budget} requests were the bound; give --requests")
-    if not found.readable:
+    if not readable.readable:
         return CommandResult(data, Exit.CHECK_FAILED, f"nothing of {first} count {count} can be read")
     return CommandResult(data)
 

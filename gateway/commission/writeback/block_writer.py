@@ -87,11 +87,13 @@ class BlockWriter:
 
     async def send(self, words: Sequence[int], offset: int = 0) -> None:
         """Write words into the block's area, once. Raises WriteForbidden (nothing was sent) or another DriverError."""
+        # Asked for each write: the arming may have run out or been taken back since the last one, the permit too.
         try:
             await self._check()
         except WriteForbidden as error:
             self._note(REFUSED, words, str(error))
             raise
+        # Noted before it is sent: whatever comes of it, no write is without its row.
         self._note(WRITE, words, "", offset)
         tags = self.layout.words[offset : offset + len(words)]
         try:
@@ -156,6 +158,7 @@ class BlockWriter:
         if beat is None:
             await asyncio.sleep(_WITHOUT_HEARTBEAT_S)
             return
+        # A change alone may be of a scan that had begun before the write.
         deadline, seen = time.monotonic() + SETTLE_S, set(await self.numbers(beat))
         while len(seen) <= _BEATS:
             if time.monotonic() > deadline:

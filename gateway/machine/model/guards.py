@@ -38,6 +38,7 @@ class Guards:
             # The band is Z90 standard deviations to either side: this is the standardised error.
             z = Z90 * (p.measured - p.mean) / (p.high - p.mean)
             self.reviews[INNOVATIONS] = follow(ONE_STEP, self.reviews[INNOVATIONS], p.time, z)
+        # A forecast that is due now is still pending in `calibration`; settling takes it out.
         for horizon in self._horizons:
             name = f"{horizon:g} s"
             self.reviews[name] = follow_forecasts(self.reviews[name], calibration, horizon, p.time, p.measured)

@@ -58,6 +58,7 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
         problem, warning = _unverified(config, model, path, key, version)
     except (OSError, ValueError) as error:
         raise ConfigError([f"{config.path}: {key}: {error}"]) from None
+    # From here on all that is wrong is collected, so that one start tells of everything.
     problems = [problem] if problem else []
     if model.temperature != config.model.temperature:
         problems.append(

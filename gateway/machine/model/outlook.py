@@ -76,7 +76,7 @@ class Outlook:
             return None
         self._task = None
         made, void, self._void = task.result(), self._void, False
-        if void:
+        if void:  # it began from what was given up while it was computed
             return None
         if isinstance(made, MixedForecast):
             # The first model's bands learn from its own forecast, as those of the others do from theirs: a band that
@@ -101,6 +101,7 @@ class Outlook:
         belief = self.predictor.belief
         if self._task is not None or now < self._due or not known or belief is None or not belief.seen:
             return
+        # Counted from its beginning, however long it takes: a slow machine makes fewer forecasts and never a queue.
         self._due, self._measured = now + self.section.period, measured
         seed = (self.section.seed, int(belief.time * 1000.0))
         job = ForecastJob(self.predictor.tracker, belief, factors(self.calibration), seed)
@@ -150,6 +151,7 @@ def block_values(made: Forecast, horizon: float, now: float) -> dict[str, float 
     """The block's fields that a forecast fills, brought to `now`: horizon and minutes have shrunk since it was made."""
     column = int(np.argmin(np.abs(made.horizons - horizon)))
     by_level = dict(zip(made.levels, made.quantiles[:, column].tolist(), strict=True))
+    # The forecast is of fixed moments: as time goes on they come nearer, and the quantiles stay as they are.
     elapsed = now - made.time
     minutes = [max(left - elapsed / 60.0, 0.0) if isfinite(left) else inf for left in made.minutes_to_limit]
     return {

@@ -84,6 +84,7 @@ class Pickup:
         task, self._task = self._task, None
         before = self._seen
         self._seen, result = task.result()
+        # Only another promotion changes what is said of the newest one: a look that saw the same says nothing.
         if self._seen != before:
             self.refused = result.reason if isinstance(result, RefusedPromotion) else ""
         self.ready = result if isinstance(result, ReadyModel) else None
@@ -95,6 +96,7 @@ class Pickup:
         if ready is None:
             return None
         try:
+            # It was made ready beside the scans: those since then are still to be followed.
             _follow(ready.predictor, [scan for scan in self._recent if scan.time > ready.until])
         except FAULTS as error:
             self.refused = _failed(ready.loaded, error)

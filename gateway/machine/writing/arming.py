@@ -136,6 +136,7 @@ def _configured(
     if saved is None or saved[1].get("key") != key or not isinstance(saved[1].get("until"), float):
         historian.save("arming", now, {"key": key, **asdict(fresh)})
         return fresh
+    # The earlier end: a clock that was set back must not make an arming longer than its minutes.
     arming = Arming(fresh.by, fresh.reason, min(saved[1]["until"], fresh.until))
     last = last_arming(audit.path)
     if last is not None and last.entry.kind == DISARMED:

@@ -155,6 +155,7 @@ class BlockStage:
         self._historian.put("writes", [(*row, attempt.latency_ms, attempt.reason, words)])
         if attempt.latency_ms is not None:
             self.latencies.append(attempt.latency_ms)
+        # Every attempt is on record; the log has a line only where something is another than before.
         if before is None or (before.verdict, before.reason) != (attempt.verdict, attempt.reason):
             write_line = self._log.info if attempt.verdict in ("written", "shadow") else self._log.warning
             write_line("write-back", verdict=attempt.verdict, reason=attempt.reason, sequence=block.sequence)
