@@ -10,6 +10,7 @@ from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import read_model
 from sim.engine.open_loop_run import errors, open_loop
+from sim.learning.bins.candidates import BinsCandidate
 from sim.learning.bins.learn import learn_bins
 from sim.learning.correction import corrected_model, learn_correction
 from sim.learning.max_rate import bite, learn_max_rate, with_max_rate
@@ -33,7 +34,8 @@ def reading(*, seed: int = 5, cycles: int = 10) -> list[Trace]:
 
 
 def learned_model() -> Model:
-    return learn_bins(simulate(QUIET, 1, cycles=8, rows=160), DECANTER, "T", seed=0).model
+    one_rate = [BinsCandidate("constant")]
+    return learn_bins(simulate(QUIET, 1, cycles=8, rows=160), DECANTER, "T", seed=0, candidates=one_rate).model
 
 
 @pytest.fixture(scope="module")
