@@ -305,6 +305,7 @@ def test_real_data_give_a_sound_model(device: str, source: str) -> None:
     assert learned.model.provenance.scores["held_out_rmse"] < 5.0
 
 
+@pytest.mark.usefixtures("_no_bands")
 def test_traces_of_the_same_name_are_told_apart() -> None:
     traces = [replace(trace, name="same") for trace in simulate(Truth(), 5, cycles=7, rows=60)]
     learned = learn_bins(traces, DECANTER, "T", seed=0, candidates=ONE_RATE[:1])
