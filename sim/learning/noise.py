@@ -129,33 +129,49 @@ def _filtered(
     """
     n, width = steps.run.size, sensor.size
     scores, states = np.full((n, width), np.nan), np.full((5, n, width), np.nan)
+    if table.shape[0] < 2:
+        return scores, states
+    # All that does not depend on the state is made for all knots at once, in the order in which the loop meets them:
+    # its rounds are many and their arrays small, so that what counts there is the number of operations.
+    inside = table[1:] >= 0
+    knots, ends = table[1:][inside], np.cumsum(inside.sum(axis=1))
+    a, p = steps.decay[knots][:, None], steps.pull[knots][:, None]
+    aa, ap, pp = a * a, 2 * a * p, p * p
+    drift, reading = steps.drift[knots][:, None], steps.reading[knots][:, None]
+    added = steps.density[knots][:, None] * process[steps.group[knots]] ** 2
+    drawn, noise = scatter[steps.place[knots]] ** 2, sensor**2
+    # A new stay draws its m anew, and so does a chunk's first step: what the stay before it knew is given up.
+    fresh = (steps.stay[knots] != steps.stay[knots - 1])[:, None]
+    fresh[: ends[0]] = True
+    known = np.isfinite(reading)
     x = np.repeat(steps.reading[table[0]][:, None], width, axis=1)
     m = np.zeros_like(x)
-    xx, xm, mm = m + sensor**2, m, m
-    for row in range(1, table.shape[0]):
-        knots = table[row][table[row] >= 0]
-        x, m, xx, xm, mm = (part[: knots.size] for part in (x, m, xx, xm, mm))
-        # A new stay draws its m anew, and so does a chunk's first step: what the stay before it knew is given up. A
-        # fresh m is independent of X: mean 0, variance that of its location, no covariance with what went before.
-        fresh = ((steps.stay[knots] != steps.stay[knots - 1]) | (row == 1))[:, None]
-        m, xm = np.where(fresh, 0.0, m), np.where(fresh, 0.0, xm)
-        mm = np.where(fresh, scatter[steps.place[knots]] ** 2, mm)
-        # The prediction, by the step's own closed form.
-        a, p = steps.decay[knots][:, None], steps.pull[knots][:, None]
-        added = steps.density[knots][:, None] * process[steps.group[knots]] ** 2
-        x = a * x + p * m + steps.drift[knots][:, None]
-        xx, xm = a * a * xx + 2 * a * p * xm + p * p * mm + added, a * xm + p * mm
-        # The innovation is scored before the reading is taken in.
-        innovation = steps.reading[knots][:, None] - x
-        variance = xx + sensor**2
-        scores[knots] = _log_score(innovation, variance)
-        # Without a reading gain and turn are 0, and the prediction stands. The scalar update needs no inverse.
-        known, error = np.isfinite(innovation), np.nan_to_num(innovation)
-        gain, turn = np.where(known, xx / variance, 0.0), np.where(known, xm / variance, 0.0)
-        x, m, mm = x + gain * error, m + turn * error, mm - turn * xm
-        xx, xm = (1 - gain) * xx, (1 - gain) * xm
-        for part, value in zip(states, (x, m, xx, xm, mm), strict=True):
-            part[knots] = value
+    xx, xm, mm = m + noise, m, m
+    innovation, variance = np.empty((knots.size, width)), np.empty((knots.size, width))
+    after, begin = np.empty((5, knots.size, width)), 0
+    for end in ends.tolist():
+        at, size = slice(begin, end), end - begin
+        x, m, xx, xm, mm = x[:size], m[:size], xx[:size], xm[:size], mm[:size]
+        if fresh[at].any():
+            # A fresh m is independent of X: mean 0, variance that of its location, no covariance with what was before.
+            m, xm = np.where(fresh[at], 0.0, m), np.where(fresh[at], 0.0, xm)
+            mm = np.where(fresh[at], drawn[at], mm)
+        # The prediction, by the step's own closed form; its innovation is scored before the reading is taken in.
+        x = a[at] * x + p[at] * m + drift[at]
+        xx, xm = aa[at] * xx + ap[at] * xm + pp[at] * mm + added[at], a[at] * xm + p[at] * mm
+        error = innovation[at] = reading[at] - x
+        total = variance[at] = xx + noise
+        # The scalar update needs no inverse.
+        gain, turn = xx / total, xm / total
+        if not known[at].all():
+            # Without a reading gain and turn are 0, and the prediction stands.
+            gain, turn = np.where(known[at], gain, 0.0), np.where(known[at], turn, 0.0)
+            error = np.where(known[at], error, 0.0)
+        x, m, mm, left = x + gain * error, m + turn * error, mm - turn * xm, 1 - gain
+        xx, xm = left * xx, left * xm
+        after[0, at], after[1, at], after[2, at], after[3, at], after[4, at] = x, m, xx, xm, mm
+        begin = end
+    scores[knots], states[:, knots] = _log_score(innovation, variance), after
     return scores, states
 
 

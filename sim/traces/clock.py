@@ -1,15 +1,22 @@
-"""Clocks of recorded files: texts to seconds, local time to UTC, midnight, and the fewest rows to refuse."""
+"""Clocks of recorded files: texts to seconds, local time to UTC, midnight, and the fewest rows to refuse.
+
+Pandas, which knows date formats and time zones, takes longer to import than most files to read, so it is imported where
+a file has such a clock; our own CSV counts in seconds.
+"""
 
 import re
 from bisect import bisect_right
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from sim.sha import Array, Mask
 from sim.traces.cells import Decimal, numbers
 from sim.traces.column_map import ClockColumns, Names, TimeOfDay
+
+if TYPE_CHECKING:
+    from pandas import DatetimeIndex
 
 _OFFSET = re.compile(r":.*(?:[Zz]|[+-]\d\d(?::?\d\d)?)\s*$")
 _DAY = 86400.0
@@ -57,6 +64,8 @@ def _time_of_day(day: TimeOfDay, columns: Sequence[Sequence[str]], decimal: Deci
 
 
 def _dates(texts: list[str], format_: str) -> tuple[Array, Mask]:
+    import pandas as pd
+
     if format_ == "ISO8601":
         # A bare number is no date here, though ISO 8601 would read 1999 as a year.
         texts = [text if "-" in text or ":" in text else "" for text in texts]
@@ -67,7 +76,7 @@ def _dates(texts: list[str], format_: str) -> tuple[Array, Mask]:
     return _seconds(stamps), ~offset
 
 
-def _seconds(stamps: pd.DatetimeIndex) -> Array:
+def _seconds(stamps: "DatetimeIndex") -> Array:
     micros = stamps.as_unit("us")
     return np.where(micros.isna(), np.nan, micros.asi8 / 1e6)
 
@@ -79,6 +88,8 @@ def to_utc(seconds: Array, local: Mask, timezone: str) -> Array:
     """
     if timezone == "UTC" or not local.any():
         return seconds
+    import pandas as pd
+
     naive = pd.DatetimeIndex(np.round(seconds[local] * 1e6).astype("datetime64[us]"))
     ambiguous = naive.tz_localize(timezone, ambiguous="NaT", nonexistent="shift_forward").isna()
     summer = np.ones(naive.shape, dtype=bool)

@@ -10,10 +10,12 @@ from sim.artefacts.formats.write_model import write_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import read_model
 from sim.engine.open_loop_run import errors, open_loop
+from sim.learning.bins.candidates import BinsCandidate
 from sim.learning.bins.learn import learn_bins
 from sim.learning.correction import corrected_model, learn_correction
 from sim.learning.max_rate import bite, learn_max_rate, with_max_rate
 from sim.learning.structure import LearningError
+from sim.plant.scenarios import scenario
 from sim.sha.events import DECANTER
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Trace
@@ -33,7 +35,8 @@ def reading(*, seed: int = 5, cycles: int = 10) -> list[Trace]:
 
 
 def learned_model() -> Model:
-    return learn_bins(simulate(QUIET, 1, cycles=8, rows=160), DECANTER, "T", seed=0).model
+    one_rate = [BinsCandidate("constant")]
+    return learn_bins(simulate(QUIET, 1, cycles=8, rows=160), DECANTER, "T", seed=0, candidates=one_rate).model
 
 
 @pytest.fixture(scope="module")
@@ -144,9 +147,9 @@ def test_a_limit_bites_a_model_that_is_too_fast_and_is_not_accepted_where_it_doe
 @pytest.mark.slow
 def test_the_command_learns_reports_and_writes_the_corrected_model(tmp_path: Path) -> None:
     assert decanter("trace", "synth", *NAMES, "--out", tmp_path / "traces", "--seed", 3).exit_code == 0
-    assert decanter("trace", "synth", *NAMES, "--out", tmp_path / "same").exit_code == 0
-    assert decanter("model", "learn", "--traces", tmp_path / "same", "--out", tmp_path / "model").exit_code == 0
-    first = read_model(tmp_path / "model")
+    same = [scenario(name) for name in NAMES]
+    one_rate = [BinsCandidate("constant")]
+    first = learn_bins(same, DECANTER, "TCuscinettiRiduttore", seed=0, candidates=one_rate).model
     wrong = replace(first, correction=Correction(0.8, 0.0))
     write_model_directory(tmp_path / "wrong", wrong)
     done = decanter(

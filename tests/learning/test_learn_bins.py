@@ -24,6 +24,8 @@ from tests.learning.plants import Truth, simulate, with_signal, without_rows
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
 CONSTANT, DRIVEN = Truth(), Truth(gain=0.1)
+ONE_RATE = [candidate for candidate in CANDIDATES if candidate.rates == "shared"]
+"""A constant target, a driven one with one gain and with a gain for each location: where only the flow is asked for."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +35,13 @@ def constant() -> Learned:
 
 @pytest.fixture(scope="module")
 def driven() -> Learned:
-    return learn_bins(simulate(DRIVEN, 2), DECANTER, "T", seed=0)
+    return learn_bins(simulate(DRIVEN, 2), DECANTER, "T", seed=0, candidates=ONE_RATE)
+
+
+@pytest.fixture
+def _no_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bands, for which a model is fitted two or three times more, where nothing is asked of them."""
+    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_: [])
 
 
 def assert_sound(model: Model) -> None:
@@ -73,7 +81,6 @@ def test_a_known_automaton_is_learned_back(which: str, truth: Truth, request: py
     assert 0.5 * truth.sensor < learned.noise.sensor < 1.5 * truth.sensor
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("truth", "seeds", "least"), [(CONSTANT, 10, 7), (DRIVEN, 6, 6)], ids=["constant", "driven"])
 def test_the_right_flow_is_chosen(truth: Truth, seeds: int, least: int) -> None:
     # One standard error lets a needless gain pass in about one of ten cases (27 of the 30 seeds from 100 on are right):
@@ -81,13 +88,14 @@ def test_the_right_flow_is_chosen(truth: Truth, seeds: int, least: int) -> None:
     chosen = []
     for seed in range(100, 100 + seeds):
         runs, base = bins._ground(simulate(truth, seed), DECANTER, "T")
-        chosen.append(bins._select(runs, base, CANDIDATES, lambda _stage, _share: None)[1].flow)
+        chosen.append(bins._select(runs, base, ONE_RATE, lambda _stage, _share: None)[1].flow)
     assert chosen.count("driven" if truth.gain else "constant") >= least
 
 
 def test_separate_rates_are_found_where_the_plant_has_them() -> None:
     runs, base = bins._ground(simulate(Truth(tau=(1500.0, 400.0)), 5), DECANTER, "T")
-    _, chosen, _ = bins._select(runs, base, CANDIDATES, lambda _stage, _share: None)
+    constant = [candidate for candidate in CANDIDATES if candidate.flow == "constant"]
+    _, chosen, _ = bins._select(runs, base, constant, lambda _stage, _share: None)
     assert chosen.rates == "switch"
 
 
@@ -97,7 +105,7 @@ def test_it_is_the_held_out_likelihood_that_decides(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(
         bins, "cross_validate", lambda *given: replace((h := honest(*given)), error=1.0 / (np.abs(h.error) + 0.1))
     )
-    _, chosen, _ = bins._select(runs, base, CANDIDATES, lambda _stage, _share: None)
+    _, chosen, _ = bins._select(runs, base, ONE_RATE, lambda _stage, _share: None)
     assert chosen.flow == "constant"
 
 
@@ -121,10 +129,9 @@ def test_the_huber_scale_is_that_of_the_bulk() -> None:
 
 def test_the_order_of_the_traces_and_copies_do_not_matter() -> None:
     traces = simulate(CONSTANT, 3, cycles=4, rows=60)
-    one = learn_bins(traces, DECANTER, "T", seed=4)
-    other = learn_bins(
-        [traces[2], traces[0], replace(traces[0], name="copy"), traces[3], traces[1]], DECANTER, "T", seed=4
-    )
+    one = learn_bins(traces, DECANTER, "T", seed=4, candidates=ONE_RATE)
+    mixed = [traces[2], traces[0], replace(traces[0], name="copy"), traces[3], traces[1]]
+    other = learn_bins(mixed, DECANTER, "T", seed=4, candidates=ONE_RATE)
     assert replace(other.model, provenance=one.model.provenance) == one.model
     assert other.model.provenance.data_hash == one.model.provenance.data_hash
     assert other.model.provenance.settings["copies_left_out"] == 1
@@ -175,14 +182,21 @@ def test_a_location_in_which_something_is_unknown_keeps_the_temperature(constant
 def test_progress_goes_from_0_to_1() -> None:
     told: list[tuple[str, float]] = []
     learn_bins(
-        simulate(CONSTANT, 3, cycles=2, rows=80), DECANTER, "T", seed=0, progress=lambda *step: told.append(step)
+        simulate(CONSTANT, 3, cycles=2, rows=80),
+        DECANTER,
+        "T",
+        seed=0,
+        candidates=ONE_RATE,
+        progress=lambda *step: told.append(step),
     )
     shares = [share for _, share in told]
+    assert len(told) == 4 + len(ONE_RATE)
     assert shares[0] == 0.0
     assert shares[-1] == 1.0
     assert shares == sorted(shares)
 
 
+@pytest.mark.usefixtures("_no_bands")
 def test_a_plant_that_only_runs_and_has_no_current_gets_one_location() -> None:
     times = np.arange(0.0, 3000.0, 5.0)
     rng = np.random.default_rng(2)
@@ -209,16 +223,17 @@ def test_gaps_bad_rows_and_unencoded_traces_are_no_obstacle() -> None:
                 with_signal(torn, T=np.where(rng.random(torn.times.size) < 0.3, np.nan, torn.signals["T"])), events=()
             )
         )
-    learned = learn_bins(traces, DECANTER, "T", seed=0)
+    learned = learn_bins(traces, DECANTER, "T", seed=0, candidates=ONE_RATE)
     assert_sound(learned.model)
     found = {one.name: one for one in learned.locations}
     assert abs(found["ON/200-300"].mu - 65) < 3 * found["ON/200-300"].mu_error + 0.5
 
 
+@pytest.mark.usefixtures("_no_bands")
 def test_temperatures_outside_the_usual_range_widen_the_model_s_range() -> None:
     trace = simulate(CONSTANT, 3, cycles=2, rows=80)
     cold = [with_signal(one, T=one.signals["T"] - 60.0) for one in trace]
-    model = learn_bins(cold, DECANTER, "T", seed=0).model
+    model = learn_bins(cold, DECANTER, "T", seed=0, candidates=ONE_RATE[:1]).model
     assert model.sha.low < min(one.signals["T"].min() for one in cold)
     assert model.sha.high == 150.0
 
@@ -290,12 +305,14 @@ def test_real_data_give_a_sound_model(device: str, source: str) -> None:
     assert learned.model.provenance.scores["held_out_rmse"] < 5.0
 
 
+@pytest.mark.usefixtures("_no_bands")
 def test_traces_of_the_same_name_are_told_apart() -> None:
-    traces = [replace(trace, name="same") for trace in simulate(Truth(), 5, cycles=7, rows=120)]
-    learned = learn_bins(traces, DECANTER, "T", seed=0)
+    traces = [replace(trace, name="same") for trace in simulate(Truth(), 5, cycles=7, rows=60)]
+    learned = learn_bins(traces, DECANTER, "T", seed=0, candidates=ONE_RATE[:1])
     assert len(learned.model.provenance.traces) == 7
 
 
+@pytest.mark.usefixtures("_no_bands")
 def test_over_many_locations_rates_are_shared_or_refused_in_one_sentence() -> None:
     wide = Alphabet((Bins("Load", tuple(np.arange(1.0, 30.0)), tuple(f"B_{n}" for n in range(30))),))
     rng = np.random.default_rng(0)

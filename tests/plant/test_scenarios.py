@@ -1,5 +1,7 @@
 """The synthetic scenarios have the properties known of the thesis's traces, and say that they are synthetic."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,9 @@ from sim.plant.scenarios import SCENARIOS, production, scenario
 from sim.sha.trace import Trace
 
 BEARING = "TCuscinettiRiduttore"
+
+simulated = cache(scenario)
+"""A scenario of the reference set, simulated once for all tests that only read it."""
 
 
 def changes(trace: Trace) -> int:
@@ -21,14 +26,14 @@ def duration(trace: Trace) -> float:
 
 
 def test_cd1_has_401_rows_in_about_444_s_and_about_47_events() -> None:
-    trace = scenario("cd1")
+    trace = simulated("cd1")
     assert trace.times.size == 401
     assert duration(trace) == pytest.approx(444, abs=5)
     assert changes(trace) == pytest.approx(47, abs=3)
 
 
 def test_cd8_warms_from_18_to_29_degc_at_a_stable_load() -> None:
-    trace = scenario("cd8")
+    trace = simulated("cd8")
     bearing, current = trace.signals[BEARING], trace.signals["Assorbimento"]
     assert bearing[0] == pytest.approx(18, abs=0.3)
     assert bearing[-1] == pytest.approx(29, abs=0.5)
@@ -36,13 +41,13 @@ def test_cd8_warms_from_18_to_29_degc_at_a_stable_load() -> None:
 
 
 def test_cd2_is_colder_than_every_other_scenario() -> None:
-    coldest = {name: float(scenario(name).signals[BEARING].max()) for name in SCENARIOS}
+    coldest = {name: float(simulated(name).signals[BEARING].max()) for name in SCENARIOS}
     assert min(coldest, key=lambda name: coldest[name]) == "cd2"
 
 
 @pytest.mark.parametrize("name", ["cd5", "cd10"])
 def test_cd5_and_cd10_have_rapid_transients_and_long_idling_at_low_power(name: str) -> None:
-    trace = scenario(name)
+    trace = simulated(name)
     running = trace.signals["MarciaDecanter"] > 0
     current = trace.signals["Assorbimento"]
     assert np.mean(current[running] < 80) > 0.5
@@ -51,14 +56,14 @@ def test_cd5_and_cd10_have_rapid_transients_and_long_idling_at_low_power(name: s
 
 
 def test_cd17_is_the_longest_and_changes_its_load_several_times() -> None:
-    lengths = {name: duration(scenario(name)) for name in SCENARIOS}
+    lengths = {name: duration(simulated(name)) for name in SCENARIOS}
     assert max(lengths, key=lambda name: lengths[name]) == "cd17"
     assert sum(phase.load > 0 for phase in SCENARIOS["cd17"].phases) >= 4
 
 
 @pytest.mark.parametrize("name", list(SCENARIOS))
 def test_every_scenario_is_seeded_plausible_and_says_that_it_is_synthetic(name: str) -> None:
-    trace, again, other = scenario(name), scenario(name), scenario(name, seed=5)
+    trace, again, other = simulated(name), scenario(name), scenario(name, seed=5)
     assert trace.synthetic
     assert "simulated" in trace.origin
     assert np.array_equal(trace.signals[BEARING], again.signals[BEARING])

@@ -1,6 +1,7 @@
 """The search: it finds known settings, resumes as if never stopped, and refuses studies of something else."""
 
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -30,6 +31,24 @@ def known(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tuning_methods, "METHODS", {**METHODS, "bins": relaxing_method()})
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[object, ...]]:
+    """Twelve trials of the known method in one go: what every other way to twelve trials must come to."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tuning_methods, "METHODS", {**METHODS, "bins": relaxing_method()})
+        return told(search(tmp_path_factory.mktemp("whole") / "s.db", 12))
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study of the known method with its first trial, to be copied."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tuning_methods, "METHODS", {**METHODS, "bins": relaxing_method()})
+        file = tmp_path_factory.mktemp("begun") / "s.db"
+        search(file, 1)
+    return file
+
+
 def search(
     file: Path, trials: int = 12, plan: StudyPlan = PLAN, given: list[Trace] | None = None, **more: object
 ) -> Tuning:
@@ -53,7 +72,7 @@ def told(found: Tuning) -> list[tuple[object, ...]]:
 
 @pytest.mark.usefixtures("known")
 def test_the_search_finds_the_known_target_and_says_that_it_beats_the_defaults(tmp_path: Path) -> None:
-    found = search(tmp_path / "s.db", trials=30)
+    found = search(tmp_path / "s.db", trials=20)
     assert found.best is not None and found.default is not None and found.gain is not None
     assert float(found.best.settings["target"]) == pytest.approx(50.0, abs=8.0)
     assert found.default.number == 0 and not found.default.settings
@@ -79,48 +98,55 @@ def test_both_objectives_are_means_over_traces_of_means_over_readings(tmp_path: 
 
 
 @pytest.mark.usefixtures("known")
-def test_a_study_that_is_gone_on_with_is_the_same_as_one_that_never_stopped(tmp_path: Path) -> None:
-    whole = search(tmp_path / "whole.db", 12)
+def test_a_study_that_is_gone_on_with_is_the_same_as_one_that_never_stopped(
+    tmp_path: Path, whole: list[tuple[object, ...]]
+) -> None:
     for trials in (1, 4, 12):
         parts = search(tmp_path / "parts.db", trials)
-    assert told(parts) == told(whole)
-    assert told(search(tmp_path / "other.db", 12, StudyPlan("bins", seed=1))) != told(whole)
+    assert told(parts) == whole
+    assert told(search(tmp_path / "other.db", 3, StudyPlan("bins", seed=1))) != whole[:3]
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("known")
-def test_a_killed_search_goes_on_as_if_it_had_not_been_killed(tmp_path: Path) -> None:
+def test_a_killed_search_goes_on_as_if_it_had_not_been_killed(tmp_path: Path, whole: list[tuple[object, ...]]) -> None:
     file = tmp_path / "killed.db"
-    command = [sys.executable, "-m", "tests.validation.tuning_line", str(file), "11"]
-    for trial in ("trial 3 ", "trial 5 "):
-        with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
-            while not process.stdout.readline().startswith(trial):
-                assert process.poll() is None
-            os.kill(process.pid, signal.SIGKILL)
-            assert process.wait() == -signal.SIGKILL
-    found = search(file, 11)
-    assert told(found) == told(search(tmp_path / "whole.db", 11))
+    command = [sys.executable, "-m", "tests.validation.tuning_line", str(file), "12", "2"]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for trial in ("trial 3 ", "trial 5 "):
+            searching = int(process.stdout.readline())
+            while not (line := process.stdout.readline()).startswith(trial):
+                assert line and not line.startswith("ended")
+            os.kill(searching, signal.SIGKILL)
+            while not line.startswith("ended"):
+                line = process.stdout.readline()
+                assert line
+            assert line == f"ended with {-signal.SIGKILL}\n"
+    found = search(file, 12)
+    assert told(found) == whole
     with sqlite3.connect(file) as database:
         states = [row[0] for row in database.execute("SELECT state FROM trials ORDER BY number")]
     database.close()
-    assert len(states) > 11, "no trial was met running"
+    assert len(states) > 12, "no trial was met running"
     assert "RUNNING" not in states
 
 
 @pytest.mark.usefixtures("known")
-def test_control_c_leaves_a_study_that_goes_on(tmp_path: Path) -> None:
+def test_control_c_leaves_a_study_that_goes_on(tmp_path: Path, whole: list[tuple[object, ...]]) -> None:
     def stop(what: str, _share: float) -> None:
         if what.startswith("trial 4 "):
             raise KeyboardInterrupt
 
     found = search(tmp_path / "s.db", 12, progress=stop)
     assert found.stopped and len(found.trials) == 3
-    assert told(search(tmp_path / "s.db", 12)) == told(search(tmp_path / "whole.db", 12))
+    assert told(search(tmp_path / "s.db", 6)) == whole[:6]
 
 
 @pytest.mark.usefixtures("known")
-def test_control_c_while_a_trial_is_written_waits_until_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_control_c_while_a_trial_is_written_waits_until_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: list[tuple[object, ...]]
+) -> None:
     storage = pytest.importorskip("optuna.storages").RDBStorage
     write = storage.set_trial_state_values
 
@@ -132,20 +158,20 @@ def test_control_c_while_a_trial_is_written_waits_until_it_is(tmp_path: Path, mo
     monkeypatch.setattr(storage, "set_trial_state_values", pressed)
     found = search(tmp_path / "s.db", 3)
     assert found.stopped and [one.state for one in found.trials] == ["complete"]
-    assert told(search(tmp_path / "s.db", 3)) == told(search(tmp_path / "whole.db", 3))
+    assert told(search(tmp_path / "s.db", 3)) == whole[:3]
 
 
 @pytest.mark.usefixtures("known")
 def test_pruning_gives_bad_trials_up_and_keeps_the_best(tmp_path: Path) -> None:
-    found = search(tmp_path / "s.db", 25, prune=True)
+    found = search(tmp_path / "s.db", 16, prune=True)
     pruned = [one for one in found.trials if one.state == "pruned"]
     assert pruned and all(one.reason.startswith("given up after") for one in pruned)
     assert found.best is not None and found.best.by_trace is not None and len(found.best.by_trace) == 6
 
 
 @pytest.mark.usefixtures("known")
-def test_the_search_is_the_same_with_one_worker_and_with_two(tmp_path: Path) -> None:
-    assert told(search(tmp_path / "two.db", 12, jobs=2)) == told(search(tmp_path / "one.db", 12))
+def test_the_search_is_the_same_with_one_worker_and_with_two(tmp_path: Path, whole: list[tuple[object, ...]]) -> None:
+    assert told(search(tmp_path / "two.db", 5, jobs=2)) == whole[:5]
 
 
 def test_bins_learns_by_the_settings_and_the_final_model_says_them() -> None:
@@ -179,8 +205,10 @@ def test_bins_learns_by_the_settings_and_the_final_model_says_them() -> None:
         (StudyPlan("lsha"), 6, "another method and another search space"),
     ],
 )
-def test_a_study_of_something_else_is_refused(tmp_path: Path, plan: StudyPlan, count: int, words: str) -> None:
-    search(tmp_path / "s.db", 1)
+def test_a_study_of_something_else_is_refused(
+    tmp_path: Path, begun: Path, plan: StudyPlan, count: int, words: str
+) -> None:
+    shutil.copy(begun, tmp_path / "s.db")
     with pytest.raises(ValueError, match=words):
         search(tmp_path / "s.db", 2, plan, traces(count))
     assert len(search(tmp_path / "s.db", 2).trials) == 2  # and nothing was spoilt

@@ -250,6 +250,7 @@ def _fit(
 ) -> _Fitted:
     sha, shape, _ = build(candidate, base)
     few = sampled(runs, budget)
+    # Means first, then the noise about them; a location whose target came out too vague counts as not seen after all.
     fit = fit_free_run(few, shape, begin=begin)
     noise = fit_noise(few, shape, fit, process_groups(base.alphabet))
     measured = well_seen(sha, shape, fit, base)

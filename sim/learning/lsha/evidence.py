@@ -63,9 +63,12 @@ def evidence_of(sums: Sums, n_min: int) -> PooledEvidence:
     if not count:
         return PooledEvidence(sums, n_min, nan, inf, CERTAIN)
     mean = total / weight
+    # Kish's effective size: as many segments of equal weight would say as much.
     effective = weight * weight / square
     if count < n_min or effective < 1.5:
         return PooledEvidence(sums, n_min, mean, 1.0 / weight, CERTAIN)
+    # sum w^2 (m - mean)^2 multiplied out, so that it follows from sums that can be added up. The measurement errors are
+    # its floor: a few segments that agree by chance do not know their mean better than they were measured.
     sandwich = square_square - 2.0 * mean * square_total + mean * mean * square
     own = sandwich * effective / (effective - 1.0)
     return PooledEvidence(sums, n_min, mean, max(own, error) / (weight * weight), effective - 1.0)
@@ -150,6 +153,8 @@ def _scatter(segments: TraceSegments, alike: Indices) -> float:
     value, variance, place = segments.value, segments.variance, segments.place
     if place.size - np.unique(place).size < LEAST_TWICE:
         place = alike[place]
+    # Residuals about a state's own mean, by measurement errors alone: the scatter that would weigh them is what is
+    # looked for. A mean of n takes 1/n of each square with it, which n / (n - 1) gives back.
     _, inverse, count = np.unique(place, return_inverse=True, return_counts=True)
     precision = 1.0 / variance
     mean = np.bincount(inverse, precision * value) / np.bincount(inverse, precision)
@@ -159,6 +164,7 @@ def _scatter(segments: TraceSegments, alike: Indices) -> float:
         return max(float(np.std(value)), floor)
     shrunk = count[inverse][several] / (count[inverse][several] - 1.0)
     squares, v = (value - mean[inverse])[several] ** 2 * shrunk, variance[several]
+    # By bisection: the median falls as tau grows. A median, because a few segments may belong to another location.
     low, high = 0.0, float(np.sqrt(squares.max())) + floor
     for _ in range(40):
         middle = 0.5 * (low + high)

@@ -156,6 +156,7 @@ def _inside(runs: FreeRuns) -> tuple[float, float]:
 def _variogram(runs: FreeRuns, pairs: Indices) -> tuple[float, float]:
     """(half the robust mean squared difference, mean lag) of pairs of readings."""
     gap = np.abs(runs.reading[pairs[:, 1]] - runs.reading[pairs[:, 0]])
+    # 1.4826 times the median of |differences| is their standard deviation, and gross ones do not move it.
     limit = 4.0 * max(1.4826 * float(np.median(gap)), 1e-9)
     kept = gap <= limit
     return 0.5 * float(np.mean(gap[kept] ** 2)), float(np.mean(runs.time[pairs[:, 1]] - runs.time[pairs[:, 0]]))
@@ -178,6 +179,8 @@ def fit_motion(
     where = positions(teacher, place, size)
     shape, rated = flow_shape(flowing.hypothesis, teacher, where, modelled, kinds)
     runs = sampled(placed(teacher.runs, place), budget)
+    # The coarse structure's rates are a good start; with flows of their own in single locations there are rates that
+    # it did not have, and the coarse scan has to find them.
     begin = flowing.rates_of(rated) if all(kind == flowing.hypothesis.kind for kind in kinds) else None
     fit = fit_free_run(runs, shape, begin=begin)
     order = sorted(set(where))

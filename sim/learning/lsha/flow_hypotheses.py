@@ -191,6 +191,7 @@ def _rates(runs: FreeRuns, shape: FitShape) -> tuple[Array, LinearFit]:
     logs, scale = shape.rate_centre, best.sigma
     if not logs.size:
         return np.empty(0), best
+    # Losses are compared at the scale of the first fit: each at its own would call all fits nearly equal.
     best = fit_at_rates(runs, shape, np.exp(logs), ROUNDS, scale)
     shifts = [shift * shape.rate_spread for shift in (-1.0, 1.0, 2.0, 3.0, 4.0)]
     for trial in [logs + shift for shift in shifts]:
@@ -292,10 +293,11 @@ def coarse(teacher: Teacher) -> tuple[Indices, tuple[WordHistory, ...]]:
     words, runs = teacher.words, teacher.runs
     seconds = np.bincount(runs.place, runs.dt, len(words.states))
     total: dict[WordHistory, float] = {}
-    for state, spent, there in zip(words.states, seconds.tolist(), teacher.modelled.tolist(), strict=True):
-        if there:
+    for state, spent, modelled in zip(words.states, seconds.tolist(), teacher.modelled.tolist(), strict=True):
+        if modelled:
             key = WordHistory(state.context)
             total[key] = total.get(key, 0.0) + spent
+    # Those in which most time is spent: the flow is judged where there is most to be seen of it.
     first = list(total)
     kept = sorted(first, key=lambda key: (-total[key], first.index(key)))[:COARSE]
     nearest = {
@@ -303,8 +305,8 @@ def coarse(teacher: Teacher) -> tuple[Indices, tuple[WordHistory, ...]]:
     }
     number = {key: n for n, key in enumerate(kept)}
     groups = [
-        number[nearest[WordHistory(s.context)]] if there else len(kept)
-        for s, there in zip(words.states, teacher.modelled.tolist(), strict=True)
+        number[nearest[WordHistory(state.context)]] if modelled else len(kept)
+        for state, modelled in zip(words.states, teacher.modelled.tolist(), strict=True)
     ]
     return np.array(groups, dtype=np.intp), tuple(kept)
 

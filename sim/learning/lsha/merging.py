@@ -195,6 +195,8 @@ def learn_partition(
     level = alpha / max(sum(one.count > 0 for one in evidence), 1)
     free = [number for number in range(size) if number not in fixed]
     if classes.memory == "word":
+        # By their length, as the tree of words numbers them: a single word has little evidence, and the merges of short
+        # words decide where longer ones belong.
         order = sorted(free, key=lambda n: classes.keys[n].word)
     else:
         order = sorted(free, key=lambda n: (-evidence[n].count, n))

@@ -126,13 +126,15 @@ def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> TraceWo
         for length, symbol in enumerate(word, 1):
             node = nodes.get((node, symbol), -1)
             often = node > 0 and counts[node - 1] >= n_min
+            # What is remembered follows from what was remembered before and the symbol alone, or the automaton would
+            # not be deterministic; a word that is too rare for a node of its own (-1) never gets one again.
             history = table.after(history, symbol, node if often else -1, node if whole else -1)
-            there = number.setdefault(history, len(number))
-            if there == len(first):
+            target = number.setdefault(history, len(number))
+            if target == len(first):
                 first.append((name, offset + length))
-            _, count = edges.get((here, symbol), (there, 0))
-            edges[here, symbol] = (there, count + 1)
-            here = there
+            _, count = edges.get((here, symbol), (target, 0))
+            edges[here, symbol] = (target, count + 1)
+            here = target
     return TraceWords(
         meaning=table, states=tuple(number), edges=edges, first=tuple(first), tree=tuple(nodes), whole=whole
     )
