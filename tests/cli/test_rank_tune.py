@@ -15,11 +15,25 @@ from sim.artefacts.formats.find import find_model
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def rival(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
-    """A model of the same name as `model`, learned from cd1."""
+    """A model of the same name as `model`, learned from cd1, by the method that is quicker."""
     folder = tmp_path_factory.mktemp("learned") / "rival"
-    assert decanter("model", "learn", "--traces", traces / "cd1.csv", "--out", folder).exit_code == 0
+    assert (
+        decanter("model", "learn", "--method", "lsha", "--traces", traces / "cd1.csv", "--out", folder).exit_code == 0
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def halves(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
+    """A folder with the two halves of cd1: enough for two folds, and quickly learned."""
+    folder = tmp_path_factory.mktemp("halves")
+    lines = (traces / "cd1.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    rows = 1 + next(number for number, line in enumerate(lines) if line.startswith("time"))
+    middle = (rows + len(lines)) // 2
+    for name, part in (("first", lines[rows:middle]), ("second", lines[middle:])):
+        (folder / f"{name}.csv").write_text("".join([*lines[:rows], *part]), encoding="utf-8")
     return folder
 
 
@@ -78,10 +92,10 @@ def test_rank_says_what_it_cannot_use(model: Path, traces: Path, wrong: Path) ->
 
 
 @pytest.mark.slow
-def test_tune_searches_writes_the_model_and_refuses_other_traces(traces: Path, tmp_path: Path) -> None:
+def test_tune_searches_writes_the_model_and_refuses_other_traces(traces: Path, halves: Path, tmp_path: Path) -> None:
     file, out = tmp_path / "s.db", tmp_path / "best"
     options = ("--map", "decanter", "--study", file, "--folds", 2)
-    command = ("model", "tune", "--traces", traces, *options)
+    command = ("model", "tune", "--traces", halves, *options)
     found = only_object(decanter(*command, "--trials", 1, "--out", out, "--name", "best", "--json").stdout)
     assert found["best"]["settings"] == {} and found["default"]["number"] == 0
     assert found["sentence"] == "no settings were found that are better than the defaults"
@@ -135,9 +149,9 @@ def begun(study: Path) -> bool:
 
 
 @pytest.mark.slow
-def test_control_c_stops_a_search_with_a_sentence_and_its_own_code(traces: Path, tmp_path: Path) -> None:
+def test_control_c_stops_a_search_with_a_sentence_and_its_own_code(halves: Path, tmp_path: Path) -> None:
     file = tmp_path / "s.db"
-    words = ["model", "tune", "--traces", str(traces), "--study", str(file), "--folds", "2"]
+    words = ["model", "tune", "--traces", str(halves), "--study", str(file), "--folds", "2"]
     command = [sys.executable, "-m", "gateway.cli.main", *words]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while not begun(file):
