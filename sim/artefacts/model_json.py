@@ -201,8 +201,12 @@ def _location_part(location: Location) -> dict[str, Any]:
     """A location with its flow."""
     flow = location.flow
     inputs = [
-        {"signal": one.signal, "gain": written_number(one.gain), "reference": written_number(one.reference)}
-        for one in flow.inputs
+        {
+            "signal": driving.signal,
+            "gain": written_number(driving.gain),
+            "reference": written_number(driving.reference),
+        }
+        for driving in flow.inputs
     ]
     return {
         "name": location.name,
@@ -220,9 +224,9 @@ def _location_of(node: JsonNode) -> Location:
         raise node.get("entry").error(f"the entry mode {entry!r} is unknown; known are {', '.join(ENTRIES)}")
     flow = node.get("flow").only(("kind", "params", "inputs"))
     inputs = []
-    for given in flow.get("inputs").each():
-        given.only(("signal", "gain", "reference"))
-        inputs.append(Input(given.get("signal").text(), given.get("gain").number(), given.get("reference").number()))
+    for part in flow.get("inputs").each():
+        part.only(("signal", "gain", "reference"))
+        inputs.append(Input(part.get("signal").text(), part.get("gain").number(), part.get("reference").number()))
     return Location(
         node.get("name").text(),
         Flow(flow.get("kind").text(), flow.get("params").table(JsonNode.number), tuple(inputs)),
@@ -280,25 +284,23 @@ def _effect_of(node: JsonNode) -> Effect:
 
 def _alphabet_part(alphabet: Alphabet) -> dict[str, Any]:
     """The alphabet with its channels in order."""
+    channels: list[dict[str, Any]] = []
+    for channel in alphabet.channels:
+        if isinstance(channel, Switch):
+            own: dict[str, Any] = {"rising": channel.rising, "falling": channel.falling}
+        else:
+            own = {
+                "thresholds": [written_number(threshold) for threshold in channel.thresholds],
+                "symbols": list(channel.symbols),
+                "hysteresis": written_number(channel.hysteresis),
+            }
+        kind = "switch" if isinstance(channel, Switch) else "bins"
+        channels.append({"kind": kind, "signal": channel.signal, **own, "on_change": channel.on_change})
     return {
-        "channels": [_channel_part(channel) for channel in alphabet.channels],
+        "channels": channels,
         "gap": written_number(alphabet.gap),
         "debounce": written_number(alphabet.debounce),
         "uppaal": [list(pair) for pair in alphabet.uppaal],
-    }
-
-
-def _channel_part(channel: Switch | Bins) -> dict[str, Any]:
-    if isinstance(channel, Switch):
-        names = {"kind": "switch", "signal": channel.signal, "rising": channel.rising, "falling": channel.falling}
-        return names | {"on_change": channel.on_change}
-    return {
-        "kind": "bins",
-        "signal": channel.signal,
-        "thresholds": [written_number(threshold) for threshold in channel.thresholds],
-        "symbols": list(channel.symbols),
-        "hysteresis": written_number(channel.hysteresis),
-        "on_change": channel.on_change,
     }
 
 
@@ -380,23 +382,20 @@ def _correction_of(root: JsonNode) -> Correction:
 
 
 def _provenance_part(provenance: Provenance) -> dict[str, Any]:
-    """Where the model comes from."""
+    """Where the model comes from. Raises ArtefactError for an infinite setting, which would come back as a text."""
+    for name, value in sorted(provenance.settings.items()):
+        if isinstance(value, float) and not isfinite(value):
+            reason = "a setting is a finite number, a text or a flag"
+            raise ArtefactError(f"provenance.settings.{name} is {value}; {reason}")
     return {
         "method": provenance.method,
         "data_hash": provenance.data_hash,
         "traces": list(provenance.traces),
         "synthetic": provenance.synthetic,
-        "settings": {name: _setting(name, value) for name, value in sorted(provenance.settings.items())},
+        "settings": dict(sorted(provenance.settings.items())),
         "scores": _numbers_part(provenance.scores),
         "parent": provenance.parent,
     }
-
-
-def _setting(name: str, value: str | float | int | bool) -> str | float | int | bool:
-    """A setting as it is. Raises ArtefactError for an infinite one, which would come back as a text."""
-    if isinstance(value, float) and not isfinite(value):
-        raise ArtefactError(f"provenance.settings.{name} is {value}; a setting is a finite number, a text or a flag")
-    return value
 
 
 def _provenance_of(node: JsonNode) -> Provenance:

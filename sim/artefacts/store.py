@@ -122,17 +122,17 @@ def is_store(path: Path) -> bool:
 
 def promotion(store: Path) -> tuple[tuple[int, int] | None, ...]:
     """What changes when a version is promoted or forced, and else does not: to be compared, cheap enough to poll."""
-    # Inode and time, not content: a running gateway asks this again and again.
-    return tuple(_stamp(store / name) for name in (CURRENT, FORCED))
-
-
-def _stamp(file: Path) -> tuple[int, int] | None:
-    """A file's inode and time of change (ns): each rename puts another file there. None where there is none."""
-    try:
-        found = file.stat()
-    except OSError:
-        return None
-    return found.st_ino, found.st_mtime_ns
+    # Inode and time (ns), not content: a running gateway asks this again and again, and each rename puts another file
+    # there. None where there is none.
+    stamps: list[tuple[int, int] | None] = []
+    for name in (CURRENT, FORCED):
+        try:
+            status = (store / name).stat()
+        except OSError:
+            stamps.append(None)
+        else:
+            stamps.append((status.st_ino, status.st_mtime_ns))
+    return tuple(stamps)
 
 
 def _forces(store: Path) -> dict[str, Force]:

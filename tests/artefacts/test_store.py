@@ -105,19 +105,26 @@ def test_a_version_that_is_not_there_is_told_with_those_that_are(tmp_path: Path)
 
 
 WRITER = """
-import sys
+import os, sys
 from pathlib import Path
 from sim.artefacts.store import promote
 from sim.artefacts.formats.write_model import save
 from tests.artefacts.test_store import FORCE, numbered
 store = Path(sys.argv[1])
-number = 0
-while True:
-    promote(store, save(store, numbered(number % 3), {"off": [20.0] * 2000}, created=float(number)), FORCE)
-    if number == 0:
-        print("ready", flush=True)
-    number += 1
+for line in sys.stdin:
+    writer = os.fork()
+    if writer:
+        os.waitpid(writer, 0)
+        print("gone", flush=True)
+        continue
+    number = 0
+    while True:
+        promote(store, save(store, numbered(number % 3), {"off": [20.0] * 2000}, created=float(number)), FORCE)
+        if number == 0:
+            print(os.getpid(), flush=True)
+        number += 1
 """
+"""For each line on its input, a process of its own that saves and promotes until it is killed."""
 
 
 @pytest.mark.slow
@@ -125,20 +132,25 @@ def test_a_kill_at_any_moment_leaves_the_store_readable_and_loses_no_version(tmp
     save(tmp_path, numbered(0), created=0.0)
     promote(tmp_path, versions(tmp_path)[0], FORCE)
     seen: set[str] = set()
-    for round_ in range(8):
-        writer = subprocess.Popen(
-            [sys.executable, "-c", WRITER, str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE, text=True
-        )
-        with writer:
-            assert writer.stdout is not None
-            assert writer.stdout.readline() == "ready\n"
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(tmp_path)], cwd=ROOT, stdin=pipe, stdout=pipe, text=True
+    ) as nursery:
+        assert nursery.stdin is not None and nursery.stdout is not None
+        for round_ in range(8):
+            nursery.stdin.write("another\n")
+            nursery.stdin.flush()
+            writer = int(nursery.stdout.readline())
             time.sleep(0.05 + 0.013 * round_)
-            writer.send_signal(signal.SIGKILL)
-        found = versions(tmp_path)
-        assert seen <= set(found)
-        seen = set(found)
-        assert all(load(tmp_path, version) in map(numbered, range(3)) for version in found)
-        assert read_model(tmp_path) in map(numbered, range(3))
+            os.kill(writer, signal.SIGKILL)
+            assert nursery.stdout.readline() == "gone\n"
+            found = versions(tmp_path)
+            assert seen <= set(found)
+            assert all(load(tmp_path, version) in map(numbered, range(3)) for version in set(found) - seen)
+            seen = set(found)
+            assert read_model(tmp_path) in map(numbered, range(3))
+        nursery.stdin.close()
+    assert all(load(tmp_path, version) in map(numbered, range(3)) for version in seen)
     assert len(seen) > 8
     save(tmp_path, numbered(1), created=1.0)
     assert not [path for path in (tmp_path / VERSIONS).iterdir() if path.name.startswith(".")]

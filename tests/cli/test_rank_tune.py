@@ -15,19 +15,25 @@ from sim.artefacts.formats.find import find_model
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def rival(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
-    """A model of the same name as `model`, learned from cd1."""
+    """A model of the same name as `model`, learned from cd1, by the method that is quicker."""
     folder = tmp_path_factory.mktemp("learned") / "rival"
-    assert decanter("model", "learn", "--traces", traces / "cd1.csv", "--out", folder).exit_code == 0
+    assert (
+        decanter("model", "learn", "--method", "lsha", "--traces", traces / "cd1.csv", "--out", folder).exit_code == 0
+    )
     return folder
 
 
 @pytest.fixture(scope="module")
-def few(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two traces of some 400 rows: a search learns from them a dozen times."""
-    folder = tmp_path_factory.mktemp("few")
-    assert decanter("trace", "synth", "cd1", "cd9", "--out", folder).exit_code == 0
+def halves(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
+    """A folder with the two halves of cd1: enough for two folds, and quickly learned."""
+    folder = tmp_path_factory.mktemp("halves")
+    lines = (traces / "cd1.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    rows = 1 + next(number for number, line in enumerate(lines) if line.startswith("time"))
+    middle = (rows + len(lines)) // 2
+    for name, part in (("first", lines[rows:middle]), ("second", lines[middle:])):
+        (folder / f"{name}.csv").write_text("".join([*lines[:rows], *part]), encoding="utf-8")
     return folder
 
 
@@ -35,9 +41,8 @@ def test_rank_runs_models_marks_what_they_were_trained_on_and_writes_page_and_pi
     model: Path, rival: Path, traces: Path, tmp_path: Path
 ) -> None:
     page, picture = tmp_path / "r.html", tmp_path / "r.png"
-    options = ("--traces", traces, "--runs", 100, "--jobs", 1, "--semantics", "both")
-    files = ("--page", page, "--picture", picture)
-    found = only_object(decanter("model", "rank", model, rival, *options, *files, "--json").stdout)
+    options = ("--traces", traces, "--runs", 100, "--semantics", "both", "--page", page, "--picture", picture)
+    found = only_object(decanter("model", "rank", model, rival, *options, "--json").stdout)
     rows = {row["entrant"]: row for row in found["models"]}
     assert set(rows) == {f"decanter ({name}) ({kind})" for name in ("model", "rival") for kind in ("own", "thesis")}
     assert {row["in_sample"] for row in rows.values()} == {"in-sample (1 of 2 traces)"}
@@ -52,8 +57,7 @@ def test_rank_reads_an_earlier_campaign_with_what_it_knew_of_its_models(
     model: Path, traces: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "campaign"
-    quick = ("--runs", 100, "--no-pictures", "--jobs", 1)
-    done = decanter("model", "validate", model, "--traces", traces, "--out", out, *quick)
+    done = decanter("model", "validate", model, "--traces", traces, "--out", out, "--runs", 100, "--no-pictures")
     assert done.exit_code == 0
     (row,) = only_object(decanter("model", "rank", "--results", out, "--json").stdout)["models"]
     kept = {one["criterion"]: one["kept"] for one in row["findings"]}
@@ -88,10 +92,10 @@ def test_rank_says_what_it_cannot_use(model: Path, traces: Path, wrong: Path) ->
 
 
 @pytest.mark.slow
-def test_tune_searches_writes_the_model_and_refuses_other_traces(few: Path, tmp_path: Path) -> None:
+def test_tune_searches_writes_the_model_and_refuses_other_traces(traces: Path, halves: Path, tmp_path: Path) -> None:
     file, out = tmp_path / "s.db", tmp_path / "best"
     options = ("--map", "decanter", "--study", file, "--folds", 2)
-    command = ("model", "tune", "--traces", few, *options)
+    command = ("model", "tune", "--traces", halves, *options)
     found = only_object(decanter(*command, "--trials", 1, "--out", out, "--name", "best", "--json").stdout)
     assert found["best"]["settings"] == {} and found["default"]["number"] == 0
     assert found["sentence"] == "no settings were found that are better than the defaults"
@@ -100,7 +104,7 @@ def test_tune_searches_writes_the_model_and_refuses_other_traces(few: Path, tmp_
     assert learned.provenance.scores["tuning_crps"] == pytest.approx(found["best"]["value"])
     again = decanter(*command, "--trials", 1)
     assert again.exit_code == 0 and "bins: 1 trials; the best by held-out CRPS" in again.stdout
-    other = ("model", "tune", "--traces", few / "cd1.csv", "--cycles", *options, "--trials", 2)
+    other = ("model", "tune", "--traces", traces / "cd1.csv", "--cycles", *options, "--trials", 2)
     said = refused(decanter(*other), 2)
     assert "usable traces" in said or "another data" in said
 
@@ -145,9 +149,9 @@ def begun(study: Path) -> bool:
 
 
 @pytest.mark.slow
-def test_control_c_stops_a_search_with_a_sentence_and_its_own_code(few: Path, tmp_path: Path) -> None:
+def test_control_c_stops_a_search_with_a_sentence_and_its_own_code(halves: Path, tmp_path: Path) -> None:
     file = tmp_path / "s.db"
-    words = ["model", "tune", "--traces", str(few), "--study", str(file), "--folds", "2"]
+    words = ["model", "tune", "--traces", str(halves), "--study", str(file), "--folds", "2"]
     command = [sys.executable, "-m", "gateway.cli.main", *words]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while not begun(file):

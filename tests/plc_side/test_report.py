@@ -1,6 +1,7 @@
 """The acceptance report: made of the commands' own records, nothing left out, and a changed byte shows."""
 
 import json
+import shutil
 import time
 from collections.abc import Callable
 from html.parser import HTMLParser
@@ -171,6 +172,19 @@ def made(folder: Path, *others: CommandRecord) -> tuple[Path, str]:
     return out, write(out, data_of(records, site="Plant <b>&</b> è"), records.read_bytes())
 
 
+@pytest.fixture(scope="module")
+def ready(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A report and its seal, made once: whoever changes it takes a copy."""
+    return made(tmp_path_factory.mktemp("ready"))
+
+
+@pytest.fixture
+def copied(ready: tuple[Path, str], tmp_path: Path) -> tuple[Path, str]:
+    """A report of its own, with its seal."""
+    out, seal = ready
+    return Path(shutil.copytree(out, tmp_path / "report")), seal
+
+
 def test_the_page_has_every_record_escapes_what_it_shows_and_loads_nothing(tmp_path: Path) -> None:
     rows = [{"tag": f"<script>alert({number})</script>", "ok": number % 2 == 0} for number in range(500)]
     out, _ = made(tmp_path, record("verify", 1, "<img src=x>", result={"rows": rows}))
@@ -192,8 +206,8 @@ def test_the_paper_is_a_pdf_of_the_same_and_bears_the_datas_hash(tmp_path: Path)
 
 
 @pytest.mark.parametrize("name", [*FILES, LIST])
-def test_a_changed_byte_in_any_file_shows(tmp_path: Path, name: str) -> None:
-    out, seal = made(tmp_path)
+def test_a_changed_byte_in_any_file_shows(copied: tuple[Path, str], name: str) -> None:
+    out, seal = copied
     assert all(row["ok"] for row in verify(out, seal)[1])
     content, random = (out / name).read_bytes(), Random(name)
     places = range(len(content)) if name == LIST else random.sample(range(len(content)), 40)
@@ -217,8 +231,8 @@ CHANGES: dict[str, Callable[[bytes], bytes]] = {
 
 @pytest.mark.parametrize("name", [*FILES, LIST])
 @pytest.mark.parametrize("change", CHANGES)
-def test_added_and_missing_bytes_show_too(tmp_path: Path, name: str, change: str) -> None:
-    out, _ = made(tmp_path)
+def test_added_and_missing_bytes_show_too(copied: tuple[Path, str], name: str, change: str) -> None:
+    out, _ = copied
     (out / name).write_bytes(CHANGES[change]((out / name).read_bytes()))
     try:
         assert not all(row["ok"] for row in verify(out)[1])

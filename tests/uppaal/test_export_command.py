@@ -18,7 +18,7 @@ from tests.uppaal.support import learned
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a model directory and two traces."""
     folder = tmp_path_factory.mktemp("export")
-    write_model_directory(folder / "model", learned())
+    write_model_directory(folder / "model", learned("lsha"))
     assert decanter("trace", "synth", "cd1", "cd8", "--out", folder / "traces").exit_code == 0
     return folder
 
@@ -87,8 +87,8 @@ def test_artefacts_are_written_and_can_be_read_again(place: Path, tmp_path: Path
     result = decanter("model", "export", place / "model", "--artefacts", "--out", tmp_path / "a")
     assert result.exit_code == 0, result.output
     written = find_model(tmp_path / "a" / "decanter")
-    assert len(written.structure.locations) == len(learned().sha.locations)
-    assert len(written.structure.edges) == len(learned().sha.edges)
+    assert len(written.structure.locations) == len(learned("lsha").sha.locations)
+    assert len(written.structure.edges) == len(learned("lsha").sha.edges)
 
 
 def test_wrong_use_and_wrong_input_are_one_sentence_each(place: Path, tmp_path: Path) -> None:

@@ -1,12 +1,10 @@
 """Campaigns over many traces: the same numbers in one process, in several and on a cluster; a failure stops nobody."""
 
-import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +30,7 @@ from sim.validation.output_folder import results_json
 from sim.validation.results import TraceResult
 from sim.validation.stages import Prepared
 from sim.validation.trace_run import TraceRunSettings
+from tests.validation.killed import twice
 from tests.validation.small_plant import plant_model, plant_trace
 
 SETTINGS = TraceRunSettings(runs=300)
@@ -39,22 +38,19 @@ GOOD = [plant_trace(f"run{number}", noise=0.2, seed=number) for number in range(
 COLD = Trace("cold", GOOD[0].times, {"Motor": GOOD[0].signals["Motor"]})
 
 CLUSTER = """
-import sys
+import sys, time
 from distributed import LocalCluster
+options = {"processes": False, "protocol": "tcp", "threads_per_worker": 1, "dashboard_address": None}
 if __name__ == "__main__":
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as local:
+    with LocalCluster(n_workers=0, **options) as local:
         print(local.scheduler_address, flush=True)
-        sys.stdin.read()
+        for line in sys.stdin:
+            local.scale(int(line))
+            while len(local.scheduler.workers) != int(line):
+                time.sleep(0.01)
+            print("scaled", flush=True)
 """
-SCHEDULER = """
-import asyncio, sys
-from distributed import Scheduler
-async def main():
-    async with Scheduler(host="127.0.0.1", port=0, dashboard=False) as scheduler:
-        print(scheduler.address, flush=True)
-        await asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)
-asyncio.run(main())
-"""
+"""A scheduler, and as many workers beside it in one process as the last line on its input says; at first none."""
 
 
 def prepared(label: str, **options: float) -> Prepared:
@@ -86,27 +82,31 @@ def as_text(found: Sequence[TraceResult]) -> str:
     return results_json(found)
 
 
-@pytest.fixture
-def started() -> Iterator[list[subprocess.Popen[str]]]:
-    """Processes that a test starts; each ends when its input is closed."""
-    processes: list[subprocess.Popen[str]] = []
-    yield processes
-    for process in processes:
+@dataclass
+class Dask:
+    """A process of its own with a scheduler."""
+
+    process: subprocess.Popen[str]
+    address: str
+
+    def scale(self, workers: int) -> None:
+        """Have so many workers."""
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.process.stdin.write(f"{workers}\n")
+        self.process.stdin.flush()
+        assert self.process.stdout.readline() == "scaled\n"
+
+
+@pytest.fixture(scope="module")
+def dask() -> Iterator[Dask]:
+    """Started once; without workers until a test asks for them."""
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        [sys.executable, "-c", CLUSTER], stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        yield Dask(process, process.stdout.readline().strip())
         process.communicate(timeout=30)
-
-
-def start(script: str, processes: list[subprocess.Popen[str]]) -> str:
-    """Start it; returns the address that it prints."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", script],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    processes.append(process)
-    assert process.stdout is not None
-    return process.stdout.readline().strip()
 
 
 def test_several_processes_give_the_very_same_results_in_the_same_order(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,17 +125,18 @@ def test_a_result_depends_on_its_model_and_trace_and_not_on_what_runs_beside_the
     assert as_text(backwards) == as_text([everything[one.model, one.trace] for one in backwards])
 
 
-def test_a_dask_cluster_gives_the_very_same_results(started: list[subprocess.Popen[str]]) -> None:
-    address = start(CLUSTER, started)
-    with cluster(address) as run:
+def test_a_dask_cluster_gives_the_very_same_results(dask: Dask) -> None:
+    dask.scale(2)
+    with cluster(dask.address) as run:
         found = results(run, [*GOOD, COLD])
+    dask.scale(0)
     assert as_text(found) == as_text(results(run_here(1), [*GOOD, COLD]))
 
 
 def test_a_scheduler_that_does_not_answer_or_has_no_worker_is_one_sentence(
-    started: list[subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
+    dask: Dask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(campaign, "REACHABLE_WITHIN", 1.0)
+    monkeypatch.setattr(campaign, "REACHABLE_WITHIN", 0.2)  # where there is nobody, waiting longer changes nothing
     with (
         pytest.raises(ValueError, match=r"tcp://127\.0\.0\.1:1: no Dask scheduler answers"),
         cluster("tcp://127.0.0.1:1"),
@@ -143,8 +144,8 @@ def test_a_scheduler_that_does_not_answer_or_has_no_worker_is_one_sentence(
         pass
     with pytest.raises(ValueError, match="no Dask scheduler answers"), cluster("nonsense://x"):
         pass
-    address = start(SCHEDULER, started)
-    with pytest.raises(ValueError, match="has no worker"), cluster(address):
+    monkeypatch.setattr(campaign, "REACHABLE_WITHIN", 1.0)
+    with pytest.raises(ValueError, match="has no worker"), cluster(dask.address):
         pass
 
 
@@ -194,15 +195,6 @@ def test_what_a_worker_raised_is_what_went_wrong() -> None:
     future: Future[int] = Future()
     future.set_exception(MemoryError("too large"))
     assert isinstance(waited_for(future, None, "tcp://h:1"), MemoryError)
-
-
-def twice(task: tuple[int, str, bool]) -> int:
-    """2 n, in a process that is killed first: once (while the file is not there), or each time."""
-    number, marker, always = task
-    if marker and (always or not Path(marker).exists()):
-        Path(marker).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return 2 * number
 
 
 def test_the_work_of_a_process_that_was_killed_is_done_again(tmp_path: Path) -> None:

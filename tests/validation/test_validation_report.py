@@ -12,7 +12,8 @@ from sim.sha.model import Provenance
 from sim.sha.trace import Trace
 from sim.validation.campaign import jobs_of
 from sim.validation.discovery import Discovery
-from sim.validation.pictures import draw_one, drawings
+from sim.validation.pictures import drawings
+from sim.validation.plots import draw
 from sim.validation.report import CampaignSummary, ModelReport, ReportEntry, error_boxes, index_html, model_html, shown
 from sim.validation.stage_records import records
 from sim.validation.stages import Prepared, Stage
@@ -42,6 +43,7 @@ def prepared(label: str = "plant") -> Prepared:
 
 
 def outcomes(one: Prepared, name: str = "run") -> list[TraceOutcome]:
+    """Along three traces and one without a temperature."""
     traces = [replace(plant_trace(f"{name}{number}", noise=0.2, seed=number), synthetic=True) for number in (1, 2, 10)]
     bad = Trace(f"{name}-cold", traces[0].times, {"Motor": traces[0].signals["Motor"]})
     return [run_job(job) for job in jobs_of(one, [*traces, bad], TraceRunSettings(runs=200))]
@@ -55,7 +57,7 @@ def html(tmp_path_factory: pytest.TempPathFactory) -> str:
     home = tmp_path_factory.mktemp("report")
     wanted = drawings(home / "pictures", done, "T", {})
     for drawing in wanted.values():
-        draw_one(drawing)
+        draw(drawing.picture, drawing.png)  # without the PDF, which no report holds
     results = [outcome.result for outcome in done]
     pictures = shown(results, {key: drawing.png for key, drawing in wanted.items()}, home)
     report = ModelReport(

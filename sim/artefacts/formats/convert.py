@@ -60,7 +60,17 @@ def to_sha(artefacts: Artefacts, parameter: Parameter = "rate") -> Converted:
     Raises ArtefactError, naming location and flow, where they describe none that can be run.
     """
     start = _start(artefacts.source)
-    lines = _lines_by_location(artefacts)
+    # The report's lines by the source's names; `Location 2` is `q_2` where there is no location `2`.
+    names = {location.name for location in artefacts.source.locations}
+    lines: dict[str, ReportedLocation] = {}
+    for line in artefacts.report.locations:
+        name = line.name if line.name in names else f"q_{line.name}"
+        if name not in names:
+            raise ArtefactError(
+                f"{artefacts.name}: the report has a line for location {line.name!r}, which the source does not have"
+            )
+        lines[name] = line
+    # A location with a line has its law there; only the public learner's need the distributions and the histogram.
     public = any(node.distribution and node.name not in lines for node in artefacts.source.locations)
     laws, notes = _laws(artefacts) if public else ({}, [])
     locations: list[Location] = []
@@ -107,20 +117,6 @@ def _sha(name: str, locations: tuple[Location, ...], source: Source, start: str,
     return sha
 
 
-def _lines_by_location(artefacts: Artefacts) -> dict[str, ReportedLocation]:
-    """The report's lines by the source's names; `Location 2` is `q_2` where there is no location `2`."""
-    names = {location.name for location in artefacts.source.locations}
-    found = {}
-    for line in artefacts.report.locations:
-        name = line.name if line.name in names else f"q_{line.name}"
-        if name not in names:
-            raise ArtefactError(
-                f"{artefacts.name}: the report has a line for location {line.name!r}, which the source does not have"
-            )
-        found[name] = line
-    return found
-
-
 def _laws(artefacts: Artefacts) -> tuple[dict[str, Distribution], list[str]]:
     """A normal law for each reported distribution: the report's mean; sigma from the histogram, else the variance."""
     reported = artefacts.report.distributions
@@ -135,21 +131,6 @@ def _laws(artefacts: Artefacts) -> tuple[dict[str, Distribution], list[str]]:
 
 
 def _from_line(node: SourceLocation, line: ReportedLocation, flows: FlowFile | None) -> Location:
-    flow = _flow_of_line(line)
-    equation = flows.equations.get(node.flow) if flows and node.flow is not None else None
-    if equation is not None and not same_equation(flow, equation):
-        raise ArtefactError(
-            f"the report's line says {flow.kind} with {dict(flow.params)}, the flow file's {node.flow} says "
-            f"{equation.text!r}; correct one of them"
-        )
-    law = _law_of_line(line)
-    entry = str(line.values.get("entry", "resample" if law else "none"))
-    if entry not in ENTRIES:
-        raise ArtefactError(f"the entry mode {entry!r} is unknown; known are {', '.join(ENTRIES)}")
-    return Location(node.name, flow, law, ENTRIES[entry])
-
-
-def _flow_of_line(line: ReportedLocation) -> Flow:
     kind, written = line.calls.get("flow", ("constant", {}))
     if kind not in FLOWS:
         raise ArtefactError(f"the flow {kind!r} is unknown; known are {', '.join(FLOWS)}")
@@ -160,17 +141,25 @@ def _flow_of_line(line: ReportedLocation) -> Flow:
             signals.setdefault(signal.strip("`"), {})[part] = value
         else:
             constants[ALIASES.get(name, name)] = value
-    inputs = (Input(name, given.get("gain", 0.0), given.get("reference", 0.0)) for name, given in signals.items())
-    return Flow(kind, constants, tuple(inputs))
-
-
-def _law_of_line(line: ReportedLocation) -> Distribution | None:
-    if "law" in line.calls:
-        return Distribution(*line.calls["law"])
+    inputs = (Input(name, parts.get("gain", 0.0), parts.get("reference", 0.0)) for name, parts in signals.items())
+    flow = Flow(kind, constants, tuple(inputs))
+    equation = flows.equations.get(node.flow) if flows and node.flow is not None else None
+    if equation is not None and not same_equation(flow, equation):
+        raise ArtefactError(
+            f"the report's line says {flow.kind} with {dict(flow.params)}, the flow file's {node.flow} says "
+            f"{equation.text!r}; correct one of them"
+        )
+    # A law of another kind is written out; mu and sigma alone, the thesis's form, are a normal one.
     mu, sigma = (line.values.get(name, 0.0) for name in ("mu", "sigma"))
-    if "mu" not in line.values or not isinstance(mu, float) or not isinstance(sigma, float):
-        return None
-    return Distribution("normal", {"mu": mu, "sigma": sigma})
+    law = None
+    if "law" in line.calls:
+        law = Distribution(*line.calls["law"])
+    elif "mu" in line.values and isinstance(mu, float) and isinstance(sigma, float):
+        law = Distribution("normal", {"mu": mu, "sigma": sigma})
+    entry = str(line.values.get("entry", "resample" if law else "none"))
+    if entry not in ENTRIES:
+        raise ArtefactError(f"the entry mode {entry!r} is unknown; known are {', '.join(ENTRIES)}")
+    return Location(node.name, flow, law, ENTRIES[entry])
 
 
 def _from_equation(

@@ -98,10 +98,22 @@ def parse_source(text: str, file: str | Path = "source") -> Source:
     title = next((_text(child) for child in trees(tree, "id")), "")
     locations: dict[str, SourceLocation] = {}
     for node in subtrees(tree, "node"):
-        location = _location(node, file)
-        if location.name in locations:
-            raise at(file, node.meta.line, f"location {location.name!r} stands here a second time; keep one")
-        locations[location.name] = location
+        name = _node_name(trees(node, "node_id")[0])
+        modes = [text for text, colour in runs(_label(node)) if colour == MODE_COLOUR]
+        location = SourceLocation(name)
+        if modes:
+            match = re.fullmatch(rf"(?:f_(\d+)|{UNOBSERVED})\s*,\s*([A-Z]_\d+|{UNOBSERVED})", modes[0])
+            if match is None or len(modes) > 1:
+                wanted = "one flow and one distribution are needed, like 'f_1, D_0'"
+                raise at(file, node.meta.line, f"location {name!r} is labelled {' '.join(modes)!r}; {wanted}")
+            flow, distribution = match.groups()
+            location = SourceLocation(
+                name, None if flow is None else int(flow), None if distribution == UNOBSERVED else distribution
+            )
+        if name in locations:
+            raise at(file, node.meta.line, f"location {name!r} stands here a second time; keep one")
+        locations[name] = location
+    # After all nodes, wherever they stand: DOT lets an edge come before the nodes that it joins.
     edges = tuple(edge for node in subtrees(tree, "edge") for edge in _edges(node, locations, file))
     return Source(tuple(locations.values()), edges, title)
 
@@ -116,32 +128,17 @@ def _text(identifier: Tree[Token]) -> str:
 
 def _label(statement: Tree[Token]) -> str:
     """The statement's label as written, "" without one. The last one counts, as in Graphviz."""
-    found = ""
+    label = ""
     for attributes in trees(statement, "attributes"):
         for attribute in trees(attributes, "attribute"):
             name, *value = (_text(child) for child in trees(attribute, "id"))
             if name.lower() == "label" and value:
-                found = value[0]
-    return found
+                label = value[0]
+    return label
 
 
 def _node_name(node_id: Tree[Token]) -> str:
     return _text(trees(node_id, "id")[0])
-
-
-def _location(node: Tree[Token], file: str | Path) -> SourceLocation:
-    name = _node_name(trees(node, "node_id")[0])
-    modes = [text for text, colour in runs(_label(node)) if colour == MODE_COLOUR]
-    if not modes:
-        return SourceLocation(name)
-    match = re.fullmatch(rf"(?:f_(\d+)|{UNOBSERVED})\s*,\s*([A-Z]_\d+|{UNOBSERVED})", modes[0])
-    if match is None or len(modes) > 1:
-        wanted = "one flow and one distribution are needed, like 'f_1, D_0'"
-        raise at(file, node.meta.line, f"location {name!r} is labelled {' '.join(modes)!r}; {wanted}")
-    flow, distribution = match.groups()
-    return SourceLocation(
-        name, None if flow is None else int(flow), None if distribution == UNOBSERVED else distribution
-    )
 
 
 def _edges(node: Tree[Token], locations: dict[str, SourceLocation], file: str | Path) -> Iterator[Edge]:
@@ -199,10 +196,18 @@ def source_text(source: Source) -> str:
     """The DOT text, byte for byte as the public learner writes it. Raises ArtefactError for unusable names."""
     lines = [f"digraph {_quoted(source.graph)} {{" if source.graph else "digraph {"]
     lines += [f"\t{line}" for line in HEADER]
-    lines += [f"\t{_quoted(location.name)} [label={_location_label(location)}]" for location in source.locations]
-    lines += [
-        f"\t{_quoted(edge.source)} -> {_quoted(edge.target)} [label={_edge_label(edge)}]" for edge in source.edges
-    ]
+    for location in source.locations:
+        parts = [_font(_plain(location.name), 8, NAME_COLOUR)]
+        if location.flow is not None or location.distribution is not None:
+            flow = UNOBSERVED if location.flow is None else f"f_{location.flow}"
+            mode = f"<br/><b>{flow}, {location.distribution or UNOBSERVED}</b>"
+            parts.append(_font(mode, 6, MODE_COLOUR))
+        lines.append(f"\t{_quoted(location.name)} [label=<{'<br/>'.join(parts)}>]")
+    for edge in source.edges:
+        parts = [_font(_plain(edge.guard), 8, GUARD_COLOUR)] if edge.guard else []
+        parts += [_font(_plain(edge.symbol), 8, SYMBOL_COLOUR)] if edge.symbol else []
+        label = f"<{'<br/>'.join(parts)}>" if parts else '""'
+        lines.append(f"\t{_quoted(edge.source)} -> {_quoted(edge.target)} [label={label}]")
     return "\n".join([*lines, "}", ""])
 
 
@@ -229,18 +234,3 @@ def _plain(text: str) -> str:
     if text != text.strip() or "\n" in text:
         raise ArtefactError(f"the label {text!r} would lose its blanks; use a text without blanks at its ends")
     return escape(text, quote=False)
-
-
-def _location_label(location: SourceLocation) -> str:
-    parts = [_font(_plain(location.name), 8, NAME_COLOUR)]
-    if location.flow is not None or location.distribution is not None:
-        flow = UNOBSERVED if location.flow is None else f"f_{location.flow}"
-        mode = f"<br/><b>{flow}, {location.distribution or UNOBSERVED}</b>"
-        parts.append(_font(mode, 6, MODE_COLOUR))
-    return f"<{'<br/>'.join(parts)}>"
-
-
-def _edge_label(edge: Edge) -> str:
-    parts = [_font(_plain(edge.guard), 8, GUARD_COLOUR)] if edge.guard else []
-    parts += [_font(_plain(edge.symbol), 8, SYMBOL_COLOUR)] if edge.symbol else []
-    return f"<{'<br/>'.join(parts)}>" if parts else '""'

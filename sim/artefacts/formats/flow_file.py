@@ -124,11 +124,25 @@ def parse_flow_file(text: str, file: str | Path = FLOW_FILE) -> FlowFile:
         key = int(str(number).removeprefix("f_"))
         if key in equations:
             raise at(file, number.line, f"flow {key} stands here a second time; keep one of them")
-        read = [_equation(tree, lines, file) for tree in trees(flow)]
-        if len(read) > 1:
-            states = ", ".join(equation.state for equation in read)
-            raise at(file, number.line, f"flow {key} has {len(read)} equations ({states}); one state is supported")
-        equations[key] = read[0]
+        several = []
+        for tree in trees(flow):
+            left, right = trees(tree)
+            line = tree.meta.line
+            if left.data == "discrete":
+                wanted = "a derivative is needed, like (x0)' = ..."
+                raise at(file, line, f"this is a step from one sample to the next ([k+1]); {wanted}")
+            reading = _Reading(file, line, {})
+            try:
+                value = _sum(right, reading)
+            except RecursionError:
+                reason = "the brackets or signs are nested too deeply; write the equation out"
+                raise at(file, line, reason) from None
+            state = str(tokens(left)[0]).strip("`")
+            several.append(Equation(lines[line - 1].strip(), state, value.top, value.bottom, reading.references))
+        if len(several) > 1:
+            states = ", ".join(equation.state for equation in several)
+            raise at(file, number.line, f"flow {key} has {len(several)} equations ({states}); one state is supported")
+        equations[key] = several[0]
     return FlowFile(equations)
 
 
@@ -140,23 +154,6 @@ def parse_equation(text: str, file: str | Path = "equation") -> Equation:
 def flow_file_text(flow_file: FlowFile) -> str:
     """The text of the file; each equation as it was written."""
     return "".join(f"{number}\n{equation.text}\n" for number, equation in flow_file.equations.items())
-
-
-def _equation(tree: Tree[Token], lines: list[str], file: str | Path) -> Equation:
-    left, right = trees(tree)
-    line = tree.meta.line
-    if left.data == "discrete":
-        raise at(
-            file, line, "this is a step from one sample to the next ([k+1]); a derivative is needed, like (x0)' = ..."
-        )
-    reading = _Reading(file, line, {})
-    try:
-        value = _sum(right, reading)
-    except RecursionError:
-        raise at(file, line, "the brackets or signs are nested too deeply; write the equation out") from None
-    return Equation(
-        lines[line - 1].strip(), str(tokens(left)[0]).strip("`"), value.top, value.bottom, reading.references
-    )
 
 
 def _sum(tree: Tree[Token], reading: _Reading) -> _Quotient:

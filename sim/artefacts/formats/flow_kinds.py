@@ -20,7 +20,20 @@ def flow_of(equation: Equation, noise: float = 0.0) -> Flow:
     """
     if not _is_constant(equation.denominator):
         return _logarithmic(equation, noise)
-    _check_terms(equation)
+    # Every term above the first degree is refused by what it is.
+    for monomial in equation.numerator:
+        powers = dict(monomial)
+        total = sum(powers.values())
+        if total <= 1:
+            continue
+        order = {2: "quadratic", 3: "cubic"}.get(total, "of higher degree")
+        if set(powers) == {equation.state}:
+            what = f"{order} in the state"
+        elif equation.state in powers:
+            what = "a product of the state with another variable"
+        else:
+            what = f"{order} in other variables than the state"
+        raise ArtefactError(f"the term {term_text(monomial)} is {what}; {LIBRARY}")
     rate = -equation.numerator.get(((equation.state, 1),), Fraction(0))
     if rate < 0:
         raise ArtefactError(
@@ -32,22 +45,6 @@ def flow_of(equation: Equation, noise: float = 0.0) -> Flow:
 
 def _is_constant(polynomial: Polynomial) -> bool:
     return polynomial.keys() <= {()}
-
-
-def _check_terms(equation: Equation) -> None:
-    """Refuses every term above the first degree, by what it is."""
-    for monomial in equation.numerator:
-        powers = dict(monomial)
-        if sum(powers.values()) <= 1:
-            continue
-        order = {2: "quadratic", 3: "cubic"}.get(sum(powers.values()), "of higher degree")
-        if set(powers) == {equation.state}:
-            what = f"{order} in the state"
-        elif equation.state in powers:
-            what = "a product of the state with another variable"
-        else:
-            what = f"{order} in other variables than the state"
-        raise ArtefactError(f"the term {term_text(monomial)} is {what}; {LIBRARY}")
 
 
 def _signals(equation: Equation) -> list[str]:
@@ -113,8 +110,22 @@ def _logarithmic(equation: Equation, noise: float) -> Flow:
 
 def equation_text(flow: Flow, state: str) -> str:
     """The flow's equation for the state variable, in the form that `flow_of` gives back. Raises ArtefactError."""
-    parameter = number_text(flow.params["m"]) if "m" in flow.params else PARAMETER
-    return f"({quoted(state)})' = {_right_side(flow, quoted(state), parameter)}"
+    parameter, x = number_text(flow.params["m"]) if "m" in flow.params else PARAMETER, quoted(state)
+    if flow.kind == "constant":
+        right = "0"
+    elif flow.kind == "linear":
+        right = parameter
+    elif flow.kind == "logarithmic":
+        right = f"{parameter} / ({number_text(flow.params['t0'])} + {AGE})"
+    elif flow.kind in ("exponential", "driven"):
+        signals = "".join(
+            f" + {number_text(driving.gain)} ({quoted(driving.signal)} - {number_text(driving.reference)})"
+            for driving in flow.inputs
+        )
+        right = f"{number_text(flow.params['k'])} ({parameter}{signals} - {x})"
+    else:
+        raise ArtefactError(f"flow {flow.kind!r} has no equation; {LIBRARY}")
+    return f"({x})' = {right}"
 
 
 def quoted(name: str) -> str:
@@ -126,22 +137,6 @@ def quoted(name: str) -> str:
         )
     plain = re.fullmatch(r"[^\W\d][\w.]*", name) and name.lower() not in (*FUNCTIONS, "nan", "inf", "infinity")
     return name if plain else f"`{name}`"
-
-
-def _right_side(flow: Flow, state: str, parameter: str) -> str:
-    if flow.kind == "constant":
-        return "0"
-    if flow.kind == "linear":
-        return parameter
-    if flow.kind == "logarithmic":
-        return f"{parameter} / ({number_text(flow.params['t0'])} + {AGE})"
-    if flow.kind not in ("exponential", "driven"):
-        raise ArtefactError(f"flow {flow.kind!r} has no equation; {LIBRARY}")
-    signals = "".join(
-        f" + {number_text(given.gain)} ({quoted(given.signal)} - {number_text(given.reference)})"
-        for given in flow.inputs
-    )
-    return f"{number_text(flow.params['k'])} ({parameter}{signals} - {state})"
 
 
 def number_text(value: float) -> str:

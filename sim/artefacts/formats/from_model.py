@@ -65,7 +65,16 @@ def to_artefacts(
         limits={"low": float(sha.low), "high": float(sha.high), "max_rate": float(sha.max_rate)},
     )
     flows = FlowFile({number: parse_equation(text) for text, number in equations.items()})
-    return Artefacts(sha.name, source, report, _histogram(sha, laws, values or {}), flows)
+    # One run of values: every law in order, with those of its locations.
+    raw = values or {}
+    unknown = sorted(set(raw) - {location.name for location in sha.locations})
+    if unknown:
+        raise ArtefactError(f"raw values are given for location {unknown[0]!r}, which the automaton does not have")
+    run: dict[str, tuple[float, ...]] = {f"D_{number}": () for number in sorted(laws.values())}
+    for location in sha.locations:
+        if location.distribution is not None:
+            run[f"D_{laws[_key(location.distribution)]}"] += tuple(map(float, raw.get(location.name, ())))
+    return Artefacts(sha.name, source, report, Histogram((run,) if run else ()), flows)
 
 
 def _numbered(keys: Iterator[K]) -> dict[K, int]:
@@ -153,16 +162,3 @@ def _events(alphabet: Alphabet) -> Iterator[tuple[str, str]]:
         else:
             yield _plain_name(channel.rising), f"{channel.signal} 0->1"
             yield _plain_name(channel.falling), f"{channel.signal} 1->0"
-
-
-def _histogram(sha: SHA, laws: Mapping[Key, int], values: RawValues) -> Histogram:
-    """One run: every law in order, with the raw values of its locations. Raises ArtefactError for unknown ones."""
-    unknown = sorted(set(values) - {location.name for location in sha.locations})
-    if unknown:
-        raise ArtefactError(f"raw values are given for location {unknown[0]!r}, which the automaton does not have")
-    run: dict[str, tuple[float, ...]] = {f"D_{number}": () for number in sorted(laws.values())}
-    for location in sha.locations:
-        if location.distribution is not None:
-            name = f"D_{laws[_key(location.distribution)]}"
-            run[name] += tuple(float(value) for value in values.get(location.name, ()))
-    return Histogram((run,) if run else ())

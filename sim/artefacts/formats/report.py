@@ -135,13 +135,23 @@ def parse_report(text: str, file: str | Path = "report") -> Report:
             if child.data in sections:
                 raise at(file, child.meta.line, f"the section {child.data!r} stands here a second time; keep one")
             sections[str(child.data)] = child
-    laws = [(_law(tree, file), tree.meta.line) for tree in trees(sections.get("laws"), "law")]
-    locations = [(_location(tree, file), tree.meta.line) for tree in trees(tree, "location")]
+    laws = []
+    for law in trees(sections.get("laws"), "law"):
+        name, *numbers = (child for child in law.children if isinstance(child, Token))
+        mean = finite(numbers[0], file, f"the mean of {name}")
+        variance = finite(numbers[1], file, f"the variance of {name}") if len(numbers) > 1 else None
+        if variance is not None and variance < 0:
+            raise at(file, name.line, f"the variance of {name} is {variance}; it cannot be negative")
+        laws.append((ReportedLaw(str(name), mean, variance), law.meta.line))
+    locations = []
+    for line in trees(tree, "location"):
+        key = next(child for child in line.children if isinstance(child, Token) and child.type == "KEY")
+        locations.append((ReportedLocation(str(key).strip(), *_items(line, file)), line.meta.line))
     for named in (laws, locations):
         seen: set[str] = set()
-        for part, line in named:
+        for part, row in named:
             if part.name in seen:
-                raise at(file, line, f"{part.name} stands here a second time; keep one of them")
+                raise at(file, row, f"{part.name} stands here a second time; keep one of them")
             seen.add(part.name)
     limits = next((_items(line, file)[0] for line in trees(tree, "limits")), {})
     return Report(
@@ -163,15 +173,6 @@ def _tokens(tree: Tree[Token]) -> list[str]:
     return [str(child).strip() for child in tree.children if isinstance(child, Token)]
 
 
-def _law(tree: Tree[Token], file: str | Path) -> ReportedLaw:
-    name, *numbers = (child for child in tree.children if isinstance(child, Token))
-    mean = finite(numbers[0], file, f"the mean of {name}")
-    variance = finite(numbers[1], file, f"the variance of {name}") if len(numbers) > 1 else None
-    if variance is not None and variance < 0:
-        raise at(file, name.line, f"the variance of {name} is {variance}; it cannot be negative")
-    return ReportedLaw(str(name), mean, variance)
-
-
 def _table(tree: Tree[Token] | None, file: str | Path) -> Table | None:
     header = trees(tree, "header")
     if tree is None or not header:
@@ -191,11 +192,6 @@ def _table(tree: Tree[Token] | None, file: str | Path) -> Table | None:
             rows.append(ReportRow(word, tuple(cells)))
         parts.append(tuple(rows))
     return Table(suffixes, *parts)
-
-
-def _location(tree: Tree[Token], file: str | Path) -> ReportedLocation:
-    name = next(str(child).strip() for child in tree.children if isinstance(child, Token) and child.type == "KEY")
-    return ReportedLocation(name, *_items(tree, file))
 
 
 def _items(
@@ -230,11 +226,24 @@ def report_text(report: Report) -> str:
     if report.labels:
         parts += ["--EVENT LABELS DICT--\n\n", *_pair_lines(report.labels)]
     parts += ["\n\n--OBSERVABLE EVENTS--\n\n", *_pair_lines(report.events)]
-    parts += ["\n\n--LEARNED DISTRIBUTIONS--\n\n", *(f"{_law_text(law)}\n" for law in report.distributions)]
+    parts += [
+        "\n\n--LEARNED DISTRIBUTIONS--\n\n",
+    ]
+    for law in report.distributions:
+        numbers = ", ".join(decimal(value) for value in (law.mean, law.variance) if value is not None)
+        parts.append(f"{law.name}({numbers})\n")
     parts += ["\n\n--FINAL OBSERVATION TABLE--\n\n", *_table_lines(report.table), "\n"]
     parts += ["\n\n--PERFORMANCE DATA--\n\n", *(f"{key}:\t{text}\n" for key, text in report.performance)]
     if report.locations or report.limits:
-        parts += ["\n\n--LOCATIONS--\n\n", *_location_lines(report)]
+        parts.append("\n\n--LOCATIONS--\n\n")
+    if report.limits:
+        parts.append(f"Limits: {', '.join(f'{key}={_plain(value)}' for key, value in report.limits.items())}\n")
+    for location in report.locations:
+        items = [f"{key}={_plain(value)}" for key, value in location.values.items()]
+        for key, (kind, constants) in location.calls.items():
+            written = ", ".join(f"{name}={_plain(value)}" for name, value in constants.items())
+            items.append(f"{key}={kind}({written})")
+        parts.append(f"Location {location.name}: {', '.join(items)}\n")
     return "".join(parts)
 
 
@@ -246,10 +255,6 @@ def decimal(value: float) -> str:
     """Six decimals, as the public learner prints, where they say it all; else the shortest exact text."""
     text = f"{value:.6f}"
     return text if float(text) == value else repr(float(value))
-
-
-def _law_text(law: ReportedLaw) -> str:
-    return f"{law.name}({', '.join(decimal(value) for value in (law.mean, law.variance) if value is not None)})"
 
 
 def _table_lines(table: Table | None) -> Iterator[str]:
@@ -271,18 +276,6 @@ def _table_lines(table: Table | None) -> Iterator[str]:
 def _table_line(word: str, cells: tuple[str, ...], width: int, widths: list[int]) -> str:
     padded = (cell.ljust(size) for cell, size in zip(cells, widths, strict=True))
     return "|".join([word.ljust(width), *padded]) + "\n"
-
-
-def _location_lines(report: Report) -> Iterator[str]:
-    if report.limits:
-        yield f"Limits: {', '.join(f'{key}={_plain(value)}' for key, value in report.limits.items())}\n"
-    for location in report.locations:
-        items = [f"{key}={_plain(value)}" for key, value in location.values.items()]
-        items += [
-            f"{key}={kind}({', '.join(f'{name}={_plain(value)}' for name, value in constants.items())})"
-            for key, (kind, constants) in location.calls.items()
-        ]
-        yield f"Location {location.name}: {', '.join(items)}\n"
 
 
 def _plain(value: float | str) -> str:
