@@ -176,7 +176,11 @@ def _narrowed(
             if found is not None:
                 return found, True
             total, runs = float(sums[-1]), int(counts[-1])
-        show_progress(progress, runs, _expected(total / runs, epsilon, level, most))
+        # About how many runs an interval of this half-width takes: the normal approximation's, or, where p is near 0 or
+        # 1, the number at which none in n is told from epsilon.
+        p, tail = total / runs, log(2.0 / (1.0 - level))
+        expected = int(min(most, max(2.0 * tail * p * (1.0 - p) / epsilon**2, tail / epsilon) + 1))
+        show_progress(progress, runs, expected)
     low, high = interval(np.array([total]), np.array([runs]), level)
     return Estimate(total / runs, float(low[0]), float(high[0]), runs), False
 
@@ -203,12 +207,6 @@ def _first_narrow(
         return None
     at = int(narrow[0])
     return Estimate(float(sums[at] / counts[at]), float(lows[at]), float(highs[at]), int(counts[at]))
-
-
-def _expected(p: float, epsilon: float, level: float, most: int) -> int:
-    """About how many runs an interval of this half-width takes, for the progress."""
-    tail = log(2.0 / (1.0 - level))
-    return int(min(most, max(2.0 * tail * p * (1.0 - p) / epsilon**2, tail / epsilon) + 1))
 
 
 def drawn(draw: Draw, runs: int) -> Array:
