@@ -58,7 +58,7 @@ def run_free(
     decay, pull = steps(runs, frame.shape, log_rates)
     target = frame.load @ linear
     k = rates_of(frame, log_rates)
-    effects = [effect for one in named for effect in effects_of(one, frame.record.model)]
+    effects = [effect for each in named for effect in effects_of(each, frame.record.model)]
     heating = [effect for effect in effects if not on_sensor(effect)]
     # A run's first row has decay 0, so that one recursion serves all runs: what is pushed there is the start itself.
     push = pull * target
