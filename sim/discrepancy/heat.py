@@ -44,6 +44,7 @@ def implied_heat(fitted: Fitted) -> Array:
     way to the reading, in a model with a dead time or a sensor's lag: there the residual tells how that smears, and no
     heat.
     """
+    # The smoothed residual is an estimate of x in dx/dt = -k x + h; solved for h over each step, held constant in it.
     left = Projector(fitted).residual
     smoothed = Whitener(fitted.grid, fitted.noise).smoothed(left)
     grid = fitted.grid
@@ -123,6 +124,7 @@ def event_names(record: Record) -> tuple[str, str]:
 def flips(cycles: int, seed: int, draws: int) -> Array:
     """(draws + 1, cycles) signs: every flip of the cycles where they are few, else random ones; the first is none."""
     if 2**cycles <= draws:
+        # Few cycles: all flips, an exact test, in which the first row (no bit set) is the data themselves.
         bits = (np.arange(2**cycles)[:, None] >> np.arange(cycles)) & 1
         return np.asarray(1.0 - 2.0 * bits)
     rng = np.random.default_rng(seed)

@@ -66,6 +66,7 @@ def heat_map(course: DiagnosisCourse) -> HeatMap | None:
     order = sorted(kept.tolist(), key=lambda number: natural(str(names[number])))
     column = np.searchsorted(EDGES, since[known], side="right") - 1
     shape = (names.size, len(EDGES))
+    # Cycles, not windows, are what a mean rests on: each counts once in a cell, however many windows it has there.
     seen = np.unique(np.column_stack([place, column, course.cycle[known].astype(np.intp)]), axis=0)
     cycles = np.zeros(shape, dtype=np.intp)
     np.add.at(cycles, (seen[:, 0], seen[:, 1]), 1)
@@ -88,10 +89,10 @@ def heat_map(course: DiagnosisCourse) -> HeatMap | None:
 
 
 def _means(values: Array, place: NDArray[np.intp], column: NDArray[np.intp], shape: tuple[int, int]) -> Array:
-    there = np.isfinite(values)
+    known = np.isfinite(values)
     sums, counts = np.zeros(shape), np.zeros(shape)
-    np.add.at(sums, (place[there], column[there]), values[there])
-    np.add.at(counts, (place[there], column[there]), 1.0)
+    np.add.at(sums, (place[known], column[known]), values[known])
+    np.add.at(counts, (place[known], column[known]), 1.0)
     return np.asarray(np.divide(sums, counts, out=np.full(shape, np.nan), where=counts > 0))
 
 

@@ -81,6 +81,7 @@ def compared(before: Fitted, after: Fitted, record: Record, seed: int) -> tuple[
     """Two fits let run over the held-out record, with the excess removed and its interval over cycles."""
     first, second = let_run(before, record), let_run(after, record)
     floor = floor_squares(second, seed)
+    # Mean squares by cycle, weighted by windows: the floor is of the fit after, under whose noise both are judged.
     counts = np.bincount(first.order).astype(float)
     old = np.bincount(first.order, first.residual**2) / counts
     new = np.bincount(second.order, second.residual**2) / counts

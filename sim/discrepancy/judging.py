@@ -57,6 +57,7 @@ def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> 
     if best is None or not best.confirmed or best.gain < candidate.threshold:
         gain = best.gain if best is not None else 0.0
         return f"adds {gain:.1f} nats, and chance alone does {candidate.threshold:.1f} in one case of a hundred"
+    # A further name must stand out of what the earlier ones' imperfect shapes leave behind, in degrees and in nats.
     others = [each.best.amplitude for each in earlier if each.best is not None]
     small = bool(others) and best.gain < CLEARLY
     least = (MATERIAL_FURTHER if small else MATERIAL) * candidate.before.sensor_sigma
@@ -78,6 +79,7 @@ def dubious(candidate: NamingStep) -> str:
     best = candidate.best
     if best is None:
         return "there is nothing to name"
+    # Where the information lies in fewer than three cycles, single cycles cannot be asked to agree.
     weak = best.spread >= SPREAD and best.gain < OVERWHELMING
     if weak and abs(best.robust) < ROBUST:
         return f"rests on few cycles ({best.cycles[0]} of {best.cycles[1]} speak for it)"
@@ -126,6 +128,8 @@ def doubts(
     clear = held.rmse_before**2 > CLEAR * held.noise_floor**2
     if clear and _greatest_gain(path) < CLEARLY and held.excess_removed <= 0:
         reasons.append("the free run over the held-out cycles is no nearer to the measurement with it")
+    # What the names leave is held against all that was systematic: what trees could predict before, or, where that is
+    # more, what the names themselves have taken out of the heat.
     explained = before is not None and left is not None and before.heat > left.heat
     whole = max(systematic_heat(before), before.heat**2 - left.heat**2 if explained and before and left else 0.0)
     if left is not None and systematic(left) and systematic_heat(left) > CEILING_LEFT * whole:
@@ -157,6 +161,7 @@ def verdict_of(
     if path.steps and not insignificant(path.steps[0][0]):
         step, refusal = path.steps[0]
         return "unexplained", (f"{step.members[0]} {refusal}",)
+    # No candidate stands for it: then the free learner's word alone, or the model's own spread (decision 0031).
     if systematic(before) and before is not None and before.p <= SURELY:
         return "unexplained", ("a free learner predicts heat on cycles that it has not seen",)
     if beyond is not None and beyond.exceeded:

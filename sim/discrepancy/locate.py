@@ -43,6 +43,8 @@ def places(fitted: Fitted, seed: int) -> tuple[HeatPlace, ...]:
     sums = np.zeros((numbers.size, len(cells)))
     for column, cell in enumerate(cells):
         np.add.at(sums[:, column], order[cell.rows], energy[cell.rows])
+    # Each cycle's sum is one number of unknown scatter, and under "no heat here" as likely of either sign: z is the sum
+    # over its root sum of squares, and the flips give the law of the greatest |z| of all cells at once.
     z = _z(sums, np.ones((1, numbers.size)))[0]
     signs = flips(numbers.size, seed, DRAWS)
     greatest = np.max(np.abs(_z(sums, signs)), axis=1)

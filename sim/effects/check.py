@@ -2,7 +2,7 @@
 
 from sim.effects.kind import EffectKind, Structural
 from sim.effects.kinds import kind_of
-from sim.sha import FIXED, SHA, Effect, Location, check_distribution, check_flow
+from sim.sha import FIXED, SHA, Effect, check_distribution, check_flow
 
 
 def check_sha(sha: SHA) -> None:
@@ -12,19 +12,15 @@ def check_sha(sha: SHA) -> None:
             check_flow(location.flow)
             if location.distribution is not None:
                 check_distribution(location.distribution)
-            _check_entry(location)
+            if location.entry not in ("parameter", "resample", "none"):
+                raise ValueError(f"unknown entry mode {location.entry!r}: known are parameter, resample, none")
+            if location.entry == "resample" and location.distribution is None:
+                raise ValueError("entry mode 'resample' needs a distribution from which the temperature is drawn")
+            if FIXED in location.flow.params and location.entry == "parameter" and location.distribution is not None:
+                raise ValueError("the flow fixes m and the entry draws it: leave out the flow's m or the distribution")
         except ValueError as error:
             raise ValueError(f"SHA {sha.name!r}, location {location.name!r}: {error}") from None
     check_effects(sha)
-
-
-def _check_entry(location: Location) -> None:
-    if location.entry not in ("parameter", "resample", "none"):
-        raise ValueError(f"unknown entry mode {location.entry!r}: known are parameter, resample, none")
-    if location.entry == "resample" and location.distribution is None:
-        raise ValueError("entry mode 'resample' needs a distribution from which the temperature is drawn")
-    if FIXED in location.flow.params and location.entry == "parameter" and location.distribution is not None:
-        raise ValueError("the flow fixes m and the entry draws it: leave out the flow's m or the distribution")
 
 
 def check_effect(effect: Effect) -> None:
@@ -46,6 +42,7 @@ def check_effect(effect: Effect) -> None:
 
 
 def _check_params(effect: Effect, kind: EffectKind) -> None:
+    """Raises ValueError for parameters that are missing, unknown, out of range or at odds with one another."""
     missing = [
         name
         for name, each in kind.parameters.items()

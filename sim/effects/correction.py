@@ -45,25 +45,20 @@ def corrected(correction: Correction, temperature: float) -> float:
 
 
 def _location(sha: SHA, location: Location, correction: Correction) -> Location:
-    law = location.distribution
-    absolute = location.entry == "resample" or location.flow.kind in RELAXING
-    offset = correction.offset if absolute else 0.0
+    """The location's law and flow in the sensor's scale; 1/s and s stay as they are."""
+    law, flow, gain = location.distribution, location.flow, correction.gain
+    # What is drawn is a temperature where X is drawn on entry or the flow has a target, and is mapped with the offset;
+    # else it is a slope or a factor, a difference, which is multiplied alone. A fixed m is always the flow's.
+    absolute = location.entry == "resample" or flow.kind in RELAXING
     try:
-        scaled = None if law is None else _law(law, correction.gain, offset)
+        scaled = None if law is None else _law(law, gain, correction.offset if absolute else 0.0)
     except ValueError as error:
         raise ValueError(f"SHA {sha.name!r}, location {location.name!r}: {error}") from None
-    return replace(location, flow=_flow(location.flow, correction), distribution=scaled)
-
-
-def _flow(flow: Flow, correction: Correction) -> Flow:
-    """Noise and gains are multiplied, a fixed m is mapped as what it is: a temperature or a rate; 1/s and s stay."""
-    params = dict(flow.params)
-    params["noise"] = correction.gain * params["noise"]
+    params = {**flow.params, "noise": gain * flow.params["noise"]}
     if FIXED in params:
-        shift = correction.offset if flow.kind in RELAXING else 0.0
-        params[FIXED] = correction.gain * params[FIXED] + shift
-    inputs = tuple(Input(one.signal, correction.gain * one.gain, one.reference) for one in flow.inputs)
-    return Flow(flow.kind, params, inputs)
+        params[FIXED] = gain * params[FIXED] + (correction.offset if flow.kind in RELAXING else 0.0)
+    inputs = tuple(Input(driver.signal, gain * driver.gain, driver.reference) for driver in flow.inputs)
+    return replace(location, flow=Flow(flow.kind, params, inputs), distribution=scaled)
 
 
 def _effect(effect: Effect, correction: Correction) -> Effect:

@@ -72,6 +72,8 @@ def _pump_text(writer: TextWriter, effect: Effect) -> str:
 
 
 def _sinks(log: MachineLog) -> Sequence[Params]:
+    # The first lies so far off that the pump takes a nearly constant heat: between that and a loss towards a sink at
+    # hand lies what data can tell.
     cold, span = log.cold, float(np.ptp(log.smooth))
     return [{"sink": sink} for sink in (cold - 10.0 * span, cold - 0.5 * span, cold, cold + 0.3 * span)]
 
@@ -93,6 +95,7 @@ def _opens_above(params: Params) -> str:
 
 def radiation_tangent(*, gain: Array | float, zero: float, about: Array, around: Array) -> tuple[Array, Array]:
     """(loss, heat) of the tangent at `about` to -gain ((X - zero)^4 - (around - zero)^4), by X."""
+    # A tangent has the form of every other loss, heat - loss X, so that one exact step serves them all.
     loss = 4.0 * gain * (about - zero) ** 3
     radiated = gain * ((about - zero) ** 4 - (around - zero) ** 4)
     return loss, loss * about - radiated

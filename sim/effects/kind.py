@@ -317,7 +317,7 @@ class EffectKind:
     @property
     def optional(self) -> tuple[str, ...]:
         """The roles that may be filled."""
-        return tuple(one.role.name for one in self.roles.optional)
+        return tuple(optional.role.name for optional in self.roles.optional)
 
     @property
     def from_event(self) -> bool:
@@ -331,7 +331,11 @@ class EffectKind:
 
     def acts_with(self, signals: Mapping[str, str]) -> Acts:
         """Where it acts with the signals that fill its roles."""
-        absent = [one.acts for one in self.roles.optional if one.role.name not in signals and one.acts is not None]
+        absent = [
+            optional.acts
+            for optional in self.roles.optional
+            if optional.role.name not in signals and optional.acts is not None
+        ]
         return absent[0] if absent else self.acts
 
 

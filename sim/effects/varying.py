@@ -33,6 +33,8 @@ def _churning(effect: Effect, _time: Array, since: Array) -> Array:
 def _churning_knots(effect: Effect, starts: Array) -> Array:
     if not starts.size:
         return starts
+    # The law is a function of its exponent alone, so knots at fixed exponents fit every tau and shape. What lies beyond
+    # the next start is of no use: there the clock begins anew.
     after = effect.params["tau"] * _EXPONENTS ** (1.0 / effect.params["shape"])
     following = np.append(starts[1:], np.inf)
     times = starts[:, None] + after

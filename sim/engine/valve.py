@@ -1,6 +1,6 @@
 """The mean course of X alone under a thermostat and constant heats: a loop over floats, each crossing in closed form.
 
-It does what `course` does in general, some hundred times as fast where the thermostat switches often.
+It does what `moments_augmented` does in general, some hundred times as fast where the thermostat switches often.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ _MOST_SWITCHES = 8
 
 @dataclass(slots=True)
 class Valve:
-    """X and the thermostat's state as they go on; `clamps` and `limited` count as in `course.Course`."""
+    """X and the thermostat's state as they go on; `clamps` and `limited` count as in `moments_augmented.MeanCourse`."""
 
     x: float
     opened: bool

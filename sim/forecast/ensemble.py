@@ -287,7 +287,15 @@ def _minutes(forecasts: Sequence[Forecast], w: Array) -> tuple[float, float, flo
     Each member's distribution function is linear between the points known of it; weights are linear between horizons.
     """
     horizons = forecasts[0].horizons / 60.0
-    points = [_reached(member) for member in forecasts]
+    points = []
+    for forecast in forecasts:
+        known = [(minutes, share) for minutes, share in zip(forecast.minutes_to_limit, (0.05, 0.5, 0.95), strict=True)]
+        known += [(h / 60.0, e.probability) for h, e in zip(forecast.horizons, forecast.exceedance, strict=True)]
+        known = sorted((minutes, share) for minutes, share in known if minutes < inf)
+        # A forecast whose 95 % quantile is 0 minutes was made at the limit: nothing is interpolated from 0 there.
+        start = 1.0 if forecast.minutes_to_limit[2] == 0.0 else 0.0
+        times, chances = np.array([(0.0, start), *known]).T
+        points.append((times, np.maximum.accumulate(chances)))
     clock = np.unique(np.concatenate([times for times, _ in points]))
     total = np.zeros(clock.size)
     for member, (times, chances) in enumerate(points):
@@ -296,18 +304,8 @@ def _minutes(forecasts: Sequence[Forecast], w: Array) -> tuple[float, float, flo
     return _until(clock, total, 0.05), _until(clock, total, 0.5), _until(clock, total, 0.95)
 
 
-def _reached(forecast: Forecast) -> tuple[Array, Array]:
-    """(minutes, chance of having reached the limit by then), both ascending."""
-    known = [(minutes, share) for minutes, share in zip(forecast.minutes_to_limit, (0.05, 0.5, 0.95), strict=True)]
-    known += [(h / 60.0, e.probability) for h, e in zip(forecast.horizons.tolist(), forecast.exceedance, strict=True)]
-    known = sorted((minutes, share) for minutes, share in known if minutes < inf)
-    # A forecast whose 95 % quantile is 0 minutes was made at the limit: nothing is to be interpolated from 0 there.
-    start = 1.0 if forecast.minutes_to_limit[2] == 0.0 else 0.0
-    times, chances = np.array([(0.0, start), *known]).T
-    return times, np.maximum.accumulate(chances)
-
-
 def _until(clock: Array, total: Array, share: float) -> float:
+    """When the distribution function `total` over `clock` passes `share`; inf where it never does."""
     if total[-1] < share:
         return inf
     row = int(np.searchsorted(total, share))

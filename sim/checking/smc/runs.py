@@ -149,17 +149,17 @@ def extremes(
     looked = ((0.0, bound),) if factor or bent else ()
     made = engine(world, Cuts(bound, (), (), looked, LONGEST if bent else inf))
     sign = 1.0 if greatest else -1.0
-    found, totals, number = RunStatistics(), Totals(), 0
-    while found.runs < runs:
+    statistics, totals, number = RunStatistics(), Totals(), 0
+    while statistics.runs < runs:
         size = chunk_size(number)
         monitor = ExtremeMonitor(factor, rest, sign, np.full(size, -inf))
         totals += follow(made, [monitor], size, generator(seed, number))
         _check_finite(monitor.best)
-        found = found.joined(sign * monitor.best[: runs - found.runs])
+        statistics = statistics.joined(sign * monitor.best[: runs - statistics.runs])
         number += 1
-        report("runs", found.runs / runs)
+        report("runs", statistics.runs / runs)
     notes = ("what is not linear in the clocks is looked at each 4 s at least, at the ends of steps",) if bent else ()
-    return found, totals, (*made.notes, *notes)
+    return statistics, totals, (*made.notes, *notes)
 
 
 @dataclass(frozen=True, slots=True)

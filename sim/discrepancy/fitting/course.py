@@ -54,18 +54,19 @@ def run_free(
 ) -> CourseState:
     """The mean course from the start temperatures (R,), one for each run; `guess` (n,) is a course to iterate from."""
     runs = frame.record.runs
+    first = runs.first
     decay, pull = steps(runs, frame.shape, log_rates)
     target = frame.load @ linear
     k = rates_of(frame, log_rates)
-    effects = [effect for one in named for effect in effects_of(one, frame.record.model)]
+    effects = [effect for each in named for effect in effects_of(each, frame.record.model)]
     heating = [effect for effect in effects if not on_sensor(effect)]
     # A run's first row has decay 0, so that one recursion serves all runs: what is pushed there is the start itself.
     push = pull * target
-    push[runs.first] = start
+    push[first] = start
     course = linear_recursion(decay, push, 0.0)
     loss = np.zeros(len(runs))
     if heating:
-        flow = (decay, np.where(runs.first, start[np.cumsum(runs.first) - 1], push), k)
+        flow = (decay, np.where(first, start[np.cumsum(first) - 1], push), k)
         course, loss = _driven(frame, heating, flow, course if guess is None else guess)
     mean = course
     for effect in effects:
@@ -90,21 +91,22 @@ def _driven(
     """(course, loss) with the effects; `flow` is (decay, what the flow adds, k) without them."""
     record = frame.record
     runs = record.runs
+    first = runs.first  # a property that looks at all runs: not in the loop
     _, own_push, k = flow
     _, own_pull = decay_and_pull(k, runs.dt)
     # The flow's own push is that of a constant heat over the step, so that heats add up and losses join the rate.
-    own_heat = np.where(runs.first, 0.0, own_push / np.maximum(own_pull, 1e-12))
+    own_heat = np.where(first, 0.0, own_push / np.maximum(own_pull, 1e-12))
     for _ in range(ITERATIONS):
         loss, heat = np.zeros(len(runs)), own_heat.copy()
         # Heat that depends on the course is taken at the middle of the step: second order in dt, as the trapezoid is.
-        middle = np.where(runs.first, course, 0.5 * (course + np.concatenate([course[:1], course[:-1]])))
+        middle = np.where(first, course, 0.5 * (course + np.concatenate([course[:1], course[:-1]])))
         for effect in effects:
             added, lost = heat_and_loss(record, effect, middle)
             loss += lost
             heat += added
         decay, pull = decay_and_pull(k + loss, runs.dt)
         before = course
-        course = linear_recursion(np.where(runs.first, 0.0, decay), np.where(runs.first, own_push, pull * heat), 0.0)
+        course = linear_recursion(np.where(first, 0.0, decay), np.where(first, own_push, pull * heat), 0.0)
         if not np.isfinite(course).all() or np.max(np.abs(course - before)) < STILL:
             break
     return course, loss

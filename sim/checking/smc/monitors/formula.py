@@ -160,7 +160,7 @@ def affine(expression: Expression) -> tuple[float, float, float] | None:
     values = [float(np.asarray(value(expression, 0.0, time, age))) for time, age in corners]
     c = values[0]
     t, g = values[1] - c, values[2] - c
-    size = 1.0 + max(abs(one) for one in values)
+    size = 1.0 + max(abs(number) for number in values)
     fits = all(
         abs(c + t * time + g * age - one) <= TINY * size for (time, age), one in zip(corners, values, strict=True)
     )
@@ -245,7 +245,7 @@ def compile_formulas(formulas: tuple[Formula, ...], names: tuple[str, ...]) -> C
         lines=tuple(order),
         place={compare: (rank[index], op) for compare, (index, op) in place.items()},
         watched=tuple(sorted((rank[index], up) for index, up in watched)),
-        clocks=tuple(one for one in dict.fromkeys(every) if one not in place),
+        clocks=tuple(compare for compare in dict.fromkeys(every) if compare not in place),
         still=all(line.level is not None for line in order),
     )
 
@@ -278,10 +278,14 @@ def table(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask:
             truth = np.where(equal, same, np.where(difference < 0, below, above) & ~np.isnan(difference))
             truths.append(bool(truth) if truth.ndim == 0 else truth)
         clocks = tuple(truths)
-    if not compiled.still or not isinstance(piece.location, int) or any(isinstance(one, np.ndarray) for one in clocks):
+    if (
+        not compiled.still
+        or not isinstance(piece.location, int)
+        or any(isinstance(each, np.ndarray) for each in clocks)
+    ):
         return _table(compiled, which, piece, clocks)
     # Lines that stand still and one location for all runs: few tables, each used thousands of times.
-    key = which, piece.location, tuple(bool(one) for one in clocks)
+    key = which, piece.location, tuple(bool(each) for each in clocks)
     if key not in compiled.tables:
         compiled.tables[key] = _table(compiled, which, piece, clocks)
     return compiled.tables[key]

@@ -252,7 +252,7 @@ class ResponseMonitor:
     def see(self, piece: Piece, who: Indices) -> None:
         """Note the piece's earliest and latest instant of the effect and an instant of the cause."""
         n = who.size
-        begin, middle = (np.broadcast_to(np.asarray(one, dtype=float), (n,)) for one in (piece.begin, piece.middle))
+        begin, middle = (np.broadcast_to(np.asarray(time, dtype=float), (n,)) for time in (piece.begin, piece.middle))
         stop = np.broadcast_to(np.asarray(piece.begin + piece.dt), (n,))
         here, there = (region(self.compiled, piece, at_end=at_end) for at_end in (False, True))
         spans = []
@@ -367,7 +367,7 @@ class TrajectoryMonitor:
     def see(self, piece: Piece, who: Indices) -> None:
         """Keep both ends."""
         begin, stop = (
-            np.broadcast_to(np.asarray(one, dtype=float), who.shape) for one in (piece.begin, piece.begin + piece.dt)
+            np.broadcast_to(np.asarray(time, dtype=float), who.shape) for time in (piece.begin, piece.begin + piece.dt)
         )
         self.times.append((begin, stop, who))
         self.values.append((self._at(piece, begin, at_end=False), self._at(piece, stop, at_end=True)))

@@ -120,7 +120,12 @@ def augmented(world: World, cuts: Cuts) -> KnownUnderEffects:
     delay, sha = dead_time(world.sha), relative(world.sha, world.begin)
     shift = delay - world.begin
     inputs = replace(trace, times=trace.times + shift, events=())
-    events = _since_start(world, [Event(event.time + shift, event.symbol) for event in trace.events])
+    events = [Event(event.time + shift, event.symbol) for event in trace.events]
+    if world.belief is not None:  # what it knows of already lies before the start
+        settled = nextafter(0.0, -1.0)
+        events = [Event(settled, event.symbol) if event.time == 0.0 else event for event in events]
+        if world.age > 0.0 and not any(event.time < 0.0 for event in events):
+            events = [Event(-world.age, UNKNOWN), *events]
     coarse = schedule(sha, events, [cuts.bound], start=0.0, inputs=inputs, policy="resync")
     outputs = _outputs(coarse, cuts, sha)
     steps = schedule(sha, events, outputs, start=0.0, inputs=inputs, policy="resync")
@@ -135,6 +140,13 @@ def augmented(world: World, cuts: Cuts) -> KnownUnderEffects:
     begins = steps.segments.time if steps.segments is not None else clock[:-1]
     closed = plan.steps.closed
     bridge = closed.noise[:, 0, 0] / np.maximum(closed.phi[:, 0, 0], LEAST_DECAY)
+    notes = list(notes_of(trace, world, cuts.bound, len(steps.unmatched)))
+    if plan.plant.thermostat is not None or plan.plant.radiation is not None:
+        notes.append("thermostat and radiation are followed run by run, the noise of a step being that of its begin")
+    if plan.plant.lags:
+        notes.append("behind the sensor's lag the path is smooth: its extremes are those of the steps' ends")
+    if sha.max_rate < inf:
+        notes.append("the maximum rate holds for the mean slope of each step")
     return KnownUnderEffects(
         world=world,
         plan=plan,
@@ -143,7 +155,7 @@ def augmented(world: World, cuts: Cuts) -> KnownUnderEffects:
         # Just before the end, so that a step of the sensor's own offset there belongs to the row that follows.
         after=sensor_offsets(sha, begins + steps.dt - np.where(steps.dt > 0, 1e-9, 0.0)),
         bridge=np.zeros_like(bridge) if plan.plant.lags else bridge,
-        notes=(*notes_of(trace, world, cuts.bound, len(steps.unmatched)), *_approximate(plan)),
+        notes=tuple(notes),
     )
 
 
@@ -156,17 +168,6 @@ def relative(sha: SHA, begin: float) -> SHA:
         params = {name: value - begin if name in absolute else value for name, value in effect.params.items()}
         effects.append(replace(effect, params={"delay": 0.0} if kind.law == Structural("dead time") else params))
     return replace(sha, effects=tuple(effects))
-
-
-def _since_start(world: World, events: list[Event]) -> list[Event]:
-    """Events in s since the start; those that a belief knows of already lie before it."""
-    if world.belief is None:
-        return events
-    settled = nextafter(0.0, -1.0)
-    moved = [Event(settled, event.symbol) if event.time == 0.0 else event for event in events]
-    if world.age > 0.0 and not any(event.time < 0.0 for event in moved):
-        return [Event(-world.age, UNKNOWN), *moved]
-    return moved
 
 
 def _outputs(coarse: Schedule, cuts: Cuts, sha: SHA) -> Array:
@@ -198,13 +199,3 @@ def _outputs(coarse: Schedule, cuts: Cuts, sha: SHA) -> Array:
     near = np.isin(np.round(singles, 9), np.round(np.concatenate([doubled, begins]), 9)) & (singles < cuts.bound)
     singles = singles[~near & ~np.isin(singles, doubled)]
     return np.sort(np.concatenate([singles, doubled]))
-
-
-def _approximate(plan: SamplingPlan) -> Iterator[str]:
-    """What the runs only come near to."""
-    if plan.plant.thermostat is not None or plan.plant.radiation is not None:
-        yield "thermostat and radiation are followed run by run, the noise of a step being that of its begin"
-    if plan.plant.lags:
-        yield "behind the sensor's lag the path is smooth: its extremes are those of the steps' ends"
-    if plan.schedule.sha.max_rate < inf:
-        yield "the maximum rate holds for the mean slope of each step"

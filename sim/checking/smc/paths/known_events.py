@@ -163,8 +163,18 @@ def known(world: World, cuts: Cuts) -> Known:
     trace = world.trace
     if trace is None:
         raise ValueError("known events need a trace")
-    events = _since_start(world, trace)
+    # Events in s since the start. Those up to a belief's own time only settle where and how old it is: they have acted
+    # already, and lie just before 0 so that the schedule begins with what they led to.
+    events = [Event(event.time - world.begin, event.symbol) for event in trace.events]
+    if world.belief is not None:
+        settled = nextafter(0.0, -1.0)
+        begun = [event for event in trace.events if event.time <= world.begin]
+        before = [Event(min(event.time - world.begin, settled), event.symbol) for event in begun]
+        if not before and world.age > 0.0:  # still in the first stay, which is older than the runs
+            before = [Event(-world.age, UNKNOWN)]
+        events = before + events[len(begun) :]
     inputs = replace(trace, times=trace.times - world.begin, events=())
+    # Twice: the coarse steps say which flow runs when, which says how fine the second ones must be.
     coarse = schedule(world.sha, events, [cuts.bound], start=0.0, inputs=inputs, policy="resync")
     steps = schedule(world.sha, events, _outputs(coarse, cuts), start=0.0, inputs=inputs, policy="resync")
     if world.belief is not None and steps.location[0] != world.location:
@@ -176,19 +186,6 @@ def known(world: World, cuts: Cuts) -> Known:
     clock = np.concatenate([[0.0], np.cumsum(steps.dt)])
     rows, columns = _with_columns(world, _rows(world, steps, clock))
     return Known(world, clock, rows, notes_of(trace, world, cuts.bound, len(steps.unmatched)), columns)
-
-
-def _since_start(world: World, trace: Trace) -> list[Event]:
-    """The trace's events in s since the start. Those up to a belief's own time only settle where and how old it is."""
-    if world.belief is None:
-        return [Event(event.time - world.begin, event.symbol) for event in trace.events]
-    settled = nextafter(0.0, -1.0)
-    begun = [event for event in trace.events if event.time <= world.begin]
-    before = [Event(min(event.time - world.begin, settled), event.symbol) for event in begun]
-    after = [Event(event.time - world.begin, event.symbol) for event in trace.events[len(begun) :]]
-    if not before and world.age > 0.0:  # still in the first stay, which is older than the runs
-        before = [Event(-world.age, UNKNOWN)]
-    return before + after
 
 
 def notes_of(trace: Trace, world: World, bound: float, unmatched: int) -> tuple[str, ...]:
@@ -216,6 +213,7 @@ def _outputs(coarse: Schedule, cuts: Cuts) -> Array:
             if last > first:
                 points.append(_fine(flow, age + first - begin, last - first, longest=cuts.longest) + first)
         instants |= set(crossings(cuts.clocks, begin, dt, age))
+    # An instant twice is a step of length 0, on which the query looks at the clocks alone.
     doubled = np.repeat(np.array(sorted(instants)), 2)
     singles = np.unique(np.concatenate(points))
     ends = np.append(begins[1:], np.inf)  # steps end there anyway
@@ -250,11 +248,21 @@ def crossings(clocks: Sequence[Affine], begin: float, dt: float, age: float) -> 
 
 
 def _rows(world: World, steps: Schedule, clock: Array) -> tuple[_Row, ...]:
+    """The steps as the runs take them, with all that is the same for every run worked out."""
     sha = world.sha
     decay, pull, variance = step_coefficients(steps)
     mean, spread = np.array([mode_parameter(place) for place in sha.locations]).T[:, steps.location]
     bridge = variance / np.maximum(decay, LEAST_DECAY)
-    alone = _alone(world, steps, pull)
+    # A normal m on which one step alone depends is one more normal noise in that step: one draw stands for both. Under
+    # a rate limit a step is not linear in m, and a belief's first m is not independent of its X: there they stay apart.
+    alone = np.zeros(steps.dt.size, dtype=np.bool_)
+    if not isfinite(sha.max_rate):
+        laws = [drawn_parameter(place) for place in sha.locations]
+        normal = np.array([law is not None and law.kind == "normal" for law in laws])[steps.location]
+        dependent = np.bincount(steps.stay, weights=pull != 0)[steps.stay]
+        alone = normal & (dependent <= 1)
+        if world.belief is not None:
+            alone &= steps.stay > 0
     variance = variance + np.where(alone, pull**2 * spread, 0.0)
     own = (spread > 0) & ~alone
     if world.belief is not None:
@@ -305,15 +313,3 @@ def _with_columns(world: World, rows: Sequence[_Row]) -> tuple[tuple[_Row, ...],
     places = chosen(effects)
     columns = {begins[which]: column for column, which in enumerate(places)}
     return tuple(replace(row, column=columns.get(k)) for k, row in enumerate(rows)), len(places)
-
-
-def _alone(world: World, steps: Schedule, pull: Array) -> Mask:
-    """The steps that alone depend on their stay's normal m: one draw stands for it and for their noise."""
-    # Under a rate limit a step is not linear in m, and the two draws are no longer one.
-    if isfinite(world.sha.max_rate):
-        return np.zeros(steps.dt.size, dtype=np.bool_)
-    laws = [drawn_parameter(place) for place in world.sha.locations]
-    normal = np.array([law is not None and law.kind == "normal" for law in laws])[steps.location]
-    dependent = np.bincount(steps.stay, weights=pull != 0)[steps.stay]
-    here = normal & (dependent <= 1)
-    return here & (steps.stay > 0) if world.belief is not None else here

@@ -2,9 +2,9 @@
 
 A mode parameter m that is drawn once for a long stay is no matter of small steps: among some hundred runs none has the
 m five standard deviations out by which the event comes, and splitting (`sim.checking.smc.splitting.estimator`)
-cannot make one. So
-runs that are split draw the standard scores z of such m from laws N(mean, 1), the means found in pilots as those of z
-given the event, and carry the logarithm of the density ratio, the sum of log N(z; 0, 1) - log N(z; mean, 1).
+cannot make one. So runs that are split draw the standard scores z of such m from laws N(mean, 1), the means found in
+pilots as those of z given the event, and carry the logarithm of the density ratio, the sum of log N(z; 0, 1) -
+log N(z; mean, 1).
 """
 
 from dataclasses import dataclass
@@ -37,6 +37,7 @@ class Tilts:
 
     def log_weights(self, drawn: Array) -> Array:
         """(runs,) the logarithm of how much more often chance draws these scores (runs, K); nan: not drawn yet."""
+        # -z^2/2 + (z - mean)^2/2 of each score; one that is not drawn yet has neither law to be weighed between.
         return np.asarray(np.nansum(self.mean * (0.5 * self.mean - drawn), axis=1))
 
     def surplus(self, drawn: Array) -> Array:
@@ -51,6 +52,8 @@ def neutral(columns: int) -> Tilts:
 
 def fitted(drawn: Array) -> Tilts:
     """The laws with the means of scores (runs, K) that led to the event."""
+    # The mean of the scores given the event minimises the cross-entropy to their law there (Rubinstein 1999), among
+    # normal laws of unit width.
     seen = np.isfinite(drawn)
     return Tilts(np.where(seen, drawn, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
 
@@ -72,9 +75,9 @@ def balance(tilts: Tilts, drawn: Array, spent: Array, least: float) -> float:
     return 1.0 if excess(1.0) <= 0.0 else float(brentq(excess, least, 1.0, xtol=1e-3))
 
 
-def moved(one: Tilts, other: Tilts) -> float:
+def moved(before: Tilts, after: Tilts) -> float:
     """The greatest difference of the means, in standard deviations of the scores."""
-    return float(np.max(np.abs(one.mean - other.mean), initial=0.0))
+    return float(np.max(np.abs(before.mean - after.mean), initial=0.0))
 
 
 def tiltable(law: Distribution | None) -> bool:
@@ -100,6 +103,7 @@ def start_at(world: World, scores: Array, rng: np.random.Generator) -> tuple[Arr
     if belief is None:
         mean, variance = mode_parameter(world.sha.locations[world.location])
         return distributions.draw(world.first, scores.size, rng), mean + sqrt(variance) * scores
+    # The belief's joint normal law the other way round: X given m, as it is m that is chosen here.
     share = belief.xm / sqrt(belief.mm)
     own = sqrt(max(belief.xx - share * share, 0.0))
     return belief.x + share * scores + own * rng.standard_normal(scores.size), belief.m + sqrt(belief.mm) * scores

@@ -90,6 +90,7 @@ def split(
     )
     with np.errstate(over="ignore", invalid="ignore"):  # a line at infinity is never reached
         plan = find_plan(event, rng, report)
+        # A second round draws all anew, and the first is dropped: that it was repeated depends on what it drew.
         for size in (runs, MORE * runs):
             chances = _repeat(plan, size, repetitions, rng, report)
             mean, error = float(chances[-1].mean()), float(chances[-1].std(ddof=1)) / sqrt(repetitions)

@@ -44,17 +44,18 @@ def find_plan(event: RareEvent, rng: np.random.Generator, report: Progress) -> S
     Raises PilotFailed when the last pilot does not come near the event.
     """
     if not event.engine.columns:
-        found = _pilot(event, rng, report)[0]
+        plan = _pilot(event, rng, report)[0]
     else:
         tilts = neutral(event.engine.columns)
         for _ in range(PILOTS):
-            found, scores = _pilot(event.tilted(tilts), rng, report)
+            # The cross-entropy method: each pilot, drawn by the last one's laws, comes nearer to those of the event.
+            plan, scores = _pilot(event.tilted(tilts), rng, report)
             before, tilts = tilts, fitted(scores)
             if moved(before, tilts) < SETTLED:
                 break
-    if isinstance(found, PilotFailed):
-        raise found
-    return found
+    if isinstance(plan, PilotFailed):
+        raise plan
+    return plan
 
 
 def _pilot(event: RareEvent, rng: np.random.Generator, report: Progress) -> tuple[SplittingPlan | PilotFailed, Array]:

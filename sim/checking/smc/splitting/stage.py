@@ -92,6 +92,7 @@ def stage(
 
     `ahead` are the levels still to come: bridges are drawn for all of them, since a run may pass several in one piece.
     """
+    # What stops is written back at its own place: the repetitions of an estimate stay apart by their places.
     out = entries.take(np.arange(entries.row.size))
     waiting = ~(out.hit | (out.peak >= level))
     live = np.empty(0, dtype=np.intp)
@@ -114,6 +115,8 @@ def stage(
         for piece in event.engine.advance(row, state, rng):
             who = live if piece.rows is None else live[piece.rows]
             _note_piece(event, piece, who, out=out, marks=marks, rng=rng)
+        # A run stops at the end of the row in which it met the level, not at the meeting itself: its state there is
+        # known, and where it is beyond, the next levels' bridges have been looked at already (`ahead`).
         stopped = out.hit[live] | (out.peak[live] >= level)
         if stopped.any():
             out.state.put(live[stopped], state.take(stopped))
