@@ -100,7 +100,7 @@ class CanopenFace:
     def _heard(self, message: can.Message) -> None:
         if message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd:
             return
-        if self._down or not self._booted or self._own_disturbance.reset:
+        if self._down or not self._booted:
             return
         identifier, data, now = message.arbitration_id, bytes(message.data), self._plc.clock.monotonic()
         if identifier == SDO_REQUEST + self.node.id:

@@ -47,7 +47,7 @@ class NodeDisturbance:
     """What is wrong with the node: no heartbeat, TPDOs `length` bytes longer (shorter: negative), an emergency.
 
     `pdo` is the TPDO that is disturbed, 0 all of them. `emergency` is error code and error register; `reset` boots the
-    node when the fault begins, and keeps it deaf while the fault is in force.
+    node when the fault begins.
     """
 
     no_heartbeat: bool = False
