@@ -26,13 +26,15 @@ from gateway.store.read_back import reading, samples
 from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.judge import wrong_good
-from sim.plc.record.recording import EventRow, PlcRecording, RequestRow, read_recording
-from tests.rig.pair import MAP, TEMPERATURE, Gateway, Plc, Rig, make_rig, restless_trace
+from sim.plc.record.recording import PlcRecording, RequestRow, read_recording
+from tests.rig.pair import MAP, PATIENCE_S, TEMPERATURE, Gateway, Plc, Rig, brief, make_rig, restless_trace
 
 PERIOD = 0.1
 TOLERANCE_S = STALE_PERIODS * PERIOD
 """A good value may be as old as the gateway's stated rule says, and no older."""
 PAUSE_S = 0.6
+AGAIN_S = 1.0
+"""So long a fault without a duration is looked for before it is ordered again."""
 WRITES = (5, 6, 15, 16, 22, 23)
 BLOCK = range(400, 424)
 
@@ -145,20 +147,21 @@ def suffered(
     """The same on a rig that is there already; `options` are the PLC's own, such as another face.
 
     `tolerance` (s) is the age that a good value may have by the link's own rules, `pause` (s) is between two faults.
-    A fault in `held` lasts beyond its duration until the gateway's status shows it: a machine that is busy with other
-    things may look away for longer than any duration.
+    A fault in `held` lasts beyond its duration until the gateway's status shows it, or is ordered again if it has none:
+    a scan may come too late for it, on a machine that is busy with other things above all.
     """
     with rig.plc(*options) as plc, rig.gateway(plc) as gateway:
         gateway.wait_for(_well)
+        orders = []
         for name, fault in faults.items():
             time.sleep(pause)
-            _suffer(name, fault, plc, gateway, held.get(name))
+            orders.append(_suffer(name, fault, plc, gateway, held.get(name)))
         status = gateway.status
         code, _ = gateway.stop()
         assert code == 0, gateway.words()
         plc.order("stop")
         plc.wait_for("stopped")
-    return _judged(rig, tuple(faults), int(status["failures"]), tolerance)
+    return _judged(rig, dict(zip(faults, orders, strict=True)), int(status["failures"]), tolerance)
 
 
 def _well(status: Mapping[str, Any]) -> bool:
@@ -180,19 +183,21 @@ def block_lost(status: Mapping[str, Any]) -> bool:
     return bool(status["writeback"].get("last_verdict") != "written")
 
 
-def _suffer(name: str, fault: Mapping[str, Any], plc: Plc, gateway: Gateway, seen: Seen | None) -> None:
-    """One fault from its beginning until the gateway says that all is well again."""
-    if seen is None:
-        plc.order("fault", fault=dict(fault))
-    else:
-        endless = {key: value for key, value in fault.items() if key != "duration"}
-        number = plc.order("fault", fault=endless)["number"]
+def _suffer(name: str, fault: Mapping[str, Any], plc: Plc, gateway: Gateway, seen: Seen | None) -> tuple[int, int]:
+    """One fault from its beginning until the gateway says that all is well again; its first and its last number."""
+    lasting = {key: value for key, value in fault.items() if seen is None or key != "duration"}
+    first = number = int(plc.order("fault", fault=lasting)["number"])
+    if seen is not None:
+        ordered = time.monotonic()
+        deadline = ordered + fault.get("duration", 0.0) + PATIENCE_S
         time.sleep(fault.get("duration", 0.0))
-        try:
-            gateway.wait_for(seen)
-        except AssertionError as error:
-            raise AssertionError(f"the fault {name!r} is not seen: {error}") from None
-        plc.order("clear", number=number)
+        while not ((status := gateway.status) and seen(status)):
+            assert time.monotonic() < deadline, f"the fault {name!r} is not seen: {brief(status)}"
+            time.sleep(0.01)
+            if "duration" not in fault and time.monotonic() - ordered > AGAIN_S:
+                number, ordered = int(plc.order("fault", fault=lasting)["number"]), time.monotonic()
+        if "duration" in fault:
+            plc.order("clear", number=number)
     while plc.order("status")["faults"]:
         time.sleep(0.02)
     over = float(plc.order("status")["plant_time"])
@@ -200,21 +205,25 @@ def _suffer(name: str, fault: Mapping[str, Any], plc: Plc, gateway: Gateway, see
         gateway.wait_for(lambda status: _well(status) and _read_at(status) > over + PERIOD)
     except AssertionError as error:
         raise AssertionError(f"after the fault {name!r}: {error}") from None
+    return first, number
 
 
 # ---------------------------------------------------------------- the judgement
 
 
-def _judged(rig: Rig, names: Sequence[str], failures: int, tolerance: float) -> Matrix:
+def _judged(rig: Rig, orders: Mapping[str, tuple[int, int]], failures: int, tolerance: float) -> Matrix:
     recording, read = read_recording(rig.recording), list(samples(rig.historian))
     wrong = wrong_good(recording, read, tolerance)
     unconfirmed = _unconfirmed(rig.historian)
-    spans = _spans(recording.events)
-    assert len(spans) == len(names), f"{len(spans)} faults were recorded for {len(names)} ordered"
+    # In plant seconds.
+    begun = {row.detail["number"]: row.time for row in recording.events if row.event == "fault began"}
+    over = {row.detail["number"]: row.time for row in recording.events if row.event == "fault ended"}
+    spans = [(begun[first], over[last]) for first, last in orders.values()]
+    assert len(begun) == len(over) == max(last for _, last in orders.values()), "every order was carried out once"
     ends = [*(began for began, _ in spans[1:]), inf]
     rows = tuple(
         judged_row(name, span, until, read=read, unconfirmed=unconfirmed, wrong=[one.sample for one in wrong])
-        for name, span, until in zip(names, spans, ends, strict=True)
+        for name, span, until in zip(orders, spans, ends, strict=True)
     )
     return Matrix(
         rows,
@@ -227,13 +236,6 @@ def _judged(rig: Rig, names: Sequence[str], failures: int, tolerance: float) -> 
         recording.missing + recording.damaged,
         failures,
     )
-
-
-def _spans(events: Iterable[EventRow]) -> list[tuple[float, float]]:
-    """(began, ended) in plant seconds of every fault, in their order."""
-    began = {row.detail["number"]: row.time for row in events if row.event == "fault began"}
-    ended = {row.detail["number"]: row.time for row in events if row.event == "fault ended"}
-    return [(began[number], ended[number]) for number in sorted(began)]
 
 
 def judged_row(

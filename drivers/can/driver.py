@@ -143,14 +143,18 @@ class CanDriver:
     def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """In sentences: what cannot be read and why, each message with its timeout and signals, what may be sent."""
         heard = [self._hearing(tag) for tag in tags]
-        left_out = [PlanLine(f"{one.tag.name}: {one.problem}", PlanKind.PROBLEM) for one in heard if one.problem]
+        left_out = [
+            PlanLine(f"{listening.tag.name}: {listening.problem}", PlanKind.PROBLEM)
+            for listening in heard
+            if listening.problem
+        ]
         sent = [
             f"{frame_name(frame.key)}{layout_name(frame.conditions)} may be sent, {frame.length} bytes, echo "
             f"{frame_name(frame.echo)}: "
             f"{', '.join(frame.places)}"
             for frame in self._write_map.frames
         ]
-        places = [one.place for one in heard if one.place is not None]
+        places = [listening.place for listening in heard if listening.place is not None]
         plain = [PlanLine(line, PlanKind.HEARD) for line in describe(places)]
         return (*left_out, *plain, *self._messages.describe(), *map(PlanLine, sent))
 
@@ -159,7 +163,9 @@ class CanDriver:
     async def stream(self, tags: Sequence[Tag]) -> AsyncIterator[Sample]:
         """Yield a sample for each tag of each usable frame as it comes, until `close`; silence tells so once."""
         heard = [self._hearing(tag) for tag in tags]
-        stream = Stream([one.slot for one in heard], lambda position: self._sample(heard[position], time.monotonic()))
+        stream = Stream(
+            [listening.slot for listening in heard], lambda position: self._sample(heard[position], time.monotonic())
+        )
         self._streams.add(stream)
         try:
             async for sample in stream.samples():
@@ -191,12 +197,12 @@ class CanDriver:
 
     def _hearing(self, tag: Tag) -> _Heard:
         """The tag's place on the bus; it is listened for from the first time on that it is asked for."""
-        one = self._heard.get(id(tag))
-        if one is None:
+        listening = self._heard.get(id(tag))
+        if listening is None:
             if len(self._heard) >= _PLACES_KEPT:
                 self._heard.clear()
-            one = self._heard[id(tag)] = self._listening(tag)
-        return one
+            listening = self._heard[id(tag)] = self._listening(tag)
+        return listening
 
     def _listening(self, tag: Tag) -> _Heard:
         if is_message_tag(tag):
@@ -221,22 +227,23 @@ class CanDriver:
             pump.bus.set_filters(None)
         return _Heard(tag, "", None, channel, slot)
 
-    def _sample(self, one: _Heard, now: float) -> Sample:
-        if one.channel is None or one.slot is None:
-            return self._no(one.tag, Quality.CONFIGURATION_ERROR, one.problem)
+    def _sample(self, listening: _Heard, now: float) -> Sample:
+        if listening.channel is None or listening.slot is None:
+            return self._no(listening.tag, Quality.CONFIGURATION_ERROR, listening.problem)
         if self._link.connection is None:
-            return self._no(one.tag, Quality.NOT_CONNECTED, self._link.reason)
-        missing = self._reception.missing(one.channel, one.slot, now)
-        frame = one.slot.frame
+            return self._no(listening.tag, Quality.NOT_CONNECTED, self._link.reason)
+        missing = self._reception.missing(listening.channel, listening.slot, now)
+        frame = listening.slot.frame
         if missing is not None or frame is None:
             quality, reason = missing or (Quality.WAITING_FOR_INITIAL_DATA, "")
-            return self._no(one.tag, quality, f"{reason}; {_BUS_OFF}" if self._off else reason)
-        if one.place is None:
-            one.reading = self._messages.reading(one.slot)
-        elif one.frame is not frame:
-            one.frame, one.reading = frame, value_of(one.place.tag, one.place.field, frame.data)
-        value, quality, reason = one.reading
-        return Sample(one.tag.name, value, quality, frame.time, reason=reason)
+            return self._no(listening.tag, quality, f"{reason}; {_BUS_OFF}" if self._off else reason)
+        if listening.place is None:
+            listening.reading = self._messages.reading(listening.slot)
+        # Decoded once for each frame, however often it is read.
+        elif listening.frame is not frame:
+            listening.frame, listening.reading = frame, value_of(listening.place.tag, listening.place.field, frame.data)
+        value, quality, reason = listening.reading
+        return Sample(listening.tag.name, value, quality, frame.time, reason=reason)
 
     def _no(self, tag: Tag, quality: Quality, reason: str) -> Sample:
         return Sample(tag.name, None, quality, self._clock(), reason=reason)
@@ -251,12 +258,14 @@ class CanDriver:
             )
         )
         try:
+            # The thread cannot be stopped: it goes on opening after the deadline, and what it opens then is let go.
             bus = await asyncio.shield(opening)
         except asyncio.CancelledError:
             opening.add_done_callback(_shut)
             raise
         self._reception.restart(time.monotonic())
         self._errors.restart()  # the controller's last word stays in self._off until a frame proves it wrong
+        # The pump may be lost before it has a name here: whom it reports is looked up when it does.
         pumps: list[Pump] = []
         pump = Pump(bus, self._take, lambda reason: self._link.lost(pumps[0], reason))
         pumps.append(pump)

@@ -127,7 +127,9 @@ class Reception:
         if slot.frame is not None and now - slot.heard <= slot.timeout:
             return None
         since = slot.since if slot.frame is None else slot.heard
+        # Before the first frame the message has as long as between two of them.
         silent = now - since
+        # A frame that came and could not be used says more than that none came.
         if channel.refused >= since and channel.refusal:
             return Quality.DECODING_ERROR, f"frame {slot.name} cannot be used: {channel.refusal}"
         if slot.frame is None and silent <= slot.timeout:

@@ -60,6 +60,7 @@ class Stream:
     def _look(self) -> None:
         for position in range(len(self._slots)):
             sample = self._now(position)
+            # What arrives is told as it comes; this look is for what no frame tells, silence above all.
             if sample.value is None and self._last_quality.get(position) is not sample.quality:
                 self._put(position, sample)
 

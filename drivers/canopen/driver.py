@@ -134,17 +134,17 @@ class CanopenDriver:
         After one SDO request without an answer the others of this call are not sent.
         """
         self._counts["reads"] += 1
-        found: dict[ObjectPlace, SdoAnswer] = {}
+        answers: dict[ObjectPlace, SdoAnswer] = {}
         silent: SdoAnswer | None = None
         samples = []
         for tag in tags:
             sample = self._held(tag)
             if sample is None:
                 place = self._where(tag).place
-                if place not in found:
-                    found[place] = silent or await self._ask(tag, place)
-                    silent = found[place] if found[place].quality is Quality.TIMEOUT else None
-                sample = self._answered(tag, found[place])
+                if place not in answers:
+                    answers[place] = silent or await self._ask(tag, place)
+                    silent = answers[place] if answers[place].quality is Quality.TIMEOUT else None
+                sample = self._answered(tag, answers[place])
             samples.append(sample)
         return samples
 
@@ -153,7 +153,7 @@ class CanopenDriver:
         options, maps = self._options, self._tpdos()
         carried: dict[ObjectPlace, PdoMapping] = {}
         for pdo in maps:
-            carried |= {one.place: pdo for one in pdo.objects if one.place not in carried}
+            carried |= {mapped.place: pdo for mapped in pdo.objects if mapped.place not in carried}
         here = [(tag, self._where(tag)) for tag in tags]
         lines = [PlanLine(f"{tag.name}: {where.misplaced}", PlanKind.PROBLEM) for tag, where in here if where.misplaced]
         for pdo in maps:
@@ -335,7 +335,7 @@ class CanopenDriver:
         self._link.answered(connection)
         if not self._listeners:
             return
-        carried = {one.place for one in heard.pdo.objects}
+        carried = {mapped.place for mapped in heard.pdo.objects}
         for listener in self._listeners:
             for tag in listener.tags:
                 if self._where(tag).place in carried and (sample := self._held(tag)) is not None:

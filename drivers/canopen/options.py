@@ -21,12 +21,12 @@ def _life(given: object) -> tuple[ObjectPlace, float]:
 def _acknowledge(given: object) -> dict[ObjectPlace, ObjectPlace]:
     if not isinstance(given, Mapping):
         raise ValueError(f"{given!r} must be a table such as {{ '0x2100:2' = '0x2101:1' }}")
-    found = {}
+    acknowledged = {}
     for written, answered in given.items():
         if not isinstance(answered, str):
             raise ValueError(f"{answered!r} is no object; give a table such as {{ '0x2100:2' = '0x2101:1' }}")
-        found[parse_place(written)] = parse_place(answered)
-    return found
+        acknowledged[parse_place(written)] = parse_place(answered)
+    return acknowledged
 
 
 def _error_codes(given: object) -> frozenset[int]:

@@ -214,6 +214,7 @@ class SoftDriver:
         """The recorded rows after one and up to another, signal by signal, at their own times."""
         if self._recording is None:
             return
+        # A clock that jumps passes many rows at once; a reader gets the newest of them.
         for row in range(max(after + 1, last - _STREAM_LIMIT), last + 1):
             time = self._played_at(self._recording, row)
             for tag in listener.tags.values():

@@ -44,6 +44,7 @@ class Decoded:
             if number % _LOOK == 0:
                 progress(f"{number} frames", self.log.progress)
             key = (frame.channel, frame.id, frame.extended)
+            # A log of noise has no end of identifiers: beyond so many they are counted together.
             if key not in known and len(known) < _MOST_IDENTIFIERS:
                 known[key] = (frame.channel, _name(frame.id, frame.extended))
             self.identifiers[known.get(key, ("", "others"))] += 1

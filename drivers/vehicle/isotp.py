@@ -41,6 +41,7 @@ class Reassembler:
 
     def take(self, time: float, data: bytes) -> bytes | None:
         """The payload that this frame completes, if it does. `time` in seconds; `data` are the frame's 0 to 8 bytes."""
+        # Either way: the clock of a log may have been set back.
         if self._open is not None and abs(time - self._open.time) > N_CR:
             self._drop("late")
         kind = data[0] >> 4 if data else -1
@@ -66,6 +67,7 @@ class Reassembler:
 
     def _first(self, time: float, data: bytes) -> None:
         total = int.from_bytes(data[:2], "big") & 0x0FFF
+        # What a single frame could have carried is never sent in several.
         if len(data) != 8 or total <= 7:
             self.counts["malformed"] += 1
             return
@@ -78,6 +80,7 @@ class Reassembler:
         if message is None:
             self.counts["orphans"] += 1
             return None
+        # Only the last frame may be shorter; behind its payload there may be padding.
         left = message.total - len(message.data)
         part = data[1 : 1 + left]
         if data[0] & 0x0F != message.next or len(part) < min(left, 7):

@@ -112,13 +112,14 @@ class TransportSessions:
             return None  # asked for again by its receiver; we had it
         session.data += part
         session.next = number + 1
+        # Packets that the receiver asks for again after its last one make no second message.
         if number < session.packets or session.given:
             return None
         session.given = True
-        made = Message(session.pgn, key.source, key.destination, bytes(session.data[: session.size]))
+        message = Message(session.pgn, key.source, key.destination, bytes(session.data[: session.size]))
         if key.destination == BROADCAST:
             self._end(key, "complete")
-        return made
+        return message
 
     def _begin(self, time: float, key: Key, data: bytes, pgn: int) -> None:
         if key in self._open:
@@ -129,6 +130,7 @@ class TransportSessions:
             self.frames["malformed"] += 1
             self.sessions["malformed"] += 1
             return
+        # Sessions that nobody ends are looked for when one begins, so that their number stays bounded.
         self._expire(time, list(self._open))
         self._open[key] = _Session(pgn, size, packets, time)
 

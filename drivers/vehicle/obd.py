@@ -104,10 +104,10 @@ class ObdListener:
         self._requests: dict[tuple[str, int], _Request] = {}
         self._counts = dict.fromkeys(("answers", "unread", "refusals", "unasked_refusals", "requests"), 0)
         for tag in tags:
-            one = wanted(tag)
-            units = ENGINE if one.where.source is None else (one.where.source,)
+            obd_tag = wanted(tag)
+            units = ENGINE if obd_tag.where.source is None else (obd_tag.where.source,)
             for unit in units:
-                self._wanted.setdefault((unit, one.service, one.parameter), []).append(one)
+                self._wanted.setdefault((unit, obd_tag.service, obd_tag.parameter), []).append(obd_tag)
 
     def take(self, frame: CanFrame) -> Sequence[TagReading]:
         """What the frame, or the answer that it completes, says of the tags."""
@@ -157,21 +157,21 @@ class ObdListener:
             parts[pid.number] = payload[at + 1 : at + 1 + pid.length]
             at += 1 + pid.length
         return [
-            TagReading(one.tag, _field(one, one.field, single_frame(number, data)))
+            TagReading(obd_tag.tag, _field(obd_tag, obd_tag.field, single_frame(number, data)))
             for number, data in parts.items()
-            for one in self._wanted.get((unit, CURRENT, number), ())
-            if one.field is not None
+            for obd_tag in self._wanted.get((unit, CURRENT, number), ())
+            if obd_tag.field is not None
         ]
 
     def _unreadable(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """An answer whose length is not that of its parameters: the first one is named, and is not good."""
-        ones = self._wanted.get((unit, CURRENT, payload[1]), ()) if len(payload) > 1 else ()
-        if not ones:
+        obd_tags = self._wanted.get((unit, CURRENT, payload[1]), ()) if len(payload) > 1 else ()
+        if not obd_tags:
             return None
         self._counts["unread"] += 1
         self._counts["answers"] -= 1
         reason = f"the answer {payload.hex(' ')} is not as long as its parameters"
-        return [TagReading(one.tag, (None, Quality.DECODING_ERROR, reason)) for one in ones]
+        return [TagReading(obd_tag.tag, (None, Quality.DECODING_ERROR, reason)) for obd_tag in obd_tags]
 
     def _codes(self, unit: int, service: int, payload: bytes) -> list[TagReading] | None:
         """Services 03, 07, 0A: how many trouble codes, then two bytes each."""
@@ -181,10 +181,12 @@ class ObdListener:
         count, text = len(codes), " ".join(codes)
         return [
             TagReading(
-                one.tag,
-                address.number(one.tag, one.where, count, whole=True) if one.count else address.text(one.tag, text),
+                obd_tag.tag,
+                address.number(obd_tag.tag, obd_tag.where, count, whole=True)
+                if obd_tag.count
+                else address.text(obd_tag.tag, text),
             )
-            for one in self._wanted.get((unit, service, 0), ())
+            for obd_tag in self._wanted.get((unit, service, 0), ())
         ]
 
     def _vehicle(self, unit: int, payload: bytes) -> list[TagReading] | None:
@@ -192,8 +194,8 @@ class ObdListener:
         if len(payload) < 4:
             return None
         words = payload[3:].strip(b"\0 ").decode("latin-1")
-        ones = self._wanted.get((unit, VEHICLE, payload[1]), ())
-        return [TagReading(one.tag, address.text(one.tag, words)) for one in ones]
+        obd_tags = self._wanted.get((unit, VEHICLE, payload[1]), ())
+        return [TagReading(obd_tag.tag, address.text(obd_tag.tag, words)) for obd_tag in obd_tags]
 
     def _note(self, frame: CanFrame) -> None:
         length = frame.data[0] if frame.data else 0
@@ -219,16 +221,19 @@ class ObdListener:
         quality, name = _REFUSALS.get(code, (Quality.DEVICE_FAILURE, "refused"))
         reason = f"unit {frame.id:X} refuses service {service:02X}: {name} (0x{code:02X})"
         parameters = request.parameters if service in (CURRENT, VEHICLE) else b"\0"
-        ones = [one for number in parameters for one in self._wanted.get((frame.id, service, number), ())]
-        return [TagReading(one.tag, (None, quality, reason)) for one in ones]
+        obd_tags = [obd_tag for number in parameters for obd_tag in self._wanted.get((frame.id, service, number), ())]
+        return [TagReading(obd_tag.tag, (None, quality, reason)) for obd_tag in obd_tags]
 
     def _request_before(self, frame: CanFrame, service: int) -> _Request | None:
         """The latest request for the service, to this unit or to all."""
+        # A refusal names the service alone: what was asked for is known only from the request.
         requests = [self._requests.get((frame.channel, unit)) for unit in (frame.id, 0)]
         fitting = [
-            one for one in requests if one and one.service == service and 0 <= frame.time - one.time <= REFUSED_WITHIN
+            request
+            for request in requests
+            if request and request.service == service and 0 <= frame.time - request.time <= REFUSED_WITHIN
         ]
-        return max(fitting, key=lambda one: one.time, default=None)
+        return max(fitting, key=lambda request: request.time, default=None)
 
 
 def answers(number: int, extended: bool) -> bool:
@@ -255,13 +260,13 @@ def trouble_code(high: int, low: int) -> str:
     return f"{_CODE_SYSTEMS[high >> 6]}{high >> 4 & 3}{high & 15:X}{low:02X}"
 
 
-def _field(one: ObdTag, field: PidField, frame: bytes) -> Reading:
+def _field(obd_tag: ObdTag, field: PidField, frame: bytes) -> Reading:
     if not all(condition.met(frame) for condition in field.conditions):
         return None, Quality.NO_DATA, f"{field.name} is not there in this vehicle"
     raw = field.bits.get(frame)
-    if raw in field.unused or raw == one.tag.sentinel:
+    if raw in field.unused or raw == obd_tag.tag.sentinel:
         return None, Quality.NO_DATA, f'the unit says "not used" ({raw})'
     if field.signed and raw >> field.bits.length - 1:
         raw -= 1 << field.bits.length
     is_whole = field.scale.is_integer() and field.offset.is_integer()
-    return address.number(one.tag, one.where, raw * field.scale + field.offset, whole=is_whole)
+    return address.number(obd_tag.tag, obd_tag.where, raw * field.scale + field.offset, whole=is_whole)

@@ -181,6 +181,7 @@ def obey(plc: Plc, line: str | bytes, now: float) -> Outcome:
         outcome = function(plc, now, **checked_arguments(function, order, f"command {name!r}"))
     except (NoObject, InputError) as error:
         return {"event": "reply", "id": number, "command": name, "ok": False, "error": str(error)}
+    # What only asks leaves no trace in the recording.
     if function not in (_status, _values):
         plc.event("command", now, {"command": name, **order})
     return {"event": "reply", "id": number, "command": name, "ok": True, **outcome}

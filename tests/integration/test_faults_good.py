@@ -53,6 +53,7 @@ def matrix(tmp_path_factory: pytest.TempPathFactory) -> Matrix:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_no_wrong_value_is_good_and_nothing_is_written_elsewhere_or_twice(matrix: Matrix) -> None:
     assert matrix.examples == ()
     assert (matrix.outside, matrix.repeated, matrix.missing, matrix.failures) == (0, 0, 0, 0)
@@ -60,6 +61,7 @@ def test_no_wrong_value_is_good_and_nothing_is_written_elsewhere_or_twice(matrix
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_makes_no_wrong_value_good_and_is_noticed(fault: str, matrix: Matrix) -> None:
     (row,) = (row for row in matrix.rows if row.fault == fault)

@@ -24,7 +24,7 @@ from sim.traces.trace_file import write_trace
 ROOT = Path(__file__).parents[2]
 MAP = ROOT / "config/devices/decanter_plc.toml"
 TEMPERATURE, CURRENT, RUNNING = "TCuscinettiRiduttore", "Assorbimento", "MarciaDecanter"
-PATIENCE_S = 20.0
+PATIENCE_S = 45.0
 CYCLE_S = 0.02
 """The software PLC's cycle; its heartbeat moves once in each."""
 

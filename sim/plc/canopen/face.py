@@ -89,7 +89,7 @@ class CanopenFace:
 
     def _say(self, identifier: int, data: bytes) -> None:
         """Send one frame of the node, as far as the faults of the bus let it through."""
-        striking = [one for one in self._disturbances if one.strikes(f"0x{identifier:X}")]
+        striking = [disturbance for disturbance in self._disturbances if disturbance.strikes(f"0x{identifier:X}")]
         left = disturbed(striking, data, None, self._rng)
         record(self._plc, self.name, identifier, left, sent=True)
         if left is not None:
@@ -100,7 +100,7 @@ class CanopenFace:
     def _heard(self, message: can.Message) -> None:
         if message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd:
             return
-        if self._down or not self._booted or self._own_disturbance.reset:
+        if self._down or not self._booted:
             return
         identifier, data, now = message.arbitration_id, bytes(message.data), self._plc.clock.monotonic()
         if identifier == SDO_REQUEST + self.node.id:

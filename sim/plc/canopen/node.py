@@ -129,6 +129,7 @@ class CanopenNode:
             return self.boot(now)
         state = _STATES.get(data[0])
         if state is not None and state != self.state:
+            # The new state is told at once, and every TPDO speaks again.
             self.state, self._beat_due = state, now
             self._sent.clear()
         return []

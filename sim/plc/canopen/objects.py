@@ -244,4 +244,5 @@ class Objects:
             words: Sequence[int] = encode_absent(tag) if value is None else encode(tag, value)
         except Unrepresentable as error:
             words = error.nearest
+        # Registers run from the most significant byte down, CANopen sends the least one first.
         return b"".join(word.to_bytes(2, "big") for word in words)[::-1][:size]

@@ -115,6 +115,7 @@ class ModbusServer:
     async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         name = writer.get_extra_info("peername") or ("?", 0)
         connection = _Connection(reader, writer, f"{name[0]}:{name[1]}", asyncio.current_task())
+        # A deaf connection takes no place: the client that gave it up comes back on another.
         served = sum(not other.deaf for other in self._connections)
         if served >= self._max_clients:
             self._event("connection turned away", connection)

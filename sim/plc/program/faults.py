@@ -302,12 +302,9 @@ def sdo_late(_: float, *, delay_s: float = 1.0) -> FaultEffect:
 
 
 @fault(only_at=("canopen",))
-def node_reset(elapsed_s: float, *, deaf_s: float = 0.0) -> FaultEffect:
-    """The CANopen node boots: the EDS's parameters, pre-operational, no PDO until a master starts it.
-
-    For `deaf_s` it takes no frame, as a device whose program is not up yet.
-    """
-    return FaultEffect(node=NodeDisturbance(reset=True), over=elapsed_s >= deaf_s)
+def node_reset(_: float) -> FaultEffect:
+    """The CANopen node boots: the EDS's parameters, pre-operational, no PDO until a master starts it."""
+    return FaultEffect(node=NodeDisturbance(reset=True), over=True)
 
 
 def describe() -> str:

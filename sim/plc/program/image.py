@@ -106,6 +106,7 @@ class ProcessImage:
         if not self.may_write(table, address, len(values)):
             raise Undefined(f"{table}:{address} and the next {len(values)} are not all writable")
         self._tables[table].update(zip(range(address, address + len(values)), values, strict=True))
+        # Whatever tag has a register among them says something else now.
         names = {name for at in range(address, address + len(values)) for name in self._owners.get((table, at), ())}
         changed = {name: self._decoded(name) for name in sorted(names)}
         self._served |= changed

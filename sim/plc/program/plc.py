@@ -112,6 +112,7 @@ class Plc:
         if effect.run != self.running:
             self._switch(effect.run, now)
         if self.running:
+            # 1 to 65535 and round to 1: 0 says that the program does not run.
             self.heartbeat = self.heartbeat % 0xFFFF + 1
             self._learn(self._values(now), now)
             self.image.serve(lambda name: name in effect.frozen or ALL_TAGS in effect.frozen)
@@ -148,6 +149,7 @@ class Plc:
         if self.replay is None:
             return {}
         row = self.replay.row(now)
+        # A row lasts for many cycles, and its values are checked against the registers once.
         if row != self._row[0]:
             known = {name: value for name, value in self.replay.values(now).items() if self.serves(name)}
             self._row = (row, {name: self._reading(name, value) for name, value in known.items()})
@@ -173,6 +175,7 @@ class Plc:
         pdu = self._answer(request, effect, now)
         reply = ModbusReply(request.transaction, request.unit, pdu, rtu=request.rtu)
         for entry, own in struck:
+            # Each fault bends what the one before it has left.
             for alter in (own.answer, own.alter):
                 reply = reply if alter is None else alter(request, reply, entry.rng)
         return self._noted(request, reply, tuple(entry.fault.kind for entry, _ in struck), now)
@@ -254,6 +257,7 @@ class Plc:
         names = [forced for forced in self.forced if name in (None, forced)]
         for forced in names:
             del self.forced[forced]
+        # What neither trace nor program drives would stay at the forced value: it goes back to rest.
         followed = {*self._signals(now), *self._own}
         self._learn({forced: self._at_rest[forced] for forced in names if forced not in followed}, now)
         return names

@@ -96,6 +96,7 @@ class FaultSchedule:
         begun = [entry for entry in self.entries if not entry.began and now >= entry.begins and not entry.ended]
         for entry in begun:
             entry.began = True
+        # Among all of them: one that has just begun may be over at once.
         over = [entry for entry in self.entries if self._is_over(entry, now)]
         self.entries = [entry for entry in self.entries if entry not in over]
         return begun, [entry for entry in over if entry.began]

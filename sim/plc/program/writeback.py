@@ -61,6 +61,7 @@ def decoded(layout: BlockLayout, words: Sequence[int]) -> dict[str, float]:
 
 def verdict(layout: BlockLayout, intake: Intake, address: int, words: Sequence[int]) -> str:
     """What is wrong with a write into the block's area, or ACCEPTED."""
+    # What is checked first is what the later checks rely on: the fields' places, then their meaning, then the values.
     if address != layout.place.address or len(words) != layout.place.words:
         return LENGTH
     raw = {field.name: word for field, word in zip(layout.fields, words, strict=True)}
