@@ -2,9 +2,11 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
+# The tests start some hundred processes: each would compile our modules anew where bytecode may not be kept.
+unexport PYTHONDONTWRITEBYTECODE
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo test check lint types contracts unit lock bench clean
+.PHONY: setup demo test check lint types contracts unit durations lock bench clean
 
 setup: $(STAMP)
 
@@ -21,7 +23,7 @@ demo: $(STAMP)
 
 test: lint types contracts unit
 
-# The inner loop: everything that needs neither processes of its own nor ten seconds.
+# The inner loop: everything that neither starts a process nor takes half a second (tests/durations.json).
 check: lint types contracts
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --without-processes
 
@@ -38,6 +40,11 @@ contracts: $(STAMP)
 # A file's tests stay in one process, so that what they share is made once.
 unit: $(STAMP)
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+# What tests/conftest.py orders files by, and leaves out of `make check`: measured on a machine with nothing else to do.
+durations: $(STAMP)
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --write-durations
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --write-durations --without-processes
 
 # The locks are made anew by hand, when a dependency is raised on purpose.
 lock: $(STAMP)

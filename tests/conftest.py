@@ -1,8 +1,10 @@
-"""What holds for all tests: one thread for matrices, and the inner loop that starts no processes."""
+"""What holds for all tests: one thread for matrices, the longest files first, and the inner loop without processes."""
 
+import json
 import os
 import signal
 import subprocess
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,27 +20,57 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-INTEGRATION = Path(__file__).parent / "integration"
+TESTS = Path(__file__).parent
+INTEGRATION = TESTS / "integration"
+DURATIONS = TESTS / "durations.json"
+"""Seconds of every test that took LONG or more, with its fixtures, when `make durations` measured it last."""
+LONG = 0.5
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--without-processes`, the inner loop of `make check`."""
-    parser.addoption(
-        "--without-processes", action="store_true", help="Skip whatever starts a process, and what is slow."
-    )
+    """`--without-processes`, the inner loop of `make check`; `--write-durations`, what `make durations` does."""
+    parser.addoption("--without-processes", action="store_true", help="Skip whatever starts a process or takes long.")
+    parser.addoption("--write-durations", action="store_true", help=f"Measure anew what {DURATIONS.name} holds.")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Files with slow tests come first, so that no worker begins one of them when the others are nearly done.
+    """The files that take longest come first, so that no worker begins one of them when the others are nearly done.
 
-    Without processes, what runs for more than five seconds is left out, before its fixtures begin.
+    Without processes, what takes long is left out before its fixtures begin. A test that was not measured yet is short.
     """
-    slow = {item.path for item in items if item.get_closest_marker("slow") or INTEGRATION in item.path.parents}
-    items.sort(key=lambda item: item.path not in slow)
+    durations: dict[str, float] = json.loads(DURATIONS.read_text(encoding="utf-8"))
+    by_file: defaultdict[Path, float] = defaultdict(float)
+    for item in items:
+        by_file[item.path] += durations.get(item.nodeid, 0.0)
+    items.sort(key=lambda item: -by_file[item.path])
     if config.getoption("--without-processes"):
-        left_out = {item for item in items if item.get_closest_marker("slow") or INTEGRATION in item.path.parents}
+        left_out = {item for item in items if item.nodeid in durations or INTEGRATION in item.path.parents}
         config.hook.pytest_deselected(items=list(left_out))
         items[:] = [item for item in items if item not in left_out]
+
+
+class Durations:
+    """Adds up what the phases of each test took, wherever it ran, and writes DURATIONS when all have."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.seconds[report.nodeid] += report.duration
+
+    def pytest_sessionfinish(self) -> None:
+        known = {name: round(seconds, 1) for name, seconds in sorted(self.seconds.items()) if seconds >= LONG}
+        if self.config.getoption("--without-processes"):
+            # What was left out keeps its figure; what took long now, since its file's fixtures fell to it, joins it.
+            known = dict(sorted((json.loads(DURATIONS.read_text(encoding="utf-8")) | known).items()))
+        DURATIONS.write_text(json.dumps(known, indent=0) + "\n", encoding="utf-8")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The process that hears of all tests writes the durations; with several workers that is the one without tests."""
+    if config.getoption("--write-durations") and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Durations(config))
 
 
 @pytest.fixture(scope="session", autouse=True)

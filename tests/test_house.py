@@ -1,6 +1,7 @@
 """House rules that no linter knows: what start-up imports, what may lie in the tree, one sentence over each module."""
 
 import ast
+import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -54,6 +55,17 @@ def test_help_imports_nothing_heavy(command: list[str]) -> None:
 
 def test_the_running_gateway_imports_neither_pandas_nor_matplotlib() -> None:
     assert modules_imported_by("import gateway.plant.app").isdisjoint({"pandas", "matplotlib"})
+
+
+def test_the_durations_name_tests_that_are_there() -> None:
+    tests = ROOT / "tests"
+    named = {name.partition("[")[0] for name in json.loads((tests / "durations.json").read_text(encoding="utf-8"))}
+    there: set[str] = set()
+    for file in {name.partition("::")[0] for name in named}:
+        tree = ast.parse((ROOT / file).read_text(encoding="utf-8")) if (ROOT / file).is_file() else ast.parse("")
+        functions = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+        there.update(f"{file}::{function.name}" for function in functions)
+    assert named <= there, f"`make durations` measures anew; not there: {sorted(named - there)}"
 
 
 def test_no_measured_data_lies_in_the_project() -> None:

@@ -42,7 +42,6 @@ def test_only_what_a_shell_leaves_as_it_is_stays_out_of_one() -> None:
         assert plain_words(command) is None
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("page", PAGES)
 def test_a_tutorial_can_be_followed_literally(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -127,7 +127,6 @@ for line in sys.stdin:
 """For each line on its input, a process of its own that saves and promotes until it is killed."""
 
 
-@pytest.mark.slow
 def test_a_kill_at_any_moment_leaves_the_store_readable_and_loses_no_version(tmp_path: Path) -> None:
     save(tmp_path, numbered(0), created=0.0)
     promote(tmp_path, versions(tmp_path)[0], FORCE)

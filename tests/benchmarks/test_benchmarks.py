@@ -42,7 +42,6 @@ def by_name(figures: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     return {one["name"]: one for one in figures}
 
 
-@pytest.mark.slow
 def test_latency_follows_every_change_to_its_block(model_folder: Path) -> None:
     options = ("--changes", "6", "--period", "0.2", "--model-folder", str(model_folder))
     figures = by_name(said("latency", *options)["figures"])
@@ -56,7 +55,6 @@ def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> N
     assert figures["peak resident size of the gateway"]["value"] > figures["peak resident size of the gateway"]["other"]
 
 
-@pytest.mark.slow
 def test_the_campaigns_benchmark_times_all_four_models(model_folder: Path) -> None:
     options = ("--quick", "--traces", "1", "--runs", "50", "--model-folder", str(model_folder))
     figures = said("campaign", *options)["figures"]
@@ -64,7 +62,6 @@ def test_the_campaigns_benchmark_times_all_four_models(model_folder: Path) -> No
     assert sum("4 jobs" in one["name"] for one in figures) == 4
 
 
-@pytest.mark.slow
 def test_the_semantics_benchmark_holds_each_trace_out_once_and_gives_the_gain_with_its_interval() -> None:
     figures = {one["name"]: one for one in said("semantics", "--quick", "--traces", "2")["figures"]}
     carried = figures["cd1..cd17, held out: MAE, carried"]
@@ -73,7 +70,6 @@ def test_the_semantics_benchmark_holds_each_trace_out_once_and_gives_the_gain_wi
     assert figures["cd1..cd17, held out: carried is better (MAE)"]["other"] == 2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options"),
     [

@@ -18,7 +18,6 @@ def said(name: str) -> dict[str, dict[str, Any]]:
     return {figure["name"]: figure for figure in json.loads(done.stdout)["figures"]}
 
 
-@pytest.mark.slow
 def test_the_benchmark_of_checking_gives_agreement_and_speeds() -> None:
     figures = said("smc")
     held = figures["first passage: 95 % intervals that hold it"]

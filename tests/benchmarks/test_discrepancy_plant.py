@@ -121,7 +121,6 @@ def test_what_the_baseline_can_imitate_does_not_count_as_signal(day: Operation) 
     assert signal_to_noise(day, warmer, Family(), without.sensor, course.sensor, 0.06) < 0.02
 
 
-@pytest.mark.slow
 def test_strengths_are_scaled_to_the_wanted_ratio(day: Operation) -> None:
     ratio = 3.0
     one = Machine("stages-smooth-0", machine("development", "stages", False, 0).bearing, SMOOTH)

@@ -39,7 +39,6 @@ def test_quadrature_needs_noise_and_a_limit_ahead() -> None:
         first_passage([Stretch(flow("linear", 0.0), 0.0, 10.0)], 40.0, 41.0)
 
 
-@pytest.mark.slow
 def test_the_intervals_hold_the_quadrature_at_their_stated_rate_rare_sets_included() -> None:
     """24 sets at 95 %: four misses or more have a chance of 4 % at a random seed; this one is fixed."""
     checks = []

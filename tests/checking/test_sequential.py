@@ -119,7 +119,6 @@ def test_the_fixed_rule_is_clopper_and_pearsons() -> None:
         assert found.estimate == clopper_pearson(outcomes.sum(), 777, 0.9)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("rule", [to_half_width, anytime])
 @pytest.mark.parametrize("p", [0.0, 0.03, 0.4, 0.97])
 def test_the_rule_stops_at_the_first_run_where_the_interval_is_narrow(

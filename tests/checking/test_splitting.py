@@ -23,7 +23,6 @@ def one_split(
     return split(made, one, np.random.default_rng(seed), runs=runs, repetitions=repetitions)
 
 
-@pytest.mark.slow
 def test_the_interval_holds_the_truth_at_about_its_stated_rate_and_the_mean_is_unbiased() -> None:
     """40 estimates of 1.9e-5 by Brownian motion, whose passage is known: at 95 %, 4 misses or more are 14 in 100."""
     exact = brownian(40.0, 0.0, 0.1, 48.55, 400.0)
@@ -37,7 +36,6 @@ def test_the_interval_holds_the_truth_at_about_its_stated_rate_and_the_mean_is_u
     assert error < 0.1 * exact
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("known", "seeds", "misses"), [(True, 24, 3), (False, 5, 1)])
 def test_with_a_mode_parameter_drawn_once_for_the_stay_the_interval_holds_too(
     known: bool, seeds: int, misses: int

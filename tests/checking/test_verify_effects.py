@@ -57,7 +57,6 @@ def random_run(model: Model, rng: np.random.Generator, shortest: float, longest:
     return events, Trace("inputs", clock, signals)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sojourn", ["any", (0.0, 900.0)])
 @pytest.mark.parametrize("kind", ["exponential", "driven", "logarithmic", "linear", "constant"])
 def test_no_random_run_with_random_signals_leaves_the_proven_interval(kind: str, sojourn: object) -> None:
@@ -83,7 +82,6 @@ def test_no_random_run_with_random_signals_leaves_the_proven_interval(kind: str,
                 assert np.all(read >= low - slack) and np.all(read <= high + slack), (name, rate, start)
 
 
-@pytest.mark.slow
 def test_thousands_of_words_with_every_stays_own_parameter_stay_inside() -> None:
     rng = np.random.default_rng(5)
     count = 0

@@ -55,7 +55,6 @@ def shown(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> tuple[Path,
     return folder, performed(folder, "--trace", traces / "cd17.csv", "--seconds", 8)
 
 
-@pytest.mark.slow
 def test_the_demo_ends_with_one_object_that_holds_together(shown: tuple[Path, dict[str, Any]]) -> None:
     _, data = shown
     sane(data)
@@ -97,7 +96,6 @@ def again(shown: tuple[Path, dict[str, Any]], tmp_path_factory: pytest.TempPathF
     return folder, performed(folder, "--trace", folder / "replay.csv", "--seconds", 6, "--link", "can")
 
 
-@pytest.mark.slow
 def test_a_second_demo_in_the_same_folder_begins_anew(
     shown: tuple[Path, dict[str, Any]], again: tuple[Path, dict[str, Any]]
 ) -> None:
@@ -169,7 +167,6 @@ def children(pid: int) -> list[int]:
 ENDINGS = [(signal.SIGINT, "modbus", 2), (signal.SIGTERM, "modbus", 2), (signal.SIGKILL, "can", 3)]
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="needs /proc")
 @pytest.mark.parametrize(("number", "link", "processes"), ENDINGS, ids=[number.name for number, *_ in ENDINGS])
 def test_however_a_demo_is_ended_no_process_stays(
@@ -203,7 +200,6 @@ def test_however_a_demo_is_ended_no_process_stays(
         assert demo.returncode == -number
 
 
-@pytest.mark.slow
 @pytest.mark.real_data
 def test_the_demo_on_a_measured_pump_learns_and_foresees(tmp_path: Path) -> None:
     trace = DATA / "skab" / "anomaly-free.csv"

@@ -32,7 +32,6 @@ def learned(traces: Path, column_map: str, out: Path) -> Path:
     return out
 
 
-@pytest.mark.slow
 def test_the_thermostat_of_a_car_is_named_and_the_decoys_are_not(tmp_path: Path) -> None:
     trips = tmp_path / "trips"
     trips.mkdir()

@@ -5,8 +5,6 @@ import subprocess
 from collections import Counter
 from pathlib import Path
 
-import pytest
-
 from drivers.modbus.tls import load_identity
 from gateway.demo.links import LINKS
 from tests.cli.support import decanter, only_object, refused
@@ -65,7 +63,6 @@ def test_check_reads_every_link_and_names_the_one_that_fails(tmp_path: Path) -> 
     assert {row["quality"] for row in data["readings"] if row["link"] == "way 2"} == {"NOT_CONNECTED"}
 
 
-@pytest.mark.slow
 def test_the_demo_does_the_main_job_over_tls(tmp_path: Path, traces: Path) -> None:
     data = performed(tmp_path / "out", "--trace", traces / "cd1.csv", "--seconds", 8, "--link", "modbus-tls")
     sane(data)

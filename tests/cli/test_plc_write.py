@@ -146,7 +146,6 @@ def test_without_a_permit_nothing_is_written_and_the_refusal_is_kept(tmp_path: P
     assert [row.entry.kind for row in read(tmp_path / "audit.sqlite")] == ["armed", "write refused"]
 
 
-@pytest.mark.slow
 def test_a_gateway_that_runs_is_armed_and_disarmed_through_its_socket(
     plc: tuple[Process, Path], tmp_path: Path
 ) -> None:

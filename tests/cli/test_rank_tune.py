@@ -91,7 +91,6 @@ def test_rank_says_what_it_cannot_use(model: Path, traces: Path, wrong: Path) ->
     refused(decanter(*some, "--picture", "r.txt"), 2, "r.txt: cannot be a picture")
 
 
-@pytest.mark.slow
 def test_tune_searches_writes_the_model_and_refuses_other_traces(traces: Path, halves: Path, tmp_path: Path) -> None:
     file, out = tmp_path / "s.db", tmp_path / "best"
     options = ("--map", "decanter", "--study", file, "--folds", 2)
@@ -148,7 +147,6 @@ def begun(study: Path) -> bool:
             return False
 
 
-@pytest.mark.slow
 def test_control_c_stops_a_search_with_a_sentence_and_its_own_code(halves: Path, tmp_path: Path) -> None:
     file = tmp_path / "s.db"
     words = ["model", "tune", "--traces", str(halves), "--study", str(file), "--folds", "2"]

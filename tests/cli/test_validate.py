@@ -136,7 +136,6 @@ def test_overwriting_removes_what_the_earlier_campaign_left_and_nothing_else(
     assert [path.name for path in (out / "SMALL").iterdir()] == ["mine.txt"] and (out / "my notes.txt").is_file()
 
 
-@pytest.mark.slow
 def test_a_model_that_is_not_there_is_learned_by_the_method_of_its_name(traces: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = validate("bins", traces, out, "--training", traces, "--semantics", "both")
@@ -166,7 +165,6 @@ def test_the_report_of_a_model_of_our_own_is_held_against_its_laws(done: tuple[P
     assert law.name in without.sentence and "only one of" in without.sentence
 
 
-@pytest.mark.slow
 def test_names_from_outside_are_text_everywhere_and_lead_nowhere(model: Path, traces: Path, tmp_path: Path) -> None:
     where, out = tmp_path / "t", tmp_path / "out"
     where.mkdir()
@@ -311,7 +309,6 @@ def test_artefacts_that_cannot_run_are_checked_against_the_traces_and_the_report
     assert "Not simulated" in report and stage(out, "SMALL", 6)["traces"][0]["accepted"]
 
 
-@pytest.mark.slow
 def test_one_model_that_cannot_run_does_not_stop_the_other(model: Path, traces: Path, tmp_path: Path) -> None:
     small = written(tmp_path / "set", without("flow_conditions.txt")(files()))
     result = decanter("model", "validate", small, model, "--traces", traces, "--out", tmp_path / "out", *QUICK)

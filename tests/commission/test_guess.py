@@ -139,7 +139,6 @@ def test_what_is_no_reading_is_refused(text: str) -> None:
         parse_shown(text)
 
 
-@pytest.mark.slow
 def test_of_random_encodings_nine_in_ten_are_first_after_one_reading_and_nearly_all_after_two() -> None:
     verdicts = [verdict(seed) for seed in range(70_001, 70_061)]
     assert sum(one.one for one in verdicts) >= 0.88 * len(verdicts)

@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import pytest
-
 from sim.discrepancy.fitting.baseline import frame_of, on
 from sim.discrepancy.fitting.candidates import catalogue
 from sim.discrepancy.fitting.free_run_fit import fit
@@ -24,7 +22,6 @@ def test_twins_within_a_hundredth_of_the_gain_are_a_class_and_rivals_are_not() -
         assert replace(found, evidence=evidence, cosines={names[1]: cosine}).members == members
 
 
-@pytest.mark.slow
 def test_a_name_that_adds_nothing_beside_the_others_is_dropped_and_the_others_stay() -> None:
     present = {"pump": "MarciaPmpFango"}
     record = record_of(model(), [plant(3, days=2, pump=2e-4)], tuple(present.values()))

@@ -37,7 +37,6 @@ def test_moved_parameters_are_a_shift_and_no_missing_effect() -> None:
     assert all(one.change < 0 for one in found.shifts if one.parameter == "target" and one.location != "OFF")
 
 
-@pytest.mark.slow
 def test_a_hidden_pump_is_named_with_its_strength_and_the_gap_shrinks(pumped: DiagnosisOutcome) -> None:
     found = pumped.diagnosis
     assert (found.verdict, [one.name for one in found.effects]) == ("named", ["pump-cooling"])
@@ -81,7 +80,6 @@ def test_an_offset_of_the_sensor_is_told_from_wear() -> None:
     assert found.effects[0].params["size"] == pytest.approx(0.8, abs=0.25)
 
 
-@pytest.mark.slow
 def test_churning_of_another_shape_than_the_catalogues_is_recognised(churned: DiagnosisOutcome) -> None:
     assert [effect.name for effect in churned.diagnosis.effects] == ["startup-churning"]
 
@@ -97,7 +95,6 @@ def test_missing_signals_take_their_effects_off_the_table_and_the_report_says_wh
     assert "pump-cooling" not in pumped.diagnosis.untested
 
 
-@pytest.mark.slow
 def test_the_same_seed_gives_the_same_diagnosis(churned: DiagnosisOutcome) -> None:
     again = diagnose(model(), [plant(7, days=2, churning=0.006)], seed=0).diagnosis
     assert again.effects == churned.diagnosis.effects

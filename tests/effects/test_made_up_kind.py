@@ -96,7 +96,6 @@ def test_it_is_bounded() -> None:
     assert found.bounds.intervals["OFF/0-120"][1] >= 22.0 + 4e-4 * 50.0 / 0.003
 
 
-@pytest.mark.slow
 def test_a_diagnosis_names_it_and_adds_it_to_the_model() -> None:
     trace = small_plant(3, days=3)
     rng = np.random.default_rng(5)

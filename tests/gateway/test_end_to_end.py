@@ -144,7 +144,6 @@ def _stored_blocks(historian: Path) -> int:
         return int(connection.execute("SELECT count(*) FROM writes").fetchone()[0])
 
 
-@pytest.mark.slow
 def test_a_gateway_that_is_killed_starts_again_with_an_intact_historian_and_whole_blocks(tmp_path: Path) -> None:
     text = (
         "heartbeat_period = 0.02\n"

@@ -159,7 +159,6 @@ def rows(plant: Path, query: str) -> list[tuple[Any, ...]]:
         return store.execute(query).fetchall()
 
 
-@pytest.mark.slow
 def test_the_gateway_runs_on_the_log_to_its_end_without_a_failure(status: dict[str, Any]) -> None:
     assert (status["failures"], status["phase"]) == (0, "stopped")
     assert status["scan"]["count"] > 2300
@@ -167,7 +166,6 @@ def test_the_gateway_runs_on_the_log_to_its_end_without_a_failure(status: dict[s
     assert status["driver"]["isotp_malformed"] == status["driver"]["log_refused"] == 0
 
 
-@pytest.mark.slow
 def test_what_the_historian_holds_is_what_the_trip_says(plant: Path, status: dict[str, Any]) -> None:
     decoded = {(name, round(value, 4)) for _, name, value in rows_of(DECODED)}
     stored = rows(plant, "SELECT name, value FROM samples JOIN tags ON tags.id = samples.tag WHERE quality = 0")
@@ -176,7 +174,6 @@ def test_what_the_historian_holds_is_what_the_trip_says(plant: Path, status: dic
     assert set(known) <= decoded
 
 
-@pytest.mark.slow
 def test_the_events_are_those_of_the_readings_at_the_scans(
     plant: Path, status: dict[str, Any], trip: tuple[Trace, Alphabet]
 ) -> None:
@@ -199,7 +196,6 @@ def test_the_events_are_those_of_the_readings_at_the_scans(
     assert [time for time, _ in stored] == pytest.approx([event.time for event in expected], abs=PERIOD)
 
 
-@pytest.mark.slow
 def test_predictions_are_made_and_stored_and_follow_the_coolant(plant: Path, status: dict[str, Any]) -> None:
     made = rows(plant, "SELECT measured, mean, low, high FROM predictions WHERE known AND mean IS NOT NULL")
     assert len(made) > 2000

@@ -45,7 +45,6 @@ def suffered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Matrix, PlcRecor
     return measure(folder, faults, pause=PAUSE_S, held=held), read_recording(folder / "plc.jsonl")
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_no_wrong_value_is_good_and_nothing_is_lost_or_written_elsewhere_or_twice(
     suffered: tuple[Matrix, PlcRecording],
@@ -58,7 +57,6 @@ def test_no_wrong_value_is_good_and_nothing_is_lost_or_written_elsewhere_or_twic
     assert repeated(recording) == 0
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_makes_no_wrong_value_good_and_all_comes_back(
@@ -107,7 +105,6 @@ async def test_garbage_on_the_bus_makes_no_wrong_value_good(own: bool, tmp_path:
     assert heap.wrong == 0 or believed > 0, heap.examples
 
 
-@pytest.mark.slow
 def test_a_change_reaches_the_plc_as_a_prediction_long_before_the_next_scan(tmp_path: Path) -> None:
     """The scan period is a second: each of the changes is followed to the block that it made, or this fails."""
     try:

@@ -32,7 +32,6 @@ class InProcessWalk(Walk):
         return result.output
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_an_unknown_plc_is_commissioned_by_commands_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

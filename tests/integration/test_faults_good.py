@@ -52,7 +52,6 @@ def matrix(tmp_path_factory: pytest.TempPathFactory) -> Matrix:
     return measure(tmp_path_factory.mktemp("faults"), faults, pause=PAUSE_S, held=held)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_no_wrong_value_is_good_and_nothing_is_written_elsewhere_or_twice(matrix: Matrix) -> None:
     assert matrix.examples == ()
@@ -60,7 +59,6 @@ def test_no_wrong_value_is_good_and_nothing_is_written_elsewhere_or_twice(matrix
     assert matrix.blocks > 60 and matrix.refusals == {}
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_makes_no_wrong_value_good_and_is_noticed(fault: str, matrix: Matrix) -> None:

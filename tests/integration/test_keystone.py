@@ -143,7 +143,6 @@ def assert_the_same_course(trip: RoundTrip) -> None:
     assert np.sqrt(np.mean((known - learned) ** 2)) < 1.0
 
 
-@pytest.mark.slow
 def test_a_known_automaton_comes_back_from_plc_fieldbus_gateway_historian_and_learner(tmp_path: Path) -> None:
     trip = travel(tmp_path)
     assert_the_same_word(trip)

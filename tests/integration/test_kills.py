@@ -190,7 +190,6 @@ def test_the_check_tells_lost_and_changed_rows_from_new_ones() -> None:
     assert lost(before, {}) == {"scans": 2}
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_many_kills_of_plc_and_gateway_corrupt_nothing_and_lose_nothing_committed(tmp_path: Path) -> None:
     aftermath = many_kills(tmp_path)

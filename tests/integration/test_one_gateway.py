@@ -26,7 +26,6 @@ def good(rig: Rig, gateway: Gateway, blocks: int) -> None:
     )
 
 
-@pytest.mark.slow
 def test_a_second_gateway_on_one_historian_is_refused_in_one_sentence_and_the_first_goes_on(tmp_path: Path) -> None:
     rig = make_rig(tmp_path, restless_trace(60.0), period=PERIOD)
     with rig.plc() as plc, rig.gateway(plc) as first:
@@ -88,7 +87,6 @@ def fill(disk: Path) -> Path:
             return filler
 
 
-@pytest.mark.slow
 def test_a_full_disk_stops_no_scan_holds_back_writes_without_a_record_and_costs_no_row(
     tmp_path: Path, small_disk: Path
 ) -> None:

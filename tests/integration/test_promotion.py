@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
 from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
@@ -86,7 +85,6 @@ def go_on(gateway: Gateway, blocks: int) -> None:
     )
 
 
-@pytest.mark.slow
 def test_promoted_versions_run_without_a_restart_one_with_effects_too_and_one_that_diverges_changes_nothing(
     tmp_path: Path,
 ) -> None:

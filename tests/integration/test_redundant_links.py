@@ -12,7 +12,6 @@ SLACK_S = 0.5
 """What a busy test machine may add; the benchmark states the times of a quiet one."""
 
 
-@pytest.mark.slow
 def test_switch_overs_under_load_lose_no_event_double_none_and_repeat_no_block(tmp_path: Path) -> None:
     outcome = measure(tmp_path, COUNT, "serial")
     assert (outcome.lost, outcome.doubled) == ((), ())

@@ -3,8 +3,6 @@
 import time
 from pathlib import Path
 
-import pytest
-
 from drivers.driver import open_driver
 from drivers.tag import Quality, Sample
 from gateway.settings.devices import load_device
@@ -44,7 +42,6 @@ async def read_under(fault: dict[str, object], plc: Plc, record: list[Sample]) -
     await driver.close()
 
 
-@pytest.mark.slow
 async def test_under_every_fault_of_a_line_no_wrong_value_is_good(tmp_path: Path) -> None:
     rig = make_rig(tmp_path, restless_trace(60.0), period=0.1)
     with rig.plc("--serial", "pty") as plc:

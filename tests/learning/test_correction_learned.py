@@ -44,7 +44,6 @@ def model() -> Model:
     return learned_model()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("gain", "offset"), [(1.1, 0.0), (0.9, 4.0), (1.0, -3.0)])
 def test_a_sensor_that_is_off_is_found_within_its_standard_errors(model: Model, gain: float, offset: float) -> None:
     found = learn_correction(model, off(reading(), gain, offset), forms=("affine",)).best
@@ -144,7 +143,6 @@ def test_a_limit_bites_a_model_that_is_too_fast_and_is_not_accepted_where_it_doe
     assert slow.limited > 100 and not slow.accepted and slow.after > slow.before
 
 
-@pytest.mark.slow
 def test_the_command_learns_reports_and_writes_the_corrected_model(tmp_path: Path) -> None:
     assert decanter("trace", "synth", *NAMES, "--out", tmp_path / "traces", "--seed", 3).exit_code == 0
     same = [scenario(name) for name in NAMES]

@@ -54,7 +54,6 @@ def test_only_forecasts_after_the_given_moment_count() -> None:
     assert set(calibrate(model, [trace], np.random.default_rng(0))) == set(HORIZONS)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("truth", "candidate"),
     [(Truth(), CONSTANT), (Truth(gain=0.1, noise=0.02), DRIVEN)],

@@ -97,7 +97,6 @@ def found_again(seed: int) -> bool:
     return {frozenset(words) for words in members.values()} == FOUR and len(members) == 4
 
 
-@pytest.mark.slow
 def test_a_known_automaton_comes_back_for_nearly_every_seed() -> None:
     # alpha = 0.05 family-wise says that one in twenty may have a location too many; 37 of the 40 seeds from 100 on came
     # back. With that share fewer than 4 of 5 have a probability of 4 %; these five seeds are what they are.
@@ -148,7 +147,6 @@ def test_a_trace_without_a_known_location_leaves_no_fold_empty() -> None:
     assert_sound(learned(again, memory="context"), again)
 
 
-@pytest.mark.slow
 def test_targets_scatter_and_rate_of_a_known_automaton_are_right(known: LearnedLsha) -> None:
     assert_sound(known, random_traces(by_context, 3))
     assert known.model.provenance.settings["flow"] == "exponential"
@@ -257,7 +255,6 @@ def test_whatever_the_traces_the_automaton_is_deterministic_and_accepts_them_all
         assert_sound(result, traces)
 
 
-@pytest.mark.slow
 def test_the_observation_table_is_prefix_closed_closed_and_says_where_words_lead(known: LearnedLsha) -> None:
     table, moves = known.report.table, transitions(known.model.sha)
     words = {row.word for row in table.upper}
@@ -274,7 +271,6 @@ def test_the_observation_table_is_prefix_closed_closed_and_says_where_words_lead
     assert table.suffixes[0] == ()
 
 
-@pytest.mark.slow
 def test_the_report_says_why_every_location_is_one(known: LearnedLsha) -> None:
     report = known.report
     document = json.loads(json.dumps(report_document(report)))
@@ -396,7 +392,6 @@ def test_progress_goes_from_0_to_1() -> None:
     assert shares == sorted(shares)
 
 
-@pytest.mark.slow
 @pytest.mark.real_data
 def test_the_cnc_traces_are_learned_whatever_their_order() -> None:
     if not CNC.is_dir():

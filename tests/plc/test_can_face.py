@@ -223,7 +223,6 @@ FAULTS: dict[str, dict[str, float]] = {
 STAYS_GOOD = {"babbling_node"}
 
 
-@pytest.mark.slow
 async def test_no_fault_of_the_bus_makes_a_wrong_value_good_and_each_is_seen_and_survived(
     path: Path, device: DeviceMap, tmp_path: Path
 ) -> None:

@@ -152,7 +152,6 @@ def quick(folder: Path, name: str, seconds: float = 0.7) -> Path:
     return path
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("often")
 async def test_the_emulator_passes_over_modbus_and_its_recorder_has_every_block(tmp_path: Path) -> None:
     path = quick(tmp_path, "decanter_plc.toml")
@@ -168,7 +167,6 @@ async def test_the_emulator_passes_over_modbus_and_its_recorder_has_every_block(
     assert written[-1].fields is not None and written[-1].fields["validity"] == 0, "the last word takes all back"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("link", ["can", "canopen"])
 async def test_the_emulator_passes_over_the_can_bus(tmp_path: Path, link: str, monkeypatch: pytest.MonkeyPatch) -> None:
     seconds, cycle = 1.4, 0.02  # CANopen: a refused block waits for an acknowledge that does not come; a SYNC a cycle

@@ -59,7 +59,6 @@ def test_it_is_in_the_grammar_of_the_second_edition(name: str) -> None:
     assert parsed.arrays == {"DECANTER_WRITEBACK_WORDS": (0, 23, "WORD")}
 
 
-@pytest.mark.slow
 def test_a_kept_parser_that_is_not_ours_reads_it_too() -> None:
     without = text().partition("CONFIGURATION")[0]  # TwinCAT's dialect has no configuration in the text
     assert parse_source_code(without).exception is None

@@ -23,7 +23,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
 def test_each_trace_gets_its_four_files(place: Path) -> None:
     out = place / "out"
     result = decanter("model", "export", place / "model", "--uppaal", "--trace", place / "traces", "--out", out)

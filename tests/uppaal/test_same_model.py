@@ -174,7 +174,6 @@ def test_parameters_that_are_not_normal_are_drawn_from_their_own_law(law: Distri
     assert last.std() == pytest.approx(sigma, rel=0.15)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("full", [False, True], ids=["sparse", "every symbol from everywhere"])
 def test_an_automaton_with_102_symbols_replays_all_of_them(full: bool) -> None:
     model, trace = spindle(full)

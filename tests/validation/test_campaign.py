@@ -203,7 +203,6 @@ def test_the_work_of_a_process_that_was_killed_is_done_again(tmp_path: Path) -> 
     assert (tmp_path / "killed").exists()
 
 
-@pytest.mark.slow
 def test_work_that_kills_its_process_each_time_is_lost_alone_or_the_end(tmp_path: Path) -> None:
     killer = (2, str(tmp_path / "killed"), True)
     tasks = [(1, "", False), killer, (3, "", False)]

@@ -107,7 +107,6 @@ def test_a_study_that_is_gone_on_with_is_the_same_as_one_that_never_stopped(
     assert told(search(tmp_path / "other.db", 3, StudyPlan("bins", seed=1))) != whole[:3]
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("known")
 def test_a_killed_search_goes_on_as_if_it_had_not_been_killed(tmp_path: Path, whole: list[tuple[object, ...]]) -> None:
     file = tmp_path / "killed.db"
