@@ -89,14 +89,14 @@ class Dbc:
 
     def _protection(self, message: Message) -> Protection | None:
         attributes = message.dbc.attributes if message.dbc is not None else {}
-        given = {name: attributes[name].value for name in attributes if name.startswith("E2E")}
-        profile = str(given.get("E2EProfile", "") or "")
+        e2e = {name: attributes[name].value for name in attributes if name.startswith("E2E")}
+        profile = str(e2e.get("E2EProfile", "") or "")
         if profile in ("", "none"):
             return None
         where = f"{self.path}: message {message.name}"
         if profile != PROFILE:
             raise DriverError(f"{where}: E2EProfile {profile!r} is not known; {PROFILE!r} is")
-        data_id, delta = given.get("E2EDataID", message.frame_id & 0xFFFF), given.get("E2EMaxDeltaCounter", 10)
+        data_id, delta = e2e.get("E2EDataID", message.frame_id & 0xFFFF), e2e.get("E2EMaxDeltaCounter", 10)
         if not (isinstance(data_id, int) and 0 <= data_id <= 0xFFFF):
             raise DriverError(f"{where}: E2EDataID {data_id!r} must be a whole number in 0..65535")
         if not (isinstance(delta, int) and 1 <= delta <= 255):
@@ -150,8 +150,8 @@ def _completed(tag: Tag, signal: Signal) -> Tag:
     )
 
 
-def _limit(own: float | None, given: float | None, signal: Signal) -> float | None:
+def _limit(own: float | None, in_file: float | None, signal: Signal) -> float | None:
     """The tag's limit, else the file's; 0 and 0 in the file mean none (and cantools gives None for them)."""
-    if own is not None or given is None or not math.isfinite(given) or signal.minimum == signal.maximum:
+    if own is not None or in_file is None or not math.isfinite(in_file) or signal.minimum == signal.maximum:
         return own
-    return float(given)
+    return float(in_file)

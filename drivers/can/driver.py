@@ -143,14 +143,16 @@ class CanDriver:
     def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """In sentences: what cannot be read and why, each message with its timeout and signals, what may be sent."""
         heard = [self._hearing(tag) for tag in tags]
-        left_out = [PlanLine(f"{one.tag.name}: {one.problem}", PlanKind.PROBLEM) for one in heard if one.problem]
+        left_out = [
+            PlanLine(f"{hearing.tag.name}: {hearing.problem}", PlanKind.PROBLEM) for hearing in heard if hearing.problem
+        ]
         sent = [
             f"{frame_name(frame.key)}{layout_name(frame.conditions)} may be sent, {frame.length} bytes, echo "
             f"{frame_name(frame.echo)}: "
             f"{', '.join(frame.places)}"
             for frame in self._write_map.frames
         ]
-        places = [one.place for one in heard if one.place is not None]
+        places = [hearing.place for hearing in heard if hearing.place is not None]
         plain = [PlanLine(line, PlanKind.HEARD) for line in describe(places)]
         return (*left_out, *plain, *self._messages.describe(), *map(PlanLine, sent))
 
@@ -159,7 +161,9 @@ class CanDriver:
     async def stream(self, tags: Sequence[Tag]) -> AsyncIterator[Sample]:
         """Yield a sample for each tag of each usable frame as it comes, until `close`; silence tells so once."""
         heard = [self._hearing(tag) for tag in tags]
-        stream = Stream([one.slot for one in heard], lambda position: self._sample(heard[position], time.monotonic()))
+        stream = Stream(
+            [hearing.slot for hearing in heard], lambda position: self._sample(heard[position], time.monotonic())
+        )
         self._streams.add(stream)
         try:
             async for sample in stream.samples():
@@ -191,12 +195,12 @@ class CanDriver:
 
     def _hearing(self, tag: Tag) -> _Heard:
         """The tag's place on the bus; it is listened for from the first time on that it is asked for."""
-        one = self._heard.get(id(tag))
-        if one is None:
+        hearing = self._heard.get(id(tag))
+        if hearing is None:
             if len(self._heard) >= _PLACES_KEPT:
                 self._heard.clear()
-            one = self._heard[id(tag)] = self._listening(tag)
-        return one
+            hearing = self._heard[id(tag)] = self._listening(tag)
+        return hearing
 
     def _listening(self, tag: Tag) -> _Heard:
         if is_message_tag(tag):
@@ -221,22 +225,22 @@ class CanDriver:
             pump.bus.set_filters(None)
         return _Heard(tag, "", None, channel, slot)
 
-    def _sample(self, one: _Heard, now: float) -> Sample:
-        if one.channel is None or one.slot is None:
-            return self._no(one.tag, Quality.CONFIGURATION_ERROR, one.problem)
+    def _sample(self, hearing: _Heard, now: float) -> Sample:
+        if hearing.channel is None or hearing.slot is None:
+            return self._no(hearing.tag, Quality.CONFIGURATION_ERROR, hearing.problem)
         if self._link.connection is None:
-            return self._no(one.tag, Quality.NOT_CONNECTED, self._link.reason)
-        missing = self._reception.missing(one.channel, one.slot, now)
-        frame = one.slot.frame
+            return self._no(hearing.tag, Quality.NOT_CONNECTED, self._link.reason)
+        missing = self._reception.missing(hearing.channel, hearing.slot, now)
+        frame = hearing.slot.frame
         if missing is not None or frame is None:
             quality, reason = missing or (Quality.WAITING_FOR_INITIAL_DATA, "")
-            return self._no(one.tag, quality, f"{reason}; {_BUS_OFF}" if self._off else reason)
-        if one.place is None:
-            one.reading = self._messages.reading(one.slot)
-        elif one.frame is not frame:
-            one.frame, one.reading = frame, value_of(one.place.tag, one.place.field, frame.data)
-        value, quality, reason = one.reading
-        return Sample(one.tag.name, value, quality, frame.time, reason=reason)
+            return self._no(hearing.tag, quality, f"{reason}; {_BUS_OFF}" if self._off else reason)
+        if hearing.place is None:
+            hearing.reading = self._messages.reading(hearing.slot)
+        elif hearing.frame is not frame:
+            hearing.frame, hearing.reading = frame, value_of(hearing.place.tag, hearing.place.field, frame.data)
+        value, quality, reason = hearing.reading
+        return Sample(hearing.tag.name, value, quality, frame.time, reason=reason)
 
     def _no(self, tag: Tag, quality: Quality, reason: str) -> Sample:
         return Sample(tag.name, None, quality, self._clock(), reason=reason)

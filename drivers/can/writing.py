@@ -83,14 +83,14 @@ class WriteMap:
         for tag, _ in values:
             if not self.holds(tag):
                 raise WriteForbidden(f"{tag.name} ({tag.address}) is not in the write map; nothing was sent")
-        given = {tag.name: value for tag, value in values}
-        touched = [frame for frame in self.frames if not given.keys().isdisjoint(frame.places)]
+        by_name = {tag.name: value for tag, value in values}
+        touched = [frame for frame in self.frames if not by_name.keys().isdisjoint(frame.places)]
         for frame in touched:
-            if missing := [name for name in frame.places if name not in given]:
+            if missing := [name for name in frame.places if name not in by_name]:
                 raise AddressError(
                     f"frame {frame_name(frame.key)} is sent whole, and {missing[0]} is in it too; write it as well"
                 )
-        return [(frame, frame.payload(given)) for frame in touched]
+        return [(frame, frame.payload(by_name)) for frame in touched]
 
     def sealed(self, frame: Outgoing, data: bytes) -> bytes:
         """The payload as it goes on the wire. Raises WriteForbidden for a frame that is none of the map's."""

@@ -124,15 +124,15 @@ class BringUp:
         """Raises DriverError if vendor or product are not those of the EDS (0 in the EDS: any)."""
         for place, what in ((VENDOR, "vendor"), (PRODUCT, "product")):
             expected = sheet.value(place)
-            found = await self._number(place, 4) if expected else None
-            if expected and found is not None and found != expected:
+            number = await self._number(place, 4) if expected else None
+            if expected and number is not None and number != expected:
                 raise DriverError(
-                    f"it is another device: {what} 0x{found:08X}, and {sheet.origin} is of 0x{expected:08X}"
+                    f"it is another device: {what} 0x{number:08X}, and {sheet.origin} is of 0x{expected:08X}"
                 )
 
     async def _pdos(self, sheet: DataSheet, kind: Kind) -> list[PdoMapping]:
         """The PDOs as the device has them now."""
-        found = []
+        pdos = []
         for number in sheet.numbers(kind):
             values = {}
             communication, mapping = COMMUNICATION[kind] + number - 1, MAPPING[kind] + number - 1
@@ -147,8 +147,8 @@ class BringUp:
             for sub in range(1, min(values[ObjectPlace(mapping, 0)] or 0, 64) + 1):
                 values[ObjectPlace(mapping, sub)] = await self._number(ObjectPlace(mapping, sub), 4)
             pdo = from_objects(kind, number, values.get)
-            found += [pdo] if pdo else []
-        return found
+            pdos += [pdo] if pdo else []
+        return pdos
 
     async def _configure(self, sheet: DataSheet, present: list[PdoMapping]) -> tuple[bool, list[PdoMapping]]:
         """Make the device's PDOs those that are wanted; whether anything had to be written."""

@@ -134,17 +134,17 @@ class CanopenDriver:
         After one SDO request without an answer the others of this call are not sent.
         """
         self._counts["reads"] += 1
-        found: dict[ObjectPlace, SdoAnswer] = {}
+        answers: dict[ObjectPlace, SdoAnswer] = {}
         silent: SdoAnswer | None = None
         samples = []
         for tag in tags:
             sample = self._held(tag)
             if sample is None:
                 place = self._where(tag).place
-                if place not in found:
-                    found[place] = silent or await self._ask(tag, place)
-                    silent = found[place] if found[place].quality is Quality.TIMEOUT else None
-                sample = self._answered(tag, found[place])
+                if place not in answers:
+                    answers[place] = silent or await self._ask(tag, place)
+                    silent = answers[place] if answers[place].quality is Quality.TIMEOUT else None
+                sample = self._answered(tag, answers[place])
             samples.append(sample)
         return samples
 
@@ -153,19 +153,21 @@ class CanopenDriver:
         options, maps = self._options, self._tpdos()
         carried: dict[ObjectPlace, PdoMapping] = {}
         for pdo in maps:
-            carried |= {one.place: pdo for one in pdo.objects if one.place not in carried}
-        here = [(tag, self._where(tag)) for tag in tags]
-        lines = [PlanLine(f"{tag.name}: {where.misplaced}", PlanKind.PROBLEM) for tag, where in here if where.misplaced]
+            carried |= {mapped.place: pdo for mapped in pdo.objects if mapped.place not in carried}
+        located = [(tag, self._where(tag)) for tag in tags]
+        lines = [
+            PlanLine(f"{tag.name}: {where.misplaced}", PlanKind.PROBLEM) for tag, where in located if where.misplaced
+        ]
         for pdo in maps:
-            names = [tag.name for tag, where in here if not where.misplaced and carried.get(where.place) is pdo]
+            names = [tag.name for tag, where in located if not where.misplaced and carried.get(where.place) is pdo]
             limit = pdo.timeout(options.pdo_timeout, options.sync_period)
             late = f"late after {limit:g} s" if limit else "without a period of its own"
             kind = PlanKind.HEARD if limit else PlanKind.OTHER
             lines += [PlanLine(f"{pdo.name}, {late}: {', '.join(names)}", kind)] if names else []
-        asked = [tag.name for tag, where in here if not where.misplaced and where.place not in carried]
-        worst = len(asked) * options.timeout
-        if asked:
-            lines.append(PlanLine(f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(asked)}"))
+        by_sdo = [tag.name for tag, where in located if not where.misplaced and where.place not in carried]
+        worst = len(by_sdo) * options.timeout
+        if by_sdo:
+            lines.append(PlanLine(f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(by_sdo)}"))
         return tuple(lines)
 
     # ------------------------------------------------------------ Streams
@@ -335,7 +337,7 @@ class CanopenDriver:
         self._link.answered(connection)
         if not self._listeners:
             return
-        carried = {one.place for one in heard.pdo.objects}
+        carried = {mapped.place for mapped in heard.pdo.objects}
         for listener in self._listeners:
             for tag in listener.tags:
                 if self._where(tag).place in carried and (sample := self._held(tag)) is not None:

@@ -135,7 +135,7 @@ class RemoteNode:
     def _count(self, pdo: PdoMapping, frame: StampedFrame) -> int | None:
         """The life counter in a frame; None where there is none."""
         place = self.life.place if self.life is not None else None
-        counter = next((one for one in pdo.objects if one.place == place), None)
+        counter = next((mapped for mapped in pdo.objects if mapped.place == place), None)
         return None if counter is None else int.from_bytes(counter.cut(frame.data), "little")
 
     def _take_heartbeat(self, frame: StampedFrame) -> None:
@@ -242,8 +242,8 @@ class RemoteNode:
         self._tpdos = {pdo.cob_id: ReceivedPdo(pdo, moment=now) for pdo in enabled}
         self._carriers = {}
         for heard in self._tpdos.values():
-            for one in heard.pdo.objects:
-                self._carriers.setdefault(one.place, []).append((heard, one))
+            for mapped in heard.pdo.objects:
+                self._carriers.setdefault(mapped.place, []).append((heard, mapped))
         if brought.error is not None:
             self.emergencies.stands(*brought.error)
         if self.life is not None and brought.life is not None:

@@ -52,7 +52,7 @@ class PdoMapping:
     @property
     def length(self) -> int:
         """Bytes of its frame."""
-        return (sum(one.bits for one in self.objects) + 7) // 8
+        return (sum(mapped.bits for mapped in self.objects) + 7) // 8
 
     @property
     def event_driven(self) -> bool:
@@ -185,8 +185,8 @@ def writes(pdo: PdoMapping, present: PdoMapping) -> list[tuple[ObjectPlace, byte
         steps.append((ObjectPlace(communication, 5), round(pdo.event_timer * 1e3).to_bytes(2, "little")))
     if "objects" in changes:
         steps.append((ObjectPlace(mapping, 0), b"\0"))
-        for sub, one in enumerate(pdo.objects, start=1):
-            entry = one.place.index << 16 | one.place.subindex << 8 | one.bits
+        for sub, mapped in enumerate(pdo.objects, start=1):
+            entry = mapped.place.index << 16 | mapped.place.subindex << 8 | mapped.bits
             steps.append((ObjectPlace(mapping, sub), entry.to_bytes(4, "little")))
         steps.append((ObjectPlace(mapping, 0), bytes([len(pdo.objects)])))
     last = identifier if pdo.enabled else identifier | NOT_VALID

@@ -28,9 +28,9 @@ async def open_survey(settings: Mapping[str, Any], *, clock: Clock) -> AsyncIter
     """The bus that the settings of a CAN driver name. Raises DriverError; LinkDown if it cannot be opened now."""
     if not settings.get("channel"):
         raise DriverError("can: channel must be given")
-    given = {key: settings.get(key, default) for key, default in _DEFAULTS.items()}
-    place = (given.pop("interface"), settings["channel"], given.pop("bitrate"))
-    bus = await asyncio.to_thread(open_bus, *place, **given)
+    options = {key: settings.get(key, default) for key, default in _DEFAULTS.items()}
+    place = (options.pop("interface"), settings["channel"], options.pop("bitrate"))
+    bus = await asyncio.to_thread(open_bus, *place, **options)
     survey = BusSurvey(bus, clock)
     try:
         yield survey
@@ -84,13 +84,13 @@ class BusSurvey:
 
     async def tags(self, tags: Sequence[Tag], node: int, timeout: float) -> list[Raw]:
         """Each tag of a node by SDO, with the bytes of its object; after one without an answer no more is asked."""
-        found: list[Raw] = []
+        raws: list[Raw] = []
         silent = ""
         for tag in tags:
             raw = self._failed(tag, Quality.TIMEOUT, silent) if silent else await self._tag(tag, node, timeout)
             silent = raw.sample.reason if raw.sample.quality is Quality.TIMEOUT else ""
-            found.append(raw)
-        return found
+            raws.append(raw)
+        return raws
 
     async def _tag(self, tag: Tag, node: int, timeout: float) -> Raw:
         sent = self._clock()

@@ -161,13 +161,13 @@ def bisect(block: AddressBlock) -> Generator[AddressBlock, bool, tuple[RefusedRa
     cut = halves(block)
     if cut is None:
         return (RefusedRange(block.area, block.start, block.stop),)
-    found: list[RefusedRange] = []
+    refusals: list[RefusedRange] = []
     refused = False
     for half in cut:
         if (yield half):
             refused = True
-            found += yield from bisect(half)
-    return tuple(found) if refused else (RefusedRange(block.area, cut[1].start, cut[1].start),)
+            refusals += yield from bisect(half)
+    return tuple(refusals) if refused else (RefusedRange(block.area, cut[1].start, cut[1].start),)
 
 
 def _block(spans: Sequence[TagSpan]) -> AddressBlock:

@@ -18,8 +18,8 @@ _ASKED, _HEAD = 8, 5
 
 def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[Tag]) -> ReadPlan:
     """The requests of one scan, and those of one write of the block. Raises DriverError for a setting."""
-    given = read_settings(settings)
-    limits = given.limits
+    options = read_settings(settings)
+    limits = options.limits
     spans: list[TagSpan] = []
     problems: list[str] = []
     for tag in tags:
@@ -35,31 +35,31 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
             # A set: addresses that two tags share are of use once.
             vain=block.count - len({number for span in block.spans for number in range(span.start, span.stop)}),
             tags=tuple(span.tag.name for span in block.spans),
-            seconds=_worst(block.count, block, given),
+            seconds=_worst(block.count, block, options),
         )
         for block in plan_spans(spans, limits)
     ]
-    writes, refused = _writing(written, given, limits)
-    seconds = sum(one.seconds for one in requests) + limits.pause * max(0, len(requests) - 1)
+    writes, refused = _writing(written, options, limits)
+    seconds = sum(request.seconds for request in requests) + limits.pause * max(0, len(requests) - 1)
     return ReadPlan(
         requests=tuple(requests),
         writes=writes,
         problems=(*problems, *refused),
         seconds=seconds,
-        write_seconds=sum(one.seconds for one in writes),
+        write_seconds=sum(request.seconds for request in writes),
         overlaps=_overlaps(spans),
     )
 
 
-def _worst(count: int, block: AddressBlock, given: ModbusSettings) -> float:
+def _worst(count: int, block: AddressBlock, options: ModbusSettings) -> float:
     """The deadline, and on a serial line the time that the bytes need (s)."""
     octets = (count + 7) // 8 if block.area.is_bits else 2 * count
-    wire = rtu.transmission(_ASKED + _HEAD + octets, given.baud) if given.serial else 0.0
-    return given.timeout + wire
+    wire = rtu.transmission(_ASKED + _HEAD + octets, options.baud) if options.serial else 0.0
+    return options.timeout + wire
 
 
 def _writing(
-    written: Sequence[Tag], given: ModbusSettings, limits: RequestLimits
+    written: Sequence[Tag], options: ModbusSettings, limits: RequestLimits
 ) -> tuple[tuple[PlannedRequest, ...], tuple[str, ...]]:
     """One write of the block, and the requests that read it back; and what keeps it from being one request."""
     if not written:
@@ -69,41 +69,41 @@ def _writing(
     except AddressError as error:
         return (), (str(error),)
     whole = AddressBlock(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
-    most = given.max_write_registers
+    most = options.max_write_registers
     problems: tuple[str, ...] = ()
     if whole.count > most:
         problems = (
             f"the block has {whole.count} words and the device takes {most} in one write: leave fields out "
             "(decanter plc bind --block)",
         )
-    found = [
+    requests = [
         PlannedRequest(
             kind="write",
             place=f"{whole.area}:{whole.start}",
             count=whole.count,
             vain=0,
             tags=tuple(span.tag.name for span in spans),
-            seconds=_worst(0, whole, given),
+            seconds=_worst(0, whole, options),
         )
     ]
     largest = limits.largest(whole.area)
     for start in range(whole.start, whole.stop, largest):
         count = min(largest, whole.stop - start)
-        seconds = _worst(count, whole, given)
-        found.append(
+        seconds = _worst(count, whole, options)
+        requests.append(
             PlannedRequest(
                 kind="read back", place=f"{whole.area}:{start}", count=count, vain=0, tags=(), seconds=seconds
             )
         )
-    return tuple(found), problems
+    return tuple(requests), problems
 
 
 def _overlaps(spans: Sequence[TagSpan]) -> tuple[str, ...]:
     """Neighbours of which one begins before the other ends, bits of one register apart."""
-    found = []
+    overlaps = []
     for left, right in pairwise(sorted(spans, key=lambda span: (span.area, span.start, span.stop))):
         bits = left.tag.bit is not None and right.tag.bit is not None
         if left.area is right.area and right.start < left.stop and not (bits and left.tag.bit != right.tag.bit):
             places = f"{left.tag.address} ({left.tag.dtype}) and {right.tag.address} ({right.tag.dtype})"
-            found.append(f"{left.tag.name} and {right.tag.name} overlap: {places}; correct an address or a type")
-    return tuple(found)
+            overlaps.append(f"{left.tag.name} and {right.tag.name} overlap: {places}; correct an address or a type")
+    return tuple(overlaps)

@@ -59,8 +59,8 @@ class ModbusSurvey:
             async with asyncio.timeout(deadline):
                 await wire.connect()
         except TimeoutError:
-            said = f"no connection within {deadline:g} s: nobody answers there at all"
-            raise LinkDown(said, fault=LinkFault.SILENT) from None
+            reason = f"no connection within {deadline:g} s: nobody answers there at all"
+            raise LinkDown(reason, fault=LinkFault.SILENT) from None
         self._wire, self._lost = wire, ""
         self._counts["connects"] += 1
 
@@ -88,39 +88,39 @@ class ModbusSurvey:
 
     async def identity(self, unit: int | None = None) -> Mapping[str, str]:
         """What the device says of itself; raises DeviceException where it says nothing (many do not)."""
-        found: dict[str, str] = {}
+        objects: dict[str, str] = {}
         after = 0
         for _ in range(_MOST_PARTS):
             request = ReadDeviceInformationRequest(read_code=1, object_id=after, dev_id=self._unit(unit))
             await self._exchange(request)
             part, after = _identification(self._wire.last if self._wire is not None else b"")
-            found |= part
+            objects |= part
             if not after:
                 break
-        return found
+        return objects
 
     async def tags(self, tags: Sequence[Tag]) -> list[Raw]:
         """Each tag with its raw words, by the fewest requests; a refused block is asked again tag by tag."""
         spans: dict[int, TagSpan] = {}
-        found: dict[int, Raw] = {}
+        by_tag: dict[int, Raw] = {}
         for tag in tags:
             try:
                 spans[id(tag)] = fitting(locate(tag), self._limits)
             except AddressError as error:
-                found[id(tag)] = self._failed(tag, tag.address, 0, Quality.CONFIGURATION_ERROR, str(error))
+                by_tag[id(tag)] = self._failed(tag, tag.address, 0, Quality.CONFIGURATION_ERROR, str(error))
         for block in plan_spans(spans.values(), self._limits):
-            found |= await self._block(block)
-        return [found[id(tag)] for tag in tags]
+            by_tag |= await self._block(block)
+        return [by_tag[id(tag)] for tag in tags]
 
     async def _block(self, block: AddressBlock) -> dict[int, Raw]:
         try:
             reply = await self._patiently(block)
         except DeviceException as error:
             if error.code in _ABOUT_ADDRESSES and len(block.spans) > 1:
-                found: dict[int, Raw] = {}
+                by_tag: dict[int, Raw] = {}
                 for span in block.spans:
-                    found |= await self._block(AddressBlock(span.area, span.start, span.count, (span,)))
-                return found
+                    by_tag |= await self._block(AddressBlock(span.area, span.start, span.count, (span,)))
+                return by_tag
             return self._block_failed(block, quality_of(error.code), str(error))
         except DriverError as error:
             quality = Quality.TIMEOUT if isinstance(error, ReplyTimeout) else Quality.COMMUNICATION_ERROR
@@ -216,12 +216,12 @@ def _identification(reply: bytes) -> tuple[dict[str, str], int]:
     if len(reply) < 8:
         return {}, 0
     more, following, count, at = reply[5], reply[6], reply[7], 8
-    found: dict[str, str] = {}
+    objects: dict[str, str] = {}
     for _ in range(count):
         if at + 2 > len(reply):
             break
         number, length = reply[at], reply[at + 1]
         name = _OBJECTS[number] if number < len(_OBJECTS) else f"object {number}"
-        found[name] = reply[at + 2 : at + 2 + length].decode("latin-1").strip("\0 ")
+        objects[name] = reply[at + 2 : at + 2 + length].decode("latin-1").strip("\0 ")
         at += 2 + length
-    return found, following if more == 0xFF else 0
+    return objects, following if more == 0xFF else 0

@@ -88,28 +88,28 @@ def role_of(certificate: x509.Certificate) -> str:
 
 def cautions(identity: Identity, now: dt.datetime) -> tuple[str, ...]:
     """What works today and should not stay so: a key that others may read, a certificate about to expire, no role."""
-    said = []
+    warnings = []
     mode = stat.S_IMODE((identity.folder / "client.key").stat().st_mode)
     if mode & 0o077:
-        said.append(f"{identity.folder / 'client.key'} can be read by others (mode {mode:o}): chmod 600 it")
+        warnings.append(f"{identity.folder / 'client.key'} can be read by others (mode {mode:o}): chmod 600 it")
     left = identity.expires - now
     if left < EXPIRES_SOON:
         state = "has expired" if left < dt.timedelta(0) else f"expires in {left.days} days"
-        said.append(f"{identity.folder / 'client.pem'} {state} ({identity.expires:%Y-%m-%d}): have a new one made")
+        warnings.append(f"{identity.folder / 'client.pem'} {state} ({identity.expires:%Y-%m-%d}): have a new one made")
     if not identity.role:
-        said.append(f"{identity.folder / 'client.pem'} has no role: the PLC may refuse every request")
-    return tuple(said)
+        warnings.append(f"{identity.folder / 'client.pem'} has no role: the PLC may refuse every request")
+    return tuple(warnings)
 
 
 def sentence(error: Exception) -> str:
     """What a failure of TLS means for the one who commissions it."""
     if isinstance(error, ssl.SSLCertVerificationError):
-        said = _OF_SERVER.get(error.verify_code)
-        return said or f"the PLC's certificate is not accepted: {error.verify_message}"
+        meaning = _OF_SERVER.get(error.verify_code)
+        return meaning or f"the PLC's certificate is not accepted: {error.verify_message}"
     if isinstance(error, ssl.SSLError):
         reason = (error.reason or "").upper()
-        said = next((text for key, text in _OF_HANDSHAKE.items() if reason.endswith(key)), None)
-        return said or f"TLS failed: {error.reason or error}"
+        meaning = next((text for key, text in _OF_HANDSHAKE.items() if reason.endswith(key)), None)
+        return meaning or f"TLS failed: {error.reason or error}"
     if isinstance(error, ConnectionResetError | ConnectionAbortedError | EOFError):
         return "the peer broke the connection off in the TLS handshake: is Modbus/TCP Security served there?"
     return (error.strerror if isinstance(error, OSError) else None) or str(error)

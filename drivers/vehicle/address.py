@@ -67,8 +67,8 @@ def number(tag: Tag, where: VehicleAddress, value: float, *, whole: bool) -> Rea
     if not math.isfinite(scaled):
         return None, Quality.DECODING_ERROR, f"{scaled} is not a finite number"
     floating = tag.dtype in (DType.FLOAT32, DType.FLOAT64)
-    made: Value = int(scaled) if whole and not floating and tag.scale == 1.0 and tag.offset == 0.0 else scaled
-    return made, *judge(tag, made)
+    converted: Value = int(scaled) if whole and not floating and tag.scale == 1.0 and tag.offset == 0.0 else scaled
+    return converted, *judge(tag, converted)
 
 
 def text(tag: Tag, words: str) -> Reading:

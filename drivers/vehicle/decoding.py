@@ -66,7 +66,7 @@ class Vehicle:
 
     def take(self, frame: CanFrame) -> list[TagReading]:
         """What the frame, or the message that it completes, says of the tags."""
-        return [found for listener in self._listeners for found in listener.take(frame)]
+        return [reading for listener in self._listeners for reading in listener.take(frame)]
 
     def timeout(self, tag: Tag) -> float:
         """Seconds after which the tag's last value is too old."""

@@ -101,8 +101,8 @@ class J1939Listener:
         self._counts = dict.fromkeys(("frames", "single", "not_j1939", "transport"), 0)
         self._wanted: dict[tuple[int, int], list[J1939Tag]] = {}
         for tag in tags:
-            one = wanted(tag, source, dbc)
-            self._wanted.setdefault((one.pgn, one.source), []).append(one)
+            wanted_tag = wanted(tag, source, dbc)
+            self._wanted.setdefault((wanted_tag.pgn, wanted_tag.source), []).append(wanted_tag)
 
     def take(self, frame: CanFrame) -> Sequence[TagReading]:
         """What the frame, or the message that it completes, says of the tags."""
@@ -127,25 +127,25 @@ class J1939Listener:
         return self._counts | self.transport.counts()
 
     def _message(self, pgn: int, source: int, data: bytes) -> Sequence[TagReading]:
-        ones = self._wanted.get((pgn, source))
-        if ones is None:
+        wanted_tags = self._wanted.get((pgn, source))
+        if wanted_tags is None:
             return ()
-        return [TagReading(one.tag, self._reading(one, data)) for one in ones]
+        return [TagReading(wanted_tag.tag, self._reading(wanted_tag, data)) for wanted_tag in wanted_tags]
 
-    def _reading(self, one: J1939Tag, data: bytes) -> Reading:
-        if one.signal is not None:
-            return _number(one, one.signal, data)
+    def _reading(self, wanted_tag: J1939Tag, data: bytes) -> Reading:
+        if wanted_tag.signal is not None:
+            return _number(wanted_tag, wanted_tag.signal, data)
         if len(data) < 2:
             return None, Quality.DECODING_ERROR, f"DM1 with {len(data)} bytes"
-        if one.word in j1939_dm1.LAMPS:
-            lamp = j1939_dm1.lamp(data, one.word)
+        if wanted_tag.word in j1939_dm1.LAMPS:
+            lamp = j1939_dm1.lamp(data, wanted_tag.word)
             if lamp > 1:
                 return None, *_SPECIAL[0xFF if lamp == 3 else 0xFE]
-            return address.number(one.tag, one.where, lamp, whole=True)
+            return address.number(wanted_tag.tag, wanted_tag.where, lamp, whole=True)
         codes = j1939_dm1.trouble_codes(data, self._conversion)
-        if one.word == "count":
-            return address.number(one.tag, one.where, len(codes), whole=True)
-        return address.text(one.tag, "; ".join(str(code) for code in codes))
+        if wanted_tag.word == "count":
+            return address.number(wanted_tag.tag, wanted_tag.where, len(codes), whole=True)
+        return address.text(wanted_tag.tag, "; ".join(str(code) for code in codes))
 
 
 def special(raw: int, bits: int) -> tuple[Quality, str] | None:
@@ -170,7 +170,7 @@ _SPECIAL = {
 }
 
 
-def _number(one: J1939Tag, signal: GroupSignal, data: bytes) -> Reading:
+def _number(wanted_tag: J1939Tag, signal: GroupSignal, data: bytes) -> Reading:
     if len(data) < signal.bits.size:
         return (
             None,
@@ -179,14 +179,14 @@ def _number(one: J1939Tag, signal: GroupSignal, data: bytes) -> Reading:
         )
     raw = signal.bits.get(data)
     instead = special(raw, signal.bits.length)
-    if instead is None and raw == one.tag.sentinel:
+    if instead is None and raw == wanted_tag.tag.sentinel:
         instead = _SPECIAL[0xFF]
     if instead is not None:
         return None, *instead
     if signal.signed and raw >> signal.bits.length - 1:
         raw -= 1 << signal.bits.length
     whole = float(signal.scale).is_integer() and float(signal.offset).is_integer()
-    return address.number(one.tag, one.where, raw * signal.scale + signal.offset, whole=whole)
+    return address.number(wanted_tag.tag, wanted_tag.where, raw * signal.scale + signal.offset, whole=whole)
 
 
 def _spn(tag: Tag, where: VehicleAddress, _: Dbc | None) -> GroupSignal:

@@ -115,10 +115,10 @@ class TransportSessions:
         if number < session.packets or session.given:
             return None
         session.given = True
-        made = Message(session.pgn, key.source, key.destination, bytes(session.data[: session.size]))
+        message = Message(session.pgn, key.source, key.destination, bytes(session.data[: session.size]))
         if key.destination == BROADCAST:
             self._end(key, "complete")
-        return made
+        return message
 
     def _begin(self, time: float, key: Key, data: bytes, pgn: int) -> None:
         if key in self._open:

@@ -104,10 +104,10 @@ class ObdListener:
         self._requests: dict[tuple[str, int], _Request] = {}
         self._counts = dict.fromkeys(("answers", "unread", "refusals", "unasked_refusals", "requests"), 0)
         for tag in tags:
-            one = wanted(tag)
-            units = ENGINE if one.where.source is None else (one.where.source,)
+            wanted_tag = wanted(tag)
+            units = ENGINE if wanted_tag.where.source is None else (wanted_tag.where.source,)
             for unit in units:
-                self._wanted.setdefault((unit, one.service, one.parameter), []).append(one)
+                self._wanted.setdefault((unit, wanted_tag.service, wanted_tag.parameter), []).append(wanted_tag)
 
     def take(self, frame: CanFrame) -> Sequence[TagReading]:
         """What the frame, or the answer that it completes, says of the tags."""
@@ -157,21 +157,21 @@ class ObdListener:
             parts[pid.number] = payload[at + 1 : at + 1 + pid.length]
             at += 1 + pid.length
         return [
-            TagReading(one.tag, _field(one, one.field, single_frame(number, data)))
+            TagReading(wanted_tag.tag, _field(wanted_tag, wanted_tag.field, single_frame(number, data)))
             for number, data in parts.items()
-            for one in self._wanted.get((unit, CURRENT, number), ())
-            if one.field is not None
+            for wanted_tag in self._wanted.get((unit, CURRENT, number), ())
+            if wanted_tag.field is not None
         ]
 
     def _unreadable(self, unit: int, payload: bytes) -> list[TagReading] | None:
         """An answer whose length is not that of its parameters: the first one is named, and is not good."""
-        ones = self._wanted.get((unit, CURRENT, payload[1]), ()) if len(payload) > 1 else ()
-        if not ones:
+        wanted_tags = self._wanted.get((unit, CURRENT, payload[1]), ()) if len(payload) > 1 else ()
+        if not wanted_tags:
             return None
         self._counts["unread"] += 1
         self._counts["answers"] -= 1
         reason = f"the answer {payload.hex(' ')} is not as long as its parameters"
-        return [TagReading(one.tag, (None, Quality.DECODING_ERROR, reason)) for one in ones]
+        return [TagReading(wanted_tag.tag, (None, Quality.DECODING_ERROR, reason)) for wanted_tag in wanted_tags]
 
     def _codes(self, unit: int, service: int, payload: bytes) -> list[TagReading] | None:
         """Services 03, 07, 0A: how many trouble codes, then two bytes each."""
@@ -181,10 +181,12 @@ class ObdListener:
         count, text = len(codes), " ".join(codes)
         return [
             TagReading(
-                one.tag,
-                address.number(one.tag, one.where, count, whole=True) if one.count else address.text(one.tag, text),
+                wanted_tag.tag,
+                address.number(wanted_tag.tag, wanted_tag.where, count, whole=True)
+                if wanted_tag.count
+                else address.text(wanted_tag.tag, text),
             )
-            for one in self._wanted.get((unit, service, 0), ())
+            for wanted_tag in self._wanted.get((unit, service, 0), ())
         ]
 
     def _vehicle(self, unit: int, payload: bytes) -> list[TagReading] | None:
@@ -192,8 +194,8 @@ class ObdListener:
         if len(payload) < 4:
             return None
         words = payload[3:].strip(b"\0 ").decode("latin-1")
-        ones = self._wanted.get((unit, VEHICLE, payload[1]), ())
-        return [TagReading(one.tag, address.text(one.tag, words)) for one in ones]
+        wanted_tags = self._wanted.get((unit, VEHICLE, payload[1]), ())
+        return [TagReading(wanted_tag.tag, address.text(wanted_tag.tag, words)) for wanted_tag in wanted_tags]
 
     def _note(self, frame: CanFrame) -> None:
         length = frame.data[0] if frame.data else 0
@@ -219,16 +221,20 @@ class ObdListener:
         quality, name = _REFUSALS.get(code, (Quality.DEVICE_FAILURE, "refused"))
         reason = f"unit {frame.id:X} refuses service {service:02X}: {name} (0x{code:02X})"
         parameters = request.parameters if service in (CURRENT, VEHICLE) else b"\0"
-        ones = [one for number in parameters for one in self._wanted.get((frame.id, service, number), ())]
-        return [TagReading(one.tag, (None, quality, reason)) for one in ones]
+        wanted_tags = [
+            wanted_tag for number in parameters for wanted_tag in self._wanted.get((frame.id, service, number), ())
+        ]
+        return [TagReading(wanted_tag.tag, (None, quality, reason)) for wanted_tag in wanted_tags]
 
     def _request_before(self, frame: CanFrame, service: int) -> _Request | None:
         """The latest request for the service, to this unit or to all."""
         requests = [self._requests.get((frame.channel, unit)) for unit in (frame.id, 0)]
         fitting = [
-            one for one in requests if one and one.service == service and 0 <= frame.time - one.time <= REFUSED_WITHIN
+            request
+            for request in requests
+            if request and request.service == service and 0 <= frame.time - request.time <= REFUSED_WITHIN
         ]
-        return max(fitting, key=lambda one: one.time, default=None)
+        return max(fitting, key=lambda request: request.time, default=None)
 
 
 def answers(number: int, extended: bool) -> bool:
@@ -255,13 +261,13 @@ def trouble_code(high: int, low: int) -> str:
     return f"{_CODE_SYSTEMS[high >> 6]}{high >> 4 & 3}{high & 15:X}{low:02X}"
 
 
-def _field(one: ObdTag, field: PidField, frame: bytes) -> Reading:
+def _field(wanted_tag: ObdTag, field: PidField, frame: bytes) -> Reading:
     if not all(condition.met(frame) for condition in field.conditions):
         return None, Quality.NO_DATA, f"{field.name} is not there in this vehicle"
     raw = field.bits.get(frame)
-    if raw in field.unused or raw == one.tag.sentinel:
+    if raw in field.unused or raw == wanted_tag.tag.sentinel:
         return None, Quality.NO_DATA, f'the unit says "not used" ({raw})'
     if field.signed and raw >> field.bits.length - 1:
         raw -= 1 << field.bits.length
     is_whole = field.scale.is_integer() and field.offset.is_integer()
-    return address.number(one.tag, one.where, raw * field.scale + field.offset, whole=is_whole)
+    return address.number(wanted_tag.tag, wanted_tag.where, raw * field.scale + field.offset, whole=is_whole)

@@ -64,7 +64,7 @@ def pids() -> Mapping[int, Pid]:
         # The selectors (ParameterID, and the bits that say what is there) are no values of their own.
         if not signal.is_multiplexer and (match := _NAME.fullmatch(signal.name)):
             signals.setdefault(int(match[1], 16), []).append((match[2], signal))
-    found = {}
+    by_number = {}
     for number, named in signals.items():
         named.sort(key=lambda pair: bits_of(pair[1]).end)
         length = max(bits_of(signal).size for _, signal in named) - _BEFORE_DATA
@@ -82,5 +82,5 @@ def pids() -> Mapping[int, Pid]:
             for name, signal in named
             if name != _RESERVED
         }
-        found[number] = Pid(number, length, fields)
-    return found
+        by_number[number] = Pid(number, length, fields)
+    return by_number

@@ -38,11 +38,11 @@ class ObdRequest(NamedTuple):
 def requests_for(wanted: Sequence[ObdTag], *, extended: bool) -> list[ObdRequest]:
     """What to ask so that every parameter is answered once; `extended` for tags that name no unit."""
     requests: dict[ObdRequest, None] = {}
-    for one in wanted:
-        unit = ENGINE[extended] if one.where.source is None else one.where.source
+    for wanted_tag in wanted:
+        unit = ENGINE[extended] if wanted_tag.where.source is None else wanted_tag.where.source
         long = unit > 0x7FF
         request = 0x18DA00F1 | (unit & 0xFF) << 8 if long else unit - 8
-        requests[ObdRequest(unit, request, long, one.service, one.parameter)] = None
+        requests[ObdRequest(unit, request, long, wanted_tag.service, wanted_tag.parameter)] = None
     return list(requests)
 
 
@@ -85,7 +85,10 @@ class Poller:
         """What is asked for, in sentences."""
         period = self._settings.poll_period
         requests = requests_for(self._wanted(), extended=self._settings.poll_29bit)
-        return [f"0x{one.request_id:03X} is asked every {period:g} s: {one.data[:3].hex(' ')}" for one in requests]
+        return [
+            f"0x{request.request_id:03X} is asked every {period:g} s: {request.data[:3].hex(' ')}"
+            for request in requests
+        ]
 
     async def run(self, send: Send) -> None:
         """Ask until cancelled. What `send` raises ends it."""
