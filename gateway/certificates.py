@@ -48,8 +48,8 @@ def make_all(
     server = issue(authority, "decanter PLC", now, days, hosts=hosts)
     client = issue(authority, "decanter gateway", now, days, role=role)
     folder.mkdir(parents=True, exist_ok=True)
-    for name, one in (("ca", authority), ("server", server), ("client", client)):
-        write(folder, name, one)
+    for name, signer in (("ca", authority), ("server", server), ("client", client)):
+        write(folder, name, signer)
     return folder
 
 
@@ -87,14 +87,14 @@ def issue(
     return Signer(builder.sign(authority.key, hashes.SHA256()), key)
 
 
-def write(folder: Path, name: str, one: Signer) -> None:
+def write(folder: Path, name: str, signer: Signer) -> None:
     """NAME.pem, and NAME.key for its owner's eyes only."""
-    (folder / f"{name}.pem").write_bytes(one.certificate.public_bytes(serialization.Encoding.PEM))
+    (folder / f"{name}.pem").write_bytes(signer.certificate.public_bytes(serialization.Encoding.PEM))
     key = folder / f"{name}.key"
     key.touch(mode=0o600)
     key.chmod(0o600)
     encoding, form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
-    key.write_bytes(one.key.private_bytes(encoding, form, serialization.NoEncryption()))
+    key.write_bytes(signer.key.private_bytes(encoding, form, serialization.NoEncryption()))
 
 
 def _builder(

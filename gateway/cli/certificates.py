@@ -22,5 +22,5 @@ def certificates(folder: Path, hosts: tuple[str, ...], role: str, days: int) -> 
     names FOLDER as `certificates`. Keep ca.key away from both: it makes further certificates.
     """
     with sentences():
-        made = make_all(folder, hosts=hosts, role=role, days=days)
-    click.echo(f"{made}: ca.pem, ca.key, server.pem, server.key, client.pem, client.key (role {role}, {days} days)")
+        written = make_all(folder, hosts=hosts, role=role, days=days)
+    click.echo(f"{written}: ca.pem, ca.key, server.pem, server.key, client.pem, client.key (role {role}, {days} days)")

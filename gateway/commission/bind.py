@@ -98,14 +98,14 @@ def _address(files: Files, text: str) -> str:
 
 def guessed(records: Path, rank: int) -> dict[str, Any]:
     """The keys of the candidate of that rank (1 the best) of the newest guess in the records. Raises ConfigError."""
-    found = [one for one in read_records(records) if one.command == "guess"] if records.exists() else []
-    if not found:
+    guesses = [record for record in read_records(records) if record.command == "guess"] if records.exists() else []
+    if not guesses:
         raise ConfigError(
             [f"{records}: holds no guess; run `decanter plc guess` first, or give the address and --type"]
         )
-    result = found[-1].result
-    candidates = result.get("candidates") or [{**one, "dtype": "bool"} for one in result.get("bits", [])]
+    result = guesses[-1].result
+    candidates = result.get("candidates") or [{**bit, "dtype": "bool"} for bit in result.get("bits", [])]
     if not 1 <= rank <= len(candidates):
         raise ConfigError([f"--guess {rank}: the last guess has {len(candidates)} candidates; give 1 for the best"])
-    one = candidates[rank - 1]
-    return {key: one[key] for key in ENCODING if one.get(key) is not None}
+    candidate = candidates[rank - 1]
+    return {key: candidate[key] for key in ENCODING if candidate.get(key) is not None}

@@ -55,12 +55,12 @@ def _files(site: Site) -> list[CheckStep]:
         driver = site.target.make_driver(words_of(site))
     except DriverError as error:
         return [failed("files", f"{device.path}: device: {error}")]
-    found = [
+    steps = [
         ok("files", f"{named} {'are' if config else 'is'} in order: {len(device.tags)} tags, driver {device.driver}")
     ]
     if isinstance(driver, Cautions):
-        found += [warning("cautions", caution) for caution in driver.cautions()]
-    return found
+        steps += [warning("cautions", caution) for caution in driver.cautions()]
+    return steps
 
 
 def _places(site: Site) -> list[CheckStep]:
@@ -72,7 +72,7 @@ def _places(site: Site) -> list[CheckStep]:
     problems = (*plan.problems, *plan.overlaps)
     if problems:
         return [failed("places", problem) for problem in problems]
-    count = sum(one.count for one in plan.requests)
+    count = sum(request.count for request in plan.requests)
     return [ok("places", f"{len(plan.requests)} requests for {count} addresses; none is used twice")]
 
 
@@ -127,7 +127,10 @@ async def _readings(site: Site, steps: list[CheckStep]) -> list[dict[str, Any]]:
         steps.append(ok("reading", f"all {len(samples)} tags are good"))
     if len(bad) < len(samples):
         steps += await _heartbeat(site, samples)
-    return [{"tag": one.tag, "value": one.value, "quality": one.quality.name, "reason": one.reason} for one in samples]
+    return [
+        {"tag": sample.tag, "value": sample.value, "quality": sample.quality.name, "reason": sample.reason}
+        for sample in samples
+    ]
 
 
 async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:

@@ -48,15 +48,15 @@ _NET = Path("/sys/class/net")
 
 async def examine_machine(site: Site, records: Path) -> CommandResult:
     """All checks of this machine, and of what the command's options name."""
-    target, found = site.target, versions()
-    steps = [ok("software", ", ".join(f"{name} {number}" for name, number in found.items()))]
+    target, installed = site.target, versions()
+    steps = [ok("software", ", ".join(f"{name} {number}" for name, number in installed.items()))]
     steps += [_clock(), _network(), _disk(records.parent), _records(records), _can(target)]
     steps += await asyncio.to_thread(_serial_ports, target)
     if "host" in target.settings:
         steps.append(await _host(str(target.settings["host"])))
     steps += _files(target)
     code, complaint = verdict(steps)
-    return CommandResult({"steps": [step.plain() for step in steps], "versions": found}, code, complaint)
+    return CommandResult({"steps": [step.plain() for step in steps], "versions": installed}, code, complaint)
 
 
 class _Timex(ctypes.Structure):
@@ -139,26 +139,28 @@ def _records(path: Path) -> CheckStep:
 
 
 def _can(target: Target) -> CheckStep:
-    found = [path.name for path in sorted(_NET.glob("*")) if _word(path / "type") == _ARPHRD_CAN]
+    interfaces = [path.name for path in sorted(_NET.glob("*")) if _word(path / "type") == _ARPHRD_CAN]
     # Drivers without a carrier, as vcan, stay "unknown" when they are up.
-    up = [name for name in found if _word(_NET / name / "operstate") in ("up", "unknown")]
+    up = [name for name in interfaces if _word(_NET / name / "operstate") in ("up", "unknown")]
     wanted = str(target.settings.get("channel", ""))
     if target.medium != "can" or target.settings.get("interface", "socketcan") != "socketcan":
-        return ok("can", f"interfaces of the kernel: {', '.join(found) or 'none'}")
-    if wanted not in found:
-        return failed("can", f"there is no CAN interface {wanted!r} here (there are: {', '.join(found) or 'none'})")
+        return ok("can", f"interfaces of the kernel: {', '.join(interfaces) or 'none'}")
+    if wanted not in interfaces:
+        return failed(
+            "can", f"there is no CAN interface {wanted!r} here (there are: {', '.join(interfaces) or 'none'})"
+        )
     if wanted not in up:
         return failed("can", f"{wanted} is down: ip link set {wanted} up type can bitrate ...")
     return ok("can", f"{wanted} is up")
 
 
 def _serial_ports(target: Target) -> list[CheckStep]:
-    found = sorted(port.device for port in comports())
+    ports = sorted(port.device for port in comports())
     wanted = str(target.settings.get("serial", ""))
     if not wanted:
-        return [ok("serial", f"ports: {', '.join(found) or 'none'}")]
+        return [ok("serial", f"ports: {', '.join(ports) or 'none'}")]
     if not Path(wanted).exists():
-        return [failed("serial", f"there is no {wanted} here (there are: {', '.join(found) or 'none'}): plugged in?")]
+        return [failed("serial", f"there is no {wanted} here (there are: {', '.join(ports) or 'none'}): plugged in?")]
     if not os.access(wanted, os.R_OK | os.W_OK):
         return [failed("serial", f"this user may not open {wanted}: add it to the port's group (dialout), log in anew")]
     return [ok("serial", f"{wanted} is there and may be opened")]

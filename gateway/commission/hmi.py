@@ -203,15 +203,15 @@ def _agreement(wanted: Value, values: Sequence[Value], tolerance: float, tag: Ta
 
 def left_to_do(tag: Tag, points: Sequence[Point]) -> str:
     """What is missing until the tag is proved ("": nothing): two distinct values of a number, both states of a flag."""
-    own = [one for one in points if one.tag == tag.name and one.ok and one.definition == definition_of(tag)]
+    own = [point for point in points if point.tag == tag.name and point.ok and point.definition == definition_of(tag)]
     if tag.dtype is DType.STRING:
         return "" if own else "not compared yet"
     if not own:
         return "not compared yet"
     if tag.dtype is DType.BOOL or tag.bit is not None:
-        states = {bool(one.read) for one in own}
+        states = {bool(point.read) for point in own}
         return "" if len(states) == 2 else f"seen {'on' if True in states else 'off'} only"
-    numbers = sorted((one.number or 0.0, one.tolerance) for one in own)
+    numbers = sorted((point.number or 0.0, point.tolerance) for point in own)
     low, high = numbers[0], numbers[-1]
     if high[0] - low[0] > low[1] + high[1]:
         return ""
@@ -220,10 +220,10 @@ def left_to_do(tag: Tag, points: Sequence[Point]) -> str:
 
 def points_of(result: Mapping[str, Any]) -> list[Point]:
     """The comparisons in the record of an earlier `verify`; what is none is left out."""
-    found = []
+    points = []
     for plain in result.get("points", ()):
         try:
-            found.append(Point(**{key: plain[key] for key in Point.__dataclass_fields__}))
+            points.append(Point(**{key: plain[key] for key in Point.__dataclass_fields__}))
         except (KeyError, TypeError):
             continue
-    return found
+    return points

@@ -61,49 +61,49 @@ def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
         device, plant = settings_of(options["keep"])
         registers = capabilities(files.driver).registers
         how = Reading(options["registers"], options["order"], options["shift"], registers, options["rename"])
-        found = read_io_list(path, how, options["columns"], options["sheet"])
+        io_list = read_io_list(path, how, options["columns"], options["sheet"])
         only, without = options["only"], options["without"]
         if only or without:
-            known = [tag.name for tag in found.tags]
+            known = [tag.name for tag in io_list.tags]
             if missing := [name for name in (*only, *without) if name not in known]:
                 raise ValueError(f"{missing[0]!r}: the list has no usable row of that name; it has {', '.join(known)}")
-            tags = tuple(tag for tag in found.tags if (not only or tag.name in only) and tag.name not in without)
-            found = replace(found, tags=tags, problems=() if only else found.problems)
-        wanted = FileChange(bindings(found), None, options["heartbeat"], device, plant)
+            tags = tuple(tag for tag in io_list.tags if (not only or tag.name in only) and tag.name not in without)
+            io_list = replace(io_list, tags=tags, problems=() if only else io_list.problems)
+        wanted = FileChange(bindings(io_list), None, options["heartbeat"], device, plant)
         dry_run, skip = options["dry_run"], options["skip_bad"]
-        return import_outcome(found, files, wanted, template(), dry_run=dry_run, skip=skip)
+        return import_outcome(io_list, files, wanted, template(), dry_run=dry_run, skip=skip)
 
     arguments = {"list": str(path), **{key: value for key, value in options.items() if value not in (None, (), {})}}
     edit_files(given, "import", arguments, work)
 
 
-def bindings(found: IoList) -> list[Binding]:
+def bindings(io_list: IoList) -> list[Binding]:
     """The list's tags; what the list says nothing of stays as it is in the file."""
     return [
         Binding(tag.name, {key: value for key, value in tag.keys.items() if value is not None or key == "bit"}, True)
-        for tag in found.tags
+        for tag in io_list.tags
     ]
 
 
 def import_outcome(
-    found: IoList, files: Files, wanted: FileChange, template: Path, *, dry_run: bool, skip: bool
+    io_list: IoList, files: Files, wanted: FileChange, template: Path, *, dry_run: bool, skip: bool
 ) -> CommandResult:
     """Write the list's tags, unless a row of it is wrong and `skip` is false. Raises ConfigError or OSError."""
     data: dict[str, Any] = {
-        "list": str(found.sheet.path),
-        "header_line": found.sheet.header_line,
-        "columns": dict(found.sheet.columns),
-        "ignored_columns": list(found.sheet.ignored),
+        "list": str(io_list.sheet.path),
+        "header_line": io_list.sheet.header_line,
+        "columns": dict(io_list.sheet.columns),
+        "ignored_columns": list(io_list.sheet.ignored),
         "tags": [
             {"name": tag.name, "line": tag.line, **{key: value for key, value in tag.keys.items() if value is not None}}
-            for tag in found.tags
+            for tag in io_list.tags
         ],
-        "problems": list(found.problems),
+        "problems": list(io_list.problems),
     }
-    if found.problems and not skip:
-        count = len(found.problems)
+    if io_list.problems and not skip:
+        count = len(io_list.problems)
         sentence = f"{count} rows cannot be used, nothing was written: correct them, or give --skip-bad"
         return CommandResult({**data, "diff": "", "written": False, "files": [], "backups": []}, 1, sentence)
     done = carry_out(files, wanted, template, dry_run=dry_run)
-    left = [f"import: a row was left out: {problem}" for problem in found.problems]
+    left = [f"import: a row was left out: {problem}" for problem in io_list.problems]
     return CommandResult({**data, **done, "open_points": left})

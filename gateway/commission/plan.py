@@ -27,34 +27,38 @@ from gateway.settings import DeviceMap
 async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
     """The plan of a scan. A failed check where a tag cannot be read or the worst case is longer than the period."""
     device, period = device_of(site), period_of(site, given_period)
-    found = read_plan(site.target.driver, site.target.settings, device.tags, words_of(site))
-    if found is None:
+    scan_plan = read_plan(site.target.driver, site.target.settings, device.tags, words_of(site))
+    if scan_plan is None:
         return _by_sentences(site, device, period)
-    total = found.seconds + found.write_seconds
+    total = scan_plan.seconds + scan_plan.write_seconds
     data: dict[str, Any] = {
-        "requests": [{**asdict(one), "reference": _reference(one.place, one.count)} for one in found.requests],
-        "writes": [{**asdict(one), "reference": _reference(one.place, one.count)} for one in found.writes],
-        "registers": sum(one.count for one in found.requests),
-        "in_vain": sum(one.vain for one in found.requests),
+        "requests": [
+            {**asdict(request), "reference": _reference(request.place, request.count)} for request in scan_plan.requests
+        ],
+        "writes": [
+            {**asdict(request), "reference": _reference(request.place, request.count)} for request in scan_plan.writes
+        ],
+        "registers": sum(request.count for request in scan_plan.requests),
+        "in_vain": sum(request.vain for request in scan_plan.requests),
         "tags": len(device.tags),
-        "worst_read_s": found.seconds,
-        "worst_write_s": found.write_seconds,
+        "worst_read_s": scan_plan.seconds,
+        "worst_write_s": scan_plan.write_seconds,
         "worst_cycle_s": total,
         "period_s": period,
-        "problems": [*found.problems, *found.overlaps],
+        "problems": [*scan_plan.problems, *scan_plan.overlaps],
     }
     complaint, longer = "", f"longer than the period of {period:g} s: ticks are missed while replies are late"
     if data["problems"]:
         complaint = f"{len(data['problems'])} things stand in the way, the first: {data['problems'][0]}"
-    elif total > period and found.seconds <= period:
+    elif total > period and scan_plan.seconds <= period:
         # The block follows the scan and may be late by itself: that alone is no fault of the configuration.
         site.notes.append(f"with the write-back a cycle can take {total:.3g} s, {longer}")
     elif total > period:
-        count = len(found.requests)
+        count = len(scan_plan.requests)
         shortest = int(1000 * period / count) // 10 / 100  # down to 10 ms, so that all requests fit
         shorter = f", or timeout to {shortest:g} s if the device is fast enough (see soak)"
         complaint = (
-            f"a scan of {count} requests can take {found.seconds:.3g} s, {longer}; set scan.period to "
+            f"a scan of {count} requests can take {scan_plan.seconds:.3g} s, {longer}; set scan.period to "
             f"{ceil(10 * total) / 10:g} s{shorter if 'timeout' in site.target.settings else ''}"
         )
     return CommandResult(data, int(bool(complaint)), complaint)

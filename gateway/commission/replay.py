@@ -63,7 +63,7 @@ class ReplayTally:
         """One scan, after the gateway has taken it."""
         self.scans += 1
         if machine.last is not None:
-            self.not_good.update(name for name, one in machine.last.samples.items() if not one.quality.is_good)
+            self.not_good.update(name for name, sample in machine.last.samples.items() if not sample.quality.is_good)
         prediction = machine.model.prediction if machine.model else None
         if prediction is not None:
             self.locations[prediction.location if prediction.known else "not known"] += 1
@@ -210,10 +210,13 @@ def _show(data: Mapping[str, Any]) -> None:
         ("blocks", f"{data['blocks']} computed, {data['blocks_valid']} of them valid, none written"),
     ]
     table("what the gateway made of it", ("what", "found"), rows)
-    ahead = [(one["horizon"], one["mae"], one["persistence_mae"], one["count"]) for one in data["forecasts"]]
+    ahead = [
+        (forecast["horizon"], forecast["mae"], forecast["persistence_mae"], forecast["count"])
+        for forecast in data["forecasts"]
+    ]
     if ahead:
         table("forecasts", ("s ahead", "median off (degC)", "persistence off (degC)", "matured"), ahead)
-    alarms = [(_at(one["time"]), one["alarm"], one["state"]) for one in data["alarms"]]
+    alarms = [(_at(alarm["time"]), alarm["alarm"], alarm["state"]) for alarm in data["alarms"]]
     if alarms:
         table(f"{len(alarms)} changes of alarms, the first 20", ("time", "alarm", "state"), alarms[:20])
 

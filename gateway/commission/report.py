@@ -60,38 +60,38 @@ def report(
             log.close()
             if not stored:
                 raise ValueError(f"the report is made, but its seal is not in the audit log: {log.failure}")
-    made = {
+    outcome = {
         "verdict": data["verdict"],
         "checks": {check["command"]: check["state"] for check in data["checks"]},
         "open_points": data["open_points"],
         "out": str(out),
         "seal": own_seal,
     }
-    emit({"ok": made["verdict"] != "failed", **made}, lambda: _show(made), as_json_line=given.as_json)
-    if made["verdict"] == "failed":
-        fail(f"the site is not accepted: {made['open_points'][0]}", Exit.CHECK_FAILED)
+    emit({"ok": outcome["verdict"] != "failed", **outcome}, lambda: _show(outcome), as_json_line=given.as_json)
+    if outcome["verdict"] == "failed":
+        fail(f"the site is not accepted: {outcome['open_points'][0]}", Exit.CHECK_FAILED)
 
 
-def _show(made: Mapping[str, Any]) -> None:
-    table("site acceptance test", ("check", "result"), [[name, state] for name, state in made["checks"].items()])
-    colour = {"passed": "green", "failed": "red"}.get(made["verdict"], "yellow")
-    click.secho(f"result: {made['verdict']}", fg=colour)
-    for number, point in enumerate(made["open_points"], start=1):
+def _show(outcome: Mapping[str, Any]) -> None:
+    table("site acceptance test", ("check", "result"), [[name, state] for name, state in outcome["checks"].items()])
+    colour = {"passed": "green", "failed": "red"}.get(outcome["verdict"], "yellow")
+    click.secho(f"result: {outcome['verdict']}", fg=colour)
+    for number, point in enumerate(outcome["open_points"], start=1):
         click.echo(f"open {number}: {point}")
-    click.echo(f"report: {made['out']}/report.html, report.pdf, report.json")
-    click.echo(f"seal: {made['seal']}")
+    click.echo(f"report: {outcome['out']}/report.html, report.pdf, report.json")
+    click.echo(f"seal: {outcome['seal']}")
 
 
 def _verify(folder: Path, seal: str, *, as_json: bool) -> None:
     with sentences():
-        found, rows = verify(folder, seal)
+        actual, rows = verify(folder, seal)
     bad = [row for row in rows if not row["ok"]]
-    data = {"ok": not bad, "folder": str(folder), "seal": found, "files": rows}
+    data = {"ok": not bad, "folder": str(folder), "seal": actual, "files": rows}
 
     def show() -> None:
         states = [[row["file"], "as it was made" if row["ok"] else row["problem"]] for row in rows]
         table(f"report in {folder}", ("file", ""), states)
-        click.echo(f"seal: {found}")
+        click.echo(f"seal: {actual}")
 
     emit(data, show, as_json_line=as_json)
     if bad:

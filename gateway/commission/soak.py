@@ -142,7 +142,7 @@ def _summary(
     # A cycle with the write-back is longer than a scan, by the number of its requests.
     plan = read_plan(site.target.driver, site.target.settings, site.target.tags, words_of(site))
     factor = 1.0 if plan is None or not plan.requests else 1.0 + len(plan.writes) / len(plan.requests)
-    found: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "scans": scans,
         "period_s": period,
         "missed": tally.missed,
@@ -158,7 +158,7 @@ def _summary(
     }
     if site.target.capabilities.speaks:
         ages = {name: 1e3 * percentile(tally.ages, share) for name, share in _SHARES.items()} if tally.ages else None
-        found["age_ms"], found["recommended_period_s"] = ages, None
+        summary["age_ms"], summary["recommended_period_s"] = ages, None
         site.notes.append("this device speaks by itself: a scan takes what it has said, so that what counts is its age")
     complaint = ""  # the worst alone: missed ticks follow from a device that does not answer
     if tally.all_bad == scans:
@@ -168,7 +168,7 @@ def _summary(
         complaint = f"{tally.with_bad} of {scans} scans had a tag that was not good, mostly {tag} ({times} times)"
     elif tally.missed:
         complaint = f"{tally.missed} ticks were missed in {scans} scans: the period is too short for this device"
-    return CommandResult(found, int(bool(complaint)), complaint)
+    return CommandResult(summary, int(bool(complaint)), complaint)
 
 
 _SHARES = {"p50": 0.5, "p95": 0.95, "max": 1.0}

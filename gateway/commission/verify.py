@@ -107,14 +107,14 @@ async def against(
 
 async def _window(site: Site, tags: Sequence[Tag]) -> dict[str, list[Value]]:
     """Two good looks at each tag, a moment apart: a value that moves passes through what the HMI showed."""
-    found: dict[str, list[Value]] = {tag.name: [] for tag in tags}
+    values: dict[str, list[Value]] = {tag.name: [] for tag in tags}
     for look in range(2):
         if look:
             await asyncio.sleep(LOOK_S)
         for raw in await read_raw(site, tags):
             if raw.sample.quality.is_good and raw.sample.value is not None:
-                found[raw.tag.name].append(raw.sample.value)
-    return found
+                values[raw.tag.name].append(raw.sample.value)
+    return values
 
 
 # ---------------------------------------------------------------- by questions
@@ -238,11 +238,11 @@ def _ask(question: str) -> str:
 
 def _show(data: Mapping[str, Any]) -> None:
     rows = [
-        ("agrees" if one["ok"] else "NOT", one["tag"], one["shown"], _text(one["read"]), one["reason"])
-        for one in data["points"]
+        ("agrees" if point["ok"] else "NOT", point["tag"], point["shown"], _text(point["read"]), point["reason"])
+        for point in data["points"]
     ]
     if rows:
-        table(f"{sum(one['ok'] for one in data['points'])} of {len(rows)} agree", _COLUMNS, rows)
+        table(f"{sum(point['ok'] for point in data['points'])} of {len(rows)} agree", _COLUMNS, rows)
     click.echo(f"{data['proved']} of {data['tags']} tags are proved")
     for name, todo in data["left"].items():
         click.echo(f"  {name}: {todo}")

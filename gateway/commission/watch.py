@@ -163,7 +163,7 @@ async def watch_tags(
     while not stop.is_set():
         raws = await look()
         by_name = {raw.tag.name: raw for raw in raws}
-        show([one for one in seen if one.tag.name in by_name and one.take(by_name[one.tag.name])])
+        show([watched for watched in seen if watched.tag.name in by_name and watched.take(by_name[watched.tag.name])])
         # Deadlines are absolute, so that the period holds on average; those that a slow reading overran are dropped.
         due = max(due + period, time.monotonic())
         try:
@@ -175,7 +175,9 @@ async def watch_tags(
 
 def marked(seen: Sequence[WatchedTag], number: int, now: float) -> Mark:
     """A mark of this moment."""
-    return Mark(number, now, {one.tag.name: one.last.sample.value if one.last else None for one in seen})
+    return Mark(
+        number, now, {watched.tag.name: watched.last.sample.value if watched.last else None for watched in seen}
+    )
 
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -69,13 +69,13 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
 
 
 def _front(data: Mapping[str, Any], digest: str) -> Iterator[Block]:
-    made, clock = data["made"], data["clock"]
+    making, clock = data["made"], data["clock"]
     yield Heading(f"Site acceptance report: {data['site']}")
     yield Text(f"Result: {data['verdict']}", _STATES[data["verdict"]])
     offset = clock["hmi_offset_s"]
     hmi = f"{offset:+.3f} s ahead of this machine's" if offset else "not given"
     facts = [
-        ("made", f"{at(made['time'])} by {made['by']}"),
+        ("made", f"{at(making['time'])} by {making['by']}"),
         ("device", "; ".join(data["places"]) or "none"),
         ("machine", ", ".join(data["machines"])),
         ("names", ", ".join(data["names"])),
@@ -127,8 +127,15 @@ def _audit(data: Mapping[str, Any]) -> Iterator[Block]:
     yield Text(f"Audit log {audit['path']}: {audit['rows']} rows ({kinds}); its chain is {whole}.")
     yield Text(f"Newest hash: {audit['head']}")
     rows = tuple(
-        (str(one["row"]), at(one["time"]), one["kind"], one["who"], one["reason"], at(one["detail"].get("until")))
-        for one in audit["armings"]
+        (
+            str(arming["row"]),
+            at(arming["time"]),
+            arming["kind"],
+            arming["who"],
+            arming["reason"],
+            at(arming["detail"].get("until")),
+        )
+        for arming in audit["armings"]
     )
     widths = (0.06, 0.18, 0.12, 0.14, 0.32, 0.18)
     yield ReportTable(("row", "time", "what", "who", "reason", "until"), rows, widths=widths)

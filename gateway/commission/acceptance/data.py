@@ -161,13 +161,13 @@ def _clock(records: Sequence[CommandRecord]) -> dict[str, Any]:
             if record.command == "doctor" and step.get("step") == "clock":
                 sentence = str(step.get("sentence", ""))
         if record.command == "verify":
-            given = {**record.arguments, **record.result}.get("clock_offset")
-            offset = float(given) if isinstance(given, int | float) else offset
+            ahead = {**record.arguments, **record.result}.get("clock_offset")
+            offset = float(ahead) if isinstance(ahead, int | float) else offset
     return {"machine": sentence, "hmi_offset_s": offset}
 
 
 def _dicts(value: object) -> list[Mapping[str, Any]]:
-    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []
+    return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
 
 
 def _audit(path: Path, now: float) -> dict[str, Any]:
@@ -186,5 +186,5 @@ def _audit(path: Path, now: float) -> dict[str, Any]:
         "kinds": dict(Counter(row.entry.kind for row in rows)),
         "armings": armings,
         "standing": sentence,
-        "names": sorted({one["who"] for one in armings if one["who"]}),
+        "names": sorted({arming["who"] for arming in armings if arming["who"]}),
     }

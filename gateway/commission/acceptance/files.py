@@ -28,12 +28,12 @@ def write(folder: Path, data: Mapping[str, Any], records: bytes) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     content = (json_text(data, indent=1) + "\n").encode()
     digest = hash_of(content)
-    made, title = blocks(json.loads(content), digest), f"Site acceptance report: {data['site']}"
+    body, title = blocks(json.loads(content), digest), f"Site acceptance report: {data['site']}"
     footer = f"{title}    data SHA-256 {digest}"
     files = {
         JSON: content,
-        HTML: page(made, title).encode(),
-        PDF: paper(made, title, footer, data["made"]["time"]),
+        HTML: page(body, title).encode(),
+        PDF: paper(body, title, footer, data["made"]["time"]),
         RECORDS: records,
     }
     for name, bytes_ in files.items():

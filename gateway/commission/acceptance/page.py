@@ -8,7 +8,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from gateway.commission.acceptance.blocks import Block
 
 
-def page(made: Sequence[Block], title: str) -> str:
+def page(body: Sequence[Block], title: str) -> str:
     """The page; every text in it is escaped."""
     world = Environment(
         loader=PackageLoader("gateway.commission.acceptance"),
@@ -18,7 +18,10 @@ def page(made: Sequence[Block], title: str) -> str:
         lstrip_blocks=True,
     )
     plain = [
-        {"kind": type(block).__name__, **{one.name: getattr(block, one.name) for one in fields(block)}}
-        for block in made
+        {
+            "kind": type(block).__name__,
+            **{attribute.name: getattr(block, attribute.name) for attribute in fields(block)},
+        }
+        for block in body
     ]
     return world.get_template("report.html.j2").render(blocks=plain, title=title)

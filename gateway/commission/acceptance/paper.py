@@ -17,10 +17,10 @@ _FONT, _MONO = "DejaVu", "DejaVuMono"
 _SMALL, _BODY, _LARGE = 7.5, 9.5, 17.0
 
 
-def paper(made: Sequence[Block], title: str, footer: str, moment: float) -> bytes:
+def paper(body: Sequence[Block], title: str, footer: str, moment: float) -> bytes:
     """The PDF file's bytes. `footer` stands on every page, `moment` (s UTC) is its date of creation."""
     sheet = _sheet(title, footer, moment)
-    for block in made:
+    for block in body:
         if isinstance(block, Heading):
             sheet.ln(1 if block.level == 1 else 4)
             if sheet.will_page_break(24):  # a heading does not stand alone at the foot of a page

@@ -49,7 +49,7 @@ class Advice:
                 f"{_aim(' (', self.below, self.above, ')')}"
             )
         if self.twins:
-            names = ", ".join(dict.fromkeys(f"{one.dtype} at {one.address}" for one in self.twins))
+            names = ", ".join(dict.fromkeys(f"{twin.dtype} at {twin.address}" for twin in self.twins))
             limits = _aim("", self.twins_below, self.twins_above, "")
             unless = f" unless it goes {limits}: if it can, read it there too" if limits else ""
             lines.append(f"{names} would read the same{unless}")
@@ -61,14 +61,18 @@ def _aim(before: str, below: float | None, above: float | None, after: str) -> s
     return f"{before}{' or '.join(limits)}{after}" if limits else ""
 
 
-def advise(found: Sequence[EncodingCandidate], observations: Sequence[Observation]) -> Advice:
+def advise(candidates: Sequence[EncodingCandidate], observations: Sequence[Observation]) -> Advice:
     """What is left to find out."""
-    if not found:
+    if not candidates:
         return Advice()
-    best, last = found[0], observations[-1]
+    best, last = candidates[0], observations[-1]
     ties: dict[int, tuple[float, float]] = {}
     twins: dict[int, tuple[float, float]] = {}
-    rivals = {index: one for index, one in enumerate(found) if index and one.share >= WORTH * best.share}
+    rivals = {
+        index: candidate
+        for index, candidate in enumerate(candidates)
+        if index and candidate.share >= WORTH * best.share
+    }
     for index, rival in rivals.items():
         near = _both_sides(best, rival, last, (1.0 / _FARTHEST, _FARTHEST))
         if min(near) < math.inf:
@@ -77,7 +81,7 @@ def advise(found: Sequence[EncodingCandidate], observations: Sequence[Observatio
             twins[index] = _both_sides(best, rival, last, (-_FARTHEST, _OUTERMOST))
     same = tuple(rivals[index] for index in twins)
     limits = (_beyond(last, -1, twins), _beyond(last, 1, twins))
-    if not ties or best.share + sum(one.share for one in same) >= SETTLED:
+    if not ties or best.share + sum(twin.share for twin in same) >= SETTLED:
         return Advice((), None, None, same, *limits)
     # Only one side is advised where a reading on the other would leave a rival that it removes.
     complete = [max(near[side] for near in ties.values()) < math.inf for side in (0, 1)]
@@ -146,7 +150,7 @@ def _differ(best: EncodingCandidate, rival: EncodingCandidate, last: Observation
     return own is None or other is None or abs(own - other) > 0.5 * last.shown.step
 
 
-def _value(one: EncodingCandidate, words: Sequence[int], base: int) -> float | None:
-    tag, first = one.tag(), one.address - base
+def _value(candidate: EncodingCandidate, words: Sequence[int], base: int) -> float | None:
+    tag, first = candidate.tag(), candidate.address - base
     value, quality, _ = decode(tag, words[first : first + registers_needed(tag)])
     return float(value) if quality is Quality.GOOD and isinstance(value, int | float) else None

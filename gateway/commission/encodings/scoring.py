@@ -138,7 +138,7 @@ def _weighed(
     layout: _EncodingLayout, observations: Sequence[Observation], scales: Vector, offsets: Vector, weights: Vector
 ) -> list[tuple[float, _EncodingLayout, float, float, tuple[float, ...]]]:
     """The layout with every scale and offset that explains all observations."""
-    raws = [_raw(layout, one) for one in observations]
+    raws = [_raw(layout, observation) for observation in observations]
     if any(raw is None for raw in raws):
         return []
     # A type with more room than any of the numbers needs is less likely to have been chosen.
@@ -149,12 +149,12 @@ def _weighed(
     # registers that have nothing to do with the value. The likelihood of the words is the density of the value over
     # one raw step; words that were read before are no new evidence.
     before: list[tuple[int, ...]] = []
-    for raw, one in zip(raws, observations, strict=True):
+    for raw, observation in zip(raws, observations, strict=True):
         number, resolution = raw or (0.0, 1.0)
-        words = _covered(layout, one)
+        words = _covered(layout, observation)
         if abs(number) > _FAR:  # a float's garbage, whose products would overflow
             return []
-        total = total + _log_shown(number * scales + offsets, one.shown)
+        total = total + _log_shown(number * scales + offsets, observation.shown)
         if words not in before:
             former = before[-1] if before else None
             total = total + np.log(resolution * scales) - _log_background(words, former, layout.dtype)
@@ -172,10 +172,10 @@ def _weighed(
     ]
 
 
-def _raw(layout: _EncodingLayout, one: Observation) -> tuple[float, float] | None:
+def _raw(layout: _EncodingLayout, observation: Observation) -> tuple[float, float] | None:
     """The raw number and the step to its neighbour; None where the words are no number of this type."""
     tag = Tag("", "", layout.dtype, layout.order)
-    value, quality, _ = decode(tag, _covered(layout, one))
+    value, quality, _ = decode(tag, _covered(layout, observation))
     if quality is not Quality.GOOD or isinstance(value, bool | str) or value is None:
         return None
     number = float(value)
@@ -187,9 +187,9 @@ def _raw(layout: _EncodingLayout, one: Observation) -> tuple[float, float] | Non
     return number, float(2.0 ** (math.floor(math.log2(max(abs(number), least))) - bits))
 
 
-def _covered(layout: _EncodingLayout, one: Observation) -> tuple[int, ...]:
-    first = layout.address - one.base
-    return one.words[first : first + registers_needed(Tag("", "", layout.dtype))]
+def _covered(layout: _EncodingLayout, observation: Observation) -> tuple[int, ...]:
+    first = layout.address - observation.base
+    return observation.words[first : first + registers_needed(Tag("", "", layout.dtype))]
 
 
 def _log_shown(values: Vector, shown: ShownNumber) -> Vector:

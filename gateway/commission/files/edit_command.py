@@ -15,24 +15,24 @@ from gateway.entry import sentences
 
 def pairs(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
     """A callback for LEFT=RIGHT, as often as it is given."""
-    found = {}
+    right_of = {}
     for text in texts:
         left, equals, right = text.partition("=")
         if not (equals and left.strip() and right.strip()):
             raise click.BadParameter(f"{text!r}: give {option.metavar}")
-        found[left.strip()] = right.strip()
-    return found
+        right_of[left.strip()] = right.strip()
+    return right_of
 
 
 def _values(context: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any]:
     """A callback for KEY=VALUE whose values are TOML, or else text."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for key, text in pairs(context, option, texts).items():
         try:
-            found[key] = tomllib.loads(f"value = {text}")["value"]
+            values[key] = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:
-            found[key] = text
-    return found
+            values[key] = text
+    return values
 
 
 KEEP = click.option(
@@ -69,8 +69,8 @@ def edit_files(
 
 def _show(data: Mapping[str, Any]) -> None:
     if "columns" in data:
-        found = ", ".join(f"{name} = {header!r}" for name, header in data["columns"].items())
-        click.echo(f"{data['list']}: header in line {data['header_line']}: {found}")
+        columns = ", ".join(f"{name} = {header!r}" for name, header in data["columns"].items())
+        click.echo(f"{data['list']}: header in line {data['header_line']}: {columns}")
         if data["ignored_columns"]:
             click.echo(f"columns without use: {', '.join(map(repr, data['ignored_columns']))}")
         keys = [key for key in _COLUMNS if any(tag.get(key) not in (None, "") for tag in data["tags"])]

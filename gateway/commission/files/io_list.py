@@ -157,18 +157,18 @@ def _scaling(line: ListRow, low: float | None, high: float | None) -> tuple[floa
     span = raw_high - (raw_low or 0.0)
     if span == 0 or high == (low or 0.0):
         raise _RowError("raw_high", "the raw range or the range in units is empty; give two different ends")
-    found = (high - (low or 0.0)) / span
-    return round(found, _DIGITS), round((low or 0.0) - found * (raw_low or 0.0), _DIGITS)
+    slope = (high - (low or 0.0)) / span
+    return round(slope, _DIGITS), round((low or 0.0) - slope * (raw_low or 0.0), _DIGITS)
 
 
 def _type(line: ListRow, address: str, bit: int | None) -> tuple[str, int]:
     text = line.get("dtype")
     if not text:
         return ("bool", 0) if bit is not None or address.partition(":")[0] in ("coil", "discrete") else ("uint16", 0)
-    found = type_of(key_of(text))
-    if found is None:
+    known = type_of(key_of(text))
+    if known is None:
         raise _RowError("dtype", f"{text!r} is no type that is known here; give one of {KNOWN_TYPES}")
-    dtype, length = found
+    dtype, length = known
     if dtype == "string":
         length = length or _whole(line, "length") or 0
         if length <= 0:
@@ -202,10 +202,10 @@ def _address(sheet: ListSheet, line: ListRow, how: Reading) -> tuple[str, int | 
 
 
 def _bit(line: ListRow) -> int | None:
-    found = _whole(line, "bit")
-    if found is not None and not 0 <= found <= 15:
-        raise _RowError("bit", f"bit {found} is not in a register, which has bits 0 to 15")
-    return found
+    bit = _whole(line, "bit")
+    if bit is not None and not 0 <= bit <= 15:
+        raise _RowError("bit", f"bit {bit} is not in a register, which has bits 0 to 15")
+    return bit
 
 
 def _register(sheet: ListSheet, line: ListRow, plain: str, text: str, how: Reading) -> Register:
@@ -239,8 +239,8 @@ def _table(sheet: ListSheet, line: ListRow) -> str:
     if not text:
         return ""
     key = key_of(text)
-    if found := TABLES.get(key):
-        return found
+    if known := TABLES.get(key):
+        return known
     header = key_of(sheet.columns.get("table", ""))
     if key in FUNCTIONS and any(word in header for word in ("func", "funz", "code", "codice", "fc")):
         return FUNCTIONS[key]

@@ -80,16 +80,16 @@ def check_writable(path: Path) -> None:
 
 def read_records(path: Path) -> list[CommandRecord]:
     """All records in their order. Raises RecordsError for a line that is none, OSError for a file that is not there."""
-    found = []
+    records = []
     for number, line in enumerate(_lines(path), start=1):
         try:
             plain = json.loads(line)
-            found.append(CommandRecord(**{one.name: plain[one.name] for one in fields(CommandRecord)}))
+            records.append(CommandRecord(**{column.name: plain[column.name] for column in fields(CommandRecord)}))
         except (ValueError, KeyError, TypeError) as error:
             raise RecordsError(
                 f"{path}: line {number} is no record ({error}); the file was changed by something else"
             ) from None
-    return found
+    return records
 
 
 def broken_at(path: Path) -> int | None:
@@ -109,13 +109,13 @@ def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
 
 def versions(libraries: Sequence[str] = LIBRARIES) -> dict[str, str]:
     """What this machine runs: Python, the system and the libraries that speak to the device."""
-    found = {"python": platform.python_version(), "system": platform.platform()}
+    installed = {"python": platform.python_version(), "system": platform.platform()}
     for name in libraries:
         try:
-            found[name] = version(name)
+            installed[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            installed[name] = "not installed"
+    return installed
 
 
 def _lines(path: Path) -> list[bytes]:

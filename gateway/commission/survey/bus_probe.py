@@ -71,12 +71,12 @@ async def identity_of(survey: ListensToBus, node: int, timeout: float = SDO_S) -
 
     Raises ReplyTimeout where it does not answer at all.
     """
-    found = {}
+    identity = {}
     for name, (index, subindex) in {**_NUMBERS, **_TEXTS}.items():
         try:
             data = await survey.object(node, index, subindex, timeout)
         except DeviceException:
             continue
         text = data.decode("latin-1").strip("\0 ")
-        found[name] = f"0x{int.from_bytes(data, 'little'):08X}" if name in _NUMBERS else text
-    return found
+        identity[name] = f"0x{int.from_bytes(data, 'little'):08X}" if name in _NUMBERS else text
+    return identity

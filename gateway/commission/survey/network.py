@@ -26,8 +26,8 @@ _LOOKS_LIKE: tuple[tuple[bytes, str], ...] = (
 
 async def addresses_of(host: str) -> list[str]:
     """What the name resolves to. Raises OSError."""
-    found = await asyncio.get_running_loop().getaddrinfo(host, None, type=socket.SOCK_STREAM)
-    return list(dict.fromkeys(str(one[4][0]) for one in found))
+    answers = await asyncio.get_running_loop().getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    return list(dict.fromkeys(str(answer[4][0]) for answer in answers))
 
 
 def local_end(address: str) -> str:

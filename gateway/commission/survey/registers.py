@@ -97,7 +97,7 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
                     progress(f"{first.table}:{block[0]} count {block[1]}", (block[0] - first.number) / count)
                     block = steps.send(await asking.answers(*block))
             except StopIteration as stop:  # a generator gives its result by this
-                found: ReadableMap = stop.value
+                register_map: ReadableMap = stop.value
         finally:
             site.count(survey.statistics())
 
@@ -106,20 +106,20 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
 
     data = {
         "table": first.table,
-        "asked": _range(first, found.count),
-        "readable": ranges(found.readable),
-        "refused": ranges(found.refused),
-        "unknown": ranges(found.unknown),
-        "largest_block": found.largest,
-        "too_long": found.too_long or None,
-        "seams": [f"{first.table}:{seam}" for seam in sorted(found.seams)],
-        "requests": found.requests,
+        "asked": _range(first, register_map.count),
+        "readable": ranges(register_map.readable),
+        "refused": ranges(register_map.refused),
+        "unknown": ranges(register_map.unknown),
+        "largest_block": register_map.largest,
+        "too_long": register_map.too_long or None,
+        "seams": [f"{first.table}:{seam}" for seam in sorted(register_map.seams)],
+        "requests": register_map.requests,
         "refusals": dict(asking.reasons),
     }
-    if found.unknown:
-        left = sum(stretch[1] for stretch in found.unknown)
+    if register_map.unknown:
+        left = sum(stretch[1] for stretch in register_map.unknown)
         site.notes.append(f"{left} addresses were not asked: {budget} requests were the bound; give --requests")
-    if not found.readable:
+    if not register_map.readable:
         return CommandResult(data, Exit.CHECK_FAILED, f"nothing of {first} count {count} can be read")
     return CommandResult(data)
 

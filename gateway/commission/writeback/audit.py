@@ -35,6 +35,6 @@ def audit(given: SharedOptions, head: str, last: int, kinds: tuple[str, ...], au
 
 def _show_audit(data: Mapping[str, Any]) -> None:
     title = f"{data['path']}: {data['rows']} rows, the chain is {'broken' if data['problem'] else 'whole'}"
-    rows = [[one["id"], at(one["time"]), one["kind"], one["who"], one["reason"]] for one in data["entries"]]
+    rows = [[entry["id"], at(entry["time"]), entry["kind"], entry["who"], entry["reason"]] for entry in data["entries"]]
     table(title, ("row", "time", "kind", "who", "reason"), rows)
     click.echo(f"head: {data['head']}")

@@ -44,8 +44,8 @@ def codegen(
     It checks layout version, sequence copy, CRC and heartbeat, keeps a timer, and falls back to the PLC's own logic.
     """
     with sentences():
-        made = load_device(device)
-        text = generate(made, name, Program(location, permit_at, cycle) if program else None)
+        device_map = load_device(device)
+        text = generate(device_map, name, Program(location, permit_at, cycle) if program else None)
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)
             out.write_text(text, encoding="ascii")
@@ -58,10 +58,10 @@ def codegen(
 
 def write_suite(device: Path, out: Path) -> None:
     """Write the conformance suite of a device file as JSON. Raises ConfigError, ValueError or OSError."""
-    made = load_device(device)
-    if made.writeback is None:
+    device_map = load_device(device)
+    if device_map.writeback is None:
         raise ValueError(f"{device}: has no [writeback] table; there is no block to check")
-    content = plain(made.writeback, vectors(made.writeback), refusal_codes(made))
+    content = plain(device_map.writeback, vectors(device_map.writeback), refusal_codes(device_map))
     steps = ",\n  ".join(json.dumps(step) for step in content.pop("steps"))
     head = json.dumps(content, indent=1)[:-2]
     out.parent.mkdir(parents=True, exist_ok=True)

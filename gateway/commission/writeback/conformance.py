@@ -20,9 +20,9 @@ async def conform(
 ) -> CommandResult:
     """Every step's result; `steps` are those of the device file's layout unless given. Raises DriverError."""
     results = await put_through(steps or vectors(writer.layout), writer, refusal_codes(writer.device), progress)
-    rows: list[dict[str, Any]] = [{**asdict(one), "ok": not one.wrong} for one in results]
-    failed, skipped = [one for one in results if one.wrong], [one for one in results if one.skipped]
-    counts = {"steps": len(rows), "passed": sum(one.passed for one in results), "skipped": len(skipped)}
+    rows: list[dict[str, Any]] = [{**asdict(result), "ok": not result.wrong} for result in results]
+    failed, skipped = [result for result in results if result.wrong], [result for result in results if result.skipped]
+    counts = {"steps": len(rows), "passed": sum(result.passed for result in results), "skipped": len(skipped)}
     if failed:
         first = failed[0]
         return CommandResult(

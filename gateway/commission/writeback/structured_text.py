@@ -184,8 +184,8 @@ def _program(device: DeviceMap, layout: WritebackLayout, name: str, program: Pro
 
 
 def _place(tag: Tag, program: Program) -> str:
-    found = _REGISTER.match(tag.address)
-    return f" AT {program.prefix}{int(found[1])}" if found else ""
+    match = _REGISTER.match(tag.address)
+    return f" AT {program.prefix}{int(match[1])}" if match else ""
 
 
 def _registers(device: DeviceMap, program: Program) -> Iterator[dict[str, Any]]:

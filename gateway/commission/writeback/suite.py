@@ -86,16 +86,16 @@ async def put_through(
 
 def judge(step: SuiteStep, before: Account, after: Account, codes: Mapping[str, int]) -> str:
     """What the PLC has made wrong of a step, in words; "" if nothing."""
-    found = []
+    faults = []
     for name, expected, old, new in (
         ("accepted", step.accepted, before.accepted, after.accepted),
         ("refused", step.refused, before.refused, after.refused),
     ):
         if (new - old) & 0xFFFF != expected:
-            found.append(f"{(new - old) & 0xFFFF} blocks {name} instead of {expected}")
+            faults.append(f"{(new - old) & 0xFFFF} blocks {name} instead of {expected}")
     allowed = {codes[reason] for reason in step.reasons}
     if step.refused and after.last_refusal not in allowed:
-        found.append(f"refusal {after.last_refusal} instead of {' or '.join(map(str, sorted(allowed)))}")
+        faults.append(f"refusal {after.last_refusal} instead of {' or '.join(map(str, sorted(allowed)))}")
     if after.usable != step.usable:
-        found.append(f"the prediction is {'usable' if after.usable else 'not usable'}, which it must not be")
-    return "; ".join(found)
+        faults.append(f"the prediction is {'usable' if after.usable else 'not usable'}, which it must not be")
+    return "; ".join(faults)

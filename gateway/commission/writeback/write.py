@@ -119,7 +119,7 @@ def _show_plan(data: Mapping[str, Any]) -> None:
         [word[column] if column != "scale" else f"{word['scale']:g}" for column in columns] for word in data["words"]
     ]
     table(f"the closed write map: {len(rows)} words, layout version {data['layout_version']}", columns, rows)
-    bits = ", ".join(f"{one['bit']} {one['name']}" for one in data["alarm_bits"])
+    bits = ", ".join(f"{bit['bit']} {bit['name']}" for bit in data["alarm_bits"])
     click.echo(f"alarm bits: {bits}")
     period = f"a block a scan ({data['period_s']:g} s)" if data["period_s"] else "a block a scan"
     click.echo(f"one request a block, sent once; {period}, at most {data['most_per_second']:g} a second")
