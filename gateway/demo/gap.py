@@ -40,7 +40,7 @@ def days(seed: int, alphabet: Alphabet) -> Days:
     """Days of one plant, without the cooling and, a month later, with it; no seed is shared."""
     before = cooled_days(DAYS_BEFORE, seed=seed, period=PERIOD)
     after = cooled_days(DAYS_AFTER, seed=seed, first_day=LATER, period=PERIOD, plant=CooledPlant(cooling=COOLING))
-    return Days(*([replace(one, events=encode(one, alphabet)) for one in part] for part in (before, after)))
+    return Days(*([replace(trace, events=encode(trace, alphabet)) for trace in part] for part in (before, after)))
 
 
 def figures(document: Mapping[str, Any], folder: Path) -> dict[str, Any]:

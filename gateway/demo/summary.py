@@ -143,15 +143,15 @@ def result(setting: DemoRun, recording: Path, historian: Path, picture: Path) ->
 def findings(data: Mapping[str, Any]) -> list[str]:
     """What the figures say, honestly: where persistence wins, it is said."""
     lines = []
-    for horizon, one in data["forecast"].items():
-        if not one["count"]:
+    for horizon, score in data["forecast"].items():
+        if not score["count"]:
             lines.append(f"{float(horizon) / 60:g} min ahead: no forecast matured within the replay")
             continue
-        wins = "the model is better" if one["mae"] < one["persistence_mae"] else "PERSISTENCE IS AS GOOD OR BETTER"
+        wins = "the model is better" if score["mae"] < score["persistence_mae"] else "PERSISTENCE IS AS GOOD OR BETTER"
         lines += [
-            f"{float(horizon) / 60:g} min ahead: mean error {one['mae']:.3f} °C, persistence "
-            f"{one['persistence_mae']:.3f} °C: {wins}",
-            f"  the 90 % band held {100 * one['coverage90']:.0f} % of {one['count']} readings",
+            f"{float(horizon) / 60:g} min ahead: mean error {score['mae']:.3f} °C, persistence "
+            f"{score['persistence_mae']:.3f} °C: {wins}",
+            f"  the 90 % band held {100 * score['coverage90']:.0f} % of {score['count']} readings",
         ]
     guards = data["guards"]
     if guards.get("review"):

@@ -21,20 +21,20 @@ COLOUR, STRONG = "#1f6fb4", "#c65d1e"
 _UNITS = {"temperature": " (°C)", "time": " (s)", "age": " (s)"}
 
 
-def draw_answer(found: Answer, text: str, path: Path) -> None:
+def draw_answer(answer: Answer, text: str, path: Path) -> None:
     """Draw the answer to `path`. Raises ValueError for a query that has no picture, OSError."""
-    query = found.query
+    query = answer.query
     if isinstance(query, Simulation):
         figure, panels = _figure(len(query.labels))
         for row, (axes, label) in enumerate(zip(panels, query.labels, strict=True)):
-            _courses(axes, found, row, label, query.expressions[row])
-    elif found.passages is not None and found.passages.size:
+            _courses(axes, answer, row, label, query.expressions[row])
+    elif answer.passages is not None and answer.passages.size:
         figure, panels = _figure(1)
-        _passages(panels[0], found)
+        _passages(panels[0], answer)
     else:
         raise ValueError("this query has no picture: --picture draws simulate, and <>, [] and U without --rare")
     title = text if len(text) <= 100 else f"{text[:97]}..."
-    figure.suptitle(f"{title}\n{found.start}\n{found.runs} runs, seed {found.seed}", fontsize=9)
+    figure.suptitle(f"{title}\n{answer.start}\n{answer.runs} runs, seed {answer.seed}", fontsize=9)
     panels[-1].set_xlabel("s since the start")
     figure.savefig(path, dpi=130)
 
@@ -49,43 +49,43 @@ def _figure(rows: int) -> tuple[Figure, list[Axes]]:
     return figure, panels
 
 
-def _courses(axes: Axes, found: Answer, row: int, label: str, expression: Expression) -> None:
+def _courses(axes: Axes, answer: Answer, row: int, label: str, expression: Expression) -> None:
     """The courses with their mean; of a condition only the share of runs in which it holds."""
-    times = np.linspace(0.0, found.courses[0].times[-1], POINTS)
-    mean = np.mean([np.interp(times, course.times, course.values[row]) for course in found.courses], axis=0)
-    shown = found.courses[:MOST_DRAWN]
-    several, condition = len(found.courses) > 1, isinstance(expression, Indicator)
+    times = np.linspace(0.0, answer.courses[0].times[-1], POINTS)
+    mean = np.mean([np.interp(times, course.times, course.values[row]) for course in answer.courses], axis=0)
+    shown = answer.courses[:MOST_DRAWN]
+    several, condition = len(answer.courses) > 1, isinstance(expression, Indicator)
     if condition and several:
         axes.plot(times, mean, color=STRONG, linewidth=1.2)
         axes.set_ylim(-0.02, 1.02)
-        axes.set_ylabel(f"{label}\nshare of {len(found.courses)} runs")
+        axes.set_ylabel(f"{label}\nshare of {len(answer.courses)} runs")
         return
     for course in shown:
         axes.plot(
             course.times, course.values[row], color=COLOUR, linewidth=0.8, alpha=max(0.2, min(0.9, 6.0 / len(shown)))
         )
     if several:
-        axes.plot(times, mean, color=STRONG, linewidth=1.6, label=f"mean of {len(found.courses)} runs")
+        axes.plot(times, mean, color=STRONG, linewidth=1.6, label=f"mean of {len(answer.courses)} runs")
         axes.legend(loc="best", fontsize=8)
     unit = _UNITS[expression.kind] if isinstance(expression, Quantity) else ""
-    more = f"\nthe first {MOST_DRAWN} of {len(found.courses)}" if len(found.courses) > MOST_DRAWN else ""
+    more = f"\nthe first {MOST_DRAWN} of {len(answer.courses)}" if len(answer.courses) > MOST_DRAWN else ""
     axes.set_ylabel(f"{label}{unit}{more}")
 
 
-def _passages(axes: Axes, found: Answer) -> None:
+def _passages(axes: Axes, answer: Answer) -> None:
     """The share of runs in which the goal has come by each moment, with a band; at the end the answer's interval."""
-    question = found.query.question if isinstance(found.query, Hypothesis) else found.query
-    if found.passages is None or not isinstance(question, Probability):
+    question = answer.query.question if isinstance(answer.query, Hypothesis) else answer.query
+    if answer.passages is None or not isinstance(question, Probability):
         return
-    runs, violated = found.passages.size, isinstance(question.path, Always)
-    times = np.unique(np.concatenate([[0.0], found.passages[np.isfinite(found.passages)], [question.bound]]))
+    runs, violated = answer.passages.size, isinstance(question.path, Always)
+    times = np.unique(np.concatenate([[0.0], answer.passages[np.isfinite(answer.passages)], [question.bound]]))
     if times.size > POINTS:
         times = times[np.linspace(0, times.size - 1, POINTS).astype(int)]
-    come = np.searchsorted(np.sort(found.passages), times, side="right").astype(float)
+    come = np.searchsorted(np.sort(answer.passages), times, side="right").astype(float)
     low, high = one_or_two_sided(come, np.full(times.size, runs), 0.95)
     axes.fill_between(times, low, high, color=COLOUR, alpha=0.2, linewidth=0, label="95 % interval of each moment")
     axes.plot(times, come / runs, color=COLOUR, label="share violated by then" if violated else "share reached by then")
-    ends = found.numbers["low"], found.numbers["high"]
+    ends = answer.numbers["low"], answer.numbers["high"]
     if violated:
         ends = 1.0 - ends[1], 1.0 - ends[0]
     axes.plot([question.bound] * 2, ends, color=STRONG, linewidth=5, clip_on=False, label="the answer's interval")

@@ -48,7 +48,7 @@ def learn(
     seed: int,
     as_json: bool,
     observed_edges: bool,
-    **given: float | str | None,
+    **options: float | str | None,
 ) -> None:
     """Learn a model from traces and write its directory with all artefacts.
 
@@ -58,7 +58,7 @@ def learn(
     `lsha`: L*_SHA. Words of events that the traces do not tell apart lead to one location; flow, memory and merge
     tolerance are chosen by the held-out likelihood unless given. The directory gets a learning report besides.
     """
-    settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    settings: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     settings |= {"complete": False} if observed_edges else {}
     with sentences(), progress(f"learning ({method})") as report:
         if settings and method != "lsha":
@@ -122,12 +122,12 @@ def write(out: Path, learned: Learned) -> Path:
 
 def diagnostics(learned: Learned) -> dict[str, list[dict[str, Any]]]:
     """How the model came about, as plain values: the candidates' held-out scores, the fits, the bands' coverage."""
-    fits = [asdict(one) for one in learned.locations if one.source != "unknown"]
+    fits = [asdict(location) for location in learned.locations if location.source != "unknown"]
     wanted = ("name", "source", "readings", "stays", "mu", "mu_error", "sigma", "k", "gains")
     return {
-        "candidates": [asdict(one) for one in learned.candidates],
+        "candidates": [asdict(candidate) for candidate in learned.candidates],
         "fits": [{name: fit[name] for name in wanted} for fit in fits],
-        "held-out forecasts": [asdict(one) for one in learned.coverage],
+        "held-out forecasts": [asdict(coverage) for coverage in learned.coverage],
     }
 
 
@@ -135,13 +135,15 @@ def lsha_diagnostics(learned: LearnedLsha) -> dict[str, list[dict[str, Any]]]:
     """How the model came about, in short: the rivals, the locations, the edges and the check, the bands' coverage."""
     report = learned.report
     wanted = ("name", "flow", "entry", "segments", "readings", "seconds", "mu", "mu_error", "scatter", "rate")
-    fits = [asdict(one) for one in report.locations]
+    fits = [asdict(location) for location in report.locations]
     edges = {"observed": report.observed_edges, "default": report.default_edges, "queries": report.queries}
     checked = {"traces": report.acceptance.traces, "accepted": report.acceptance.accepted}
     return {
-        "flow hypotheses": [asdict(one) for one in report.flows],
-        "structures (errors in units of a segment's uncertainty)": [asdict(one) for one in report.structures],
+        "flow hypotheses": [asdict(flow) for flow in report.flows],
+        "structures (errors in units of a segment's uncertainty)": [
+            asdict(structure) for structure in report.structures
+        ],
         "locations": [{name: fit[name] for name in wanted} for fit in fits],
         "edges and acceptance": [edges | checked],
-        "held-out forecasts": [asdict(one) for one in report.coverage],
+        "held-out forecasts": [asdict(coverage) for coverage in report.coverage],
     }

@@ -89,9 +89,9 @@ def compared(request: RankingRequest, progress: Progress) -> RankingInput:
     results = [result for folder in request.folders for result in read_results(folder)]
     names, labels = {result.trace for result in results}, sorted({result.model for result in results})
     facts: dict[str, dict[str, Facts]] = {}
-    for given in request.folders:
+    for path in request.folders:
         # What the campaign's records say of its models, by label and semantics; a missing or odd record says nothing.
-        folder = given if given.is_dir() else given.parent
+        folder = path if path.is_dir() else path.parent
         for label, place in _document(folder / CAMPAIGN).get("folders", {}).items():
             facts[label] = {}
             for semantics, row in _document(folder / place / GENERATION).get("variants", {}).items():
@@ -122,44 +122,47 @@ def _prepared(request: RankingRequest, training: Sequence[Trace] | None) -> list
 
 def _joined(recorded: Mapping[str, Facts], at_hand: Prepared, names: Iterable[str]) -> dict[str, Facts]:
     """What the records say of each semantics, with the gate's word on the model at hand."""
-    found = {}
+    facts = {}
     for semantics, model in at_hand.variants.items():
         own = _origin(model, {name: "name" for name in names if name in model.provenance.traces})
         verified, gate = gate_of(model)
-        found[semantics] = replace(own, verified=verified, gate=gate)
-    known = next(iter(found.values()), Facts(verified=False, gate="; ".join(at_hand.refusals.values())))
+        facts[semantics] = replace(own, verified=verified, gate=gate)
+    known = next(iter(facts.values()), Facts(verified=False, gate="; ".join(at_hand.refusals.values())))
     others = {name: replace(each, verified=known.verified, gate=known.gate) for name, each in recorded.items()}
-    return {**others, **found}
+    return {**others, **facts}
 
 
 def gate_of(model: Model) -> tuple[bool, str]:
     """Whether verification lets the model be deployed, and the sentence that says so."""
-    found = verify(model)
-    if found.deployable:
-        return True, f"verified: {len([check for check in found.checks if check.blocking])} blocking checks are proven"
-    return False, "; ".join(found.reasons)
+    verification = verify(model)
+    if verification.deployable:
+        return (
+            True,
+            f"verified: {len([check for check in verification.checks if check.blocking])} blocking checks are proven",
+        )
+    return False, "; ".join(verification.reasons)
 
 
 def _by_entrant(results: Sequence[TraceResult], facts: Mapping[str, Mapping[str, Facts]]) -> dict[str, Facts]:
     """Facts by model and semantics become facts by entrant."""
-    found = {}
+    by_entrant = {}
     for name, own in entrants(results).items():
         result = next(iter(own.values()))
         known = facts.get(result.model, {})
         if result.semantics in known:
-            found[name] = known[result.semantics]
+            by_entrant[name] = known[result.semantics]
         elif "" in known:
-            found[name] = known[""]
-    return found
+            by_entrant[name] = known[""]
+    return by_entrant
 
 
 def _facts(prepared: Prepared, traces: Sequence[Trace]) -> dict[str, Facts]:
     """What a model at hand says of itself, by semantics; a model that cannot be run fails the gate."""
-    found = {"": Facts(verified=False, gate="; ".join(prepared.refusals.values()))}
+    facts = {"": Facts(verified=False, gate="; ".join(prepared.refusals.values()))}
     for semantics, model in prepared.variants.items():
         verified, gate = gate_of(model)
-        found[semantics] = replace(_origin(model, seen_traces(model, traces)), verified=verified, gate=gate)
-    return found
+        facts[semantics] = replace(_origin(model, seen_traces(model, traces)), verified=verified, gate=gate)
+    return facts
 
 
 def _origin(model: Model, seen: Mapping[str, Seen]) -> Facts:
@@ -280,27 +283,34 @@ def rank(
                 seed=seed,
             )
             seen = compared(request, report)
-            found = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed)
+            ranking = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed)
             if page is not None:
-                write_page(found, seen.results, page)
+                write_page(ranking, seen.results, page)
             if picture is not None:
-                draw_ranking(found, seen.results, picture)
-            data = {**as_plain(found), "page": page and str(page), "picture": picture and str(picture)}
+                draw_ranking(ranking, seen.results, picture)
+            data = {**as_plain(ranking), "page": page and str(page), "picture": picture and str(picture)}
     except KeyboardInterrupt:
         fail("stopped before the end; nothing was written", Exit.INTERRUPTED)
-    emit(data, lambda: _show(found, page, picture), as_json_line=as_json)
+    emit(data, lambda: _show(ranking, page, picture), as_json_line=as_json)
 
 
-def _show(found: Ranking, page: Path | None, picture: Path | None) -> None:
-    weights = found.weights
+def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> None:
+    weights = ranking.weights
     formula = f"S = {weights.mae:g} MAE + {weights.largest:g} max + {weights.scatter:g} sigma"
     columns = ("rank", "model", "for deployment", "S", "MAE", "max", "sigma", "CRPS", "coverage 90 %", "persistence")
     names = ("score", "mae", "largest", "scatter", "crps", "coverage", "persistence", "wins")
     rows = [
-        [one.rank or "–", one.entrant, one.verdict, *(getattr(one, name) for name in names), one.failed, one.in_sample]
-        for one in found.standings
+        [
+            standing.rank or "–",
+            standing.entrant,
+            standing.verdict,
+            *(getattr(standing, name) for name in names),
+            standing.failed,
+            standing.in_sample,
+        ]
+        for standing in ranking.standings
     ]
-    table(f"{formula} (°C), means over {len(found.common)} common traces", (*columns, "wins", "failed", ""), rows)
+    table(f"{formula} (°C), means over {len(ranking.common)} common traces", (*columns, "wins", "failed", ""), rows)
     pairs = [
         [
             pair.one,
@@ -312,17 +322,17 @@ def _show(found: Ranking, page: Path | None, picture: Path | None) -> None:
             f"{pair.wins[0]:g} : {pair.wins[1]:g}",
             pair.sentence,
         ]
-        for pair in found.pairs
+        for pair in ranking.pairs
     ]
     if pairs:
         heads = ("first", "second", "traces", "first - second", "95 %", "p (Holm)", "wins", "what it tells")
         table("differences of S on the same traces (°C)", heads, pairs)
-    for one in found.standings:
-        for finding in one.findings:
+    for standing in ranking.standings:
+        for finding in standing.findings:
             if finding.kept is not True:
                 word = "not kept" if finding.kept is False else "not known"
-                click.echo(f"{one.entrant}: {finding.criterion} {word}: {finding.sentence}")
-    for note in found.notes:
+                click.echo(f"{standing.entrant}: {finding.criterion} {word}: {finding.sentence}")
+    for note in ranking.notes:
         click.echo(f"note: {note}")
     for kind, file in (("page", page), ("picture", picture)):
         if file is not None:

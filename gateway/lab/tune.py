@@ -71,7 +71,7 @@ def tune(
         if cycles:
             traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
         plan = StudyPlan(method, objective, folds, seed)
-        found = searched(
+        tuning = searched(
             traces,
             column_map.alphabet,
             column_map.temperature,
@@ -83,46 +83,46 @@ def tune(
             progress=report,
         )
         written = None
-        if out is not None and not found.stopped:
+        if out is not None and not tuning.stopped:
             report("learning with the best settings", 1.0)
-            if found.best is None:
-                raise ValueError(f"{found.sentence}; nothing is written to {out}")
+            if tuning.best is None:
+                raise ValueError(f"{tuning.sentence}; nothing is written to {out}")
             alphabet, temperature = column_map.alphabet, column_map.temperature
-            learned = final_model(traces, alphabet, temperature, plan=plan, trial=found.best, name=name)
+            learned = final_model(traces, alphabet, temperature, plan=plan, trial=tuning.best, name=name)
             write_model_directory(out, learned.model, learned.values)
             written = out
     data = {
         "method": method,
         "objective": objective,
         "study": str(study),
-        **asdict(found),
+        **asdict(tuning),
         "model": written and str(written),
     }
-    emit(data, lambda: _show(found, plan, study, written), as_json_line=as_json)
-    if found.stopped:
-        click.secho(f"stopped after {len(found.trials)} trials; the same command goes on with {study}", err=True)
+    emit(data, lambda: _show(tuning, plan, study, written), as_json_line=as_json)
+    if tuning.stopped:
+        click.secho(f"stopped after {len(tuning.trials)} trials; the same command goes on with {study}", err=True)
         raise SystemExit(Exit.INTERRUPTED)
 
 
-def _show(found: Tuning, plan: StudyPlan, study: Path, written: Path | None) -> None:
+def _show(tuning: Tuning, plan: StudyPlan, study: Path, written: Path | None) -> None:
     unit = "CRPS (°C)" if plan.objective == "crps" else "minus log-likelihood per reading"
-    complete = sorted((one for one in found.trials if one.state == "complete"), key=lambda one: one.value)
-    rows = [[one.number, one.value, one.error, one.settings or "defaults"] for one in complete[:SHOWN]]
-    if found.default is not None and found.default not in complete[:SHOWN]:
-        rows.append([found.default.number, found.default.value, found.default.error, "defaults"])
+    complete = sorted((trial for trial in tuning.trials if trial.state == "complete"), key=lambda trial: trial.value)
+    rows = [[trial.number, trial.value, trial.error, trial.settings or "defaults"] for trial in complete[:SHOWN]]
+    if tuning.default is not None and tuning.default not in complete[:SHOWN]:
+        rows.append([tuning.default.number, tuning.default.value, tuning.default.error, "defaults"])
     others: dict[str, Any] = {}
-    for one in found.trials:
-        if one.state != "complete":
-            others[one.state] = others.get(one.state, 0) + 1
+    for trial in tuning.trials:
+        if trial.state != "complete":
+            others[trial.state] = others.get(trial.state, 0) + 1
     more = "".join(f", {count} {state}" for state, count in others.items())
-    title = f"{plan.method}: {len(found.trials)} trials{more}; the best by held-out {unit}"
+    title = f"{plan.method}: {len(tuning.trials)} trials{more}; the best by held-out {unit}"
     if rows:
         table(title, ("trial", "value", "standard error", "settings"), rows)
-    click.echo(found.sentence)
-    failed = next((one for one in found.trials if one.state == "failed"), None)
-    if failed is not None and found.best is not None:
+    click.echo(tuning.sentence)
+    failed = next((trial for trial in tuning.trials if trial.state == "failed"), None)
+    if failed is not None and tuning.best is not None:
         click.echo(f"trial {failed.number} failed: {failed.reason}")
-    for note in found.notes:
+    for note in tuning.notes:
         click.echo(f"note: {note}")
     click.echo(f"study: {study}")
     if written is not None:

@@ -69,24 +69,24 @@ def _links(machine: Machine) -> list[dict[str, Any]]:
     driver, links = machine.driver, machine.config.links
     places = {link.name: {"driver": link.map.driver, "place": link.place} for link in links}
     if isinstance(driver, Redundant):
-        return [one | places[one["name"]] for one in driver.report()]
+        return [row | places[row["name"]] for row in driver.report()]
     alone = {"active": True, "connected": driver.connected, "well": machine.link.alive, "reason": ""}
     return [{"name": link.name, **alone, **places[link.name]} for link in links[:1]]
 
 
 def _forecast(machine: Machine) -> dict[str, Any] | None:
-    made = machine.model.outlook.latest if machine.model else None
-    if made is None:
+    forecast = machine.model.outlook.latest if machine.model else None
+    if forecast is None:
         return None
-    now = machine.last.time if machine.last else made.time
+    now = machine.last.time if machine.last else forecast.time
     return {
-        "time": made.time,
-        "levels": list(made.levels),
-        "horizons": made.horizons.tolist(),
-        "quantiles": made.quantiles.T.tolist(),
-        "p_limit": [estimate.probability for estimate in made.exceedance],
-        "factors": made.factors.tolist(),
-        "block": block_values(made, machine.config.block_horizon, now),
+        "time": forecast.time,
+        "levels": list(forecast.levels),
+        "horizons": forecast.horizons.tolist(),
+        "quantiles": forecast.quantiles.T.tolist(),
+        "p_limit": [estimate.probability for estimate in forecast.exceedance],
+        "factors": forecast.factors.tolist(),
+        "block": block_values(forecast, machine.config.block_horizon, now),
     }
 
 

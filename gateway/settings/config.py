@@ -132,10 +132,12 @@ class EnsembleSection(Section):
     @classmethod
     def _words_or_numbers(cls, weights: object) -> object:
         if isinstance(weights, list | tuple):
-            numbers = all(isinstance(one, int | float) and not isinstance(one, bool) and one >= 0 for one in weights)
+            numbers = all(
+                isinstance(weight, int | float) and not isinstance(weight, bool) and weight >= 0 for weight in weights
+            )
             if not numbers or abs(sum(weights) - 1.0) > 1e-6:
                 raise ValueError(f"{list(weights)} must be numbers from 0 that sum to 1; give as many as models")
-            return tuple(float(one) for one in weights)
+            return tuple(float(weight) for weight in weights)
         if weights not in ("evidence", "equal"):
             raise ValueError(f"must be 'evidence', 'equal' or a list of numbers such as [0.7, 0.3], got {weights!r}")
         return weights

@@ -84,8 +84,8 @@ class Historian:
     def load(self, key: str) -> tuple[float, Any] | None:
         """A saved state: the time it was saved and its content; None if there is none or it cannot be read."""
         with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True)) as reader:
-            found = reader.execute("SELECT time, content FROM state WHERE key = ?", (key,)).fetchone()
-        return None if found is None else (float(found[0]), json.loads(found[1]))
+            row = reader.execute("SELECT time, content FROM state WHERE key = ?", (key,)).fetchone()
+        return None if row is None else (float(row[0]), json.loads(row[1]))
 
     def save(self, key: str, now: float, content: Mapping[str, Any]) -> None:
         """Keep a state, instead of the one kept under this key before."""

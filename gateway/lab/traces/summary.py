@@ -10,18 +10,18 @@ from gateway.console import table
 from sim.sha import Trace
 
 
-def summary_of(made: Trace, file: Path | None) -> dict[str, Any]:
+def summary_of(trace: Trace, file: Path | None) -> dict[str, Any]:
     """Name, size and the range of each signal, as JSON."""
     return {
-        "name": made.name,
+        "name": trace.name,
         "file": file and str(file),
-        "synthetic": made.synthetic,
-        "rows": made.times.size,
-        "seconds": float(made.times[-1] - made.times[0]) if made.times.size else 0.0,
-        "events": len(made.events),
+        "synthetic": trace.synthetic,
+        "rows": trace.times.size,
+        "seconds": float(trace.times[-1] - trace.times[0]) if trace.times.size else 0.0,
+        "events": len(trace.events),
         "signals": {
             name: [float(np.nanmin(column)), float(np.nanmax(column))]
-            for name, column in made.signals.items()
+            for name, column in trace.signals.items()
             if not np.all(np.isnan(column))
         },
     }

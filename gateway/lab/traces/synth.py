@@ -49,9 +49,9 @@ def synth(
             report(f"{days} days", 0.5)
             traces.append(production(days, cycles, seed=seed, period=period, name=f"production_{days}d_seed{seed}"))
         make_folder(out)
-        files = [out / f"{made.name}.csv" for made in traces]
-        for made, file in zip(traces, files, strict=True):
-            write_trace(made, file)
-    encoded = [replace(made, events=encode(made, DECANTER)) for made in traces]
-    rows = [summary_of(made, file) for made, file in zip(encoded, files, strict=True)]
+        files = [out / f"{trace.name}.csv" for trace in traces]
+        for trace, file in zip(traces, files, strict=True):
+            write_trace(trace, file)
+    encoded = [replace(trace, events=encode(trace, DECANTER)) for trace in traces]
+    rows = [summary_of(trace, file) for trace, file in zip(encoded, files, strict=True)]
     emit({"synthetic": True, "traces": rows}, lambda: show_summaries("SYNTHETIC traces", rows), as_json_line=as_json)
