@@ -79,9 +79,9 @@ class CanFace:
         if sender.data_id is not None:
             self._counters[number] = (self._counters[number] + 1) % 256
             data = protected(sender.data_id, self._counters[number], content)
-        striking = [one for one in self._disturbances if one.strikes(sender.message.name)]
+        striking = [disturbance for disturbance in self._disturbances if disturbance.strikes(sender.message.name)]
         wire_data = disturbed(striking, data, sender.wire, self._rng)
-        if not any(one.stale for one in striking):
+        if not any(disturbance.stale for disturbance in striking):
             sender.wire = data
         record(self._plc, self.name, number, wire_data, sent=True)
         if wire_data is not None:

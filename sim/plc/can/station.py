@@ -79,7 +79,7 @@ class Station:
 
     def _take_off(self, disturbances: Sequence[BusDisturbance], now: float) -> None:
         """Bus-off for all: said again and again, as a controller that comes back finds the wire as it was."""
-        off = any(one.bus_off for one in disturbances)
+        off = any(disturbance.bus_off for disturbance in disturbances)
         if off and now >= self._next_off:
             self._next_off = now + _BUS_OFF_EVERY_S
             self._error_frame(_BUS_OFF)
@@ -91,10 +91,10 @@ class Station:
         self.put(can.Message(is_error_frame=True, arbitration_id=kind, dlc=8, data=bytes(8)))
 
     def _babble(self, disturbances: Sequence[BusDisturbance], ours: Sequence[int], now: float) -> None:
-        rate = sum(one.babble for one in disturbances)
+        rate = sum(disturbance.babble for disturbance in disturbances)
         begun = self._babbled_to or now
         self._babbled_to = now if rate else 0.0
-        known = ours and any(one.known for one in disturbances)
+        known = ours and any(disturbance.known for disturbance in disturbances)
         for _ in range(min(_BURST, round(rate * (now - begun)))):
             number = self._rng.choice(ours) if known else self._rng.randrange(0x800)
             data = self._rng.randbytes(self._rng.randrange(9))

@@ -89,7 +89,7 @@ class CanopenFace:
 
     def _say(self, identifier: int, data: bytes) -> None:
         """Send one frame of the node, as far as the faults of the bus let it through."""
-        striking = [one for one in self._disturbances if one.strikes(f"0x{identifier:X}")]
+        striking = [disturbance for disturbance in self._disturbances if disturbance.strikes(f"0x{identifier:X}")]
         left = disturbed(striking, data, None, self._rng)
         record(self._plc, self.name, identifier, left, sent=True)
         if left is not None:

@@ -30,15 +30,15 @@ class BusDisturbance:
 
 def disturbed(disturbances: Iterable[BusDisturbance], data: bytes, last: bytes | None, rng: Random) -> bytes | None:
     """The payload that goes out in the place of `data`, None where none does; `last` is what went out before."""
-    for one in disturbances:
-        if one.loss and rng.random() < one.loss:
+    for disturbance in disturbances:
+        if disturbance.loss and rng.random() < disturbance.loss:
             return None
-        if one.stale:
+        if disturbance.stale:
             data = last or data
-        if one.corrupt and data:
+        if disturbance.corrupt and data:
             at = rng.randrange(8 * len(data))
             data = data[: at // 8] + bytes((data[at // 8] ^ 1 << at % 8,)) + data[at // 8 + 1 :]
-        data = data[: max(0, len(data) - one.cut)]
+        data = data[: max(0, len(data) - disturbance.cut)]
     return data
 
 
@@ -66,13 +66,13 @@ class NodeDisturbance:
 def together(disturbances: Iterable[NodeDisturbance]) -> NodeDisturbance:
     """Several faults as one; of two that change PDOs or announce an emergency the later one wins."""
     whole = NodeDisturbance()
-    for one in disturbances:
-        changing = one if one.length else whole
+    for disturbance in disturbances:
+        changing = disturbance if disturbance.length else whole
         whole = NodeDisturbance(
-            no_heartbeat=whole.no_heartbeat or one.no_heartbeat,
+            no_heartbeat=whole.no_heartbeat or disturbance.no_heartbeat,
             pdo=changing.pdo,
             length=changing.length,
-            emergency=one.emergency or whole.emergency,
-            reset=whole.reset or one.reset,
+            emergency=disturbance.emergency or whole.emergency,
+            reset=whole.reset or disturbance.reset,
         )
     return whole

@@ -80,7 +80,7 @@ def main(recording: Path, samples: Path, tolerance: float) -> None:
         click.echo(f"verdict: {error}", err=True)
         sys.exit(2)
     wrong = wrong_good(seen, judged, tolerance)
-    examples = [{"time": one.sample.time, "reason": one.reason} for one in wrong[:SHOWN]]
+    examples = [{"time": mistake.sample.time, "reason": mistake.reason} for mistake in wrong[:SHOWN]]
     faults = [{"event": row.event, "time": row.time, "monotonic": row.monotonic, **row.detail} for row in seen.events]
     good = sum(sample.quality.is_good for sample in judged)
     result = {"judged": len(judged), "good": good, "wrong_good": len(wrong), "examples": examples}
