@@ -22,13 +22,13 @@ def parsed(line: str | bytes) -> dict[str, Any]:
     text = line.decode(errors="replace") if isinstance(line, bytes) else line
     # Lists nested without end exhaust the decoder's stack.
     try:
-        given, ill = json.loads(text), ""
+        content, ill = json.loads(text), ""
     except (ValueError, RecursionError):
-        given, ill = None, "the request is not JSON: "
-    if not isinstance(given, dict):
+        content, ill = None, "the request is not JSON: "
+    if not isinstance(content, dict):
         example = '{"command": "status"}'
         raise NoObject(f"{ill}{text.strip()[:60]!r} is no JSON object; give one a line, such as {example}")
-    return given
+    return content
 
 
 def packed(message: Mapping[str, Any]) -> bytes:

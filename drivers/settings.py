@@ -77,9 +77,9 @@ def check_settings(driver: str, section: type[S], settings: Mapping[str, Any]) -
 
     Raises DriverError with the first thing that is wrong, in one sentence.
     """
-    given = {key: value for key, value in settings.items() if value is not None}
+    present = {key: value for key, value in settings.items() if value is not None}
     try:
-        return section.model_validate(given)
+        return section.model_validate(present)
     except ValidationError as error:
         raise DriverError(sentences(section, error, driver)[0]) from None
 

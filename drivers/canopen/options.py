@@ -11,11 +11,11 @@ from drivers.canopen.place import ObjectPlace, parse_place
 from drivers.settings import Reconnecting, check_settings
 
 
-def _life(given: object) -> tuple[ObjectPlace, float]:
-    match given:
+def _life(setting: object) -> tuple[ObjectPlace, float]:
+    match setting:
         case {"object": str() as text, "rate": int() | float() as rate, **rest} if rate > 0 and not rest:
             return parse_place(text), float(rate)
-    raise ValueError(f"{given!r} must be a table such as {{ object = '0x2002:1', rate = 60 }}")
+    raise ValueError(f"{setting!r} must be a table such as {{ object = '0x2002:1', rate = 60 }}")
 
 
 def _acknowledge(given: object) -> dict[ObjectPlace, ObjectPlace]:
@@ -29,10 +29,10 @@ def _acknowledge(given: object) -> dict[ObjectPlace, ObjectPlace]:
     return acknowledged
 
 
-def _error_codes(given: object) -> frozenset[int]:
-    if not isinstance(given, list) or not all(isinstance(code, int) and 0 <= code <= 0xFFFF for code in given):
-        raise ValueError(f"{given!r} must be a list of error codes such as [0x8120]")
-    return frozenset(given)
+def _error_codes(setting: object) -> frozenset[int]:
+    if not isinstance(setting, list) or not all(isinstance(code, int) and 0 <= code <= 0xFFFF for code in setting):
+        raise ValueError(f"{setting!r} must be a list of error codes such as [0x8120]")
+    return frozenset(setting)
 
 
 class Options(Reconnecting):

@@ -65,20 +65,20 @@ class ModbusSettings(Reconnecting):
 
     @model_validator(mode="before")
     @classmethod
-    def _of_one_transport(cls, given: dict[str, Any]) -> dict[str, Any]:
+    def _of_one_transport(cls, settings: dict[str, Any]) -> dict[str, Any]:
         """The transport's own defaults; what only other transports have is refused, not ignored."""
-        kind = given.get("transport", "tcp")
+        kind = settings.get("transport", "tcp")
         own = TRANSPORTS.get(kind) if isinstance(kind, str) else None
         if own is None:
-            return given
+            return settings
         for key in sorted(set().union(*TRANSPORTS.values()) - set(own)):
-            if key in given:
+            if key in settings:
                 where = " or ".join(repr(other) for other, keys in TRANSPORTS.items() if key in keys)
                 raise ValueError(f"{key} means nothing with transport {kind!r}: it is for {where}")
         for key, default in own.items():
-            if default is None and key not in given:
+            if default is None and key not in settings:
                 raise ValueError(f"{key} must be given; give {cls.model_fields[key].description}")
-        return {**{key: default for key, default in own.items() if default is not None}, **given}
+        return {**{key: default for key, default in own.items() if default is not None}, **settings}
 
     @model_validator(mode="after")
     def _unit_of_a_line(self) -> "ModbusSettings":

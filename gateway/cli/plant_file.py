@@ -23,5 +23,5 @@ def config_option(command: Any) -> Any:
 
 def load(path: Path, host: str | None, port: int | None, speed: float | None) -> Config:
     """The configuration with what the command line replaces. Raises ConfigError (a ValueError)."""
-    given = {"device.host": host, "device.port": port, "clock.speed": speed}
-    return load_config(path, {key: value for key, value in given.items() if value is not None})
+    overrides = {"device.host": host, "device.port": port, "clock.speed": speed}
+    return load_config(path, {key: value for key, value in overrides.items() if value is not None})

@@ -55,12 +55,12 @@ def _files(site: Site) -> list[CheckStep]:
         driver = site.target.make_driver(words_of(site))
     except DriverError as error:
         return [failed("files", f"{device.path}: device: {error}")]
-    found = [
+    steps = [
         ok("files", f"{named} {'are' if config else 'is'} in order: {len(device.tags)} tags, driver {device.driver}")
     ]
     if isinstance(driver, Cautions):
-        found += [warning("cautions", caution) for caution in driver.cautions()]
-    return found
+        steps += [warning("cautions", caution) for caution in driver.cautions()]
+    return steps
 
 
 def _places(site: Site) -> list[CheckStep]:

@@ -63,10 +63,10 @@ async def guess_encoding(site: Site, register: Register, text: str, earlier: Seq
         for reading in readings
         if isinstance(number := parse_shown(reading["reading"]), ShownNumber)
     ]
-    found = rank(observations, register.number)
-    advice = advise(found, observations)
+    candidates = rank(observations, register.number)
+    advice = advise(candidates, observations)
     rows = []
-    for candidate in found[:SHOWN_ROWS]:
+    for candidate in candidates[:SHOWN_ROWS]:
         place = Register(register.table, candidate.address)
         row = asdict(candidate) | {"dtype": candidate.dtype.value, "order": candidate.order.value}
         row |= {"values": list(candidate.values), "address": str(place), "reference": place.reference}
@@ -77,11 +77,11 @@ async def guess_encoding(site: Site, register: Register, text: str, earlier: Seq
         "observation": now,
         "readings": len(observations),
         "candidates": rows,
-        "settled": advice.settled and bool(found),
+        "settled": advice.settled and bool(candidates),
         "advice": list(advice.sentences),
         "second_reading": {"below": advice.below, "above": advice.above},
     }
-    if not found:
+    if not candidates:
         sentence = (
             f"nothing at or beside {register} explains {len(observations)} readings: is it the right register and "
             "unit, did the value move while it was read? --fresh forgets earlier readings"
@@ -190,8 +190,8 @@ def _states(register: Register, readings: Sequence[dict[str, Any]], now: dict[st
                 bits.append({"address": str(Register(register.table, number)), "bit": bit, "shift": shift})
     # A bit that never moves agrees by chance: only one that was seen in both states is told from it.
     both = len({flag.state for flag in flags}) == 2
-    here = [bit for bit in bits if bit["shift"] == 0]
-    settled = both and (len(here) == 1 or len(bits) == 1)
+    at_address = [bit for bit in bits if bit["shift"] == 0]
+    settled = both and (len(at_address) == 1 or len(bits) == 1)
     advice = [] if settled else [f"{len(bits)} bits agree: read again in {'either' if both else 'the other'} state"]
     data = {
         "address": str(register),

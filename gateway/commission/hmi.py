@@ -220,10 +220,10 @@ def left_to_do(tag: Tag, points: Sequence[Point]) -> str:
 
 def points_of(result: Mapping[str, Any]) -> list[Point]:
     """The comparisons in the record of an earlier `verify`; what is none is left out."""
-    found = []
+    points = []
     for plain in result.get("points", ()):
         try:
-            found.append(Point(**{key: plain[key] for key in Point.__dataclass_fields__}))
+            points.append(Point(**{key: plain[key] for key in Point.__dataclass_fields__}))
         except (KeyError, TypeError):
             continue
-    return found
+    return points

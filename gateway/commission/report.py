@@ -84,14 +84,14 @@ def _show(result: Mapping[str, Any]) -> None:
 
 def _verify(folder: Path, seal: str, *, as_json: bool) -> None:
     with sentences():
-        found, rows = verify(folder, seal)
+        actual, rows = verify(folder, seal)
     bad = [row for row in rows if not row["ok"]]
-    data = {"ok": not bad, "folder": str(folder), "seal": found, "files": rows}
+    data = {"ok": not bad, "folder": str(folder), "seal": actual, "files": rows}
 
     def show() -> None:
         states = [[row["file"], "as it was made" if row["ok"] else row["problem"]] for row in rows]
         table(f"report in {folder}", ("file", ""), states)
-        click.echo(f"seal: {found}")
+        click.echo(f"seal: {actual}")
 
     emit(data, show, as_json_line=as_json)
     if bad:

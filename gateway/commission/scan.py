@@ -23,7 +23,7 @@ def _numbers(low: int, high: int) -> Callable[[click.Context, click.Parameter, s
     """A callback that reads `1-32`, `1,2,17` or both as numbers from `low` to `high`, each once."""
 
     def read(_: click.Context, __: click.Parameter, text: str) -> list[int]:
-        found: list[int] = []
+        numbers: list[int] = []
         for part in text.split(","):
             first, dash, last = part.strip().partition("-")
             try:
@@ -32,8 +32,8 @@ def _numbers(low: int, high: int) -> Callable[[click.Context, click.Parameter, s
                 span = range(0)  # refused below, as an empty or a reversed span is
             if not span or span[0] < low or span[-1] > high:
                 raise click.BadParameter(f"{part!r}: give numbers from {low} to {high}, such as 1-32 or 1,2,17")
-            found += [number for number in span if number not in found]
-        return found
+            numbers += [number for number in span if number not in numbers]
+        return numbers
 
     return read
 

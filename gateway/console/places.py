@@ -11,7 +11,7 @@ def config_dir() -> Path:
 
 def shipped(kind: str, name: str) -> Path:
     """The file called `name` (a path, or a bare name such as `skab`) of `config/<kind>/`; a path that exists wins."""
-    given = Path(name)
-    if given.exists() or given.suffix:
-        return given
+    path = Path(name)
+    if path.exists() or path.suffix:
+        return path
     return config_dir() / kind / f"{name}.toml"

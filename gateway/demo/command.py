@@ -158,10 +158,10 @@ def prepare(
         units = {name: signal.unit for name, signal in column_map.signals.items()}
         device = write_device(replayed, column_map.alphabet, units, template, out / "device.toml")
     # What people read first: that nothing of it was measured, what was learned from, what is replayed and for how long.
-    made = "SYNTHETIC data, not measured on a plant: " if replayed.synthetic else ""
+    caveat = "SYNTHETIC data, not measured on a plant: " if replayed.synthetic else ""
     cut = f" (of {rest.times.size}: --seconds ends it)" if replayed.times.size < rest.times.size else ""
     learned_from = f"learned from {len(training)} traces with {sum(trace.times.size for trace in training)} rows"
-    origin = f"{made}{learned_from}, replaying {replayed.times.size} rows{cut} of {replayed.name}"
+    origin = f"{caveat}{learned_from}, replaying {replayed.times.size} rows{cut} of {replayed.name}"
     lasts = f"the replay takes {np.ptp(replayed.times) / speed:.0f} s over {link}"
     notes = tuple(filter(None, (f"{origin}; {lasts}", note)))
     return DemoRun(
@@ -195,8 +195,8 @@ def show(data: dict[str, Any]) -> None:
         ["good readings again", _after(outage["recovered_s"], "it ended")],
         ["wrong values held for good", f"{data['wrong_good']} of {data['judged']} judged by the PLC"],
     ]
-    made = "SYNTHETIC data, " if data["synthetic"] else ""
-    title = f"summary: {made}{data['trace']}, {data['rows']} rows, {data['speed']:.0f} times real time"
+    caveat = "SYNTHETIC data, " if data["synthetic"] else ""
+    title = f"summary: {caveat}{data['trace']}, {data['rows']} rows, {data['speed']:.0f} times real time"
     table(title, ("what", "figure"), rows)
     for sentence in findings(data):
         click.echo(sentence)

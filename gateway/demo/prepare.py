@@ -86,10 +86,10 @@ def split(traces: Sequence[Trace], share: float = LEARN_SHARE) -> tuple[list[Tra
     return before, replayed
 
 
-def limit_for(training: Sequence[Trace], temperature: str, asked: float | None) -> tuple[float, str]:
+def limit_for(training: Sequence[Trace], temperature: str, wanted: float | None) -> tuple[float, str]:
     """The alarm limit (degC) and a sentence when it is not the plant's own."""
-    if asked is not None:
-        return asked, ""
+    if wanted is not None:
+        return wanted, ""
     seen = [trace.signals[temperature] for trace in training if temperature in trace.signals]
     hottest = max((float(np.max(column[np.isfinite(column)], initial=-np.inf)) for column in seen), default=-np.inf)
     if hottest < PLANT_LIMIT:

@@ -125,7 +125,7 @@ def check(
         report("model and query", 0.0)
         trace = None
         if events is None:
-            found = find_model(model_name)
+            found_model = find_model(model_name)
         else:
             # The trace comes first: a set of artefacts is read by its column map's alphabet.
             traces, column_map = load([events], map_name)
@@ -134,12 +134,12 @@ def check(
                     f"{events} holds {len(traces)} traces; --events takes one, whose events drive the runs"
                 )
             trace = traces[0]
-            found = find_model(model_name, alphabet=column_map.alphabet, temperature=column_map.temperature)
-        query = parse_query(query_text, found.model if found.model is not None else found.structure)
+            found_model = find_model(model_name, alphabet=column_map.alphabet, temperature=column_map.temperature)
+        query = parse_query(query_text, found_model.model if found_model.model is not None else found_model.structure)
         if isinstance(query, Symbolic):
-            result = decided(query, found.structure)
+            result = decided(query, found_model.structure)
         else:
-            start = _start(found.runnable(), trace, origin=origin, future=future)
+            start = _start(found_model.runnable(), trace, origin=origin, future=future)
             result = answer(query, start, settings, report)
         if courses is not None:
             if not result.courses:

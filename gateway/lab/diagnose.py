@@ -95,8 +95,8 @@ def run(
     reasons = None if new is None else verify(new).reasons
     after = None if new is None else str(request.out / MODEL)
     diagnosis = replace(outcome.diagnosis, model_before=request.where, model_after=after)
-    made = sum(trace.synthetic for trace in traces)
-    synthetic = [f"{made} of {len(traces)} traces are synthetic"] if made else []
+    count = sum(trace.synthetic for trace in traces)
+    synthetic = [f"{count} of {len(traces)} traces are synthetic"] if count else []
     synthetic += ["the model was learned from synthetic traces"] if model.provenance.synthetic else []
     rows = sum(trace.times.size for trace in traces)
     occasion = Occasion(
@@ -126,8 +126,10 @@ def new_model(
         return None
     names = tuple(trace.name for trace in traces)
     new = augmented(outcome.fitted, data_hash=joint_hash(traces), traces=names, readings=traces)
-    found = outcome.diagnosis.held_out
-    scores = {} if found is None else {"held_out_rmse": found.rmse_after, "held_out_noise_floor": found.noise_floor}
+    held_out = outcome.diagnosis.held_out
+    scores = (
+        {} if held_out is None else {"held_out_rmse": held_out.rmse_after, "held_out_noise_floor": held_out.noise_floor}
+    )
     origin = replace(
         new.provenance,
         synthetic=model.provenance.synthetic or any(trace.synthetic for trace in traces),
@@ -199,8 +201,8 @@ def diagnose(
             traces, column_map = load(sources, map_name)
         else:
             traces = [recent(historian, since or RECENT)]
-        if found := overlapping(traces):
-            click.echo(f"{found}: the traces are taken one after the other, as given (a folder by names)", err=True)
+        if overlap := overlapping(traces):
+            click.echo(f"{overlap}: the traces are taken one after the other, as given (a folder by names)", err=True)
         result = run(request, model, traces, roles_of(column_map), report)
     page = out / "report.html"
     data: dict[str, Any] = {"out": str(out), "report": str(page) if page.exists() else None}
@@ -211,11 +213,11 @@ def diagnose(
 
 def show(result: DiagnosisResult, out: Path) -> None:
     """Print the verdict with its evidence."""
-    one = result.diagnosis
-    click.echo(f"{one.verdict}: {one.sentence}")
-    for reason in one.reasons:
+    diagnosis = result.diagnosis
+    click.echo(f"{diagnosis.verdict}: {diagnosis.sentence}")
+    for reason in diagnosis.reasons:
         click.echo(f"  {reason}")
-    if one.places:
+    if diagnosis.places:
         rows = [
             [
                 place.location,
@@ -227,33 +229,33 @@ def show(result: DiagnosisResult, out: Path) -> None:
                 place.p,
                 place.when or place.correlates,
             ]
-            for place in one.places[:5]
+            for place in diagnosis.places[:5]
         ]
         columns = ("location", "after", "seconds", "share", "heat (°C/h)", "cycles", "p", "goes with")
         table("where the unexplained heat is", columns, rows)
-    if one.effects:
+    if diagnosis.effects:
         rows = [
             [effect.name, ", ".join(effect.members), effect.confidence, effect.gain, dict(effect.params)]
-            for effect in one.effects
+            for effect in diagnosis.effects
         ]
         table("added to the model", ("effect", "class", "confidence", "nats", "parameters"), rows)
-        for effect in one.effects:
+        for effect in diagnosis.effects:
             click.echo(f"to tell {effect.name} from its twins: {effect.experiment}")
-    if one.shifts:
-        rows = [[s.location, s.parameter, s.before, s.after, s.unit, s.change, s.sigma] for s in one.shifts]
+    if diagnosis.shifts:
+        rows = [[s.location, s.parameter, s.before, s.after, s.unit, s.change, s.sigma] for s in diagnosis.shifts]
         table("parameters that moved", ("location", "parameter", "before", "after", "unit", "change", "sigma"), rows)
-    held = one.held_out
+    held = diagnosis.held_out
     if held is not None:
         errors = f"{held.rmse_before:.3f} °C"
-        if one.effects:
+        if diagnosis.effects:
             low, high = held.ci95
             errors += f" before, {held.rmse_after:.3f} °C after"
             errors += f"; {held.excess_removed:.0%} of the excess removed ({low:.0%} to {high:.0%})"
         click.echo(f"held out: {held.cycles} cycles, free-run error {errors}; noise floor {held.noise_floor:.3f} °C")
-    if one.untested:
-        click.echo(f"not tested: {', '.join(one.untested)} (the report says why)")
+    if diagnosis.untested:
+        click.echo(f"not tested: {', '.join(diagnosis.untested)} (the report says why)")
     if (out / "report.html").exists():
         click.echo(f"report: {out / 'report.html'}")
-    if one.model_after is not None:
+    if diagnosis.model_after is not None:
         verdict = f"it DOES NOT VERIFY: {'; '.join(result.verification)}" if result.verification else "it verifies"
-        click.echo(f"new model: {one.model_after}; {verdict}")
+        click.echo(f"new model: {diagnosis.model_after}; {verdict}")

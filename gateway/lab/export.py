@@ -43,8 +43,8 @@ class ExportOptions:
 
 def export_artefacts(where: str, out: Path) -> list[str]:
     """Writes the public artefact files of a model; returns their paths. Raises ArtefactError."""
-    found = find_model(where)
-    artefacts = found.artefacts or to_artefacts(found.runnable())
+    found_model = find_model(where)
+    artefacts = found_model.artefacts or to_artefacts(found_model.runnable())
     write_artefacts(out, artefacts)
     return [str(out / file) for file in file_names(artefacts.name).values() if (out / file).is_file()]
 
@@ -60,8 +60,8 @@ def export_uppaal(
 
     A missing or failing engine is told in `engine`, and the files stand. Raises ValueError for a model that is none.
     """
-    found: FoundModel = find_model(where, alphabet=column_map.alphabet, temperature=column_map.temperature)
-    model = found.runnable()
+    found_model: FoundModel = find_model(where, alphabet=column_map.alphabet, temperature=column_map.temperature)
+    model = found_model.runnable()
     # Looked at before anything is written. Two file names that differ by case alone are one on some systems.
     files: dict[str, str] = {}
     for trace in traces:

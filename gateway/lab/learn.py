@@ -48,7 +48,7 @@ def learn(
     seed: int,
     as_json: bool,
     observed_edges: bool,
-    **given: float | str | None,
+    **options: float | str | None,
 ) -> None:
     """Learn a model from traces and write its directory with all artefacts.
 
@@ -58,7 +58,7 @@ def learn(
     `lsha`: L*_SHA. Words of events that the traces do not tell apart lead to one location; flow, memory and merge
     tolerance are chosen by the held-out likelihood unless given. The directory gets a learning report besides.
     """
-    settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    settings: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     settings |= {"complete": False} if observed_edges else {}
     with sentences(), progress(f"learning ({method})") as report:
         if settings and method != "lsha":

@@ -89,9 +89,9 @@ def compared(request: RankingRequest, progress: Progress) -> RankingInput:
     results = [result for folder in request.folders for result in read_results(folder)]
     names, labels = {result.trace for result in results}, sorted({result.model for result in results})
     facts: dict[str, dict[str, Facts]] = {}
-    for given in request.folders:
+    for path in request.folders:
         # What the campaign's records say of its models, by label and semantics; a missing or odd record says nothing.
-        folder = given if given.is_dir() else given.parent
+        folder = path if path.is_dir() else path.parent
         for label, place in _document(folder / CAMPAIGN).get("folders", {}).items():
             facts[label] = {}
             for semantics, row in _document(folder / place / GENERATION).get("variants", {}).items():

@@ -23,39 +23,41 @@ def show(name: str, as_json: bool) -> None:
     Of artefacts that cannot be run the structure is shown, and why they cannot.
     """
     with sentences():
-        found = find_model(name)
-        if found.model is None or found.artefacts is not None:
-            structure = found.structure
+        found_model = find_model(name)
+        if found_model.model is None or found_model.artefacts is not None:
+            structure = found_model.structure
             data = {
-                "name": found.name,
+                "name": found_model.name,
                 "initial": structure.initial,
                 "locations": _location_rows(structure, {}),
                 "edges": [
                     {"source": edge.source, "symbol": edge.symbol, "target": edge.target, "guard": edge.guard}
                     for edge in structure.edges
                 ],
-                "runnable": found.model is not None,
-                "refusal": found.refusal,
-                "notes": list(found.notes),
+                "runnable": found_model.model is not None,
+                "refusal": found_model.refusal,
+                "notes": list(found_model.notes),
             }
-            emit(data, lambda: _show_artefacts(found), as_json_line=as_json)
+            emit(data, lambda: _show_artefacts(found_model), as_json_line=as_json)
             return
-        shown = found.model
+        shown = found_model.model
         emit(summary(shown), lambda: show_model(shown), as_json_line=as_json)
 
 
-def _show_artefacts(found: FoundModel) -> None:
-    sha = found.structure
-    if found.model is None:
-        table(f"{found.name}: {len(sha.locations)} locations", ["location"], [[each.name] for each in sha.locations])
+def _show_artefacts(found_model: FoundModel) -> None:
+    sha = found_model.structure
+    if found_model.model is None:
+        table(
+            f"{found_model.name}: {len(sha.locations)} locations", ["location"], [[each.name] for each in sha.locations]
+        )
     else:
         rows = _location_rows(sha, {})
-        table(f"{found.name}: {len(rows)} locations", list(rows[0]), [list(row.values()) for row in rows])
+        table(f"{found_model.name}: {len(rows)} locations", list(rows[0]), [list(row.values()) for row in rows])
     table(f"{len(sha.edges)} edges", ["from", "symbol", "to"], [[e.source, e.symbol, e.target] for e in sha.edges])
-    for note in found.notes:
+    for note in found_model.notes:
         click.echo(note)
-    if found.refusal:
-        click.secho(f"it cannot be run: {found.refusal}", fg="yellow")
+    if found_model.refusal:
+        click.secho(f"it cannot be run: {found_model.refusal}", fg="yellow")
 
 
 def summary(shown: Model) -> dict[str, Any]:

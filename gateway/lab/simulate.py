@@ -154,8 +154,8 @@ def simulate(
         return
     with sentences(), progress("simulating") as report:
         traces, column_map = load(paths, map_name)
-        found = find_model(directory, alphabet=column_map.alphabet, temperature=column_map.temperature)
-        chosen = found.runnable()
+        found_model = find_model(directory, alphabet=column_map.alphabet, temperature=column_map.temperature)
+        chosen = found_model.runnable()
         rows = simulate_traces(
             chosen, traces, runs=runs, policy=policy, start=start, seed=seed, picture=picture, report=report
         )

@@ -273,10 +273,10 @@ def _show(out: Path, results: Sequence[TraceResult]) -> None:
         # Why traces failed or are to be looked at, the failed ones first; the report has all of them.
         judged = [(result, verdict(result)) for result in sorted(own, key=lambda result: natural(result.trace))]
         lines = [
-            f"{found.word}: {result.trace} ({result.semantics}): {'; '.join(found.reasons)}"
+            f"{judgement.word}: {result.trace} ({result.semantics}): {'; '.join(judgement.reasons)}"
             for word in ("failed", "review")
-            for result, found in judged
-            if found.word == word
+            for result, judgement in judged
+            if judgement.word == word
         ]
         for sentence in lines[:MOST_REASONS]:
             click.echo(f"{name}: {sentence}")

@@ -14,18 +14,18 @@ from sim.engine import Policy
 COLUMNS = ("time", "symbol", "location", "seconds", "m", "offset", "entered", "left", "clamped")
 
 
-def replay_word(directory: str, given: str, policy: Policy, *, as_json: bool) -> None:
+def replay_word(directory: str, text_or_file: str, policy: Policy, *, as_json: bool) -> None:
     """Replay a word, given as text or as a file's name, and say whether the model's own range is left."""
     with sentences():
         model = in_sensor_scale(find_model(directory).runnable())
-        text = given
+        text = text_or_file
         # Every word has an @; a file's name may have one too.
-        if "@" not in given or Path(given).is_file():
+        if "@" not in text_or_file or Path(text_or_file).is_file():
             try:
-                text = Path(given).read_text(encoding="utf-8")
+                text = Path(text_or_file).read_text(encoding="utf-8")
             except UnicodeDecodeError as error:
                 reason = f"byte {error.start} is not UTF-8; give a text file with a timed word"
-                raise ValueError(f"{given}: {reason}") from None
+                raise ValueError(f"{text_or_file}: {reason}") from None
         done = replay(model, parse_word(text), policy)
     low, high = model.sha.low, model.sha.high
     outside = done.leaves(low, high)

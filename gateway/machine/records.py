@@ -79,16 +79,16 @@ class Records:
 
 def forecast_rows(finished: FinishedForecast) -> list[Row]:
     """The rows of `forecasts`, one a horizon."""
-    made, levels = finished.forecast, json.dumps(list(finished.forecast.levels))
+    forecast, levels = finished.forecast, json.dumps(list(finished.forecast.levels))
     return [
         (
-            made.time,
+            forecast.time,
             float(horizon),
             levels,
-            json.dumps([round(value, 4) for value in made.quantiles[:, column].tolist()]),
-            made.exceedance[column].probability,
-            made.limit,
+            json.dumps([round(value, 4) for value in forecast.quantiles[:, column].tolist()]),
+            forecast.exceedance[column].probability,
+            forecast.limit,
             finished.measured,
         )
-        for column, horizon in enumerate(made.horizons.tolist())
+        for column, horizon in enumerate(forecast.horizons.tolist())
     ]

@@ -43,9 +43,9 @@ class DeviceSection(Section):
 
     @model_validator(mode="after")
     def _one_form(self) -> "DeviceSection":
-        given = [key for key in _OF_ONE_LINK if key in self.model_fields_set]
-        if self.links and given:
-            raise ValueError(f"{given[0]!r} stands beside [[device.links]]; put it into each of them")
+        present = [key for key in _OF_ONE_LINK if key in self.model_fields_set]
+        if self.links and present:
+            raise ValueError(f"{present[0]!r} stands beside [[device.links]]; put it into each of them")
         if not self.links and self.file is None:
             raise ValueError("'file' is missing; give the path of the register map, or [[device.links]] tables")
         return self
@@ -73,8 +73,8 @@ def links_of(section: DeviceSection, home: Path) -> tuple[DeviceLink, ...]:
         # The keys of [device] as settings: what is written there, and for a device on a network their defaults too.
         networked = capabilities(device.driver).networked and "serial" not in device.settings
         wanted = {"host", "timeout"} if networked else set()
-        given = section.model_dump(include={"host", "port", "timeout"} & (section.model_fields_set | wanted))
-        return (DeviceLink(device.driver, device, dict(device.settings) | given),)
+        overrides = section.model_dump(include={"host", "port", "timeout"} & (section.model_fields_set | wanted))
+        return (DeviceLink(device.driver, device, dict(device.settings) | overrides),)
     links = []
     for row in section.links:
         device = load_device(home / row.file)

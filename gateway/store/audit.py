@@ -204,8 +204,8 @@ def last_arming(path: Path) -> AuditRow | None:
     with closing(_reader(path)) as connection:
         marks = ", ".join("?" * len(_ARMINGS))
         query = f"SELECT {_COLUMNS} FROM audit WHERE kind IN ({marks}) ORDER BY id DESC LIMIT 1"  # noqa: S608
-        found = connection.execute(query, _ARMINGS).fetchone()
-    return _row(found) if found else None
+        row = connection.execute(query, _ARMINGS).fetchone()
+    return _row(row) if row else None
 
 
 def standing(path: Path, now: float) -> AuditRow | None:
@@ -236,8 +236,8 @@ def verify(path: Path, head: str = "") -> ChainVerdict:
 def head(path: Path) -> str:
     """The newest hash; that of an empty log is zeros. Raises AuditError."""
     with closing(_reader(path)) as connection:
-        found = connection.execute("SELECT hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
-    return bytes(found[0]).hex() if found else BEGIN.hex()
+        row = connection.execute("SELECT hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
+    return bytes(row[0]).hex() if row else BEGIN.hex()
 
 
 # ---------------------------------------------------------------- the file
@@ -247,15 +247,15 @@ def _hash(before: bytes, *plain: object) -> bytes:
     return digest(before, json.dumps(plain, ensure_ascii=False, allow_nan=False).encode())
 
 
-def _row(found: Sequence[Any]) -> AuditRow:
-    number, time, kind, who, reason, detail, digest = found
+def _row(row: Sequence[Any]) -> AuditRow:
+    number, time, kind, who, reason, detail, digest = row
     return AuditRow(int(number), AuditEntry(float(time), kind, who, reason, json.loads(detail)), bytes(digest).hex())
 
 
 def _rows(connection: sqlite3.Connection, path: Path) -> Iterator[tuple[AuditRow, tuple[Any, ...]]]:
     try:
-        for found in connection.execute(f"SELECT {_COLUMNS} FROM audit ORDER BY id"):  # noqa: S608
-            yield _row(found), tuple(found[1:6])
+        for row in connection.execute(f"SELECT {_COLUMNS} FROM audit ORDER BY id"):  # noqa: S608
+            yield _row(row), tuple(row[1:6])
     except (sqlite3.Error, ValueError, TypeError) as error:
         raise AuditError(f"{path}: cannot be read ({error}); it was changed by something else") from None
 

@@ -103,20 +103,20 @@ def matured(path: Path, tolerance: float = 5.0) -> dict[float, Matured]:
     for horizon, *rest in rows:
         by_horizon.setdefault(float(horizon), []).append(tuple(rest))
     matured: dict[float, Matured] = {}
-    for horizon, given in by_horizon.items():
-        made = np.array([row[0] for row in given], dtype=float)
+    for horizon, forecasts in by_horizon.items():
+        made_at = np.array([row[0] for row in forecasts], dtype=float)
         # The first reading at or after what the forecast spoke of; times are sums of floats, so a microsecond counts as
         # at. Behind the last reading there is one at infinity: it is too late for any tolerance, and no index ends.
-        place = np.searchsorted(times, made + horizon - 1e-6)
+        place = np.searchsorted(times, made_at + horizon - 1e-6)
         later = np.append(times, np.inf)[place]
-        outcome = np.where(later <= made + horizon + tolerance, np.append(values, nan)[place], nan)
+        outcome = np.where(later <= made_at + horizon + tolerance, np.append(values, nan)[place], nan)
         matured[horizon] = Matured(
             horizon=horizon,
-            times=made,
-            levels=tuple(json.loads(given[0][1])),
-            quantiles=np.array([json.loads(row[2]) for row in given], dtype=float),
-            p_limit=np.array([row[3] for row in given], dtype=float),
-            persistence=np.array([nan if row[4] is None else row[4] for row in given], dtype=float),
+            times=made_at,
+            levels=tuple(json.loads(forecasts[0][1])),
+            quantiles=np.array([json.loads(row[2]) for row in forecasts], dtype=float),
+            p_limit=np.array([row[3] for row in forecasts], dtype=float),
+            persistence=np.array([nan if row[4] is None else row[4] for row in forecasts], dtype=float),
             outcome=outcome,
         )
     return matured

@@ -107,10 +107,10 @@ def with_faces(command: click.Command) -> click.Command:
     return command
 
 
-def face_options(given: Mapping[str, Any]) -> dict[str, Any]:
+def face_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Those of the given options that belong to faces, by their parameters' names."""
     names = {option.name for kind in FACES.values() for option in kind.options}
-    return {name: value for name, value in given.items() if name in names}
+    return {name: value for name, value in options.items() if name in names}
 
 
 def make_faces(plc: Plc, options: Mapping[str, Any], complain: Complain) -> list[Face]:

@@ -161,8 +161,8 @@ def _clock(records: Sequence[CommandRecord]) -> dict[str, Any]:
             if record.command == "doctor" and step.get("step") == "clock":
                 sentence = str(step.get("sentence", ""))
         if record.command == "verify":
-            given = {**record.arguments, **record.result}.get("clock_offset")
-            offset = float(given) if isinstance(given, int | float) else offset
+            ahead = {**record.arguments, **record.result}.get("clock_offset")
+            offset = float(ahead) if isinstance(ahead, int | float) else offset
     return {"machine": sentence, "hmi_offset_s": offset}
 
 

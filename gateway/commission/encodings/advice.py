@@ -146,7 +146,7 @@ def _differ(best: EncodingCandidate, rival: EncodingCandidate, last: Observation
     return own is None or other is None or abs(own - other) > 0.5 * last.shown.step
 
 
-def _value(one: EncodingCandidate, words: Sequence[int], base: int) -> float | None:
-    tag, first = one.tag(), one.address - base
+def _value(candidate: EncodingCandidate, words: Sequence[int], base: int) -> float | None:
+    tag, first = candidate.tag(), candidate.address - base
     value, quality, _ = decode(tag, words[first : first + registers_needed(tag)])
     return float(value) if quality is Quality.GOOD and isinstance(value, int | float) else None

@@ -52,16 +52,16 @@ def set_device(document: tomlkit.TOMLDocument, settings: Mapping[str, Any]) -> N
         put(document["device"], key, value)
 
 
-def set_tag(document: tomlkit.TOMLDocument, name: str, given: Mapping[str, Any]) -> None:
+def set_tag(document: tomlkit.TOMLDocument, name: str, keys: Mapping[str, Any]) -> None:
     """Put the given keys into the tag of this name, which is made where it is not there; None takes a key out."""
     tags = _tags(document)
     table = next((tag for tag in tags if tag.get("name") == name), None)
     if table is not None:
-        _fill(table, given)
+        _fill(table, keys)
         return
     table = tomlkit.table()
     table["name"] = name
-    _fill(table, given)
+    _fill(table, keys)
     # After the last tag, and before the blank lines and comments at its end: TOML counts them to that tag, and a person
     # to the table that follows.
     if len(tags):
@@ -76,8 +76,8 @@ def set_tag(document: tomlkit.TOMLDocument, name: str, given: Mapping[str, Any])
     tags.append(table)
 
 
-def _fill(table: Table, given: Mapping[str, Any]) -> None:
-    for key, value in given.items():
+def _fill(table: Table, keys: Mapping[str, Any]) -> None:
+    for key, value in keys.items():
         if isinstance(value, Mapping):
             inline = tomlkit.inline_table()
             inline.update(value)
@@ -86,11 +86,10 @@ def _fill(table: Table, given: Mapping[str, Any]) -> None:
             put(table, key, value)
 
 
-def encoding(given: Mapping[str, Any]) -> dict[str, Any]:
+def encoding(keys: Mapping[str, Any]) -> dict[str, Any]:
     """The keys of a place as a tag has them: what is the default is not written."""
     return {
-        key: None if given.get(key) is None or given[key] == default else given[key]
-        for key, default in ENCODING.items()
+        key: None if keys.get(key) is None or keys[key] == default else keys[key] for key, default in ENCODING.items()
     }
 
 

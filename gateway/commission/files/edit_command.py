@@ -69,8 +69,8 @@ def edit_files(
 
 def _show(data: Mapping[str, Any]) -> None:
     if "columns" in data:
-        found = ", ".join(f"{name} = {header!r}" for name, header in data["columns"].items())
-        click.echo(f"{data['list']}: header in line {data['header_line']}: {found}")
+        columns = ", ".join(f"{name} = {header!r}" for name, header in data["columns"].items())
+        click.echo(f"{data['list']}: header in line {data['header_line']}: {columns}")
         if data["ignored_columns"]:
             click.echo(f"columns without use: {', '.join(map(repr, data['ignored_columns']))}")
         keys = [key for key in _COLUMNS if any(tag.get(key) not in (None, "") for tag in data["tags"])]

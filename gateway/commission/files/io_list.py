@@ -234,8 +234,8 @@ def _table(sheet: ListSheet, line: ListRow) -> str:
     if not text:
         return ""
     key = key_of(text)
-    if found := TABLES.get(key):
-        return found
+    if known := TABLES.get(key):
+        return known
     header = key_of(sheet.columns.get("table", ""))
     if key in FUNCTIONS and any(word in header for word in ("func", "funz", "code", "codice", "fc")):
         return FUNCTIONS[key]

@@ -73,9 +73,9 @@ def find_files(plant: Path | None, device: Path | None, link: str | None, given:
         path = _device_of(plant, link)
     else:
         path = device or (plant or Path()).parent / "devices" / f"{(plant or Path()).stem}.toml"
-    driver, found = _driver_of(path, plant, link, given)
-    place = {key: value for key, value in found.items() if key in PLACE_KEYS}
-    settings = {key: value for key, value in found.items() if key not in PLACE_KEYS}
+    driver, all_settings = _driver_of(path, plant, link, given)
+    place = {key: value for key, value in all_settings.items() if key in PLACE_KEYS}
+    settings = {key: value for key, value in all_settings.items() if key not in PLACE_KEYS}
     return Files(plant=plant, device=path, driver=driver, link=link, place=place, settings=settings)
 
 

@@ -50,19 +50,19 @@ def read_through(line: GatewayLine, tags: Sequence[Tag], known: Sequence[Tag]) -
 
 def as_request(tag: Tag) -> dict[str, Any]:
     """A tag as the control socket takes bare addresses."""
-    given: dict[str, Any] = {"address": tag.address, "dtype": tag.dtype.value, "order": tag.order.value}
-    given |= {"scale": tag.scale, "offset": tag.offset, "length": tag.length}
-    return given | ({"bit": tag.bit} if tag.bit is not None else {})
+    request: dict[str, Any] = {"address": tag.address, "dtype": tag.dtype.value, "order": tag.order.value}
+    request |= {"scale": tag.scale, "offset": tag.offset, "length": tag.length}
+    return request | ({"bit": tag.bit} if tag.bit is not None else {})
 
 
-def sample_of(given: dict[str, Any]) -> Sample:
+def sample_of(plain: dict[str, Any]) -> Sample:
     """A sample from its JSON."""
-    quality = Quality[given["quality"]]
+    quality = Quality[plain["quality"]]
     return Sample(
-        tag=given["tag"],
-        value=given["value"],
+        tag=plain["tag"],
+        value=plain["value"],
         quality=quality,
-        time=given["time"],
-        sent=given["sent"],
-        reason=given["reason"],
+        time=plain["time"],
+        sent=plain["sent"],
+        reason=plain["reason"],
     )

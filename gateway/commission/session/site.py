@@ -40,10 +40,10 @@ PERIOD_S = 1.0
 """Without a plant file."""
 
 
-def period_of(site: Site, given: float | None = None) -> float:
+def period_of(site: Site, period: float | None = None) -> float:
     """The period (s) that was given, else the plant file's, else a second."""
-    if given is not None:
-        return given
+    if period is not None:
+        return period
     return site.target.config.scan.period if site.target.config is not None else PERIOD_S
 
 

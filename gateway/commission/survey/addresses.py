@@ -46,16 +46,16 @@ def parse_register(text: str) -> Register:
     """`holding:100`, or a reference number such as 40101 or 400101. Raises AddressTextError."""
     stripped = text.strip().lower()
     if match := _PDU.fullmatch(stripped):
-        found = Register(match[1], int(match[2]))
+        register = Register(match[1], int(match[2]))
     elif match := _REFERENCE.fullmatch(stripped):
-        found = Register(_TABLES[match[1]], int(match[2]) - 1)
+        register = Register(_TABLES[match[1]], int(match[2]) - 1)
     else:
         raise AddressTextError(
             f"{text!r} is no register; give its PDU address such as holding:100, or its number such as 40101"
         )
-    if not 0 <= found.number <= LAST:
+    if not 0 <= register.number <= LAST:
         raise AddressTextError(f"{text!r} is beyond the addresses, which are 0 to {LAST}")
-    return found
+    return register
 
 
 def parse_stretch(text: str) -> tuple[Register, int]:

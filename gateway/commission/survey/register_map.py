@@ -49,15 +49,15 @@ class ReadableMap:
         return self._ranges(_UNKNOWN)
 
     def _ranges(self, wanted: int) -> list[Stretch]:
-        found: list[list[int]] = []
+        ranges: list[list[int]] = []
         for offset, state in enumerate(self.state):
             if state != wanted:
                 continue
-            if found and found[-1][0] + found[-1][1] == self.first + offset:
-                found[-1][1] += 1
+            if ranges and ranges[-1][0] + ranges[-1][1] == self.first + offset:
+                ranges[-1][1] += 1
             else:
-                found.append([self.first + offset, 1])
-        return [(start, count) for start, count in found]
+                ranges.append([self.first + offset, 1])
+        return [(start, count) for start, count in ranges]
 
     def mark(self, start: int, count: int, *, readable: bool) -> None:
         """Take in an answer, or the refusal of one address."""
@@ -83,17 +83,17 @@ def search(first: int, count: int, *, most: int, budget: int) -> Generator[Stret
     Yields the next block to ask (at most `most` addresses, the protocol's limit) and must be sent whether it was
     answered. The map is complete if `unknown` is empty.
     """
-    found = ReadableMap(first, count, bytearray(count))
+    register_map = ReadableMap(first, count, bytearray(count))
     with suppress(OutOfRequests):
-        yield from _RangeSearch(found, most, budget).run()
-    return found
+        yield from _RangeSearch(register_map, most, budget).run()
+    return register_map
 
 
 class _RangeSearch:
     """The map as it grows, and how long a block may be as far as is known."""
 
-    def __init__(self, found: ReadableMap, most: int, budget: int) -> None:
-        self.map, self.limit, self.budget = found, most, budget
+    def __init__(self, register_map: ReadableMap, most: int, budget: int) -> None:
+        self.map, self.limit, self.budget = register_map, most, budget
 
     def run(self) -> Search:
         """First whole blocks, then what was refused of them, then the largest block."""

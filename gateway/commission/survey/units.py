@@ -24,11 +24,11 @@ _BEHIND_GATEWAY = frozenset({10, 11})
 async def scan_units(site: Site, units: Sequence[int], progress: Progress) -> CommandResult:
     """Every unit asked once, and once more if silent; a refusal is an answer too, except a gateway's own."""
     mention_gateway(site)
-    given = site.target.settings
+    configured = site.target.settings
     # Silence is the usual answer here, and 247 usual timeouts would take minutes.
-    hurried = {"timeout": given.get("timeout", UNIT_S)}
+    hurried = {"timeout": configured.get("timeout", UNIT_S)}
     if site.target.kind in LINKS and LINKS[site.target.kind].line:
-        hurried["longest_reply"] = given.get("longest_reply", hurried["timeout"])
+        hurried["longest_reply"] = configured.get("longest_reply", hurried["timeout"])
     register = first_register(site.target)
     rows: list[dict[str, Any]] = []
     settings = site.target.with_settings(**hurried).settings

@@ -36,10 +36,10 @@ def can_log(
     The CSV has a row a reading: time_s (as logged), signal, value, quality; a reading that is not good has the value
     nan. Column maps of the format "long" read it, for OBD-II config/traces/can_obd2.toml.
     """
-    given = {"format": format_, "bus": bus, "dbc": dbc and str(dbc)}
+    options = {"format": format_, "bus": bus, "dbc": dbc and str(dbc)}
     with sentences(), progress(log.name) as report:
         device_map = load_device(shipped("devices", device))
-        settings = {**device_map.settings, **{key: value for key, value in given.items() if value is not None}}
+        settings = {**device_map.settings, **{key: value for key, value in options.items() if value is not None}}
         recorded = open_recording(device_map.driver, log, settings, device_map.tags)
         with _written(out) as keep:
             spans = _spans(keep(recorded.samples(report)))

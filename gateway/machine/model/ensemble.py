@@ -80,8 +80,8 @@ def bands(model: Model, section: ForecastSection, scan_period: float) -> Calibra
     """The bands of a model, not yet taught: its own factors at the configured horizons."""
     own = model.calibration
     known = sorted(own)
-    given = {h: float(np.interp(h, known, [own[k] for k in known])) if own else 1.0 for h in section.horizons}
-    return calibrate(given, tolerance=max(5.0, 3.0 * scan_period))
+    by_horizon = {h: float(np.interp(h, known, [own[k] for k in known])) if own else 1.0 for h in section.horizons}
+    return calibrate(by_horizon, tolerance=max(5.0, 3.0 * scan_period))
 
 
 def run_job(job: ForecastJob, section: ForecastSection, limit: float, levels: tuple[float, ...]) -> Forecast:
@@ -111,19 +111,19 @@ def foresee(
 
     Raises what the first model raises; what another one raises is its entry in the result.
     """
-    made: list[Forecast | str | None] = [run_job(first, section, limit, DENSE)]
+    outcomes: list[Forecast | str | None] = [run_job(first, section, limit, DENSE)]
     for job in others:
         try:
-            made.append(None if job is None else run_job(job, section, limit, DENSE))
+            outcomes.append(None if job is None else run_job(job, section, limit, DENSE))
         except FAULTS as error:
-            made.append(repr(error))
-    forecasts = [forecast for forecast in made if isinstance(forecast, Forecast)]
-    weight = shares[:, [place for place, forecast in enumerate(made) if isinstance(forecast, Forecast)]]
+            outcomes.append(repr(error))
+    forecasts = [forecast for forecast in outcomes if isinstance(forecast, Forecast)]
+    weight = shares[:, [place for place, forecast in enumerate(outcomes) if isinstance(forecast, Forecast)]]
     # The weights of the members that have no forecast go to the others; where none of these had any, all count alike.
     total = weight.sum(axis=1, keepdims=True)
     weight = np.where(total > 0, weight / np.where(total > 0, total, 1.0), 1.0 / len(forecasts))
     mixed = mixture(forecasts, weight, LEVELS)
-    return MixedForecast(mixed, tuple(made), context)
+    return MixedForecast(mixed, tuple(outcomes), context)
 
 
 class Ensemble:
@@ -215,16 +215,16 @@ class Ensemble:
             jobs.append(ForecastJob(member.predictor.tracker, belief, factors(member.calibration), seed))
         return jobs
 
-    def take(self, made: MixedForecast, now: float) -> None:
+    def take(self, mixed: MixedForecast, now: float) -> None:
         """Let finished forecasts wait for their readings."""
-        for member, one in zip(self.members, made.members[1:], strict=True):
-            if isinstance(one, str):
-                self._fail(member, now, one)
-            elif one is not None:
-                member.calibration = issue_bands(member.calibration, thinned(one, LEVELS))
-        forecasts = [entry if isinstance(entry, Forecast) else None for entry in made.members]
+        for member, outcome in zip(self.members, mixed.members[1:], strict=True):
+            if isinstance(outcome, str):
+                self._fail(member, now, outcome)
+            elif outcome is not None:
+                member.calibration = issue_bands(member.calibration, thinned(outcome, LEVELS))
+        forecasts = [entry if isinstance(entry, Forecast) else None for entry in mixed.members]
         for horizon, state in self.evidence.items():
-            self.evidence[horizon] = issue_pool(state, horizon, made.context, forecasts)
+            self.evidence[horizon] = issue_pool(state, horizon, mixed.context, forecasts)
 
     def plain(self) -> dict[str, Any]:
         """Members, their weights by horizon in the present context, and who has failed, as plain values."""
@@ -232,8 +232,8 @@ class Ensemble:
         return {
             "members": self.names,
             "context": context,
-            "weights": {f"{h:g}": list(weights(one.pool, context)) for h, one in self.evidence.items()},
-            "evidence": {f"{h:g}": sum(one.pool.overall) for h, one in self.evidence.items()},
+            "weights": {f"{h:g}": list(weights(state.pool, context)) for h, state in self.evidence.items()},
+            "evidence": {f"{h:g}": sum(state.pool.overall) for h, state in self.evidence.items()},
             "failures": {member.name: member.failure for member in self.members if member.failure},
         }
 
@@ -242,7 +242,7 @@ class Ensemble:
         return {
             "hashes": self.hashes,
             "members": [member.predictor.snapshot() for member in self.members],
-            "credits": {f"{h:g}": asdict(one.pool) for h, one in self.evidence.items()},
+            "credits": {f"{h:g}": asdict(state.pool) for h, state in self.evidence.items()},
         }
 
     def restore(self, saved: Mapping[str, Any], now: float) -> bool:
@@ -252,14 +252,14 @@ class Ensemble:
         """
         if saved["hashes"] != self.hashes:
             return False
-        for member, one in zip(self.members, saved["members"], strict=True):
-            if one is not None:
-                member.predictor.restore(one, now)
-        for horizon, one in self.evidence.items():
+        for member, snapshot in zip(self.members, saved["members"], strict=True):
+            if snapshot is not None:
+                member.predictor.restore(snapshot, now)
+        for horizon, state in self.evidence.items():
             kept = saved["credits"].get(f"{horizon:g}")
-            if kept is not None and _settings(kept) == _settings(asdict(one.pool)):
+            if kept is not None and _settings(kept) == _settings(asdict(state.pool)):
                 contexts = {name: tuple(credits) for name, credits in kept["contexts"].items()}
-                pool = Pool(**{**asdict(one.pool), "overall": tuple(kept["overall"]), "contexts": contexts})
+                pool = Pool(**{**asdict(state.pool), "overall": tuple(kept["overall"]), "contexts": contexts})
                 self.evidence[horizon] = PoolEvidence(pool)
         return True
 

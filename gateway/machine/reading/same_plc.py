@@ -64,16 +64,16 @@ def rate(pulse: Pulse) -> float:
     return median(steps) if steps else 0.0
 
 
-def agree(one: Pulse, other: Pulse) -> bool | None:
+def agree(pulse: Pulse, other: Pulse) -> bool | None:
     """Whether the newest readings of two links can be of one heartbeat; None while too little is known.
 
     Between the two readings the count may have moved by the heartbeat's rate times the time from the earliest to the
     latest moment of both, in either direction.
     """
-    if len(one.beats) < 2 or len(other.beats) < 2:
+    if len(pulse.beats) < 2 or len(other.beats) < 2:
         return None
-    a, b = one.beats[-1], other.beats[-1]
+    a, b = pulse.beats[-1], other.beats[-1]
     apart = (b.count - a.count) % RING
     distance = min(apart, RING - apart)
     span = max(a.latest, b.latest) - min(a.earliest, b.earliest)
-    return distance <= SLACK + MARGIN * max(rate(one), rate(other)) * span
+    return distance <= SLACK + MARGIN * max(rate(pulse), rate(other)) * span

@@ -65,7 +65,7 @@ def build(
     A number beyond its word saturates at the word's ends, short of the word that means "not known". Minutes that are
     infinite, and those not known, are the layout's `unknown`. `sequence` counts 0..65535, `heartbeat` 1..65535.
     """
-    given: dict[str, float | None] = {
+    contents: dict[str, float | None] = {
         **values,
         "layout_version": layout.version,
         "sequence": sequence,
@@ -75,7 +75,7 @@ def build(
     }
     words: list[int] = []
     for field in layout.fields:
-        value = given.get(field.name)
+        value = contents.get(field.name)
         if field.name == "crc":
             words.append(crc(words))  # of the words before it; only the copy of the sequence follows
         elif field.name in _VERBATIM:

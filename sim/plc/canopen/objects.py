@@ -171,8 +171,8 @@ class Objects:
     def _entry(self, address: Address) -> EdsObject:
         entry = self._layout.entries.get(address)
         if entry is None:
-            there = any(known[0] == address[0] for known in self._layout.entries)
-            raise Abort(sdo.NO_SUBINDEX if there else sdo.NO_OBJECT)
+            has_index = any(known[0] == address[0] for known in self._layout.entries)
+            raise Abort(sdo.NO_SUBINDEX if has_index else sdo.NO_OBJECT)
         return entry
 
     def _own(self, address: Address, entry: EdsObject) -> bytes:

@@ -71,17 +71,17 @@ def signature_of(function: Callable[..., object]) -> list[str]:
     return [p.name if p.default is p.empty else f"{p.name} = {p.default!r}" for p in _keywords(function)]
 
 
-def checked_arguments(function: Callable[..., object], given: Mapping[str, object], where: str) -> dict[str, Any]:
-    """`given` as the function's keyword arguments, checked against its annotations. Raises InputError."""
+def checked_arguments(function: Callable[..., object], values: Mapping[str, object], where: str) -> dict[str, Any]:
+    """`values` as the function's keyword arguments, checked against its annotations. Raises InputError."""
     known = _keywords(function)
     names = [parameter.name for parameter in known]
-    if unknown := [name for name in given if name not in names]:
+    if unknown := [name for name in values if name not in names]:
         raise InputError(f"{where}: {unknown[0]}: there is no such key; known are {listed(names)}")
-    if missing := [p.name for p in known if p.default is p.empty and p.name not in given]:
+    if missing := [p.name for p in known if p.default is p.empty and p.name not in values]:
         raise InputError(f"{where}: {missing[0]}: is missing; it must be given")
     hints = get_type_hints(function)
     arguments = {}
-    for name, value in given.items():
+    for name, value in values.items():
         hint = hints[name]
         try:
             adapter = TypeAdapter(hint, config=ConfigDict(allow_inf_nan=False))
