@@ -157,15 +157,15 @@ class CanopenDriver:
         here = [(tag, self._where(tag)) for tag in tags]
         lines = [PlanLine(f"{tag.name}: {where.misplaced}", PlanKind.PROBLEM) for tag, where in here if where.misplaced]
         for pdo in maps:
-            names = [tag.name for tag, where in located if not where.misplaced and carried.get(where.place) is pdo]
+            names = [tag.name for tag, where in here if not where.misplaced and carried.get(where.place) is pdo]
             limit = pdo.timeout(options.pdo_timeout, options.sync_period)
             late = f"late after {limit:g} s" if limit else "without a period of its own"
             kind = PlanKind.HEARD if limit else PlanKind.OTHER
             lines += [PlanLine(f"{pdo.name}, {late}: {', '.join(names)}", kind)] if names else []
-        by_sdo = [tag.name for tag, where in located if not where.misplaced and where.place not in carried]
-        worst = len(by_sdo) * options.timeout
-        if by_sdo:
-            lines.append(PlanLine(f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(by_sdo)}"))
+        asked = [tag.name for tag, where in here if not where.misplaced and where.place not in carried]
+        worst = len(asked) * options.timeout
+        if asked:
+            lines.append(PlanLine(f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(asked)}"))
         return tuple(lines)
 
     # ------------------------------------------------------------ Streams

@@ -113,9 +113,9 @@ def verify(
         if not paths and source is ParameterSource.COMMANDLINE:
             column_map = load_map(shipped("traces", map_name))
         if column_map is None:
-            found_model = find_model(model)
+            found = find_model(model)
         else:
-            found_model = find_model(model, alphabet=column_map.alphabet, temperature=column_map.temperature)
+            found = find_model(model, alphabet=column_map.alphabet, temperature=column_map.temperature)
         assumptions = Assumptions(
             z=z,
             sojourn=sojourn,
@@ -126,25 +126,25 @@ def verify(
             horizon=None if wear is None else wear * DAY,
         )
         # The alphabet of artefacts is the one that their report lists, if it lists one.
-        reported = tuple(name for name, _ in found_model.artefacts.report.events) if found_model.artefacts else ()
+        reported = tuple(name for name, _ in found.artefacts.report.events) if found.artefacts else ()
         result = check(
-            found_model.model or found_model.structure,
+            found.model or found.structure,
             symbols=reported or None,
             traces=traces,
             bounds=bounds,
             assumptions=assumptions,
-            refusal=found_model.refusal,
+            refusal=found.refusal,
             clock=perf_counter,
         )
         worst = _counterexample(result)
         if out is not None and worst is not None:
             out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
-    emit(plain(result, found_model), lambda: _show(result, found_model, model, out), as_json_line=as_json)
+    emit(plain(result, found), lambda: _show(result, found, model, out), as_json_line=as_json)
     if not result.deployable:
         sys.exit(Exit.CHECK_FAILED)
 
 
-def plain(result: Verification, found_model: FoundModel) -> dict[str, Any]:
+def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
     """The verification as plain values for JSON."""
     rows = [
         {
@@ -159,7 +159,7 @@ def plain(result: Verification, found_model: FoundModel) -> dict[str, Any]:
         for row in result.checks
     ]
     return {
-        "model": found_model.name,
+        "model": found.name,
         "deployable": result.deployable,
         "reasons": list(result.reasons),
         "assumptions": list(result.assumptions),
@@ -169,12 +169,12 @@ def plain(result: Verification, found_model: FoundModel) -> dict[str, Any]:
     }
 
 
-def _show(result: Verification, found_model: FoundModel, model: str, out: Path | None) -> None:
+def _show(result: Verification, found: FoundModel, model: str, out: Path | None) -> None:
     seconds = sum(each.seconds for each in result.checks)
     rows = [
         [each.name, each.verdict, "" if each.blocking else "no", f"{1e3 * each.seconds:.1f}"] for each in result.checks
     ]
-    table(f"{found_model.name}: verified in {seconds:.2f} s", ("check", "verdict", "decides", "ms"), rows)
+    table(f"{found.name}: verified in {seconds:.2f} s", ("check", "verdict", "decides", "ms"), rows)
     for each in result.checks:
         click.echo(f"{each.name}: {each.evidence}")
         # The cases, where there is something to look for; those of `bounds` are its intervals, and are long.

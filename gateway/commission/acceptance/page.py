@@ -8,7 +8,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from gateway.commission.acceptance.blocks import Block
 
 
-def page(body: Sequence[Block], title: str) -> str:
+def page(made: Sequence[Block], title: str) -> str:
     """The page; every text in it is escaped."""
     world = Environment(
         loader=PackageLoader("gateway.commission.acceptance"),

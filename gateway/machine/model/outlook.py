@@ -78,18 +78,18 @@ class Outlook:
         made, void, self._void = task.result(), self._void, False
         if void:  # it began from what was given up while it was computed
             return None
-        if isinstance(forecast, MixedForecast):
+        if isinstance(made, MixedForecast):
             # The first model's bands learn from its own forecast, as those of the others do from theirs: a band that
             # learned from the mixture would take the others' errors for its own.
-            own = forecast.members[0]
+            own = made.members[0]
             if self.ensemble is not None and isinstance(own, Forecast):
                 self.calibration = issue(self.calibration, thinned(own, LEVELS))
-                self.ensemble.take(forecast, forecast.mixed.time)
-            forecast = forecast.mixed
+                self.ensemble.take(made, made.mixed.time)
+            made = made.mixed
         else:
-            self.calibration = issue(self.calibration, forecast)
-        self.latest, self.made = forecast, self.made + 1
-        return FinishedForecast(forecast, self._measured)
+            self.calibration = issue(self.calibration, made)
+        self.latest, self.made = made, self.made + 1
+        return FinishedForecast(made, self._measured)
 
     def follow(self, scan: Scan, measured: float | None) -> None:
         """Move the other models of an ensemble on; nothing without one."""
@@ -134,20 +134,20 @@ class Outlook:
 
     def snapshot(self) -> dict[str, Any]:
         """What the bands have learned, as JSON can carry it."""
-        return {f"{horizon:g}": asdict(band) for horizon, band in self.calibration.horizons.items()}
+        return {f"{horizon:g}": asdict(one) for horizon, one in self.calibration.horizons.items()}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from a snapshot, for the horizons that are still configured. Raises KeyError or TypeError."""
         horizons = dict(self.calibration.horizons)
-        for text, band in saved.items():
+        for text, one in saved.items():
             if float(text) in horizons:
-                pending = tuple(PendingForecast(**item) for item in band["pending"])
-                horizons[float(text)] = Horizon(**{**band, "counts": tuple(band["counts"]), "pending": pending})
+                pending = tuple(PendingForecast(**item) for item in one["pending"])
+                horizons[float(text)] = Horizon(**{**one, "counts": tuple(one["counts"]), "pending": pending})
         section = self.calibration
         self.calibration = Calibration(horizons, section.memory, section.weight, section.tolerance)
 
 
-def block_values(forecast: Forecast, horizon: float, now: float) -> dict[str, float | None]:
+def block_values(made: Forecast, horizon: float, now: float) -> dict[str, float | None]:
     """The block's fields that a forecast fills, brought to `now`: horizon and minutes have shrunk since it was made."""
     column = int(np.argmin(np.abs(made.horizons - horizon)))
     by_level = dict(zip(made.levels, made.quantiles[:, column].tolist(), strict=True))
@@ -155,11 +155,11 @@ def block_values(forecast: Forecast, horizon: float, now: float) -> dict[str, fl
     elapsed = now - made.time
     minutes = [max(left - elapsed / 60.0, 0.0) if isfinite(left) else inf for left in made.minutes_to_limit]
     return {
-        "horizon": max(float(forecast.horizons[column]) - elapsed, 0.0),
+        "horizon": max(float(made.horizons[column]) - elapsed, 0.0),
         "horizon_low": by_level[0.05],
         "horizon_median": by_level[0.5],
         "horizon_high": by_level[0.95],
-        "p_limit": forecast.exceedance[column].probability,
+        "p_limit": made.exceedance[column].probability,
         "minutes_low": minutes[0],
         "minutes_median": minutes[1],
         "minutes_high": minutes[2],
