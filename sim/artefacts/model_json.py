@@ -201,8 +201,8 @@ def _location_part(location: Location) -> dict[str, Any]:
     """A location with its flow."""
     flow = location.flow
     inputs = [
-        {"signal": one.signal, "gain": written_number(one.gain), "reference": written_number(one.reference)}
-        for one in flow.inputs
+        {"signal": driver.signal, "gain": written_number(driver.gain), "reference": written_number(driver.reference)}
+        for driver in flow.inputs
     ]
     return {
         "name": location.name,
@@ -220,9 +220,9 @@ def _location_of(node: JsonNode) -> Location:
         raise node.get("entry").error(f"the entry mode {entry!r} is unknown; known are {', '.join(ENTRIES)}")
     flow = node.get("flow").only(("kind", "params", "inputs"))
     inputs = []
-    for given in flow.get("inputs").each():
-        given.only(("signal", "gain", "reference"))
-        inputs.append(Input(given.get("signal").text(), given.get("gain").number(), given.get("reference").number()))
+    for part in flow.get("inputs").each():
+        part.only(("signal", "gain", "reference"))
+        inputs.append(Input(part.get("signal").text(), part.get("gain").number(), part.get("reference").number()))
     return Location(
         node.get("name").text(),
         Flow(flow.get("kind").text(), flow.get("params").table(JsonNode.number), tuple(inputs)),
@@ -268,7 +268,7 @@ def _effect_of(node: JsonNode) -> Effect:
         node.get("kind").text(),
         node.get("params").table(JsonNode.number),
         node.get("signals").table(JsonNode.text),
-        tuple(one.text() for one in node.get("locations").each()),
+        tuple(item.text() for item in node.get("locations").each()),
         node.get("event").text(),
     )
     try:
@@ -325,8 +325,8 @@ def _channel_of(node: JsonNode) -> Switch | Bins:
     if kind != "bins":
         raise node.get("kind").error(f"the channel {kind!r} is unknown; known are switch, bins")
     node.only(("kind", "signal", "thresholds", "symbols", "hysteresis", "on_change"))
-    thresholds = tuple(one.number() for one in node.get("thresholds").each())
-    symbols = tuple(one.text() for one in node.get("symbols").each())
+    thresholds = tuple(item.number() for item in node.get("thresholds").each())
+    symbols = tuple(item.text() for item in node.get("symbols").each())
     if len(symbols) != len(thresholds) + 1:
         raise node.error(f"{len(thresholds)} thresholds need {len(thresholds) + 1} symbols, here are {len(symbols)}")
     return Bins(signal, thresholds, symbols, node.get("hysteresis").number(), on_change)
@@ -405,7 +405,7 @@ def _provenance_of(node: JsonNode) -> Provenance:
     return Provenance(
         method=node.get("method").text(),
         data_hash=node.get("data_hash").text(),
-        traces=tuple(one.text() for one in node.get("traces").each()),
+        traces=tuple(item.text() for item in node.get("traces").each()),
         synthetic=node.get("synthetic").flag(),
         settings=node.get("settings").table(_setting_of),
         scores=node.get("scores").table(JsonNode.number),

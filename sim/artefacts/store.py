@@ -100,7 +100,7 @@ def promote(store: Path, version: str, force: Force | None = None) -> None:
         with locked(store):
             if reason and force is not None:
                 # The record goes first: a kill between the two leaves a reason without a promotion, never the reverse.
-                known = {name: asdict(one) for name, one in _forces(store).items()}
+                known = {name: asdict(record) for name, record in _forces(store).items()}
                 replace_durably(store / FORCED, json.dumps(known | {version: asdict(force)}, indent=2) + "\n")
             replace_durably(store / CURRENT, version + "\n")
     except OSError as error:
@@ -129,10 +129,10 @@ def promotion(store: Path) -> tuple[tuple[int, int] | None, ...]:
 def _stamp(file: Path) -> tuple[int, int] | None:
     """A file's inode and time of change (ns): each rename puts another file there. None where there is none."""
     try:
-        found = file.stat()
+        status = file.stat()
     except OSError:
         return None
-    return found.st_ino, found.st_mtime_ns
+    return status.st_ino, status.st_mtime_ns
 
 
 def _forces(store: Path) -> dict[str, Force]:

@@ -110,15 +110,15 @@ def _sha(name: str, locations: tuple[Location, ...], source: Source, start: str,
 def _lines_by_location(artefacts: Artefacts) -> dict[str, ReportedLocation]:
     """The report's lines by the source's names; `Location 2` is `q_2` where there is no location `2`."""
     names = {location.name for location in artefacts.source.locations}
-    found = {}
+    by_name = {}
     for line in artefacts.report.locations:
         name = line.name if line.name in names else f"q_{line.name}"
         if name not in names:
             raise ArtefactError(
                 f"{artefacts.name}: the report has a line for location {line.name!r}, which the source does not have"
             )
-        found[name] = line
-    return found
+        by_name[name] = line
+    return by_name
 
 
 def _laws(artefacts: Artefacts) -> tuple[dict[str, Distribution], list[str]]:
@@ -160,7 +160,7 @@ def _flow_of_line(line: ReportedLocation) -> Flow:
             signals.setdefault(signal.strip("`"), {})[part] = value
         else:
             constants[ALIASES.get(name, name)] = value
-    inputs = (Input(name, given.get("gain", 0.0), given.get("reference", 0.0)) for name, given in signals.items())
+    inputs = (Input(name, parts.get("gain", 0.0), parts.get("reference", 0.0)) for name, parts in signals.items())
     return Flow(kind, constants, tuple(inputs))
 
 

@@ -116,13 +116,13 @@ def _text(identifier: Tree[Token]) -> str:
 
 def _label(statement: Tree[Token]) -> str:
     """The statement's label as written, "" without one. The last one counts, as in Graphviz."""
-    found = ""
+    label = ""
     for attributes in trees(statement, "attributes"):
         for attribute in trees(attributes, "attribute"):
             name, *value = (_text(child) for child in trees(attribute, "id"))
             if name.lower() == "label" and value:
-                found = value[0]
-    return found
+                label = value[0]
+    return label
 
 
 def _node_name(node_id: Tree[Token]) -> str:
@@ -170,7 +170,7 @@ class _Runs(HTMLParser):
     def __init__(self) -> None:
         super().__init__()
         self.colours = [""]
-        self.found: list[tuple[str, str]] = []
+        self.texts: list[tuple[str, str]] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         if tag == "font":
@@ -182,7 +182,7 @@ class _Runs(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         if data.strip():
-            self.found.append((data.strip(), self.colours[-1]))
+            self.texts.append((data.strip(), self.colours[-1]))
 
 
 def runs(label: str) -> list[tuple[str, str]]:
@@ -192,7 +192,7 @@ def runs(label: str) -> list[tuple[str, str]]:
     reader = _Runs()
     reader.feed(label[1:-1])
     reader.close()
-    return reader.found
+    return reader.texts
 
 
 def source_text(source: Source) -> str:

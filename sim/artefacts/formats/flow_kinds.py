@@ -138,8 +138,8 @@ def _right_side(flow: Flow, state: str, parameter: str) -> str:
     if flow.kind not in ("exponential", "driven"):
         raise ArtefactError(f"flow {flow.kind!r} has no equation; {LIBRARY}")
     signals = "".join(
-        f" + {number_text(given.gain)} ({quoted(given.signal)} - {number_text(given.reference)})"
-        for given in flow.inputs
+        f" + {number_text(driver.gain)} ({quoted(driver.signal)} - {number_text(driver.reference)})"
+        for driver in flow.inputs
     )
     return f"{number_text(flow.params['k'])} ({parameter}{signals} - {state})"
 
