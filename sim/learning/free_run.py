@@ -100,18 +100,18 @@ class FreeRunFit:
 
 
 def steps(runs: FreeRuns, shape: FitShape, log_rates: Array) -> tuple[Array, Array]:
-    """(decay, gain) of every step at the given log(rate); exactly (0, 0) where a run begins."""
-    decay, gain = np.ones(len(runs)), np.zeros(len(runs))
+    """(decay, pull) of every step at the given log(rate); exactly (0, 0) where a run begins."""
+    decay, pull = np.ones(len(runs)), np.zeros(len(runs))
     for place in np.unique(runs.place):
         kind, rows = shape.kinds[place], runs.place == place
         params = dict.fromkeys(FLOWS[kind].params, 0.0)
         if kind in RATES:
             params[RATES[kind]] = float(np.exp(log_rates[shape.rate[place]]))
-        decay[rows], gain[rows], _ = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
+        decay[rows], pull[rows], _ = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
     # Nothing is carried over from the run before: exactly 0, so that one recursion serves all runs.
     decay[runs.first] = 0.0
-    gain[runs.first] = 0.0
-    return decay, gain
+    pull[runs.first] = 0.0
+    return decay, pull
 
 
 def loads(runs: FreeRuns, shape: FitShape) -> Array:
@@ -186,9 +186,9 @@ def _problem_of(runs: FreeRuns, shape: FitShape) -> _Problem:
 def _solve(problem: _Problem, log_rates: Array) -> _Linear:
     """Golub & Pereyra's variable projection (1973): at fixed rates all else is linear and solved for exactly."""
     runs, shape = problem.runs, problem.shape
-    decay, gain = steps(runs, shape, log_rates)
+    decay, pull = steps(runs, shape, log_rates)
     # Column j is the whole course that a unit of parameter j alone would make; `begun` that of a unit of a run's start.
-    full = linear_recursion(decay[:, None], gain[:, None] * problem.load, np.zeros(shape.centre.size))
+    full = linear_recursion(decay[:, None], pull[:, None] * problem.load, np.zeros(shape.centre.size))
     begun = linear_recursion(decay, runs.first.astype(float), 0.0)
     start = begun[problem.rows]
     # The starts, one for each run and often hundreds, are taken out run by run, not as columns of the normal equations.
@@ -427,9 +427,9 @@ def predict(runs: FreeRuns, shape: FitShape, linear: Array, rates: Array, sigma:
     """
     rows = np.flatnonzero(np.isfinite(runs.reading))
     bounds = np.flatnonzero(np.concatenate([[True], np.diff(runs.run[rows]) != 0]))
-    decay, gain = steps(runs, shape, np.log(rates))
+    decay, pull = steps(runs, shape, np.log(rates))
     # The free run is linear in its start temperature: the course from 0 plus `begun` times the start.
-    still = linear_recursion(decay, gain * (loads(runs, shape) @ linear), 0.0)
+    still = linear_recursion(decay, pull * (loads(runs, shape) @ linear), 0.0)
     begun = linear_recursion(decay, runs.first.astype(float), 0.0)
     order = np.cumsum(runs.first) - 1
     weight, mean = np.ones(rows.size), still

@@ -44,10 +44,10 @@ class NoiseLevels:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _AffineSteps:
-    """Every knot's affine step: X' = decay X + gain (m - mu) + drift, variance = density * process^2."""
+    """Every knot's affine step: X' = decay X + pull (m - mu) + drift, variance = density * process^2."""
 
     decay: Array
-    gain: Array
+    pull: Array
     drift: Array
     density: Array
     place: Indices
@@ -74,17 +74,17 @@ class _Ahead:
 
 def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) -> _AffineSteps:
     n = len(runs)
-    decay, gain, density = np.ones(n), np.zeros(n), np.zeros(n)
+    decay, pull, density = np.ones(n), np.zeros(n), np.zeros(n)
     for place in np.unique(runs.place):
         kind, rows = shape.kinds[place], runs.place == place
         params = dict.fromkeys(FLOWS[kind].params, 1.0)
         if kind in RATES:
             params[RATES[kind]] = float(fit.rates[shape.rate[place]])
-        decay[rows], gain[rows], density[rows] = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
+        decay[rows], pull[rows], density[rows] = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
     return _AffineSteps(
         decay=decay,
-        gain=gain,
-        drift=gain * (loads(runs, shape) @ fit.linear),
+        pull=pull,
+        drift=pull * (loads(runs, shape) @ fit.linear),
         density=density,
         place=runs.place,
         group=groups[runs.place],
@@ -141,7 +141,7 @@ def _filtered(
         m, xm = np.where(fresh, 0.0, m), np.where(fresh, 0.0, xm)
         mm = np.where(fresh, scatter[steps.place[knots]] ** 2, mm)
         # The prediction, by the step's own closed form.
-        a, p = steps.decay[knots][:, None], steps.gain[knots][:, None]
+        a, p = steps.decay[knots][:, None], steps.pull[knots][:, None]
         added = steps.density[knots][:, None] * process[steps.group[knots]] ** 2
         x = a * x + p * m + steps.drift[knots][:, None]
         xx, xm = a * a * xx + 2 * a * p * xm + p * p * mm + added, a * xm + p * mm
@@ -194,7 +194,7 @@ def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ah
     for _ in range(int((end - origin).max())):
         go = np.flatnonzero(at < end)
         knots = at[go] + 1
-        a, p = steps.decay[knots], steps.gain[knots]
+        a, p = steps.decay[knots], steps.pull[knots]
         left = steps.stay[knots] != steps.stay[at[go]]
         ended = go[left & ~still[go]]
         scatter[ended, steps.place[at[ended]]] += fresh[ended] ** 2

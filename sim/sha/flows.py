@@ -2,7 +2,7 @@
 
 Every flow without saturation is affine in the temperature and in the mode parameter: over a step of `dt` seconds,
 
-    X(t+dt) = decay * X(t) + gain * (m + offset) + noise,    noise ~ N(0, variance)
+    X(t+dt) = decay * X(t) + pull * (m + offset) + noise,    noise ~ N(0, variance)
 
 where offset = sum of input gain * (signal - reference) over the inputs (0 except for `driven`). One table row gives
 the three coefficients and the saturated mean map; simulator, filter and learner use these and nothing else.
@@ -40,7 +40,7 @@ class FlowKind:
     """One kind of flow: the names of its constants, its drift, its affine step and its step under a saturated rate.
 
     `drift(params, x, target, age)` -> degC/s at one instant; it never grows in size while the target stays.
-    `coefficients(params, age, dt)` -> (decay, gain, variance), all broadcast over `age` (s since entry) and `dt` (s).
+    `coefficients(params, age, dt)` -> (decay, pull, variance), all broadcast over `age` (s since entry) and `dt` (s).
     `saturated(params, x, target, age=, dt=, rate=)` -> the mean after `dt` with |drift| limited to `rate` (degC/s);
     `target` is m + offset.
     """
@@ -72,8 +72,8 @@ def _linear_saturated(
 def _relaxing(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
     # expm1 and not 1 - exp: with a slow plant and a short step k dt is 1e-5, of which 1 - exp would lose five digits.
     k = params["k"]
-    gain = -np.expm1(-k * dt)
-    return 1.0 - gain, gain, params["noise"] ** 2 * -np.expm1(-2.0 * k * dt) / (2.0 * k)
+    pull = -np.expm1(-k * dt)
+    return 1.0 - pull, pull, params["noise"] ** 2 * -np.expm1(-2.0 * k * dt) / (2.0 * k)
 
 
 def _relaxing_saturated(
@@ -142,7 +142,7 @@ def check_flow(flow: Flow) -> None:
 
 
 def coefficients(flow: Flow, age: ArrayLike, dt: ArrayLike) -> Coefficients:
-    """(decay, gain, variance) of an unsaturated step, broadcast over `age` and `dt` in seconds."""
+    """(decay, pull, variance) of an unsaturated step, broadcast over `age` and `dt` in seconds."""
     ages, steps = np.broadcast_arrays(np.asarray(age, dtype=float), np.asarray(dt, dtype=float))
     return FLOWS[flow.kind].coefficients(flow.params, ages, steps)
 
@@ -157,8 +157,8 @@ def mean_step(flow: Flow, x: ArrayLike, target: ArrayLike, *, age: ArrayLike, dt
     )
     if isfinite(max_rate):
         return np.asarray(FLOWS[flow.kind].saturated(flow.params, xs, targets, age=ages, dt=steps, rate=max_rate))
-    decay, gain, _ = FLOWS[flow.kind].coefficients(flow.params, ages, steps)
-    return np.asarray(decay * xs + gain * targets)
+    decay, pull, _ = FLOWS[flow.kind].coefficients(flow.params, ages, steps)
+    return np.asarray(decay * xs + pull * targets)
 
 
 def drift(flow: Flow, x: ArrayLike, target: ArrayLike, age: ArrayLike) -> Array:

@@ -386,14 +386,14 @@ def _level_errors(runs: FreeRuns, held: Mask) -> Array:
 
 def _motion(runs: FreeRuns, shape: FitShape, fit: LinearFit, rates: Array) -> Motion:
     """The fitted flow's step at every knot, and what the gains add to its target."""
-    decay, gain = steps(runs, shape, np.log(rates))
+    decay, pull = steps(runs, shape, np.log(rates))
     decay = np.where(runs.first, 1.0, decay)
     offset = np.zeros(len(runs))
     for number in range(shape.gain.shape[1]):
         column = shape.gain[runs.place, number]
         input_gain = np.where(column >= 0, fit.linear[column], 0.0)
         offset += input_gain * np.nan_to_num(runs.inputs[:, number] - shape.reference[runs.place, number])
-    return Motion(decay, gain, offset)
+    return Motion(decay, pull, offset)
 
 
 def flows_of(flowing: Flowing, teacher: Teacher) -> tuple[Motion, dict[str, Flow]]:

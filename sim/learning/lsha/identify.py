@@ -116,8 +116,8 @@ def _compared(gain: Array, kind: str) -> tuple[float, float, str]:
 
 
 def _uniform(runs: FreeRuns, flow: Flow) -> Motion:
-    decay, gain, _ = coefficients(flow, runs.age, runs.dt)
-    return Motion(decay, gain, np.zeros(len(runs)))
+    decay, pull, _ = coefficients(flow, runs.age, runs.dt)
+    return Motion(decay, pull, np.zeros(len(runs)))
 
 
 def _log_squares(runs: FreeRuns, motion: Motion) -> tuple[Array, Array, Indices]:

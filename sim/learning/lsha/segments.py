@@ -42,7 +42,7 @@ class Motion:
     """(n,) per knot: the affine step under the flow that is assumed, and what inputs add to the target."""
 
     decay: Array
-    gain: Array
+    pull: Array
     offset: Array
 
 
@@ -106,8 +106,8 @@ def stay_fits(runs: FreeRuns, motion: Motion) -> tuple[Array, Array, Array, Arra
     # that a unit of a stay's start temperature and of its m would make.
     inside = np.where(begins, 0.0, motion.decay)
     start = linear_recursion(inside, np.where(begins, motion.decay, 0.0), 0.0)
-    mode = linear_recursion(inside, motion.gain, 0.0)
-    pushed = linear_recursion(inside, motion.gain * motion.offset, 0.0)
+    mode = linear_recursion(inside, motion.pull, 0.0)
+    pushed = linear_recursion(inside, motion.pull * motion.offset, 0.0)
     stay, begin = np.cumsum(begins) - 1, np.flatnonzero(begins)
     entry = begin[~runs.first[begin]]  # stays that go on from the knot before: its reading is at their beginning
     known, before = np.isfinite(runs.reading), np.isfinite(runs.reading[entry - 1])
