@@ -44,13 +44,13 @@ def check_hashes(directory: Path) -> None:
     hashes = listed(manifest)
     for name, expected in hashes.items():
         try:
-            found = sha256((directory / name).read_bytes())
+            digest = sha256((directory / name).read_bytes())
         except OSError as error:
             sentence = f"the manifest lists this file, but it cannot be read ({error.strerror}); write the model again"
             raise at(directory / name, None, sentence) from None
-        if found != expected:
+        if digest != expected:
             sentence = (
-                f"its content has changed since it was written (SHA-256 {found[:12]}, manifest {expected[:12]}); "
+                f"its content has changed since it was written (SHA-256 {digest[:12]}, manifest {expected[:12]}); "
                 "restore the file, or write the model again"
             )
             raise at(directory / name, None, sentence)

@@ -272,7 +272,7 @@ def _effect_of(node: JsonNode) -> Effect:
         node.get("kind").text(),
         node.get("params").table(JsonNode.number),
         node.get("signals").table(JsonNode.text),
-        tuple(one.text() for one in node.get("locations").each()),
+        tuple(item.text() for item in node.get("locations").each()),
         node.get("event").text(),
     )
     try:
@@ -327,8 +327,8 @@ def _channel_of(node: JsonNode) -> Switch | Bins:
     if kind != "bins":
         raise node.get("kind").error(f"the channel {kind!r} is unknown; known are switch, bins")
     node.only(("kind", "signal", "thresholds", "symbols", "hysteresis", "on_change"))
-    thresholds = tuple(one.number() for one in node.get("thresholds").each())
-    symbols = tuple(one.text() for one in node.get("symbols").each())
+    thresholds = tuple(item.number() for item in node.get("thresholds").each())
+    symbols = tuple(item.text() for item in node.get("symbols").each())
     if len(symbols) != len(thresholds) + 1:
         raise node.error(f"{len(thresholds)} thresholds need {len(thresholds) + 1} symbols, here are {len(symbols)}")
     return Bins(signal, thresholds, symbols, node.get("hysteresis").number(), on_change)
@@ -404,7 +404,7 @@ def _provenance_of(node: JsonNode) -> Provenance:
     return Provenance(
         method=node.get("method").text(),
         data_hash=node.get("data_hash").text(),
-        traces=tuple(one.text() for one in node.get("traces").each()),
+        traces=tuple(item.text() for item in node.get("traces").each()),
         synthetic=node.get("synthetic").flag(),
         settings=node.get("settings").table(_setting_of),
         scores=node.get("scores").table(JsonNode.number),

@@ -100,7 +100,7 @@ def promote(store: Path, version: str, force: Force | None = None) -> None:
         with locked(store):
             if reason and force is not None:
                 # The record goes first: a kill between the two leaves a reason without a promotion, never the reverse.
-                known = {name: asdict(one) for name, one in _forces(store).items()}
+                known = {name: asdict(record) for name, record in _forces(store).items()}
                 replace_durably(store / FORCED, json.dumps(known | {version: asdict(force)}, indent=2) + "\n")
             replace_durably(store / CURRENT, version + "\n")
     except OSError as error:

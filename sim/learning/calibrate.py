@@ -117,16 +117,16 @@ def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
     """
     table = []
     for horizon in HORIZONS:
-        mine = sorted((forecast for forecast in scored if forecast.horizon == horizon), key=lambda each: each.due)
-        if not mine:
+        forecasts = sorted((forecast for forecast in scored if forecast.horizon == horizon), key=lambda each: each.due)
+        if not forecasts:
             continue
-        due, z = np.array([each.due for each in mine]), np.array([each.z for each in mine])
+        due, z = np.array([each.due for each in forecasts]), np.array([each.z for each in forecasts])
         # The span that the forecasts cover, gaps cut to one horizon: beyond that they have nothing in common anyway.
         independent = 1.0 + float(np.minimum(np.diff(due), horizon).sum()) / horizon
         level = min(0.9 * (1.0 + 1.0 / independent), 0.97)
         seen = min(max(float(np.quantile(z, level)) / _Z90, LEAST), MOST)
         factor = exp((independent * log(seen) + SURE * log(UNSURE)) / (independent + SURE))
-        table.append(Coverage(horizon, len(mine), independent, float(np.mean(z <= _Z90)), factor))
+        table.append(Coverage(horizon, len(forecasts), independent, float(np.mean(z <= _Z90)), factor))
     return tuple(table)
 
 

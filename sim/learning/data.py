@@ -42,12 +42,12 @@ def without_spikes(readings: Array, step: float) -> Array:
     deviations of that difference (Hampel's rule with one scale for the whole trace, and never less than the sensor's
     `step` and the usual change from one reading to the next). A lasting jump is kept: the median follows it.
     """
-    there = np.flatnonzero(np.isfinite(readings))
-    if there.size < SPIKE_WINDOW:
+    finite = np.flatnonzero(np.isfinite(readings))
+    if finite.size < SPIKE_WINDOW:
         return readings
-    values = readings[there]
+    values = readings[finite]
     off = np.abs(values - median_filter(values, size=SPIKE_WINDOW, mode="nearest"))
     scale = max(1.4826 * float(np.median(off)), float(np.median(np.abs(np.diff(values)))), step, 1e-3)
     cleaned = readings.copy()
-    cleaned[there[off > SPIKE_LIMIT * scale]] = np.nan
+    cleaned[finite[off > SPIKE_LIMIT * scale]] = np.nan
     return cleaned

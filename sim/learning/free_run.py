@@ -220,9 +220,9 @@ def _sensitivity(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:
     before = np.concatenate([[0.0], solved.mean[:-1]])
     groups = np.append(shape.rate, -1)[runs.place]
     up, down = (steps(runs, shape, log_rates + sign * step) for sign in (1, -1))
-    push = ((up[0] - down[0]) * before + (up[1] - down[1]) * target) / (2 * step)
-    pushes = np.where(groups[:, None] == np.arange(log_rates.size), push[:, None], 0.0)
-    return np.asarray(linear_recursion(solved.decay[:, None], pushes, np.zeros(log_rates.size))[problem.rows])
+    forcing = ((up[0] - down[0]) * before + (up[1] - down[1]) * target) / (2 * step)
+    forcings = np.where(groups[:, None] == np.arange(log_rates.size), forcing[:, None], 0.0)
+    return np.asarray(linear_recursion(solved.decay[:, None], forcings, np.zeros(log_rates.size))[problem.rows])
 
 
 def _stacked(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:

@@ -74,14 +74,14 @@ def cross_validate(runs: FreeRuns, shape: FitShape, begin: Array, *, fixed: bool
     order = np.cumsum(runs.first) - 1
     mean = np.full(len(runs), np.nan)
     for held in range(min(FOLDS, int(order[-1]) + 1)):
-        mine = order % FOLDS == held
-        rest = runs.where(~mine)
+        in_fold = order % FOLDS == held
+        rest = runs.where(~in_fold)
         if fixed:
             at_rates = fit_at_rates(rest, shape, begin)
-            mean[mine] = predict(runs.where(mine), shape, at_rates.linear, begin, at_rates.sigma)
+            mean[in_fold] = predict(runs.where(in_fold), shape, at_rates.linear, begin, at_rates.sigma)
         else:
             fit = fit_free_run(rest, shape, begin=begin)
-            mean[mine] = predict(runs.where(mine), shape, fit.linear, fit.rates, fit.sigma)
+            mean[in_fold] = predict(runs.where(in_fold), shape, fit.linear, fit.rates, fit.sigma)
     rows = np.flatnonzero(np.isfinite(runs.reading))
     return HeldOutErrors((runs.reading - mean)[rows], np.unique(order[rows], return_inverse=True)[1])
 

@@ -189,10 +189,10 @@ def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ah
     known = np.flatnonzero(np.isfinite(steps.reading))
     of_runs: list[Indices] = []
     for run in np.unique(steps.run[known]):
-        mine = known[steps.run[known] == run]
-        outcome = np.searchsorted(steps.time[mine], steps.time[mine] + horizon)
-        inside = outcome < mine.size
-        of_runs.append(np.column_stack([mine[inside], mine[outcome[inside]]]))
+        of_run = known[steps.run[known] == run]
+        outcome = np.searchsorted(steps.time[of_run], steps.time[of_run] + horizon)
+        inside = outcome < of_run.size
+        of_runs.append(np.column_stack([of_run[inside], of_run[outcome[inside]]]))
     pairs = np.concatenate(of_runs)
     # After a gap the next reading may come much later: that would be another horizon.
     pairs = pairs[steps.time[pairs[:, 1]] - steps.time[pairs[:, 0]] <= 1.2 * horizon]
@@ -209,21 +209,21 @@ def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ah
     at, still = origin.copy(), np.ones(size, dtype=bool)
     for _ in range(int((end - origin).max())):
         go = np.flatnonzero(at < end)
-        here = at[go] + 1
-        a, p = steps.decay[here], steps.pull[here]
-        left = steps.stay[here] != steps.stay[at[go]]
-        gone = go[left & ~still[go]]
-        scatter[gone, steps.place[at[gone]]] += fresh[gone] ** 2
+        knots = at[go] + 1
+        a, p = steps.decay[knots], steps.pull[knots]
+        left = steps.stay[knots] != steps.stay[at[go]]
+        ended = go[left & ~still[go]]
+        scatter[ended, steps.place[at[ended]]] += fresh[ended] ** 2
         fresh[go[left]] = 0.0
         still[go[left]] = False
         decay[go] *= a
         own[go] = a * own[go] + np.where(still[go], p, 0.0)
         fresh[go] = a * fresh[go] + np.where(still[go], 0.0, p)
-        drift[go] = a * drift[go] + steps.drift[here]
+        drift[go] = a * drift[go] + steps.drift[knots]
         process[go] *= a[:, None] ** 2
-        process[go, steps.group[here]] += steps.density[here]
+        process[go, steps.group[knots]] += steps.density[knots]
         scatter[go] *= a[:, None] ** 2
-        at[go] = here
+        at[go] = knots
     scatter[np.arange(size), steps.place[end]] += fresh**2
     return _Ahead(
         horizon=horizon,
@@ -359,8 +359,8 @@ def drift_noise(runs: FreeRuns) -> float:
     squares: list[float] = []
     # A random walk's variance grows with time, so a squared change counts by the second that it took.
     for number in np.unique(run):
-        mine = run == number
-        at, value = time[mine], reading[mine]
+        of_run = run == number
+        at, value = time[of_run], reading[of_run]
         span = min(DRIFT_SPAN, float(at[-1] - at[0]))
         later = np.minimum(np.searchsorted(at, at + span), at.size - 1)
         whole = at[later] - at >= span

@@ -47,7 +47,7 @@ def refit(
 
     Raises LearningError when the traces do not fit the automaton or leave nothing to fit.
     """
-    signals = tuple(dict.fromkeys(given.signal for location in sha.locations for given in location.flow.inputs))
+    signals = tuple(dict.fromkeys(driver.signal for location in sha.locations for driver in location.flow.inputs))
     moving = np.array([location.flow.kind != "constant" for location in sha.locations])
     runs = sampled(
         free_runs(traces, sha, temperature, signals=signals, modelled=moving, rising=rising, cycle=cycle), BUDGET

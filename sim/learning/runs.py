@@ -86,23 +86,23 @@ def _of_trace(
     """The runs of one trace with its cleaned `reading`; raises LearningError where an event has no edge."""
     # The way through the locations: `places[i]` and `entered[i]` hold after i events.
     index = {location.name: place for place, location in enumerate(sha.locations)}
-    here, since = sha.initial, float(trace.times[0])
-    places, entered, broken, started = [index[here]], [since], list[float](), list[float]()
+    location, since = sha.initial, float(trace.times[0])
+    places, entered, broken, started = [index[location]], [since], list[float](), list[float]()
     for number, event in enumerate(trace.events):
-        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
+        target = sha.initial if event.symbol == UNKNOWN else moves.get((location, event.symbol))
         if target is None:
             raise LearningError(
-                f"trace {trace.name!r}: event {number} ({event.symbol!r}) has no edge from location {here!r}, so the "
-                f"trace cannot be followed through SHA {sha.name!r}"
+                f"trace {trace.name!r}: event {number} ({event.symbol!r}) has no edge from location {location!r}, so "
+                f"the trace cannot be followed through SHA {sha.name!r}"
             )
         if event.symbol == UNKNOWN:
             broken.append(event.time)
         elif event.symbol == rising:
             started.append(event.time)
         # An announcement that changes nothing begins no stay: its m and its age go on.
-        if target != here:
-            here, since = target, event.time
-        places.append(index[here])
+        if target != location:
+            location, since = target, event.time
+        places.append(index[location])
         entered.append(since)
     happened = np.array([event.time for event in trace.events], dtype=float)
     # Events between rows become knots without a reading, so that no step has an event inside.

@@ -53,24 +53,24 @@ def sojourns(model: Model | Tracker, trace: Trace) -> tuple[Sojourn, ...]:
     tracker = compiled(model)
     if not trace.times.size:
         raise ValueError(f"trace {trace.name!r} has no rows")
-    here, since, gap = tracker.model.sha.initial, float(trace.times[0]), False
+    location, since, gap = tracker.model.sha.initial, float(trace.times[0]), False
     stays: list[Sojourn] = []
     for event in trace.events:
-        target, _ = next_location(tracker, here, event.symbol)
+        target, _ = next_location(tracker, location, event.symbol)
         if target is None:
             continue
         lost = event.symbol == UNKNOWN
         if event.time > since:
-            stays.append(Sojourn(here, since, event.time, None if lost else target, gap))
+            stays.append(Sojourn(location, since, event.time, None if lost else target, gap))
             since = event.time
         elif stays and stays[-1].end == since:
             # The plant moves on at the very instant at which the newest stay ended: that one leads to where the last
             # of these moves ends. Unless it was cut off by an UNKNOWN: what is announced after that follows from it.
             last = stays[-1]
             stays[-1] = replace(last, to=None if lost or last.to is None else target)
-        here, gap = target, lost
+        location, gap = target, lost
     end = float(trace.times[-1])
-    return (*stays, Sojourn(here, since, end, None, gap)) if end > since else tuple(stays)
+    return (*stays, Sojourn(location, since, end, None, gap)) if end > since else tuple(stays)
 
 
 def fit_law(lengths: Sequence[float], ended: Sequence[bool], typical: float) -> Distribution:
@@ -199,7 +199,7 @@ def _inputs(
     Both are weighted by the stays' lengths. With a single stay the deviation is that inside it.
     """
     moments = {}
-    own = [given.signal for given in tracker.modes[location].location.flow.inputs]
+    own = [driver.signal for driver in tracker.modes[location].location.flow.inputs]
     for signal in dict.fromkeys([*own, *signals_of(tracker.model.sha, location)]):
         # By the trace's identity: traces are compared by their arrays, and two may have one name.
         read: dict[int, tuple[Array, Array]] = {}

@@ -110,10 +110,10 @@ def reference(context: Context, alphabet: Alphabet, signal: str) -> float:
     return 0.0
 
 
-def distance(one: Context, other: Context, alphabet: Alphabet) -> int:
+def distance(context: Context, other: Context, alphabet: Alphabet) -> int:
     """How far apart two locations are: bins count by their difference, a switch for ten bins, not knowing for one."""
     total = 0
-    for a, b, channel in zip(one, other, alphabet.channels, strict=True):
+    for a, b, channel in zip(context, other, alphabet.channels, strict=True):
         if a == b:
             continue
         if a is None or b is None:

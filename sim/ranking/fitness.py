@@ -43,11 +43,11 @@ class FitnessLimits:
             raise ValueError("the limits of clamps, rejecting and unseen are counts: 0 or more")
 
 
-def limits_of(given: Iterable[tuple[str, str]], *, synthetic: bool = False) -> FitnessLimits:
+def limits_of(pairs: Iterable[tuple[str, str]], *, synthetic: bool = False) -> FitnessLimits:
     """Limits from (name, number as text). Raises ValueError for unknown names and for what is no such number."""
     names = [limit.name for limit in fields(FitnessLimits) if limit.name != "synthetic"]
     values: dict[str, float] = {}
-    for name, text in given:
+    for name, text in pairs:
         if name not in names:
             raise ValueError(f"there is no limit {name!r}; there are {', '.join(names)}")
         try:

@@ -209,14 +209,14 @@ def _pairs(names: Sequence[str], scores: Mapping[str, Mapping[str, float]], seed
     couples = list(combinations(names, 2))
     rng = np.random.default_rng(seed)
     differences = []
-    for one, other in couples:
-        shared = [trace for trace in scores[one] if trace in scores[other]]
-        differences.append(np.array([scores[one][trace] - scores[other][trace] for trace in shared]))
+    for first, second in couples:
+        shared = [trace for trace in scores[first] if trace in scores[second]]
+        differences.append(np.array([scores[first][trace] - scores[second][trace] for trace in shared]))
     tests = [paired(values, rng) for values in differences]
     # Corrected over all pairs at once, so this cannot be done pair by pair.
     corrected = holm([1.0 if test.n == 0 else test.p for test in tests])
     pairs = []
-    for (one, other), values, test, p in zip(couples, differences, tests, corrected, strict=True):
+    for (first, second), values, test, p in zip(couples, differences, tests, corrected, strict=True):
         below, above, ties = int((values < 0).sum()), int((values > 0).sum()), int((values == 0).sum())
         better = None
         if test.n and len(couples) * test.least > LEVEL:
@@ -231,14 +231,14 @@ def _pairs(names: Sequence[str], scores: Mapping[str, Mapping[str, float]], seed
             sentence = "nothing can be told: they have no trace in common"
         elif p < LEVEL and test.excludes_zero:
             # Both: the signed-rank test knows only order and sign, the interval only the mean.
-            better, worse = (one, other) if test.mean < 0 else (other, one)
+            better, worse = (first, second) if test.mean < 0 else (second, first)
             sentence = f"{better} is better than {worse}"
         else:
             sentence = "not told apart"
         pairs.append(
             Pair(
-                one=one,
-                other=other,
+                one=first,
+                other=second,
                 difference=test,
                 p=p,
                 better=better,

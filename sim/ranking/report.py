@@ -118,8 +118,8 @@ def win_matrix(ranking: Ranking) -> tuple[tuple[str, ...], Array]:
     matrix = np.full((len(names), len(names)), np.nan)
     for pair in ranking.pairs:
         if pair.difference.n:
-            one, other = place[pair.one], place[pair.other]
-            matrix[one, other], matrix[other, one] = pair.wins
+            row, column = place[pair.one], place[pair.other]
+            matrix[row, column], matrix[column, row] = pair.wins
     return names, matrix
 
 

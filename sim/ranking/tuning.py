@@ -89,12 +89,12 @@ class Tuning:
 
 @dataclass(frozen=True, slots=True)
 class FoldJob:
-    """One fold of one trial, for a worker process: learn from `task`, score on `asked`."""
+    """One fold of one trial, for a worker process: learn from `task`, score on `left_out`."""
 
     method: Method
     settings: Settings
     task: Task
-    asked: Sequence[Trace]
+    left_out: Sequence[Trace]
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,9 +186,9 @@ class _TuningSearch:
         jobs = []
         for held in map(set, self.parts):
             known = [trace for place, trace in enumerate(self.traces) if place not in held]
-            asked = [trace for place, trace in enumerate(self.traces) if place in held]
+            left_out = [trace for place, trace in enumerate(self.traces) if place in held]
             task = Task(_silent(known), self.alphabet, self.temperature, self.plan.seed)
-            jobs.append(FoldJob(method_of(self.plan.method), settings, task, _silent(asked)))
+            jobs.append(FoldJob(method_of(self.plan.method), settings, task, _silent(left_out)))
         return jobs
 
 
@@ -204,16 +204,16 @@ def _run(study: "Study", search: _TuningSearch, trials: int, progress: Progress)
     # nothing of one another. With pruning it is one, and `jobs` of its folds are worked through at a time.
     together = 1 if search.prune else max(1, search.jobs // len(search.parts))
     while (done := len(over := finished_trials(study))) < trials:
-        asked = [ask(study, space, done + extra, search.plan.seed) for extra in range(min(together, trials - done))]
+        suggested = [ask(study, space, done + extra, search.plan.seed) for extra in range(min(together, trials - done))]
         values = [trial.value for trial in over if trial.value is not None and trial.state.name == "COMPLETE"]
         best = f", best so far {min(values):.4g}" if values else ""
         progress(f"trial {done + 1} of {trials}{best}", done / trials)
         if search.prune:
-            _tell(study, asked[0], _pruned_run(asked[0], search), search)
+            _tell(study, suggested[0], _pruned_run(suggested[0], search), search)
             continue
-        work = [job for trial in asked for job in search.fold_jobs(trial.params)]
+        work = [job for trial in suggested for job in search.fold_jobs(trial.params)]
         results = list(parallel(run_fold, work, search.jobs))
-        for place, trial in enumerate(asked):
+        for place, trial in enumerate(suggested):
             own = results[place * len(search.parts) : (place + 1) * len(search.parts)]
             _tell(study, trial, own, search)
 
@@ -239,7 +239,7 @@ def run_fold(job: FoldJob) -> FoldResult:
     begin = perf_counter()
     try:
         model = job.method.learn(job.task, job.settings).model
-        scores = tuple(held_out(model, trace) for trace in job.asked)
+        scores = tuple(held_out(model, trace) for trace in job.left_out)
     except TROUBLE as error:
         return FoldResult((), perf_counter() - begin, str(error) or type(error).__name__)
     unusable = next((score.trace for score in scores if not isfinite(score.crps + score.log_likelihood)), None)

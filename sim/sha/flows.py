@@ -4,7 +4,7 @@ Every flow without saturation is affine in the temperature and in the mode param
 
     X(t+dt) = decay * X(t) + pull * (m + offset) + noise,    noise ~ N(0, variance)
 
-where offset = sum of gain * (signal - reference) over the flow's inputs (0 except for `driven`). One table row gives
+where offset = sum of input gain * (signal - reference) over the inputs (0 except for `driven`). One table row gives
 the three coefficients and the saturated mean map; simulator, filter and learner use these and nothing else.
 """
 

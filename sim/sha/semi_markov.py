@@ -92,11 +92,11 @@ def draw_paths(
     # Stays are drawn in blocks, because a jump of all runs costs the same whether few of them need it or all: first
     # where the next _BLOCK jumps of the embedded chain lead, then how long each stay lasts, location by location.
     while count < MOST_STAYS and np.any(left < horizon):
-        here, u = places[-1][-1], rng.random((_BLOCK, runs))
+        current, u = places[-1][-1], rng.random((_BLOCK, runs))
         block = np.empty(u.shape, dtype=np.intp)
         for row in range(_BLOCK):
-            here = (u[row][:, None] >= chain.cumulative[here]).sum(axis=1)
-            block[row] = here
+            current = (u[row][:, None] >= chain.cumulative[current]).sum(axis=1)
+            block[row] = current
         lasts = np.full(block.shape, np.inf)
         for index, next_law in enumerate(chain.laws):
             if next_law is not None:

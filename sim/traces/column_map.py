@@ -210,7 +210,7 @@ class ColumnMap(_MapPart):
         if self.temperature not in self.signals:
             raise ValueError(f"temperature names {self.temperature!r}; it must be one of {', '.join(self.signals)}")
         for name, derived in self.derived.items():
-            strange = [one for one in derived.sources if one not in self.signals]
+            strange = [source for source in derived.sources if source not in self.signals]
             if strange:
                 raise ValueError(f"derived.{name} needs {strange[0]!r}; it must be one of {', '.join(self.signals)}")
         self._check_roles()

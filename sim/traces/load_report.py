@@ -137,5 +137,5 @@ class LoadReport:
 
 def listed(names: Iterable[str], limit: int = 30) -> str:
     """Names for a sentence, the first `limit` of them."""
-    given = list(names)
-    return ", ".join(given[:limit]) + (f" and {len(given) - limit} more" if len(given) > limit else "")
+    all_names = list(names)
+    return ", ".join(all_names[:limit]) + (f" and {len(all_names) - limit} more" if len(all_names) > limit else "")

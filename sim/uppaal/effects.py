@@ -156,7 +156,8 @@ class _Writer:
 
     def _steps(self) -> tuple[tuple[str, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
         steps = sorted(
-            (one.params["at"] - self.clocks.start, one.params["size"]) for one in of_feature(self.sha, "sensor offset")
+            (effect.params["at"] - self.clocks.start, effect.params["size"])
+            for effect in of_feature(self.sha, "sensor offset")
         )
         if not steps:
             return (), ()

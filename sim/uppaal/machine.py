@@ -201,7 +201,10 @@ def machine(
             place, text = names.locations[name], joined(*each.leave, *more.settled, f"{known.since} = 0")
             arrows.append(Arrow(place, place, guard=f"{known.since} >= {known.tick}", update=text))
         arrows += more.loops(names.locations[name])
-    comments = [f"// {names.locations[one.name]}: {comment_text(one.name)}, {one.flow.kind}" for one in sha.locations]
+    comments = [
+        f"// {names.locations[location.name]}: {comment_text(location.name)}, {location.flow.kind}"
+        for location in sha.locations
+    ]
     constants = [
         line for comment, each in zip(comments, parts.values(), strict=True) for line in (comment, *each.constants)
     ]

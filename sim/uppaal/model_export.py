@@ -17,7 +17,7 @@ from sim.uppaal.effects import refused as refused_effects
 from sim.uppaal.layout import in_a_row, on_a_circle
 from sim.uppaal.machine import Beginning, Move, machine, variables
 from sim.uppaal.players import event_arrays, input_declarations, input_player, player, skeleton
-from sim.uppaal.queries import asked, compatibility, default_questions, query_file
+from sim.uppaal.queries import compatibility, default_questions, query_file, questions_of
 from sim.uppaal.replay import ReplayedTrace, replay_of
 from sim.uppaal.rules import check_rules
 from sim.uppaal.words import FreshNames, spelled
@@ -77,7 +77,7 @@ def export(
         declined = refused_effects(model.sha, tick, replay.passed_over)
         if declined:
             raise ExportError(f"model {model.sha.name!r} cannot be exported along trace {trace.name!r}: {declined}")
-        more, skeletal = asked(formulas, model)
+        more, skeletal = questions_of(formulas, model)
         peak = float(np.max(open_loop(model, trace, policy, start).mean))
         main = _main(model, replay, tick, (*default_questions(replay, float(ceil(peak))), *more))
         minimal = _minimal(model, replay, (compatibility(), *skeletal))
@@ -118,7 +118,7 @@ def base_name(model: str, trace: str) -> str:
 def _main(model: Model, replay: ReplayedTrace, tick: int, questions: tuple[ExportedQuery, ...]) -> Document:
     sha = model.sha
     names = FreshNames(location.name for location in sha.locations)
-    driving = {given.signal for location in sha.locations for given in location.flow.inputs}
+    driving = {driver.signal for location in sha.locations for driver in location.flow.inputs}
     known = variables(names, sorted(driving | {*signals_of(sha)}))
     channels = _channels(model, replay.symbols, names)
     moves = [*_edges(sha, channels), *((source, channels[symbol], target) for source, symbol, target in replay.added)]

@@ -40,7 +40,7 @@ def default_questions(replay: ReplayedTrace, peak: float) -> tuple[ExportedQuery
     return tuple(questions)
 
 
-def asked(texts: Sequence[str], model: Model) -> tuple[tuple[ExportedQuery, ...], tuple[ExportedQuery, ...]]:
+def questions_of(texts: Sequence[str], model: Model) -> tuple[tuple[ExportedQuery, ...], tuple[ExportedQuery, ...]]:
     """Queries in the program's own language (docs/queries.md) as (main, minimal) questions of the export.
 
     Symbolic ones go to the minimal model, since UPPAAL decides none over hybrid clocks. A query about the players or

@@ -77,20 +77,20 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
     law = start_law(model, trace, start)
     # Under a dead time the model follows events and readings when they are felt, so the exported arrays have them then.
     begin, end = steps.start, float(steps.times[-1])
-    felt, delay = trace, dead_time(model.sha)
+    delayed, delay = trace, dead_time(model.sha)
     if delay:
         later = tuple(Event(event.time + delay, event.symbol) for event in trace.events)
-        felt = replace(trace, times=trace.times + delay, events=later)
-    events = [event for event in felt.events if begin <= event.time <= end]
-    added, passed_over = _moves(model.sha, felt.events, begin, end, policy)
+        delayed = replace(trace, times=trace.times + delay, events=later)
+    events = [event for event in delayed.events if begin <= event.time <= end]
+    added, passed_over = _moves(model.sha, delayed.events, begin, end, policy)
     # Whether every event has an edge; UNKNOWN always leads to the initial location.
-    onward, here, accepted = transitions(model.sha), model.sha.initial, True
+    onward, location, accepted = transitions(model.sha), model.sha.initial, True
     for event in trace.events:
-        target = model.sha.initial if event.symbol == UNKNOWN else onward.get((here, event.symbol))
+        target = model.sha.initial if event.symbol == UNKNOWN else onward.get((location, event.symbol))
         if target is None:
             accepted = False
             break
-        here = target
+        location = target
     since = () if steps.segments is None else tuple(float(column[0]) for column in steps.segments.since)
     return ReplayedTrace(
         trace=trace.name,
@@ -100,7 +100,7 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
         times=tuple(round(event.time - begin, DIGITS) for event in events),
         symbols=tuple(event.symbol for event in events),
         duration=round(end - begin, DIGITS),
-        readings=_readings(model, felt, begin, end),
+        readings=_readings(model, delayed, begin, end),
         added=added,
         dropped=len(passed_over),
         passed_over=passed_over,
@@ -114,27 +114,27 @@ def _moves(
     sha: SHA, events: Sequence[Event], begin: float, end: float, policy: Policy
 ) -> tuple[tuple[tuple[str, str, str], ...], tuple[str, ...]]:
     """The moves between `begin` and `end` for which the automaton has no edge, and the events passed over."""
-    moves, fallback, here = transitions(sha), resync_targets(sha), sha.initial
+    moves, fallback, location = transitions(sha), resync_targets(sha), sha.initial
     added: dict[tuple[str, str, str], None] = {}
     dropped: list[str] = []
     for event in events:
         if event.time > end:
             break
-        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
+        target = sha.initial if event.symbol == UNKNOWN else moves.get((location, event.symbol))
         if target is None:
             if policy == "ignore":
                 dropped += [event.symbol] if event.time >= begin else []
                 continue
             target = fallback.get(event.symbol, sha.initial)
-        if event.time >= begin and (event.symbol == UNKNOWN or (here, event.symbol) not in moves):
-            added[here, event.symbol, target] = None
-        here = target
+        if event.time >= begin and (event.symbol == UNKNOWN or (location, event.symbol) not in moves):
+            added[location, event.symbol, target] = None
+        location = target
     return tuple(added), tuple(dropped)
 
 
 def _readings(model: Model, trace: Trace, begin: float, end: float) -> InputReadings:
     """The rows in which a reading of a driving signal changed, from `begin` on."""
-    driving = {one.signal for location in model.sha.locations for one in location.flow.inputs}
+    driving = {driver.signal for location in model.sha.locations for driver in location.flow.inputs}
     signals = sorted(driving | {*signals_of(model.sha)})
     present = [signal for signal in signals if signal in trace.signals]
     rows = np.flatnonzero((trace.times > begin) & (trace.times < end))
@@ -143,9 +143,9 @@ def _readings(model: Model, trace: Trace, begin: float, end: float) -> InputRead
     wanted = np.zeros(rows.size, dtype=bool)
     for signal in present:
         # Each reading until the next one, NaN before the first: `last` is the latest row that was read, -1 before.
-        given = trace.signals[signal]
-        last = np.maximum.accumulate(np.where(np.isnan(given), -1, np.arange(given.size)))
-        column = np.where(last < 0, np.nan, given[last])
+        values = trace.signals[signal]
+        last = np.maximum.accumulate(np.where(np.isnan(values), -1, np.arange(values.size)))
+        column = np.where(last < 0, np.nan, values[last])
         before = int(np.searchsorted(trace.times, begin, side="right")) - 1
         now = column[before] if before >= 0 else np.nan
         if not np.isnan(now):

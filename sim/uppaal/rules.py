@@ -98,49 +98,56 @@ def _bare(text: str) -> str:
 
 def _structure(document: _Document) -> list[str]:
     """Every reference leads to a location, every template starts somewhere, each id and name stands once."""
-    found = []
+    sentences = []
     for template in document.root.iterfind("template"):
         name = template.findtext("name")
         ids = [location.get("id") for location in template.iterfind("location")]
-        names = [text for one in template.iterfind("location/name") if (text := one.text)]
+        names = [text for element in template.iterfind("location/name") if (text := element.text)]
         references = [
-            one.get("ref") for one in (*template.iterfind("transition/source"), *template.iterfind("transition/target"))
+            end.get("ref") for end in (*template.iterfind("transition/source"), *template.iterfind("transition/target"))
         ]
         start = template.find("init")
         if start is None or start.get("ref") not in ids:
-            found.append(f"template {name} has no initial location among its own")
-        found += [
+            sentences.append(f"template {name} has no initial location among its own")
+        sentences += [
             f"template {name} has an edge to {ref!r}, which is no location" for ref in references if ref not in ids
         ]
-        found += [
-            f"template {name} has the location {one!r} twice"
-            for one in sorted({one for one in names if names.count(one) > 1})
+        sentences += [
+            f"template {name} has the location {repeated!r} twice"
+            for repeated in sorted({text for text in names if names.count(text) > 1})
         ]
-    every = [one.get("id") for one in document.root.iterfind("template/location")]
-    found += [f"the id {one!r} stands twice" for one in sorted({str(one) for one in every if every.count(one) > 1})]
+    every = [location.get("id") for location in document.root.iterfind("template/location")]
+    sentences += [
+        f"the id {repeated!r} stands twice"
+        for repeated in sorted({str(number) for number in every if every.count(number) > 1})
+    ]
     order = [child.tag for child in document.root]
     wanted = ["declaration", *["template"] * order.count("template"), "system", "queries"]
-    return found if order == wanted else [*found, f"the parts stand as {order}, and UPPAAL reads them as {wanted}"]
+    return (
+        sentences if order == wanted else [*sentences, f"the parts stand as {order}, and UPPAAL reads them as {wanted}"]
+    )
 
 
 def _words(document: _Document) -> list[str]:
     """No name is one of UPPAAL's words, and none is longer than older parsers read."""
-    names = [(where, one) for where, many in (*document.declared.items(), *document.locations.items()) for one in many]
-    wrong = [(where, one) for where, one in names if one in KEYWORDS | FUNCTIONS or len(one) > 63]
+    names = [
+        (where, name) for where, many in (*document.declared.items(), *document.locations.items()) for name in many
+    ]
+    wrong = [(where, name) for where, name in names if name in KEYWORDS | FUNCTIONS or len(name) > 63]
     return [
-        f"{where or 'global'} declares {one!r}, a word of UPPAAL or longer than 63 signs"
-        for where, one in sorted(wrong)
+        f"{where or 'global'} declares {name!r}, a word of UPPAAL or longer than 63 signs"
+        for where, name in sorted(wrong)
     ]
 
 
 def _ascii(document: _Document) -> list[str]:
-    bad = [one.where() for one in document.texts if not one.text.isascii()]
+    bad = [label.where() for label in document.texts if not label.text.isascii()]
     bad += [f"query {formula!r}" for formula in document.formulas if not formula.isascii()]
     return [f"{where} has signs other than ASCII; write <= and not its one-sign form" for where in bad]
 
 
 def _functions(document: _Document) -> list[str]:
-    texts = [(one.where(), one.text) for one in document.texts]
+    texts = [(label.where(), label.text) for label in document.texts]
     texts += [(f"query {formula!r}", formula) for formula in document.formulas]
     return [
         f"{where} calls min( or max(; UPPAAL has fmin and fmax"
@@ -151,107 +158,113 @@ def _functions(document: _Document) -> list[str]:
 
 def _known_names(document: _Document) -> list[str]:
     """Labels use only declared names and built-in functions."""
-    found = []
+    sentences = []
     for label in document.labels:
         known = document.declared[""] | document.declared[label.template] | FUNCTIONS | {"true", "false"}
         unknown = [
             name for name in _NAME.findall(label.text) if name not in known and not re.fullmatch(r"[eE]\d*", name)
         ]
         if unknown:
-            found.append(f"{label.where()} uses {unknown[0]!r}, which nothing declares")
-    return found
+            sentences.append(f"{label.where()} uses {unknown[0]!r}, which nothing declares")
+    return sentences
 
 
 def _literals(document: _Document) -> list[str]:
     """A double is written with a point: `1.0`, never `1`; nan and inf are no literals."""
-    found = []
-    for one in document.declarations:
-        for name, value in re.findall(r"\bdouble\s+(\w+)\s*(?:\[[^\]]*\])?\s*=\s*([^;]*);", one.text):
+    sentences = []
+    for declaration in document.declarations:
+        for name, value in re.findall(r"\bdouble\s+(\w+)\s*(?:\[[^\]]*\])?\s*=\s*([^;]*);", declaration.text):
             literals = [part.strip() for part in value.strip().strip("{}").split(",")]
             wrong = [
                 part for part in literals if not re.fullmatch(r"-?(?:\d+\.\d+(?:[eE][+-]?\d+)?|\d+[eE][+-]?\d+)", part)
             ]
-            found += [
+            sentences += [
                 f"the double {name} is given {part!r}; write a finite number with a point, as 1.0" for part in wrong[:1]
             ]
-    return found
+    return sentences
 
 
 def _draws(document: _Document) -> list[str]:
     """Random draws stand in updates only, and no normal has the width 0."""
-    found = [
-        f"{one.where()} draws a random number; only updates may"
-        for one in document.labels
-        if one.kind != "assignment" and "random" in one.text
+    sentences = [
+        f"{label.where()} draws a random number; only updates may"
+        for label in document.labels
+        if label.kind != "assignment" and "random" in label.text
     ]
-    found += [
-        f"{one.where()} declares a random number; only updates may draw"
-        for one in document.declarations
-        if "random" in one.text
+    sentences += [
+        f"{declaration.where()} declares a random number; only updates may draw"
+        for declaration in document.declarations
+        if "random" in declaration.text
     ]
-    zero = {name for one in document.declarations for name in re.findall(r"\b(\w+)\s*=\s*-?0\.0\s*;", one.text)}
-    for one in document.labels:
-        widths = re.findall(r"random_normal\(\s*[\w.+-]+\s*,\s*([\w.+-]+)\s*\)", one.text)
-        found += [
-            f"{one.where()} draws a normal of width 0"
+    zero = {
+        name
+        for declaration in document.declarations
+        for name in re.findall(r"\b(\w+)\s*=\s*-?0\.0\s*;", declaration.text)
+    }
+    for label in document.labels:
+        widths = re.findall(r"random_normal\(\s*[\w.+-]+\s*,\s*([\w.+-]+)\s*\)", label.text)
+        sentences += [
+            f"{label.where()} draws a normal of width 0"
             for width in widths
             if width in zero or re.fullmatch(r"0(?:\.0*)?", width)
         ]
-    return found
+    return sentences
 
 
 def _replayed_times(document: _Document) -> list[str]:
     """A clock that is reset at each event is compared with deltas, one that is not with cumulative times."""
-    found = []
+    sentences = []
     arrays = dict(re.findall(r"const\s+double\s+(\w+)\s*\[[^\]]*\]\s*=\s*\{([^}]*)\}", document.declarations[0].text))
     for template in document.locations:
-        own = [one for one in document.labels if one.template == template]
+        own = [label for label in document.labels if label.template == template]
         pairs = {
             pair
-            for one in own
-            if one.kind in ("guard", "invariant")
-            for pair in re.findall(r"\b(\w+)\s*[<>]=\s*(\w+)\s*\[", one.text)
+            for label in own
+            if label.kind in ("guard", "invariant")
+            for pair in re.findall(r"\b(\w+)\s*[<>]=\s*(\w+)\s*\[", label.text)
         }
         for clock, name in sorted(pairs):
-            reset = any(re.search(rf"(?<!\w){clock}\s*=(?!=)", one.text) for one in own if one.kind == "assignment")
+            reset = any(
+                re.search(rf"(?<!\w){clock}\s*=(?!=)", label.text) for label in own if label.kind == "assignment"
+            )
             values = [float(part) for part in arrays.get(name, "").split(",") if part.strip()]
             rising = all(first <= second for first, second in pairwise(values))
             if reset and name.endswith("_TIMES"):
-                found.append(
+                sentences.append(
                     f"{template} resets {clock} and compares it with the cumulative {name}; use deltas or no reset"
                 )
             elif not reset and (name.endswith("_DELTAS") or not rising):
-                found.append(f"{template} never resets {clock}, so {name} must be cumulative and never fall")
-    return found
+                sentences.append(f"{template} never resets {clock}, so {name} must be cumulative and never fall")
+    return sentences
 
 
 def _losses(document: _Document) -> list[str]:
     """A broadcast event that no edge takes is lost silently: what receives one must count it."""
     broadcast = set(re.findall(r"broadcast\s+chan\s+(\w+)", document.declarations[0].text))
-    found = []
+    sentences = []
     for transition in document.root.iterfind("template/transition"):
         texts = {label.get("kind"): label.text or "" for label in transition.iterfind("label")}
         channel = texts.get("synchronisation", "")
         if channel.endswith("?") and channel[:-1] in broadcast and "taken" not in texts.get("assignment", ""):
-            found.append(f"an edge receives {channel} without counting it, so that a lost event would not show")
-    return found[:1]
+            sentences.append(f"an edge receives {channel} without counting it, so that a lost event would not show")
+    return sentences[:1]
 
 
 def _channels_of_queries(document: _Document) -> list[str]:
     """Statistical queries need broadcast channels, the compatibility question binary ones."""
     text = document.declarations[0].text
     binary = bool(re.search(r"(?<!broadcast )\bchan\b", text))
-    found = [
+    sentences = [
         f"query {formula!r} is statistical and the model has a binary channel; use broadcast chan"
         for formula in document.formulas
         if binary and _STATISTICAL.search(formula)
     ]
     vacuous = [formula for formula in document.formulas if re.match(r"\s*A\s*<>", formula) and "broadcast" in text]
-    return found + [f"query {formula!r} is vacuous over broadcast channels; use binary ones" for formula in vacuous]
+    return sentences + [f"query {formula!r} is vacuous over broadcast channels; use binary ones" for formula in vacuous]
 
 
 def _symbolic(document: _Document) -> list[str]:
-    hybrid = any("hybrid clock" in one.text for one in document.declarations)
+    hybrid = any("hybrid clock" in declaration.text for declaration in document.declarations)
     return [
         f"query {formula!r} is symbolic, and UPPAAL decides nothing about hybrid clocks; ask Pr[<=T]([] ...)"
         for formula in document.formulas
@@ -282,7 +295,7 @@ FORMS: tuple[tuple[re.Pattern[str], str], ...] = (
 
 def _qualified(document: _Document) -> list[str]:
     """A query names what belongs to a process by m_1.name, and only what is there."""
-    found = []
+    sentences = []
     known = document.declared[""] | FUNCTIONS | KEYWORDS
     for formula in document.formulas:
         for name in re.findall(r"(?<![\w.])[A-Za-z_]\w*(?:\.\w+)?", re.sub(_NUMBER, " ", formula)):
@@ -291,10 +304,10 @@ def _qualified(document: _Document) -> list[str]:
             if member and (
                 template is None or member not in document.declared[template] | document.locations[template]
             ):
-                found.append(f"query {formula!r} names {name!r}, which the model does not have")
+                sentences.append(f"query {formula!r} names {name!r}, which the model does not have")
             elif not member and name not in known:
-                found.append(f"query {formula!r} names {name!r}; write it with its process, as m_1.{name}")
-    return found
+                sentences.append(f"query {formula!r} names {name!r}; write it with its process, as m_1.{name}")
+    return sentences
 
 
 RULES: dict[str, Callable[[_Document], list[str]]] = {

@@ -231,8 +231,8 @@ def waited_for(future: Any, client: Any, address: str) -> BaseException | None:
                 return error
     except OSError:
         without = 0
-    gone = "the cluster has no worker any more" if without else "the connection to the Dask scheduler was lost"
-    raise ValueError(f"{address}: {gone}; start it again, and the campaign with --overwrite")
+    reason = "the cluster has no worker any more" if without else "the connection to the Dask scheduler was lost"
+    raise ValueError(f"{address}: {reason}; start it again, and the campaign with --overwrite")
 
 
 def _undone(job: TraceJob, reason: str) -> TraceOutcome:

@@ -98,8 +98,8 @@ def _reported(
         if plan.pictures:
             wanted = drawings(home / "pictures", outcomes, prepared.skeleton.temperature, plan.units)
             todo = list(wanted.values())
-            here = plan.workers == 1 or len(todo) <= PICTURES_HERE
-            done = map(draw_one, todo) if here else parallel(draw_one, todo, plan.workers)
+            in_process = plan.workers == 1 or len(todo) <= PICTURES_HERE
+            done = map(draw_one, todo) if in_process else parallel(draw_one, todo, plan.workers)
             for number, file in enumerate(done, 1):
                 progress(f"{prepared.label}: picture {file.stem}", number / len(todo))
             files = {key: drawing.png for key, drawing in wanted.items()}

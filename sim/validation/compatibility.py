@@ -62,25 +62,25 @@ def compatibility(sha: SHA, events: Sequence[Event], policy: Policy = "ignore") 
     fallback, start = resync_targets(sha), frozenset({sha.initial})
     # Few sets of locations come up however long the trace is, so each step is worked out once.
     seen: dict[tuple[Places, str], Places] = {}
-    here, missing, named, pairs = start, 0, list[Missing](), Counter[tuple[str, str]]()
+    current, missing, named, pairs = start, 0, list[Missing](), Counter[tuple[str, str]]()
     for index, event in enumerate(events):
         if event.symbol == UNKNOWN:
-            here = start
+            current = start
             continue
-        step = (here, event.symbol)
+        step = (current, event.symbol)
         if step not in seen:
-            targets = (moves.get((place, event.symbol), ()) for place in here)
+            targets = (moves.get((place, event.symbol), ()) for place in current)
             seen[step] = frozenset(target for ends in targets for target in ends)
         if seen[step]:
-            here = seen[step]
+            current = seen[step]
             continue
-        place = " or ".join(sorted(here))
+        place = " or ".join(sorted(current))
         missing += 1
         pairs[place, event.symbol] += 1
         if len(named) < NAMED:
             named.append(Missing(index, event.time, place, event.symbol))
         if policy == "resync":
-            here = frozenset({fallback.get(event.symbol, sha.initial)})
+            current = frozenset({fallback.get(event.symbol, sha.initial)})
     return Compatibility(len(events), missing, tuple(named), dict(pairs))
 
 
@@ -93,17 +93,17 @@ def dense_events(sha: SHA, full: Sequence[Event], filtered: Sequence[Event], pol
     not deterministic.
     """
     moves, fallback = transitions(sha), resync_targets(sha)
-    here, place, kept = sha.initial, 0, []
+    location, place, kept = sha.initial, 0, []
     for event in full:
         real = place < len(filtered) and event == filtered[place]
         place += real
-        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
+        target = sha.initial if event.symbol == UNKNOWN else moves.get((location, event.symbol))
         if target is None and not real:
             continue
         kept.append(event)
         if target is None and policy == "resync":
             target = fallback.get(event.symbol, sha.initial)
-        here = target or here
+        location = target or location
     return kept
 
 

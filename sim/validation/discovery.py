@@ -183,13 +183,13 @@ def _law_check(name: str, reported: float, values: Mapping[str, tuple[float, ...
     )
 
 
-def artefacts_beside(found: Discovery) -> Artefacts | None:
+def artefacts_beside(discovery: Discovery) -> Artefacts | None:
     """The artefacts that a model directory of our own holds beside its model.json, if one set is whole.
 
     Raises ArtefactError where they cannot be read.
     """
-    names = {file.name for file in found.files}
+    names = {file.name for file in discovery.files}
     if not {MODEL_FILE, MANIFEST} <= names:
         return None
     bases = [name.removesuffix(SUFFIXES["source"]) for name in names if name.endswith(SUFFIXES["source"])]
-    return read_artefacts(found.directory, bases[0], OPTIONAL) if len(bases) == 1 else None
+    return read_artefacts(discovery.directory, bases[0], OPTIONAL) if len(bases) == 1 else None

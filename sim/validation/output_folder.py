@@ -166,7 +166,7 @@ def claim_folder(path: Path, stale: Sequence[Path], labels: Sequence[str], facts
 
 def places(names: Sequence[str], reserved: Iterable[str] = ()) -> dict[str, str]:
     """A folder's or file's name for each of `names`, no two alike whatever the file system thinks of case."""
-    given: dict[str, str] = {}
+    by_name: dict[str, str] = {}
     taken = set(reserved)
     for name in names:
         place = first = slug(name)
@@ -174,8 +174,8 @@ def places(names: Sequence[str], reserved: Iterable[str] = ()) -> dict[str, str]
         while place.casefold() in taken:
             place, number = f"{first}-{number}", number + 1
         taken.add(place.casefold())
-        given[name] = place
-    return given
+        by_name[name] = place
+    return by_name
 
 
 def slug(name: str) -> str:

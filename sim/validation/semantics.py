@@ -193,10 +193,10 @@ def _run(
     x = x0.copy()
     paths = draw_paths(chain, start, age=0.0, horizon=SPAN, runs=RUNS, rng=rng)
     ends = np.minimum(np.vstack([paths.entered[1:], np.full((1, RUNS), np.inf)]), SPAN)
-    for stay, (here, begin, end) in enumerate(zip(paths.location, paths.entered, ends, strict=True)):
+    for stay, (places, begin, end) in enumerate(zip(paths.location, paths.entered, ends, strict=True)):
         # Beyond the horizon a path's entries are infinite: those runs have no such stay.
-        for place in np.unique(here[np.isfinite(begin)]).tolist():
-            runs = np.flatnonzero((here == place) & np.isfinite(begin))
+        for place in np.unique(places[np.isfinite(begin)]).tolist():
+            runs = np.flatnonzero((places == place) & np.isfinite(begin))
             if stay:  # the first stay is where the runs were put, not where they went
                 yield place, x[runs]
             location, age, dt = sha.locations[place], np.zeros(runs.size), end[runs] - begin[runs]

@@ -15,9 +15,9 @@ Row = dict[str, Any]
 def records(label: str, outcomes: Sequence[TraceOutcome]) -> list[Stage]:
     """Stages 5 to 8 of one model. Seconds are those of the work, summed over all processes."""
     stages = []
-    for number, told in ((5, _processed), (6, _simulated), (7, _compared), (8, _measured)):
+    for number, summarise in ((5, _processed), (6, _simulated), (7, _compared), (8, _measured)):
         reached = [outcome for outcome in outcomes if number in outcome.seconds or outcome.result.stage == number]
-        sentence, rows = told(reached)
+        sentence, rows = summarise(reached)
         stops = (4, 6) if number == 6 else (number,)  # a model refused at stage 4 goes on to the check of the events
         failed = [outcome.result for outcome in reached if outcome.result.failure and outcome.result.stage in stops]
         if failed:

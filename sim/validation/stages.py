@@ -63,7 +63,7 @@ class Prepared:
 
     label: str
     where: str
-    found: FoundModel
+    parsed: FoundModel
     skeleton: Model
     variants: Mapping[str, Model]
     refusals: Mapping[str, str]
@@ -108,35 +108,35 @@ def prepare(
             "absent": list(discovery.absent),
         }
     with timed(parsing):
-        found = find_model(where, alphabet=alphabet, temperature=temperature)
-        sha = found.structure
+        parsed = find_model(where, alphabet=alphabet, temperature=temperature)
+        sha = parsed.structure
         names = [location.name for location in sha.locations]
         edges = [{"source": edge.source, "symbol": edge.symbol, "target": edge.target} for edge in sha.edges]
         symbols = sorted({edge.symbol for edge in sha.edges})
         parsing.found = f"{len(names)} locations, {len(edges)} edges, {len(symbols)} symbols, start {sha.initial}"
         parsing.details = {"initial": sha.initial, "locations": names, "symbols": symbols, "edges": edges}
     with timed(checking):
-        if found.artefacts:
-            check: CrossCheck | None = cross_check(found.artefacts)
+        if parsed.artefacts:
+            check: CrossCheck | None = cross_check(parsed.artefacts)
         else:
             beside = artefacts_beside(discovery)
-            check = own_check(beside, found.model) if beside and found.model else None
+            check = own_check(beside, parsed.model) if beside and parsed.model else None
         checked = check.sentence if check else "no artefacts with reported distributions"
-        checking.details = {"cross_check": check, "notes": list(found.notes)}
-        if found.model is None:
+        checking.details = {"cross_check": check, "notes": list(parsed.notes)}
+        if parsed.model is None:
             # There are no flows yet, only what the flow file says; why they cannot be run is told at stage 4.
-            equations = found.artefacts.flows.equations if found.artefacts and found.artefacts.flows else {}
+            equations = parsed.artefacts.flows.equations if parsed.artefacts and parsed.artefacts.flows else {}
             written = {str(number): equation.text for number, equation in equations.items()}
             checking.found = f"{len(written)} flow equations; {checked}"
             checking.details = {**checking.details, "equations": written}
         else:
-            rows = [location_row(location) for location in found.model.sha.locations]
+            rows = [location_row(location) for location in parsed.model.sha.locations]
             checking.found = f"flows {', '.join(sorted({row['flow'] for row in rows}))}; {checked}"
             checking.details = {**checking.details, "locations": rows}
     with timed(generating):
-        bare = Model(found.structure, Alphabet(()), temperature, 0.0, provenance=Provenance(method="artefacts"))
-        skeleton = _with_alphabet(found.model or bare, alphabet)
-        variants, refusals = _variants(found, skeleton, wanted, training, seed)
+        bare = Model(parsed.structure, Alphabet(()), temperature, 0.0, provenance=Provenance(method="artefacts"))
+        skeleton = _with_alphabet(parsed.model or bare, alphabet)
+        variants, refusals = _variants(parsed, skeleton, wanted, training, seed)
         sentences, models = [], {}
         for name, model in variants.items():
             laws = model.provenance.settings.get("entry_laws", "")
@@ -155,13 +155,13 @@ def prepare(
         for name, reason in refusals.items():
             sentences.append(f"not simulated{f' as {name}' if name else ''}: {reason}")
         generating.found = "; ".join(sentences)
-        generating.details = {"variants": models, "refusals": dict(refusals), "notes": list(found.notes)}
+        generating.details = {"variants": models, "refusals": dict(refusals), "notes": list(parsed.notes)}
     for stage in stages:
-        stage.model = found.name
+        stage.model = parsed.name
     return Prepared(
-        label=found.name,
+        label=parsed.name,
         where=where,
-        found=found,
+        parsed=parsed,
         skeleton=skeleton,
         variants=variants,
         refusals=refusals,
@@ -194,7 +194,7 @@ def location_row(location: Location) -> dict[str, Any]:
         "location": location.name,
         "flow": location.flow.kind,
         "constants": dict(location.flow.params),
-        "inputs": [given.signal for given in location.flow.inputs],
+        "inputs": [driver.signal for driver in location.flow.inputs],
         "law": law.kind if law else "",
         "mean": distributions.mean(law) if law else None,
         "sigma": distributions.variance(law) ** 0.5 if law else None,
@@ -214,11 +214,11 @@ def _with_alphabet(model: Model, alphabet: Alphabet) -> Model:
 
 
 def _variants(
-    found: FoundModel, model: Model, wanted: Wanted, training: Sequence[Trace] | None, seed: int
+    parsed: FoundModel, model: Model, wanted: Wanted, training: Sequence[Trace] | None, seed: int
 ) -> tuple[dict[str, Model], dict[str, str]]:
     """The models to run by semantics, and why others are not."""
-    if found.refusal:
-        return {}, {"": found.refusal}
+    if parsed.refusal:
+        return {}, {"": parsed.refusal}
     try:
         transitions(model.sha)
         check_sha(model.sha)

@@ -55,11 +55,11 @@ if __name__ == "__main__":
 
 def prepared(label: str, **options: float) -> Prepared:
     model = plant_model(label, **options)
-    found = FoundModel(label, model.sha, model)
+    parsed = FoundModel(label, model.sha, model)
     return Prepared(
         label=label,
         where=label,
-        found=found,
+        parsed=parsed,
         skeleton=model,
         variants={"own": model},
         refusals={},

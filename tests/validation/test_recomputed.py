@@ -58,7 +58,7 @@ def prepared(label: str) -> Prepared:
     return Prepared(
         label=label,
         where=label,
-        found=FoundModel(label, model.sha, model),
+        parsed=FoundModel(label, model.sha, model),
         skeleton=model,
         variants={"own": model},
         refusals={},

@@ -28,12 +28,12 @@ CAMPAIGN = CampaignSummary("2026-01-01 00:00 UTC", {"runs": "200"})
 def prepared(label: str = "plant") -> Prepared:
     model = plant_model("plant", sensor=0.2, sigma=1.0)
     cold = replace(model, sha=replace(model.sha, locations=(location("off", 15.0), location("on", 40.0))))
-    found = FoundModel(label, model.sha, model, None, (f"note {label}",))
+    parsed = FoundModel(label, model.sha, model, None, (f"note {label}",))
     variants = {"own": model, "thesis": cold}
     return Prepared(
         label=label,
         where=label,
-        found=found,
+        parsed=parsed,
         skeleton=model,
         variants=variants,
         refusals={},

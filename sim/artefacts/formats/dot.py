@@ -167,7 +167,7 @@ class _Runs(HTMLParser):
     def __init__(self) -> None:
         super().__init__()
         self.colours = [""]
-        self.found: list[tuple[str, str]] = []
+        self.texts: list[tuple[str, str]] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         if tag == "font":
@@ -179,7 +179,7 @@ class _Runs(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         if data.strip():
-            self.found.append((data.strip(), self.colours[-1]))
+            self.texts.append((data.strip(), self.colours[-1]))
 
 
 def runs(label: str) -> list[tuple[str, str]]:
@@ -189,7 +189,7 @@ def runs(label: str) -> list[tuple[str, str]]:
     reader = _Runs()
     reader.feed(label[1:-1])
     reader.close()
-    return reader.found
+    return reader.texts
 
 
 def source_text(source: Source) -> str:

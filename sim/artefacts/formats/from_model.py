@@ -117,8 +117,8 @@ def _table(observations: ObservationTable, cells: Mapping[str, str]) -> Table:
 
     def rows(part: Sequence[TableRow]) -> tuple[ReportRow, ...]:
         return tuple(
-            ReportRow(word(one.word), tuple(UNOBSERVED if cell is None else cells[cell] for cell in one.cells))
-            for one in part
+            ReportRow(word(row.word), tuple(UNOBSERVED if cell is None else cells[cell] for cell in row.cells))
+            for row in part
         )
 
     return Table(tuple(map(word, observations.suffixes)), rows(observations.upper), rows(observations.lower))
@@ -137,9 +137,9 @@ def _line(location: Location) -> ReportedLocation:
     flow, values = location.flow, dict[str, float | str]()
     spelling = {FIXED: "alpha"} if flow.kind == "linear" else {}
     constants = {spelling.get(name, name): float(value) for name, value in sorted(flow.params.items())}
-    for given in flow.inputs:
-        constants[f"{quoted(given.signal)}.gain"] = float(given.gain)
-        constants[f"{quoted(given.signal)}.reference"] = float(given.reference)
+    for driver in flow.inputs:
+        constants[f"{quoted(driver.signal)}.gain"] = float(driver.gain)
+        constants[f"{quoted(driver.signal)}.reference"] = float(driver.reference)
     calls = {"flow": (flow.kind, constants)}
     law = location.distribution
     if law is not None:

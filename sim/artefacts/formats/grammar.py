@@ -18,8 +18,8 @@ def parse_text(parser: Lark, text: str, file: str | Path, wanted: str) -> Tree[T
             line = max(1, len(text.rstrip().splitlines()))
             raise at(file, line, f"the text ends too early; {wanted}") from None
         rest = text.split("\n")[error.line - 1][error.column - 1 :][:40]
-        found = f"unexpected {rest!r}" if rest else "the line ends too early"
-        raise at(file, error.line, f"{found} at column {error.column}; {wanted}") from None
+        reason = f"unexpected {rest!r}" if rest else "the line ends too early"
+        raise at(file, error.line, f"{reason} at column {error.column}; {wanted}") from None
 
 
 def finite(token: Token, file: str | Path, what: str) -> float:

@@ -128,23 +128,23 @@ def disagreements(values: Values, laws: tuple[ReportedLaw, ...], tolerance: floa
     Means may differ by tolerance * max(1, |mean|), variances (where reported) likewise.
     """
     reported = {law.name: law for law in laws}
-    found = [f"{name} has values but is not in the report" for name in values if name not in reported]
+    sentences = [f"{name} has values but is not in the report" for name in values if name not in reported]
     for name, law in reported.items():
         if not values.get(name):
-            found.append(f"{name} is in the report but has no values")
+            sentences.append(f"{name} is in the report but has no values")
             continue
         fitted = fit(values[name])
         if abs(fitted.mean - law.mean) > tolerance * max(1.0, abs(law.mean)):
-            found.append(
+            sentences.append(
                 f"{name}: the mean of its {fitted.count} values is {fitted.mean:.6g}, the report says {law.mean:.6g} "
                 f"(tolerance {tolerance:g})"
             )
         elif law.variance is not None and abs(fitted.sigma**2 - law.variance) > tolerance * max(1.0, abs(law.variance)):
-            found.append(
+            sentences.append(
                 f"{name}: the variance of its {fitted.count} values is {fitted.sigma**2:.6g}, the report says "
                 f"{law.variance:.6g} (tolerance {tolerance:g})"
             )
-    return tuple(found)
+    return tuple(sentences)
 
 
 def evidence(histogram: Histogram, laws: tuple[ReportedLaw, ...], tolerance: float = PRINTED) -> HistogramEvidence:

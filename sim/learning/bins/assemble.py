@@ -170,7 +170,7 @@ def stay_values(
 def _stay_parameters(
     runs: FreeRuns, shape: FitShape, fit: FreeRunFit, noise: NoiseLevels, group: Indices
 ) -> tuple[Array, Array, Array]:
-    """(m, its standard error, location) of each stay: X = decayed start + pulled m + pushed inputs, two unknowns."""
+    """(m, its standard error, location) of each stay: X = start decayed + weighted m + inputs, two unknowns."""
     decay, pull = steps(runs, shape, np.log(fit.rates))
     begins = (np.diff(runs.stay, prepend=-1) != 0) | runs.first
     # Decay 0 where a stay begins: one recursion over all knots starts anew in each. `start` and `mode` are the courses
@@ -178,8 +178,8 @@ def _stay_parameters(
     inside = np.where(begins, 0.0, decay)
     start = linear_recursion(inside, np.where(runs.first, 1.0, np.where(begins, decay, 0.0)), 0.0)
     mode = linear_recursion(inside, pull, 0.0)
-    gains = loads(runs, shape) @ np.where(np.isin(np.arange(fit.linear.size), shape.target), 0.0, fit.linear)
-    pushed = linear_recursion(inside, pull * gains, 0.0)
+    offset = loads(runs, shape) @ np.where(np.isin(np.arange(fit.linear.size), shape.target), 0.0, fit.linear)
+    pushed = linear_recursion(inside, pull * offset, 0.0)
     use = np.isfinite(runs.reading) & ~runs.first
     stay, rest = np.cumsum(begins)[use] - 1, (runs.reading - pushed)[use]
     size = int(begins.sum())

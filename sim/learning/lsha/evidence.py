@@ -83,15 +83,15 @@ class WelchTest(NamedTuple):
     difference: float
 
 
-def same_distribution(one: PooledEvidence, other: PooledEvidence, delta: float) -> WelchTest:
+def same_distribution(first: PooledEvidence, second: PooledEvidence, delta: float) -> WelchTest:
     """Whether the means of two sets differ by more than `delta` (in the parameter's unit); both have segments."""
-    difference = other.mean - one.mean
+    difference = second.mean - first.mean
     beyond = abs(difference) - delta
     if beyond <= 0.0:
         return WelchTest(0.0, CERTAIN, 1.0, difference)
-    whole = one.variance + other.variance
+    whole = first.variance + second.variance
     statistic = beyond / sqrt(whole)
-    freedom = whole * whole / (one.variance**2 / one.freedom + other.variance**2 / other.freedom)
+    freedom = whole * whole / (first.variance**2 / first.freedom + second.variance**2 / second.freedom)
     return WelchTest(statistic, freedom, 2.0 * float(stdtr(freedom, -statistic)), difference)
 
 

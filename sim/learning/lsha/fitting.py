@@ -106,16 +106,16 @@ def fit_levels(
     reading = np.bincount(hypothesis.place[after[np.isfinite(teacher.runs.reading)]], minlength=len(hypothesis.names))
     locations, values, table = [], {}, []
     for number, title in enumerate(hypothesis.names):
-        mine = place == number
-        if not modelled[number] or not mine.any():
+        of_location = place == number
+        if not modelled[number] or not of_location.any():
             locations.append(Location(title, Flow("constant", {"noise": unknown}), entry="none"))
             law = (np.nan, np.nan, np.nan)
         else:
-            law = between(sample, mine)
+            law = between(sample, of_location)
             sigma = float(np.hypot(law[1], law[2]))
             distribution = Distribution("normal", {"mu": law[0], "sigma": sigma})
             locations.append(Location(title, Flow("constant", {"noise": drift}), distribution, "resample"))
-            values[title] = tuple(sample.segments.value[mine].tolist())
+            values[title] = tuple(sample.segments.value[of_location].tolist())
         table.append(
             _row(
                 teacher,
@@ -123,7 +123,7 @@ def fit_levels(
                 number=number,
                 words=words[number],
                 location=locations[-1],
-                segments=int(mine.sum()),
+                segments=int(of_location.sum()),
                 readings=int(reading[number]),
                 law=law,
             )
@@ -195,7 +195,7 @@ def fit_motion(
     locations, values, table = [], {}, []
     readings = np.bincount(runs.place[np.isfinite(runs.reading) & ~runs.first], minlength=size)
     for number, location in enumerate(sha.locations):
-        mine, law = located == number, (np.nan, np.nan, np.nan)
+        of_location, law = located == number, (np.nan, np.nan, np.nan)
         column = int(shape.target[number])
         if column >= 0:
             # The law of m: what is not known of its mean, and the scatter from stay to stay, drawn towards
@@ -209,7 +209,9 @@ def fit_motion(
             location = replace(location, flow=replace(location.flow, params=params), distribution=distribution)
             # The histogram's values: the segments that are known to within twice sigma. Under another flow than that
             # of the segments theirs is another parameter, and the mean has to do.
-            sharp = mine & (np.sqrt(segments.variance) <= 2.0 * sigma) & (kinds[number] == flowing.hypothesis.kind)
+            sharp = (
+                of_location & (np.sqrt(segments.variance) <= 2.0 * sigma) & (kinds[number] == flowing.hypothesis.kind)
+            )
             values[location.name] = tuple(segments.value[sharp].tolist()) or (law[0],)
         locations.append(location)
         table.append(
@@ -219,7 +221,7 @@ def fit_motion(
                 number=number,
                 words=words[number],
                 location=location,
-                segments=int(mine.sum()),
+                segments=int(of_location.sum()),
                 readings=int(readings[number]),
                 law=law,
             )
@@ -325,7 +327,7 @@ def plan_of(
         words=words,
         identified=(),
     )
-    if flowing.given is None:
+    if flowing.fit is None:
         return plan  # under `resample` there is nothing to ask: a level is a level
     motion, alternatives = flows_of(flowing, teacher)
     runs = placed(teacher.runs, hypothesis.place)
@@ -375,7 +377,7 @@ def fitted_model(
 
 def fit(plan: FitPlan, teacher: Teacher, budget: int) -> FittedHypothesis:
     """All parameters of the automaton by the readings of `teacher`."""
-    if plan.flowing.given is None:
+    if plan.flowing.fit is None:
         sample = sample_of(levels(teacher.runs, teacher.group), alike(teacher))
         return fit_levels(
             plan.name, teacher, sample=sample, hypothesis=plan.hypothesis, modelled=plan.modelled, words=plan.words

@@ -95,14 +95,14 @@ class Rival:
 class Flowing:
     """A flow hypothesis with its rates and gains, and what the segments say under it.
 
-    `shape`, `given` and `rates` belong to the coarse structure whose location of each state `groups` (S,) tells; they
+    `shape`, `fit` and `rates` belong to the coarse structure whose location of each state `groups` (S,) tells; they
     are None under `resample`, which has no rates.
     """
 
     hypothesis: FlowHypothesis
     groups: Indices
     shape: FitShape | None
-    given: LinearFit | None
+    fit: LinearFit | None
     rates: Mapping[str, float]
     sample: SegmentSample
 
@@ -159,7 +159,7 @@ def flowing(
             hypothesis=hypothesis,
             groups=groups,
             shape=None,
-            given=None,
+            fit=None,
             rates={},
             sample=sample_of(levels(teacher.runs, teacher.group), alike(teacher)),
         )
@@ -168,10 +168,10 @@ def flowing(
     shape, rated = flow_shape(hypothesis, teacher, where, [True] * len(names) + [False])
     if hypothesis.alone:
         rates = np.full(shape.rate_centre.size, rate_alone(teacher.runs, hypothesis.kind))
-        given = fit_at_rates(placed(few, groups), shape, rates)
+        fit = fit_at_rates(placed(few, groups), shape, rates)
     else:
-        rates, given = _rates(placed(few, groups), shape)
-    motion = _motion(placed(teacher.runs, groups), shape, given, rates)
+        rates, fit = _rates(placed(few, groups), shape)
+    motion = _motion(placed(teacher.runs, groups), shape, fit, rates)
     unit = float(np.median(shape.spread[np.unique(shape.target[shape.target >= 0])]))
     segments = parameters(teacher.runs, teacher.group, motion, unit**2)
     by_group = dict(zip(rated, rates.tolist(), strict=True))
@@ -179,7 +179,7 @@ def flowing(
         hypothesis=hypothesis,
         groups=groups,
         shape=shape,
-        given=given,
+        fit=fit,
         rates=by_group,
         sample=sample_of(segments, alike(teacher)),
     )
@@ -241,16 +241,16 @@ def _over(
     error, kept = np.empty(len(cut)), np.isfinite(cut.reading)
     for held in range(FOLDS):
         fewer = merged(classes, sample, teacher, delta=delta, alpha=alpha, n_min=n_min, use=part != held)
-        place, mine = fewer.location[classes.of_state], fold == held
+        place, in_fold = fewer.location[classes.of_state], fold == held
         runs = placed(cut, place)
         if candidate.shape is None:
-            error[mine] = _level_errors(runs, mine)
+            error[in_fold] = _level_errors(runs, in_fold)
             continue
         # Targets are those of the other runs; rates stay, as one fold hardly changes what all runs share.
         shape, rated = flow_shape(hypothesis, teacher, positions(teacher, place, fewer.size), fewer.modelled)
         rates = candidate.rates_of(rated)
-        fit = fit_at_rates(runs.where(~mine), shape, rates)
-        error[mine] = runs.reading[mine] - predict(runs.where(mine), shape, fit.linear, rates, fit.sigma)
+        fit = fit_at_rates(runs.where(~in_fold), shape, rates)
+        error[in_fold] = runs.reading[in_fold] - predict(runs.where(in_fold), shape, fit.linear, rates, fit.sigma)
     return HeldOutErrors(error[kept], np.unique(cut.run[kept], return_inverse=True)[1]), size
 
 
@@ -350,8 +350,8 @@ def flow_shape(
         name: (position if hypothesis.by_switch else "all") + ("" if kind == hypothesis.kind else f" {kind}")
         for name, position, kind in zip(names, positions, each, strict=True)
     }
-    mine = [name for name, own in zip(names, free, strict=True) if own]
-    shape, known = shape_of(sha, mine, teacher.signals, teacher.prior, rates=rates, gains=dict.fromkeys(names, "all"))
+    fitted = [name for name, own in zip(names, free, strict=True) if own]
+    shape, known = shape_of(sha, fitted, teacher.signals, teacher.prior, rates=rates, gains=dict.fromkeys(names, "all"))
     return shape, known.rates
 
 
@@ -372,29 +372,29 @@ def hold_out_levels(runs: FreeRuns) -> HeldOutErrors:
     error = np.empty(len(runs))
     for held in range(min(FOLDS, int(order[-1]) + 1)):
         error[order % FOLDS == held] = _level_errors(runs, order % FOLDS == held)
-    there = np.isfinite(runs.reading)
-    return HeldOutErrors(error[there], np.unique(order[there], return_inverse=True)[1])
+    finite = np.isfinite(runs.reading)
+    return HeldOutErrors(error[finite], np.unique(order[finite], return_inverse=True)[1])
 
 
-def _level_errors(runs: FreeRuns, mine: Mask) -> Array:
-    """(m,) the readings of `mine` (n,), less the mean of the others' in the same place (of all others without any)."""
+def _level_errors(runs: FreeRuns, held: Mask) -> Array:
+    """(m,) the readings of `held` (n,), less the mean of the others' in the same place (of all others without any)."""
     _, place = stays_after(runs)
-    rest = ~mine & np.isfinite(runs.reading)
+    rest = ~held & np.isfinite(runs.reading)
     count = np.bincount(place[rest], minlength=int(place.max()) + 1)
     total = np.bincount(place[rest], runs.reading[rest], minlength=count.size)
     level = np.where(count > 0, total / np.maximum(count, 1), runs.reading[rest].mean())
-    return np.asarray(runs.reading[mine] - level[place[mine]])
+    return np.asarray(runs.reading[held] - level[place[held]])
 
 
-def _motion(runs: FreeRuns, shape: FitShape, given: LinearFit, rates: Array) -> Motion:
+def _motion(runs: FreeRuns, shape: FitShape, fit: LinearFit, rates: Array) -> Motion:
     """The fitted flow's step at every knot, and what the gains add to its target."""
     decay, pull = steps(runs, shape, np.log(rates))
     decay = np.where(runs.first, 1.0, decay)
     offset = np.zeros(len(runs))
     for number in range(shape.gain.shape[1]):
         column = shape.gain[runs.place, number]
-        gain = np.where(column >= 0, given.linear[column], 0.0)
-        offset += gain * np.nan_to_num(runs.inputs[:, number] - shape.reference[runs.place, number])
+        input_gain = np.where(column >= 0, fit.linear[column], 0.0)
+        offset += input_gain * np.nan_to_num(runs.inputs[:, number] - shape.reference[runs.place, number])
     return Motion(decay, pull, offset)
 
 
@@ -403,10 +403,10 @@ def flows_of(flowing: Flowing, teacher: Teacher) -> tuple[Motion, dict[str, Flow
 
     The rate of an alternative comes from the median length of the segments: it is only asked whether its shape fits.
     """
-    if flowing.shape is None or flowing.given is None:
+    if flowing.shape is None or flowing.fit is None:
         raise ValueError("a resampled level has no motion")
     order = tuple(flowing.rates)
-    motion = _motion(placed(teacher.runs, flowing.groups), flowing.shape, flowing.given, flowing.rates_of(order))
+    motion = _motion(placed(teacher.runs, flowing.groups), flowing.shape, flowing.fit, flowing.rates_of(order))
     seconds = np.bincount(teacher.runs.stay, teacher.runs.dt)
     typical = max(float(np.median(seconds[seconds > 0])), 1e-3)
     kinds = ("constant", "linear", "logarithmic", "exponential")

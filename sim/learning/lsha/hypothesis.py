@@ -52,8 +52,8 @@ def hypothesis_of(teacher: Teacher, structure: Structure, *, complete: bool) -> 
     members = tuple(tuple(np.flatnonzero(location == number).tolist()) for number in range(size))
     observed: dict[tuple[int, str], tuple[int, int]] = {}
     for (source, symbol), (target, count) in teacher.words.edges.items():
-        here, there = int(place[source]), int(place[target])
-        observed[here, symbol] = (there, observed.get((here, symbol), (there, 0))[1] + count)
+        start, end = int(place[source]), int(place[target])
+        observed[start, symbol] = (end, observed.get((start, symbol), (end, 0))[1] + count)
     spent = np.bincount(classes.of_state[teacher.runs.place], teacher.runs.dt, len(classes))
     seconds = np.asarray(spent, dtype=float)
     # A location is represented by the class in which it spends most of its time, and called by that; equal names are
@@ -112,16 +112,16 @@ def acceptance(hypothesis: HypothesisAutomaton, traces: Sequence[Trace]) -> Trac
     """Every trace followed by the observed edges alone: default edges would accept anything."""
     accepted, failure = 0, ""
     for trace in traces:
-        here, fine = 0, True
+        location, fine = 0, True
         for number, event in enumerate(trace.events):
             if event.symbol == UNKNOWN:
-                here = 0
+                location = 0
                 continue
-            target = hypothesis.observed.get((here, event.symbol))
+            target = hypothesis.observed.get((location, event.symbol))
             if target is None:
                 fine, failure = False, failure or f"trace {trace.name!r}, event {number} ({event.symbol!r})"
                 break
-            here = target[0]
+            location = target[0]
         accepted += fine
     return TraceAcceptance(len(traces), accepted, sum(len(trace.events) for trace in traces), failure)
 
@@ -155,9 +155,9 @@ def observation_table(
     queue, extensions = [0], list[tuple[Word, int]]()
     # Breadth first, and by the alphabet among equals: the first word that gets to a location is a shortest one, and
     # all its beginnings are access words too. The queue grows while it is walked.
-    for here in queue:
-        for symbol, target in sorted(after[here].items()):
-            word = (*access[here], symbol)
+    for location in queue:
+        for symbol, target in sorted(after[location].items()):
+            word = (*access[location], symbol)
             if target in access:
                 extensions.append((word, target))
             else:
@@ -176,6 +176,6 @@ def observation_table(
 
     return ObservationTable(
         columns,
-        tuple(row(word, here) for here, word in access.items()),
-        tuple(row(word, here) for word, here in extensions),
+        tuple(row(word, location) for location, word in access.items()),
+        tuple(row(word, location) for word, location in extensions),
     )

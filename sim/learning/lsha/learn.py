@@ -119,8 +119,8 @@ def learn_lsha(
     report_progress = progress or (lambda _stage, _share: None)
     chosen = settings or LshaSettings()
     check_alphabet(alphabet)
-    given = [encoded(trace, alphabet) for trace in traces if trace.times.size]
-    ordered, digest = in_order(given)
+    encoded_traces = [encoded(trace, alphabet) for trace in traces if trace.times.size]
+    ordered, digest = in_order(encoded_traces)
     check_data(ordered, temperature)
 
     # The teacher: every word of the traces, and the segments that were measured after each.
@@ -186,7 +186,7 @@ def learn_lsha(
         default_edges=len(hypothesis.default),
         acceptance=accepted,
         coverage=coverage,
-        copies=len(given) - len(ordered),
+        copies=len(encoded_traces) - len(ordered),
     )
     flow = next(row for row in flows if row.chosen)
     figures = {

@@ -95,15 +95,15 @@ class _PartitionState:
     queries: int = 0
     known: list[int] = field(default_factory=list)
 
-    def find(self, one: int) -> int:
-        while self.parent[one] != one:
-            self.parent[one] = self.parent[self.parent[one]]
-            one = self.parent[one]
-        return one
+    def find(self, number: int) -> int:
+        while self.parent[number] != number:
+            self.parent[number] = self.parent[self.parent[number]]
+            number = self.parent[number]
+        return number
 
-    def compare(self, one: PooledEvidence, other: PooledEvidence) -> WelchTest:
+    def compare(self, first: PooledEvidence, second: PooledEvidence) -> WelchTest:
         self.queries += 1
-        return same_distribution(one, other, self.delta)
+        return same_distribution(first, second, self.delta)
 
 
 @dataclass(slots=True)
@@ -116,33 +116,38 @@ class _Fold:
     evidence: dict[int, PooledEvidence] = field(default_factory=dict)
     answers: list[tuple[WelchTest, tuple[str, ...], tuple[int, int]]] = field(default_factory=list)
 
-    def find(self, one: int) -> int:
-        one = self.state.find(one)
-        while one in self.parent:
-            one = self.parent[one]
-        return one
+    def find(self, number: int) -> int:
+        number = self.state.find(number)
+        while number in self.parent:
+            number = self.parent[number]
+        return number
 
     def join(self, row: int, location: int) -> Query | None:
         """Joins two sets with all that it entails; what speaks against it outright, if anything does."""
         stack: list[tuple[int, int, tuple[str, ...]]] = [(location, row, ())]
         while stack:
             first, second, suffix = stack.pop()
-            keep, gone = self.find(first), self.find(second)
-            if keep == gone:
+            keep, absorbed = self.find(first), self.find(second)
+            if keep == absorbed:
                 continue
-            if gone in self.state.known and keep not in self.state.known:
-                keep, gone = gone, keep  # a known location keeps its number
-            if gone in self.state.fixed or keep in self.state.fixed:
-                return Query(None, suffix, (keep, gone))
-            one, other = (self.evidence.get(each, self.state.evidence[each]) for each in (keep, gone))
-            if one.count and other.count:
-                self.answers.append((self.state.compare(one, other), suffix, (keep, gone)))
-            self.evidence[keep] = one.joined(other)
+            if absorbed in self.state.known and keep not in self.state.known:
+                keep, absorbed = absorbed, keep  # a known location keeps its number
+            if absorbed in self.state.fixed or keep in self.state.fixed:
+                return Query(None, suffix, (keep, absorbed))
+            kept_evidence, absorbed_evidence = (
+                self.evidence.get(each, self.state.evidence[each]) for each in (keep, absorbed)
+            )
+            if kept_evidence.count and absorbed_evidence.count:
+                self.answers.append((self.state.compare(kept_evidence, absorbed_evidence), suffix, (keep, absorbed)))
+            self.evidence[keep] = kept_evidence.joined(absorbed_evidence)
             # Consistency: where both sets have an edge on a symbol, determinism makes their targets one as well.
-            kept, lost = self.edges.get(keep, self.state.edges[keep]), self.edges.get(gone, self.state.edges[gone])
+            kept, lost = (
+                self.edges.get(keep, self.state.edges[keep]),
+                self.edges.get(absorbed, self.state.edges[absorbed]),
+            )
             stack += [(kept[symbol], lost[symbol], (*suffix, symbol)) for symbol in sorted(kept.keys() & lost.keys())]
             self.edges[keep] = {**lost, **kept}
-            self.parent[gone] = keep
+            self.parent[absorbed] = keep
         return None
 
     def worst(self) -> tuple[float, Query | None]:
@@ -155,14 +160,14 @@ class _Fold:
 
     def commit(self) -> None:
         state = self.state
-        for gone, keep in self.parent.items():
-            state.parent[gone] = keep
-            if gone in state.known:
-                state.known.remove(gone)
-        for one, edges in self.edges.items():
-            state.edges[one] = edges
-        for one, evidence in self.evidence.items():
-            state.evidence[one] = evidence
+        for absorbed, keep in self.parent.items():
+            state.parent[absorbed] = keep
+            if absorbed in state.known:
+                state.known.remove(absorbed)
+        for number, edges in self.edges.items():
+            state.edges[number] = edges
+        for number, evidence in self.evidence.items():
+            state.evidence[number] = evidence
 
 
 def learn_partition(
@@ -192,7 +197,7 @@ def learn_partition(
         n_min=n_min,
     )
     # Only classes with evidence can be told apart by chance; the others do not share in the error rate.
-    level = alpha / max(sum(one.count > 0 for one in evidence), 1)
+    level = alpha / max(sum(pooled.count > 0 for pooled in evidence), 1)
     free = [number for number in range(size) if number not in fixed]
     if classes.memory == "word":
         # By their length, as the tree of words numbers them: a single word has little evidence, and the merges of short
@@ -234,15 +239,15 @@ def learn_partition(
 
 def _decide(state: _PartitionState, row: int, classes: Classes, level: float) -> Decision:
     """A row with evidence joins the location that nothing speaks against, or becomes one."""
-    here = state.find(row)
-    mine = state.evidence[here]
+    root = state.find(row)
+    evidence = state.evidence[root]
     # The row's own segments against those of every location, the most similar first.
-    answers = {location: state.compare(state.evidence[location], mine) for location in state.known}
+    answers = {location: state.compare(state.evidence[location], evidence) for location in state.known}
     equal = sorted(
         (location for location, answer in answers.items() if answer.p >= level),
         key=lambda location: (-answers[location].p, location),
     )
-    default = _default(state, here, classes)
+    default = _default(state, root, classes)
     if default in equal:
         equal.remove(default)
         equal.insert(0, default)
@@ -251,7 +256,7 @@ def _decide(state: _PartitionState, row: int, classes: Classes, level: float) ->
     allowed: list[tuple[int, _Fold]] = []
     for location in equal[:TRIED]:
         fold = _Fold(state)
-        query = fold.join(here, location)
+        query = fold.join(root, location)
         p, against = fold.worst()
         if query is None and p >= level:
             allowed.append((location, fold))
@@ -259,20 +264,20 @@ def _decide(state: _PartitionState, row: int, classes: Classes, level: float) ->
                 break
         else:
             refused = refused or query or against
-    count = int(mine.count)
+    count = int(evidence.count)
     if allowed:
         # A single word says little by itself: of several merges the one for which most of what follows was compared.
         location, fold = max(allowed, key=lambda candidate: len(candidate[1].answers))
         fold.commit()
-        verdict: Verdict = "default" if location == default and mine.count < state.n_min else "merged"
+        verdict: Verdict = "default" if location == default and evidence.count < state.n_min else "merged"
         return Decision(row=row, verdict=verdict, other=location, evidence=count, answer=answers[location])
-    state.known.append(here)
+    state.known.append(root)
     if refused is not None:
         answer, rival, suffix = refused.answer, equal[0], refused.suffix
-        return Decision(row=row, verdict="new", other=here, evidence=count, answer=answer, rival=rival, suffix=suffix)
+        return Decision(row=row, verdict="new", other=root, evidence=count, answer=answer, rival=rival, suffix=suffix)
     nearest = max(answers, key=lambda location: answers[location].p, default=None)
     test = answers[nearest] if nearest is not None else None
-    return Decision(row=row, verdict="new", other=here, evidence=count, answer=test, rival=nearest)
+    return Decision(row=row, verdict="new", other=root, evidence=count, answer=test, rival=nearest)
 
 
 def _default(state: _PartitionState, row: int, classes: Classes) -> int | None:
@@ -299,22 +304,28 @@ def _dissolved(state: _PartitionState, level: float) -> list[Decision]:
     """Locations below `n_min` join the most likely location that determinism and the tests of the rest allow."""
     decisions: list[Decision] = []
     # The smallest first; a list of its own, because a merge takes locations out of `known`.
-    for one in sorted(state.known, key=lambda n: (state.evidence[n].count, n)):
-        mine = state.evidence[one]
-        if one not in state.known or mine.count >= state.n_min:
+    for location in sorted(state.known, key=lambda n: (state.evidence[n].count, n)):
+        evidence = state.evidence[location]
+        if location not in state.known or evidence.count >= state.n_min:
             continue
-        others = [other for other in state.known if other != one and state.evidence[other].count >= state.n_min]
-        answers = {other: state.compare(state.evidence[other], mine) for other in others}
+        others = [other for other in state.known if other != location and state.evidence[other].count >= state.n_min]
+        answers = {other: state.compare(state.evidence[other], evidence) for other in others}
         for other in sorted(others, key=lambda n: (answers[n].statistic, n))[:TRIED]:
             fold = _Fold(state)
-            if fold.join(one, other) is not None:
+            if fold.join(location, other) is not None:
                 continue
             # The row itself is too small to speak against it; what the merge entails beyond it may.
             rest = [answer.p for answer, suffix, _ in fold.answers if suffix]
             if not rest or min(rest) * len(rest) >= level:
                 fold.commit()
                 decisions.append(
-                    Decision(row=one, verdict="dissolved", other=other, evidence=int(mine.count), answer=answers[other])
+                    Decision(
+                        row=location,
+                        verdict="dissolved",
+                        other=other,
+                        evidence=int(evidence.count),
+                        answer=answers[other],
+                    )
                 )
                 break
     return decisions
