@@ -76,22 +76,22 @@ def heat_map(course: DiagnosisCourse) -> HeatMap | None:
     if np.isfinite(course.heat_after).any():
         after = _means(course.heat_after[known], place, column, shape)[order, spans]
     edges = (*EDGES, np.inf)[: int(used[-1]) + 2]
-    found = tuple(str(names[number]) for number in order)
+    locations = tuple(str(names[number]) for number in order)
     return HeatMap(
-        locations=found,
+        locations=locations,
         edges=edges,
         before=before,
         after=after,
         cycles=cycles[order, spans],
-        left_out=names.size - len(found),
+        left_out=names.size - len(locations),
     )
 
 
 def _means(values: Array, place: NDArray[np.intp], column: NDArray[np.intp], shape: tuple[int, int]) -> Array:
-    there = np.isfinite(values)
+    finite = np.isfinite(values)
     sums, counts = np.zeros(shape), np.zeros(shape)
-    np.add.at(sums, (place[there], column[there]), values[there])
-    np.add.at(counts, (place[there], column[there]), 1.0)
+    np.add.at(sums, (place[finite], column[finite]), values[finite])
+    np.add.at(counts, (place[finite], column[finite]), 1.0)
     return np.asarray(np.divide(sums, counts, out=np.full(shape, np.nan), where=counts > 0))
 
 

@@ -39,10 +39,10 @@ def sentence_of(
             f"{held.rmse_after:.2f} degC (noise alone: {held.noise_floor:.2f})."
         )
     if verdict == "named":
-        names = " and ".join(f"{one.name} ({one.plain})" for one in effects)
+        names = " and ".join(f"{effect.name} ({effect.plain})" for effect in effects)
         return f"Missing in the model: {names}.{gain}{moved}"
     if verdict == "class":
-        names = "; ".join(" or ".join(one.members) for one in effects)
+        names = "; ".join(" or ".join(effect.members) for effect in effects)
         return f"Something is missing that these data cannot tell apart: {names}.{gain}{moved}"
     where = "the free run is further off than noise allows, in no particular place."
     if unexplained:
@@ -67,7 +67,7 @@ def course_of(base: Fitted, after: Fitted, before_trial: HeldOutRun, after_trial
         return np.concatenate([first, second])
 
     heat_before, heat_after = (
-        np.concatenate([implied_heat(one) * HOUR, np.full(later.times.size, np.nan)]) for one in (base, after)
+        np.concatenate([implied_heat(fitted) * HOUR, np.full(later.times.size, np.nan)]) for fitted in (base, after)
     )
     return DiagnosisCourse(
         times=both(record.times, later.times),

@@ -62,7 +62,7 @@ def _flow(flow: Flow, correction: Correction) -> Flow:
     if FIXED in params:
         shift = correction.offset if flow.kind in RELAXING else 0.0
         params[FIXED] = correction.gain * params[FIXED] + shift
-    inputs = tuple(Input(one.signal, correction.gain * one.gain, one.reference) for one in flow.inputs)
+    inputs = tuple(Input(driver.signal, correction.gain * driver.gain, driver.reference) for driver in flow.inputs)
     return Flow(flow.kind, params, inputs)
 
 

@@ -317,7 +317,7 @@ class EffectKind:
     @property
     def optional(self) -> tuple[str, ...]:
         """The roles that may be filled."""
-        return tuple(one.role.name for one in self.roles.optional)
+        return tuple(option.role.name for option in self.roles.optional)
 
     @property
     def from_event(self) -> bool:
@@ -331,7 +331,9 @@ class EffectKind:
 
     def acts_with(self, signals: Mapping[str, str]) -> Acts:
         """Where it acts with the signals that fill its roles."""
-        absent = [one.acts for one in self.roles.optional if one.role.name not in signals and one.acts is not None]
+        absent = [
+            option.acts for option in self.roles.optional if option.role.name not in signals and option.acts is not None
+        ]
         return absent[0] if absent else self.acts
 
 

@@ -20,7 +20,7 @@ EFFECTS: dict[str, EffectKind] = {
 ROLES: dict[str, str] = {
     role.name: role.signal
     for kind in EFFECTS.values()
-    for role in (*kind.roles.needed, *(one.role for one in kind.roles.optional))
+    for role in (*kind.roles.needed, *(option.role for option in kind.roles.optional))
     if role.signal
 }
 """The plant's signal of each role; a column map gives other data's signals the plant's names."""

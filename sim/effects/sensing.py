@@ -23,13 +23,13 @@ def _blur(shape: Params) -> tuple[str, Mapping[str, float]] | None:
 def _jumps(times: Array, score: Array) -> Sequence[Params]:
     """The moments from which an offset would lower the misfit most: extremes of the score summed to the end."""
     summed = np.abs(np.cumsum(score[::-1])[::-1])
-    found: list[int] = []
+    places: list[int] = []
     for place in np.argsort(-summed, kind="stable").tolist():
-        if all(abs(place - other) > JUMP_APART for other in found):
-            found.append(place)
-        if len(found) == JUMPS:
+        if all(abs(place - other) > JUMP_APART for other in places):
+            places.append(place)
+        if len(places) == JUMPS:
             break
-    return [{"at": float(times[place])} for place in found]
+    return [{"at": float(times[place])} for place in places]
 
 
 SENSING = (

@@ -98,14 +98,14 @@ def follow_forecasts(review: Review, state: Calibration, horizon: float, time: f
     Measured in the bands that the model itself promises, its learned factor included: a band that was widened online
     covers a wrong model, and is no reason to keep it.
     """
-    one = state.horizons[horizon]
+    calibration = state.horizons[horizon]
     if not isfinite(temperature):
         return review
-    last = one.last
-    for waiting in matured(one, time, state.tolerance):
+    last = calibration.last
+    for waiting in matured(calibration, time, state.tolerance):
         worth = min(max(waiting.due - last, 0.0) / horizon, 1.0)
         last = max(last, waiting.due)
-        review = follow(FORECASTS, review, waiting.due, deviation(waiting, temperature) / one.prior, worth)
+        review = follow(FORECASTS, review, waiting.due, deviation(waiting, temperature) / calibration.prior, worth)
     return review
 
 

@@ -57,15 +57,15 @@ def run_free(
     decay, pull = steps(runs, frame.shape, log_rates)
     target = frame.load @ linear
     k = rates_of(frame, log_rates)
-    effects = [effect for one in named for effect in effects_of(one, frame.record.model)]
+    effects = [effect for named_effect in named for effect in effects_of(named_effect, frame.record.model)]
     heating = [effect for effect in effects if not on_sensor(effect)]
     # A run's first row has decay 0, so that one recursion serves all runs: what is pushed there is the start itself.
-    push = pull * target
-    push[runs.first] = start
-    course = linear_recursion(decay, push, 0.0)
+    forcing = pull * target
+    forcing[runs.first] = start
+    course = linear_recursion(decay, forcing, 0.0)
     loss = np.zeros(len(runs))
     if heating:
-        flow = (decay, np.where(runs.first, start[np.cumsum(runs.first) - 1], push), k)
+        flow = (decay, np.where(runs.first, start[np.cumsum(runs.first) - 1], forcing), k)
         course, loss = _driven(frame, heating, flow, course if guess is None else guess)
     mean = course
     for effect in effects:
@@ -90,10 +90,10 @@ def _driven(
     """(course, loss) with the effects; `flow` is (decay, what the flow adds, k) without them."""
     record = frame.record
     runs = record.runs
-    _, own_push, k = flow
+    _, own_forcing, k = flow
     _, own_pull = decay_and_pull(k, runs.dt)
-    # The flow's own push is that of a constant heat over the step, so that heats add up and losses join the rate.
-    own_heat = np.where(runs.first, 0.0, own_push / np.maximum(own_pull, 1e-12))
+    # The flow's own forcing is that of a constant heat over the step, so that heats add up and losses join the rate.
+    own_heat = np.where(runs.first, 0.0, own_forcing / np.maximum(own_pull, 1e-12))
     for _ in range(ITERATIONS):
         loss, heat = np.zeros(len(runs)), own_heat.copy()
         # Heat that depends on the course is taken at the middle of the step: second order in dt, as the trapezoid is.
@@ -104,7 +104,7 @@ def _driven(
             heat += added
         decay, pull = decay_and_pull(k + loss, runs.dt)
         before = course
-        course = linear_recursion(np.where(runs.first, 0.0, decay), np.where(runs.first, own_push, pull * heat), 0.0)
+        course = linear_recursion(np.where(runs.first, 0.0, decay), np.where(runs.first, own_forcing, pull * heat), 0.0)
         if not np.isfinite(course).all() or np.max(np.abs(course - before)) < STILL:
             break
     return course, loss
@@ -123,9 +123,9 @@ def filtered(frame: Frame, state: CourseState, heat: Array) -> Array:
     runs = frame.record.runs
     decay, pull = decay_and_pull(state.k + state.loss, runs.dt)
     decay = np.where(runs.first, 0.0, decay)
-    push = np.where(runs.first, 0.0, pull)
+    pull = np.where(runs.first, 0.0, pull)
     columns = heat if heat.ndim == 2 else heat[:, None]
-    return linear_recursion(decay[:, None], push[:, None] * columns, np.zeros(columns.shape[1]))
+    return linear_recursion(decay[:, None], pull[:, None] * columns, np.zeros(columns.shape[1]))
 
 
 def sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
@@ -153,10 +153,11 @@ def sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
     before = np.concatenate([[0.0], state.mean[:-1]])
     # As in sim.learning.free_run: the course's own recursion, driven by the change of its coefficients with log(rate).
     up, down = (steps(runs, shape, state.log_rates + sign * step) for sign in (1, -1))
-    push = ((up[0] - down[0]) * before + (up[1] - down[1]) * state.target) / (2 * step)
-    push[runs.first] = 0.0
+    forcing = ((up[0] - down[0]) * before + (up[1] - down[1]) * state.target) / (2 * step)
+    forcing[runs.first] = 0.0
     group = np.append(shape.rate, -1)[runs.place]
-    rates = linear_recursion(decay[:, None], np.where(group[:, None] == np.arange(r), push[:, None], 0.0), np.zeros(r))
+    forcings = np.where(group[:, None] == np.arange(r), forcing[:, None], 0.0)
+    rates = linear_recursion(decay[:, None], forcings, np.zeros(r))
     return np.column_stack([linear, rates])
 
 
