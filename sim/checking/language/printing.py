@@ -62,7 +62,7 @@ def uppaal_refusal(query: q.Query) -> str:
             if isinstance(question.path, q.Eventually | q.Always) and question.path.span == q.TimeSpan():
                 return ""
             return "UPPAAL tests and compares only Pr[<=T](<> phi) and Pr[<=T]([] phi); ask here"
-    return next(filter(None, (uppaal_refusal(q.Hypothesis(one, ">=", 0.5)) for one in (query.left, query.right))), "")
+    return next(filter(None, (uppaal_refusal(q.Hypothesis(side, ">=", 0.5)) for side in (query.left, query.right))), "")
 
 
 def _bound_refusal(bound: float) -> str:

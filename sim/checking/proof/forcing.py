@@ -135,7 +135,7 @@ def drift_of(flow: Flow, m: Range, forcing: Forcing, *, up: bool, housing: float
     """
     side = int(up)
     parts = [_alone(flow, m, forcing.heat, side)]
-    parts += [_loss_drift(one, up=up) for one in forcing.losses]
+    parts += [_loss_drift(loss, up=up) for loss in forcing.losses]
     if forcing.coupling and housing is not None:
         parts.append(DriftBound((), ((forcing.coupling * housing, forcing.coupling),)))
     if forcing.thermostat is not None:
@@ -165,7 +165,8 @@ def _heated(
     """(least heat, greatest heat, the signals' values at either), the flow's inputs taken in."""
     low, high = 0.0, 0.0
     chosen: tuple[dict[str, float], dict[str, float]] = ({}, {})
-    names = [one.signal for one in flow.inputs] + [signal for one in effects for signal in one.signals.values()]
+    names = [driver.signal for driver in flow.inputs]
+    names += [signal for effect in effects for signal in effect.signals.values()]
     for name in dict.fromkeys(names):
         readers = [effect for effect in effects if name in effect.signals.values()]
         bends = [0.0]
@@ -180,7 +181,7 @@ def _heated(
         k = flow.params.get("k", 0.0)
         values = np.array(
             [np.asarray(held(effect, {name: grid})[0]) for effect in readers]
-            + [k * given.gain * (grid - given.reference) for given in flow.inputs if given.signal == name]
+            + [k * driver.gain * (grid - driver.reference) for driver in flow.inputs if driver.signal == name]
         )
         inside = np.minimum(values[:, :-1], values[:, 1:]), np.maximum(values[:, :-1], values[:, 1:])
         low, high = low + float(inside[0].sum(axis=0).min()), high + float(inside[1].sum(axis=0).max())
@@ -207,19 +208,19 @@ def _loss_signals(
     """The values that drive outwards: warm (cold) sinks, and least pumping where the drift `alone` goes beyond them."""
     a, b = alone.at(sink[side])
     outward = (a - b * sink[side]) * (1.0 if side else -1.0) > 0
-    bound, found = kind_of(effect).bound, {}
+    bound, values = kind_of(effect).bound, {}
     for role, signal in effect.signals.items():
         low, high = ranges(signal)
         pumping = max(low if outward else high, 0.0)
         strength = isinstance(bound, LossBound) and role == bound.strength
-        found[signal] = pumping if strength else (high if side else low)
-    return found
+        values[signal] = pumping if strength else (high if side else low)
+    return values
 
 
-def _loss_drift(one: Loss, *, up: bool) -> DriftBound:
+def _loss_drift(loss: Loss, *, up: bool) -> DriftBound:
     """Below the sink a loss warms, above it cools: which of its strengths is the bound changes there."""
-    sink = one.sink[int(up)]
-    least, most = one.loss
+    sink = loss.sink[int(up)]
+    least, most = loss.loss
     below, above = (most, least) if up else (least, most)
     return DriftBound((sink,), ((below * sink, below), (above * sink, above)))
 

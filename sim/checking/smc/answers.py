@@ -148,11 +148,11 @@ def _probability(query: q.Probability, start: Start, settings: QuerySettings, re
     outcomes = _outcomes(drawn)
     if query.runs or settings.runs or settings.rule == "fixed":  # whoever asks for a number of runs gets the fixed rule
         runs = settings.runs or query.runs or hoeffding_runs(settings)
-        found = fixed(outcomes, runs, settings.level, progress=report)
+        outcome = fixed(outcomes, runs, settings.level, progress=report)
     else:
         rule = anytime if settings.rule == "anytime" else to_half_width
-        found = rule(outcomes, settings.epsilon, settings.level, most=settings.most, progress=report)
-    estimate = found.estimate
+        outcome = rule(outcomes, settings.epsilon, settings.level, most=settings.most, progress=report)
+    estimate = outcome.estimate
 
     # The contrary of `[]` is what may be rare: there a share of exactly 1 says that no run has shown it.
     never = estimate.probability == (0.0 if isinstance(query.path, q.Eventually) else 1.0)
@@ -171,9 +171,9 @@ def _probability(query: q.Probability, start: Start, settings: QuerySettings, re
             advice = (f"{what} not once in {estimate.runs} runs: --rare says how rare it is, by importance splitting",)
 
     sentence = f"Pr = {_interval(estimate.probability, estimate.low, estimate.high, settings)}"
-    if not found.decided:
+    if not outcome.decided:
         sentence += f"; the runs ended before the interval was as narrow as ±{settings.epsilon:g}"
-    return _answered(query, "probability", sentence, found=found, drawn=drawn, start=start, advice=advice)
+    return _answered(query, "probability", sentence, outcome=outcome, drawn=drawn, start=start, advice=advice)
 
 
 def hoeffding_runs(settings: QuerySettings) -> int:
@@ -186,12 +186,12 @@ def _hypothesis(query: q.Hypothesis, start: Start, settings: QuerySettings, repo
     drawn = sampler(start.world, (prepared(query.question, start),), settings.seed)
     test = sprt.wald_test(query.op, query.p, settings.delta, settings.alpha, settings.alpha)
     most = settings.runs or query.question.runs or settings.most
-    found = sprt.sprt(_outcomes(drawn), test, most=most, progress=report)
-    word = {True: "holds", False: "does not hold", None: "undecided"}[found.holds]
-    estimate = found.estimate
+    outcome = sprt.sprt(_outcomes(drawn), test, most=most, progress=report)
+    word = {True: "holds", False: "does not hold", None: "undecided"}[outcome.holds]
+    estimate = outcome.estimate
     sentence = f"Pr {query.op} {query.p:g}: {word}; Pr = "
     sentence += _interval(estimate.probability, estimate.low, estimate.high, settings)
-    return _answered(query, "hypothesis", sentence, found=found, drawn=drawn, start=start)
+    return _answered(query, "hypothesis", sentence, outcome=outcome, drawn=drawn, start=start)
 
 
 def _comparison(query: q.PairedComparison, start: Start, settings: QuerySettings, report: Progress) -> Answer:
@@ -203,24 +203,24 @@ def _comparison(query: q.PairedComparison, start: Start, settings: QuerySettings
         return left, right
 
     most = settings.runs or settings.most
-    found = paired.compare(pairs, settings.delta, settings.level, most=most, progress=report)
-    difference = _interval(found.difference, found.low, found.high, settings)
+    comparison = paired.compare(pairs, settings.delta, settings.level, most=most, progress=report)
+    difference = _interval(comparison.difference, comparison.low, comparison.high, settings)
     numbers = {
-        "difference": found.difference,
-        "low": found.low,
-        "high": found.high,
-        "discordant": float(found.discordant),
+        "difference": comparison.difference,
+        "low": comparison.low,
+        "high": comparison.high,
+        "discordant": float(comparison.discordant),
     }
-    for name, side in (("left", found.left), ("right", found.right)):
+    for name, side in (("left", comparison.left), ("right", comparison.right)):
         numbers |= {name: side.probability, f"{name} low": side.low, f"{name} high": side.high}
     return Answer(
         query=query,
         kind="comparison",
-        sentence=f"Pr(left) - Pr(right) = {difference}: {_ORDERS[found.answer]}",
-        verdict=found.holds,
+        sentence=f"Pr(left) - Pr(right) = {difference}: {_ORDERS[comparison.answer]}",
+        verdict=comparison.holds,
         numbers=numbers,
-        rule=f"{found.rule}, delta {found.delta:g}",
-        runs=found.left.runs,
+        rule=f"{comparison.rule}, delta {comparison.delta:g}",
+        runs=comparison.left.runs,
         seed=settings.seed,
         start=start.words,
         notes=("both sides are looked at on the same runs: common random numbers", *_sampler_notes(drawn)),
@@ -235,11 +235,11 @@ def _rare(query: q.Probability, path: PreparedPath, start: Start, settings: Quer
             "--rare and ask for more runs"
         )
     where = cuts((path,), path.bound)
-    made = engine(start.world, replace(where, longest=min(where.longest, path.bound / SPLIT_STEPS)))
+    simulator = engine(start.world, replace(where, longest=min(where.longest, path.bound / SPLIT_STEPS)))
     # The spawn key lies beyond those of the chunks of plain runs (`runs.generator`): no random number is used twice.
     rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy=settings.seed, spawn_key=(1 << 20,))))
-    found = split(made, path, rng, confidence=settings.level, report=report)
-    estimate = found.estimate
+    outcome = split(simulator, path, rng, confidence=settings.level, report=report)
+    estimate = outcome.estimate
     if isinstance(query.path, q.Always):
         # The complement is said as "1 - x": 1 - 1e-6 printed with four digits would read 1.
         numbers = {"probability": 1 - estimate.probability, "low": 1 - estimate.high, "high": 1 - estimate.low}
@@ -249,13 +249,13 @@ def _rare(query: q.Probability, path: PreparedPath, start: Start, settings: Quer
     else:
         numbers = {"probability": estimate.probability, "low": estimate.low, "high": estimate.high}
         sentence = f"Pr = {_interval(estimate.probability, estimate.low, estimate.high, settings)}"
-    numbers["relative error"] = found.relative
-    notes = [*made.notes, *approximations(path)]
+    numbers["relative error"] = outcome.relative
+    notes = [*simulator.notes, *approximations(path)]
     if settings.runs or query.runs:
         notes.append("splitting makes as many runs as it needs: the number asked for was not looked at")
     if not estimate.probability:
         notes.append("no repetition reached the event: it is rarer than can be seen, and the interval says nothing")
-    rule = f"importance splitting, fixed effort, {found.repetitions} repetitions, Student's t corrected for skewness"
+    rule = f"importance splitting, fixed effort, {outcome.repetitions} repetitions, Student's t corrected for skewness"
     return Answer(
         query=query,
         kind="probability",
@@ -266,14 +266,14 @@ def _rare(query: q.Probability, path: PreparedPath, start: Start, settings: Quer
         seed=settings.seed,
         start=start.words,
         notes=tuple(notes),
-        levels=found.levels,
+        levels=outcome.levels,
     )
 
 
 def _expectation(query: q.Expectation, start: Start, settings: QuerySettings, report: Progress) -> Answer:
     """The mean of a course's extreme over the runs, with a Student interval."""
     runs = settings.runs or query.runs
-    found, totals, notes = extremes(
+    statistics, totals, notes = extremes(
         start.world,
         query.expression,
         bound=query.bound,
@@ -282,20 +282,20 @@ def _expectation(query: q.Expectation, start: Start, settings: QuerySettings, re
         greatest=query.extreme == "max",
         report=report,
     )
-    mean, numbers = found.mean, {"mean": found.mean}
+    mean, numbers = statistics.mean, {"mean": statistics.mean}
     sentence = f"E({query.extreme}) = {mean:.4g} (one run)"
     if runs > 1:
-        deviation = sqrt(found.squares / (runs - 1))
+        deviation = sqrt(statistics.squares / (runs - 1))
         # Student's t: the extremes are not normal, but their mean nearly is for the runs that anybody asks for.
         half = float(stdtrit(runs - 1, 1.0 - settings.alpha / 2.0)) * deviation / sqrt(runs)
         numbers |= {"low": mean - half, "high": mean + half, "sigma": deviation}
         sentence = f"E({query.extreme}) = {_interval(mean, numbers['low'], numbers['high'], settings)}"
-        sentence += f"; over the runs sigma {deviation:.4g}, from {found.least:.4g} to {found.greatest:.4g}"
+        sentence += f"; over the runs sigma {deviation:.4g}, from {statistics.least:.4g} to {statistics.greatest:.4g}"
     return Answer(
         query=query,
         kind="expectation",
         sentence=sentence,
-        numbers=numbers | {"least": found.least, "greatest": found.greatest},
+        numbers=numbers | {"least": statistics.least, "greatest": statistics.greatest},
         rule="mean of the runs, Student's t",
         runs=runs,
         seed=settings.seed,
@@ -308,13 +308,13 @@ def _simulation(query: q.Simulation, start: Start, settings: QuerySettings, repo
     """The courses of the query's expressions."""
     runs = settings.runs or query.runs
     report(f"{runs} runs", 0.0)
-    found, totals, notes = trajectories(start.world, query.expressions, query.bound, runs=runs, seed=settings.seed)
+    courses, totals, notes = trajectories(start.world, query.expressions, query.bound, runs=runs, seed=settings.seed)
     numbers: dict[str, float] = {}
     for row, label in enumerate(query.labels):
-        last = np.array([course.values[row, -1] for course in found])
+        last = np.array([course.values[row, -1] for course in courses])
         numbers |= {f"{label}: mean at the end": float(last.mean())}
-        numbers |= {f"{label}: least": min(float(course.values[row].min()) for course in found)}
-        numbers |= {f"{label}: greatest": max(float(course.values[row].max()) for course in found)}
+        numbers |= {f"{label}: least": min(float(course.values[row].min()) for course in courses)}
+        numbers |= {f"{label}: greatest": max(float(course.values[row].max()) for course in courses)}
     return Answer(
         query=query,
         kind="simulation",
@@ -325,29 +325,29 @@ def _simulation(query: q.Simulation, start: Start, settings: QuerySettings, repo
         seed=settings.seed,
         start=start.words,
         notes=(*notes, *_run_notes(totals)),
-        courses=found,
+        courses=courses,
     )
 
 
 def decided(query: q.Symbolic, sha: SHA) -> Answer:
     """The answer to a symbolic query, with the word that shows it where one does. Raises ValueError as `decide`."""
-    found = decide(query, sha)
-    sentence = f"{query.kind}: {'holds' if found.holds else 'does not hold'}"
-    if found.shows:
-        sentence += f"; {found.shows}: {_route(found.path, found.word) or sha.initial}"
-        if found.loop:
-            sentence += f", then again and again {_route(found.loop_path, found.loop)}"
+    decision = decide(query, sha)
+    sentence = f"{query.kind}: {'holds' if decision.holds else 'does not hold'}"
+    if decision.shows:
+        sentence += f"; {decision.shows}: {_route(decision.path, decision.word) or sha.initial}"
+        if decision.loop:
+            sentence += f", then again and again {_route(decision.loop_path, decision.loop)}"
     return Answer(
         query=query,
         kind="symbolic",
         sentence=sentence,
-        verdict=found.holds,
-        numbers={"locations looked at": float(found.explored)},
-        rule=f"exhaustive, {found.explored} locations looked at",
+        verdict=decision.holds,
+        numbers={"locations looked at": float(decision.explored)},
+        rule=f"exhaustive, {decision.explored} locations looked at",
         runs=0,
         seed=0,
         start="",
-        notes=found.notes,
+        notes=decision.notes,
     )
 
 
@@ -371,24 +371,24 @@ def _answered(
     kind: str,
     sentence: str,
     *,
-    found: RuleOutcome,
+    outcome: RuleOutcome,
     drawn: Sampler,
     start: Start,
     advice: tuple[str, ...] = (),
 ) -> Answer:
     """The answer of a rule that looked at one path."""
-    estimate = found.estimate
+    estimate = outcome.estimate
     return Answer(
         query=query,
         kind=kind,
         sentence=sentence,
-        verdict=found.holds,
+        verdict=outcome.holds,
         numbers={"probability": estimate.probability, "low": estimate.low, "high": estimate.high},
-        rule=found.rule,
+        rule=outcome.rule,
         runs=estimate.runs,
         seed=drawn.seed,
         start=start.words,
-        notes=(*advice, *([found.note] if found.note else []), *_sampler_notes(drawn)),
+        notes=(*advice, *([outcome.note] if outcome.note else []), *_sampler_notes(drawn)),
         passages=drawn.passages()[: estimate.runs] if drawn.when else None,
     )
 

@@ -160,9 +160,9 @@ def affine(expression: Expression) -> tuple[float, float, float] | None:
     values = [float(np.asarray(value(expression, 0.0, time, age))) for time, age in corners]
     c = values[0]
     t, g = values[1] - c, values[2] - c
-    size = 1.0 + max(abs(one) for one in values)
+    size = 1.0 + max(abs(height) for height in values)
     fits = all(
-        abs(c + t * time + g * age - one) <= TINY * size for (time, age), one in zip(corners, values, strict=True)
+        abs(c + t * time + g * age - height) <= TINY * size for (time, age), height in zip(corners, values, strict=True)
     )
     return (c, t, g) if fits else None
 
@@ -219,7 +219,7 @@ def compile_formulas(formulas: tuple[Formula, ...], names: tuple[str, ...]) -> C
     place: dict[Compare, tuple[int, Comparison]] = {}
     lines: dict[ThresholdLine, int] = {}
     watched = set()
-    every = [one for formula in formulas for one, _ in comparisons(formula)]
+    every = [compare for formula in formulas for compare, _ in comparisons(formula)]
     for formula in formulas:
         check_formula(formula, names)
         for compare, positive in comparisons(formula):
@@ -245,7 +245,7 @@ def compile_formulas(formulas: tuple[Formula, ...], names: tuple[str, ...]) -> C
         lines=tuple(order),
         place={compare: (rank[index], op) for compare, (index, op) in place.items()},
         watched=tuple(sorted((rank[index], up) for index, up in watched)),
-        clocks=tuple(one for one in dict.fromkeys(every) if one not in place),
+        clocks=tuple(compare for compare in dict.fromkeys(every) if compare not in place),
         still=all(line.level is not None for line in order),
     )
 
@@ -278,10 +278,14 @@ def table(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask:
             truth = np.where(equal, same, np.where(difference < 0, below, above) & ~np.isnan(difference))
             truths.append(bool(truth) if truth.ndim == 0 else truth)
         clocks = tuple(truths)
-    if not compiled.still or not isinstance(piece.location, int) or any(isinstance(one, np.ndarray) for one in clocks):
+    if (
+        not compiled.still
+        or not isinstance(piece.location, int)
+        or any(isinstance(clock, np.ndarray) for clock in clocks)
+    ):
         return _table(compiled, which, piece, clocks)
     # Lines that stand still and one location for all runs: few tables, each used thousands of times.
-    key = which, piece.location, tuple(bool(one) for one in clocks)
+    key = which, piece.location, tuple(bool(clock) for clock in clocks)
     if key not in compiled.tables:
         compiled.tables[key] = _table(compiled, which, piece, clocks)
     return compiled.tables[key]
@@ -303,11 +307,11 @@ def _table(compiled: CompiledFormulas, which: int, piece: Piece, clocks: tuple[b
         side = np.sign(shape - (2 * ranks[index] + 1))
         return np.asarray(np.take(_SIGNS[op], side + 1))
 
-    found = _truth(
+    truth = _truth(
         compiled.formulas[which], compared, lambda at: np.asarray(piece.location == compiled.names.index(at))
     )
     size = (regions.size,) if shape.ndim == 1 else (regions.size, piece.start.size)
-    return np.broadcast_to(found, size)
+    return np.broadcast_to(truth, size)
 
 
 def _ranks(compiled: CompiledFormulas, piece: Piece) -> Indices:
@@ -343,11 +347,11 @@ def exists(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask | bool:
     """(n,) whether formula `which` is true at some instant of the piece; one answer where it is the same for all."""
     truth = table(compiled, which, piece)
     if truth.ndim == 1:
-        found = _border(truth.tobytes())
-        if isinstance(found, bool):
-            return found
-        if found is not None:
-            line, up, strict = found
+        border = _border(truth.tobytes())
+        if isinstance(border, bool):
+            return border
+        if border is not None:
+            line, up, strict = border
             return reached(compiled.lines[line], piece, up=up, strict=strict)
     low, high = visited(compiled, piece)
     # A continuous path visits every region from its lowest to its highest; cumulated counts say in one subtraction
@@ -367,7 +371,7 @@ def _border(truth: bytes) -> bool | tuple[int, bool, bool] | None:
     itself); None where it is more than that."""
     if not any(truth) or all(truth):
         return bool(truth[0])
-    changes = sum(one != other for one, other in pairwise(truth))
+    changes = sum(left != right for left, right in pairwise(truth))
     if changes > 1:
         return None
     if truth[-1]:
@@ -392,8 +396,8 @@ def visited(compiled: CompiledFormulas, piece: Piece) -> tuple[Indices, Indices]
 def region(compiled: CompiledFormulas, piece: Piece, *, at_end: bool) -> Indices:
     """(n,) the region in which each run is at the piece's start or end."""
     x = piece.end if at_end else piece.start
-    here = np.zeros(x.size, dtype=np.intp)
+    index = np.zeros(x.size, dtype=np.intp)
     for line in compiled.lines:
         position = line.ends(piece)[int(at_end)]
-        here += (x > position).astype(np.intp) + (x >= position)
-    return here
+        index += (x > position).astype(np.intp) + (x >= position)
+    return index

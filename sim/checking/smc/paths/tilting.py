@@ -72,9 +72,9 @@ def balance(tilts: Tilts, drawn: Array, spent: Array, least: float) -> float:
     return 1.0 if excess(1.0) <= 0.0 else float(brentq(excess, least, 1.0, xtol=1e-3))
 
 
-def moved(one: Tilts, other: Tilts) -> float:
+def moved(tilts: Tilts, other: Tilts) -> float:
     """The greatest difference of the means, in standard deviations of the scores."""
-    return float(np.max(np.abs(one.mean - other.mean), initial=0.0))
+    return float(np.max(np.abs(tilts.mean - other.mean), initial=0.0))
 
 
 def tiltable(law: Distribution | None) -> bool:

@@ -66,8 +66,8 @@ def fixed(
         outcomes = drawn(draw, min(batch, runs - done))
         successes, done = successes + float(outcomes.sum()), done + outcomes.size
         show_progress(progress, done, runs)
-    found = clopper_pearson(min(successes, runs), runs, level)
-    return RuleOutcome("Clopper-Pearson, fixed number of runs", level, found)
+    estimate = clopper_pearson(min(successes, runs), runs, level)
+    return RuleOutcome("Clopper-Pearson, fixed number of runs", level, estimate)
 
 
 def to_half_width(
@@ -85,10 +85,10 @@ def to_half_width(
     rule then stops at 29 runs with [0, 0.0981446]. Weights in [0, 1] are allowed. Raises ValueError for an epsilon
     outside (0, 0.5) and for outcomes outside [0, 1].
     """
-    found, decided = _narrowed(
+    estimate, decided = _narrowed(
         draw, one_or_two_sided, epsilon=epsilon, level=level, most=most, batch=batch, progress=progress
     )
-    return RuleOutcome("Clopper-Pearson, sequential (UPPAAL's rule)", level, found, decided, note=UNDER_COVERS)
+    return RuleOutcome("Clopper-Pearson, sequential (UPPAAL's rule)", level, estimate, decided, note=UNDER_COVERS)
 
 
 def anytime(
@@ -105,10 +105,10 @@ def anytime(
     Whatever stops it, the truth lies in the interval with a probability of at least `level`. Weights in [0, 1] are
     allowed. Raises as `to_half_width`.
     """
-    found, decided = _narrowed(
+    estimate, decided = _narrowed(
         draw, mixture_interval, epsilon=epsilon, level=level, most=most, batch=batch, progress=progress
     )
-    return RuleOutcome("betting (beta mixture), valid at any time", level, found, decided)
+    return RuleOutcome("betting (beta mixture), valid at any time", level, estimate, decided)
 
 
 def mixture_interval(successes: Array, runs: NDArray[np.int_], level: float) -> tuple[Array, Array]:
@@ -172,9 +172,9 @@ def _narrowed(
         for first in range(0, batch_outcomes.size, _BLOCK):
             outcomes = batch_outcomes[first : first + _BLOCK]
             sums, counts = total + np.cumsum(outcomes), runs + np.arange(1, outcomes.size + 1)
-            found = _first_narrow(interval, sums, counts, epsilon, level)
-            if found is not None:
-                return found, True
+            estimate = _first_narrow(interval, sums, counts, epsilon, level)
+            if estimate is not None:
+                return estimate, True
             total, runs = float(sums[-1]), int(counts[-1])
         show_progress(progress, runs, _expected(total / runs, epsilon, level, most))
     low, high = interval(np.array([total]), np.array([runs]), level)
@@ -218,12 +218,12 @@ def drawn(draw: Draw, runs: int) -> Array:
 
 def checked(outcomes: Array, runs: int) -> Array:
     """The outcomes as floats. Raises ValueError for one outside [0, 1] or NaN, and for a wrong number of them."""
-    given = np.asarray(outcomes, dtype=float)
-    if given.shape != (runs,):
-        raise ValueError(f"{runs} runs gave outcomes of shape {given.shape}")
-    if not np.all((given >= 0.0) & (given <= 1.0)):
+    values = np.asarray(outcomes, dtype=float)
+    if values.shape != (runs,):
+        raise ValueError(f"{runs} runs gave outcomes of shape {values.shape}")
+    if not np.all((values >= 0.0) & (values <= 1.0)):
         raise ValueError("an outcome of a run lies outside [0, 1]")
-    return given
+    return values
 
 
 def show_progress(progress: Progress | None, done: int, of: int) -> None:

@@ -81,9 +81,9 @@ def sprt(
         show_progress(progress, runs, most)
     holds = None if below < ratio < above else ratio <= below
     low, high = mixture_interval(np.array([total]), np.array([runs]), 1.0 - test.alpha)
-    found = Estimate(total / runs, float(low[0]), float(high[0]), runs)
+    estimate = Estimate(total / runs, float(low[0]), float(high[0]), runs)
     rule = f"Wald's SPRT of {test.accept:g} against {test.reject:g}, alpha {test.alpha:g}, beta {test.beta:g}"
-    return RuleOutcome(rule, 1.0 - test.alpha, found, holds is not None, holds)
+    return RuleOutcome(rule, 1.0 - test.alpha, estimate, holds is not None, holds)
 
 
 def wald_test(

@@ -44,17 +44,17 @@ def find_plan(event: RareEvent, rng: np.random.Generator, report: Progress) -> S
     Raises PilotFailed when the last pilot does not come near the event.
     """
     if not event.engine.columns:
-        found = _pilot(event, rng, report)[0]
+        plan = _pilot(event, rng, report)[0]
     else:
         tilts = neutral(event.engine.columns)
         for _ in range(PILOTS):
-            found, scores = _pilot(event.tilted(tilts), rng, report)
+            plan, scores = _pilot(event.tilted(tilts), rng, report)
             before, tilts = tilts, fitted(scores)
             if moved(before, tilts) < SETTLED:
                 break
-    if isinstance(found, PilotFailed):
-        raise found
-    return found
+    if isinstance(plan, PilotFailed):
+        raise plan
+    return plan
 
 
 def _pilot(event: RareEvent, rng: np.random.Generator, report: Progress) -> tuple[SplittingPlan | PilotFailed, Array]:
@@ -110,8 +110,8 @@ def _next(event: RareEvent, ended: EntranceStates, goal: float, share: float, be
         rows = np.flatnonzero(ahead >= level)
         # How many runs of equal weight these are worth where they are to be weighted on: Kish's (sum w)^2 / sum w^2.
         drawn, applied = ended.state.drawn[rows], ended.applied[rows]
-        given = 1.0 if level >= goal else balance(tilts, drawn, applied, share)
-        weights = np.exp(given * tilts.log_weights(drawn) - applied)
+        exponent = 1.0 if level >= goal else balance(tilts, drawn, applied, share)
+        weights = np.exp(exponent * tilts.log_weights(drawn) - applied)
         if float(weights.sum() ** 2 / np.square(weights).sum()) >= ENOUGH * ahead.size:
             break
     return level
