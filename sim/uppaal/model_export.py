@@ -16,7 +16,7 @@ from sim.uppaal.effects import augmented
 from sim.uppaal.effects import refused as refused_effects
 from sim.uppaal.layout import in_a_row, on_a_circle
 from sim.uppaal.machine import Beginning, Move, machine, variables
-from sim.uppaal.players import event_arrays, input_declarations, input_player, player, skeleton
+from sim.uppaal.players import event_arrays, input_declarations, input_player, player, structure
 from sim.uppaal.queries import asked, compatibility, default_questions, query_file
 from sim.uppaal.replay import ReplayedTrace, replay_of
 from sim.uppaal.rules import check_rules
@@ -176,7 +176,7 @@ def _minimal(model: Model, replay: ReplayedTrace, questions: tuple[ExportedQuery
     if UNKNOWN in replay.all_symbols:
         moves += [(location.name, channels[UNKNOWN], sha.initial) for location in sha.locations]
     templates = (
-        on_a_circle(skeleton([location.name for location in sha.locations], names, moves, sha.initial)),
+        on_a_circle(structure([location.name for location in sha.locations], names, moves, sha.initial)),
         in_a_row(player(channels, ids, replay.all_symbols, timed=False)),
     )
     title = f"{comment_text(sha.name)} along {comment_text(replay.trace)}: does it accept every event?"

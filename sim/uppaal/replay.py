@@ -42,7 +42,7 @@ class ReplayedTrace:
     temperature. `times` and `symbols` are the events from the start to the last reading, `duration` the time between
     (s), `added` the moves (source, symbol, target) that the policy makes where the automaton has no edge, `dropped`
     the number of events that it passes over and `passed_over` their symbols. Under a dead time all times are those at
-    which events and readings are felt; `clocks` are those of the effects. `all_symbols` are those of the whole trace,
+    which events and readings act; `clocks` are those of the effects. `all_symbols` are those of the whole trace,
     from the automaton's own initial location on, for the compatibility model.
     """
 
@@ -75,14 +75,14 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
     """
     steps = open_loop_schedule(model, trace, policy)
     law = start_law(model, trace, start)
-    # Under a dead time the model follows events and readings when they are felt, so the exported arrays have them then.
+    # Under a dead time the model follows events and readings when they act, so the exported arrays have them then.
     begin, end = steps.start, float(steps.times[-1])
-    felt, delay = trace, dead_time(model.sha)
+    delayed, delay = trace, dead_time(model.sha)
     if delay:
         later = tuple(Event(event.time + delay, event.symbol) for event in trace.events)
-        felt = replace(trace, times=trace.times + delay, events=later)
-    events = [event for event in felt.events if begin <= event.time <= end]
-    added, passed_over = _moves(model.sha, felt.events, begin, end, policy)
+        delayed = replace(trace, times=trace.times + delay, events=later)
+    events = [event for event in delayed.events if begin <= event.time <= end]
+    added, passed_over = _moves(model.sha, delayed.events, begin, end, policy)
     # Whether every event has an edge; UNKNOWN always leads to the initial location.
     onward, here, accepted = transitions(model.sha), model.sha.initial, True
     for event in trace.events:
@@ -100,7 +100,7 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
         times=tuple(round(event.time - begin, DIGITS) for event in events),
         symbols=tuple(event.symbol for event in events),
         duration=round(end - begin, DIGITS),
-        readings=_readings(model, felt, begin, end),
+        readings=_readings(model, delayed, begin, end),
         added=added,
         dropped=len(passed_over),
         passed_over=passed_over,

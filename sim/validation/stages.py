@@ -57,14 +57,14 @@ class Stage:
 class Prepared:
     """A model after its first four stages. `variants` are what is simulated, by semantics; empty when nothing can be.
 
-    `skeleton` has the automaton for the compatibility of traces, whether it can be run or not; `refusals` say, by
+    `structure` has the automaton for the compatibility of traces, whether it can be run or not; `refusals` say, by
     semantics (empty for all), why nothing is simulated; `check` is that of stage 3, None without artefacts.
     """
 
     label: str
     where: str
     found: FoundModel
-    skeleton: Model
+    structure: Model
     variants: Mapping[str, Model]
     refusals: Mapping[str, str]
     stages: tuple[Stage, ...]
@@ -135,8 +135,8 @@ def prepare(
             checking.details = {**checking.details, "locations": rows}
     with timed(generating):
         bare = Model(found.structure, Alphabet(()), temperature, 0.0, provenance=Provenance(method="artefacts"))
-        skeleton = _with_alphabet(found.model or bare, alphabet)
-        variants, refusals = _variants(found, skeleton, wanted, training, seed)
+        structure = _with_alphabet(found.model or bare, alphabet)
+        variants, refusals = _variants(found, structure, wanted, training, seed)
         sentences, models = [], {}
         for name, model in variants.items():
             laws = model.provenance.settings.get("entry_laws", "")
@@ -162,7 +162,7 @@ def prepare(
         label=found.name,
         where=where,
         found=found,
-        skeleton=skeleton,
+        structure=structure,
         variants=variants,
         refusals=refusals,
         stages=stages,

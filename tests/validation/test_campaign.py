@@ -64,7 +64,7 @@ def prepared(label: str, **options: float) -> Prepared:
         label=label,
         where=label,
         found=found,
-        skeleton=model,
+        structure=model,
         variants={"own": model},
         refusals={},
         stages=(),
