@@ -99,7 +99,7 @@ def paired(rng: np.random.Generator) -> list[Figure]:
     return [Figure("pairs to tell 0.52 from 0.5, common numbers", pairs(True), "pairs", "independent", pairs(False))]
 
 
-def skeleton(rng: np.random.Generator) -> SHA:
+def structure(rng: np.random.Generator) -> SHA:
     """Random edges over many locations."""
     ends = rng.integers(0, PLACES, (EDGES, 2))
     places = tuple(Location(f"q_{place}", Flow("constant"), None, "none") for place in range(PLACES))
@@ -121,8 +121,8 @@ def breadth_first(sha: SHA) -> int:
 
 
 def deciding(rng: np.random.Generator, repeats: int) -> list[Figure]:
-    """Reading a query, and deciding three symbolic ones over the random skeleton."""
-    sha = skeleton(rng)
+    """Reading a query, and deciding three symbolic ones over the random structure."""
+    sha = structure(rng)
     least = 1e3 * best(lambda: breadth_first(sha), repeats)
     read = 1e3 * best(lambda: parse_query(ASKED, sha), repeats)
     found = [Figure(f"reading a query, {PLACES} locations", read, "ms")]

@@ -85,9 +85,9 @@ def vibration_friction(op: Operation, strength: float, rng: np.random.Generator)
 
 def ambient_coupling(op: Operation, strength: float, rng: np.random.Generator) -> Parts:
     """The hall felt through the housing, late and with fans that run faster with the drum."""
-    felt = lagged(op.hall, op.period, rng.uniform(200, 700))
+    hall = lagged(op.hall, op.period, rng.uniform(200, 700))
     rate = strength * 2e-4 * (0.8 + 0.4 * op.running)
-    return Parts(heat=rate * (felt - 17.0))
+    return Parts(heat=rate * (hall - 17.0))
 
 
 def feed_temperature_coupling(op: Operation, strength: float, rng: np.random.Generator) -> Parts:

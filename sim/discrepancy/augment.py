@@ -62,8 +62,8 @@ def _fitted(fitted: Fitted, location: Location, place: int) -> Location:
         params["noise"] = process_noise(fitted, params.get("k", 0.0))
     columns = [column for column in shape.gain[place] if column >= 0]
     inputs = tuple(
-        Input(given.signal, float(fitted.state.linear[column]), given.reference)
-        for given, column in zip(flow.inputs, columns, strict=True)
+        Input(driver.signal, float(fitted.state.linear[column]), driver.reference)
+        for driver, column in zip(flow.inputs, columns, strict=True)
     )
     mean = float(fitted.state.linear[shape.target[place]])
     law = location.distribution

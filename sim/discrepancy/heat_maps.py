@@ -77,14 +77,14 @@ def heat_map(course: DiagnosisCourse) -> HeatMap | None:
     if np.isfinite(course.heat_after).any():
         after = _means(course.heat_after[known], place, column, shape)[order, spans]
     edges = (*EDGES, np.inf)[: int(used[-1]) + 2]
-    found = tuple(str(names[number]) for number in order)
+    locations = tuple(str(names[number]) for number in order)
     return HeatMap(
-        locations=found,
+        locations=locations,
         edges=edges,
         before=before,
         after=after,
         cycles=cycles[order, spans],
-        left_out=names.size - len(found),
+        left_out=names.size - len(locations),
     )
 
 

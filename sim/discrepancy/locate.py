@@ -84,22 +84,22 @@ def _cells(blocks: Blocks, record: Record) -> list[_Cell]:
     start, stop = event_names(record)
     cells = []
     for location in np.unique(blocks.location).tolist():
-        here = blocks.location == location
-        running = bool(np.median(blocks.running[here]) > 0.5)
+        in_location = blocks.location == location
+        running = bool(np.median(blocks.running[in_location]) > 0.5)
         phase, after = (blocks.since_start, start) if running else (blocks.since_stop, stop)
         for low, high in pairwise(PHASES):
-            rows = here & (phase >= low) & (phase < high)
+            rows = in_location & (phase >= low) & (phase < high)
             if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
                 cells.append(_Cell(location=location, after=after, seconds=(low, high), rows=rows))
         # Strata: the location's blocks above and below the middle of each signal that varies in it. The middle of
         # the range, not the median, cuts a switched signal between its two values.
         for number, name in enumerate(record.signals):
             column = blocks.signals[:, number]
-            if np.ptp(column[here]) <= 1e-9:
+            if np.ptp(column[in_location]) <= 1e-9:
                 continue
-            middle = 0.5 * (float(np.max(column[here])) + float(np.min(column[here])))
+            middle = 0.5 * (float(np.max(column[in_location])) + float(np.min(column[in_location])))
             for side, when in ((column > middle, "above"), (column <= middle, "up to")):
-                rows = here & side
+                rows = in_location & side
                 if np.unique(blocks.cycle[rows]).size >= LEAST_CYCLES:
                     when = f"{name} {when} {middle:.4g}"
                     seconds = (0.0, np.inf)

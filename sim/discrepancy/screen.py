@@ -141,8 +141,8 @@ def smooth_course(fitted: Fitted) -> Array:
     runs, run = record.runs, record.runs.run[record.rows[record.begins]]
     times = record.times
     for number in np.unique(run):
-        here, knots = run == number, runs.run == number
-        out[knots] += np.interp(runs.time[knots], times[here], smoothed[here])
+        windows, knots = run == number, runs.run == number
+        out[knots] += np.interp(runs.time[knots], times[windows], smoothed[windows])
     return out
 
 

@@ -73,7 +73,7 @@ def _within(times: Array, stays: Stays, acting: Acting) -> Array:
     """Those inside a stay in which the effect acts."""
     place = np.searchsorted(stays.begins, times, side="right") - 1
     inside = (place >= 0) & (times > stays.begins[place]) & (times < stays.ends[place])
-    return times[inside & acting.there[stays.location[place]]]
+    return times[inside & acting.mask[stays.location[place]]]
 
 
 def _counted(first: Indices, last: Indices) -> tuple[Indices, Indices]:
@@ -88,9 +88,9 @@ def longest(plant: Plant) -> Array:
     """(L,) the longest segment (s) by location; inf where neither thermostat nor radiation acts."""
     speed, part = fastest(plant), np.full(plant.rate.size, np.inf)
     if plant.radiation is not None:
-        part[plant.radiation.there] = _RADIATING
+        part[plant.radiation.mask] = _RADIATING
     if plant.thermostat is not None:
-        part[plant.thermostat.there] = np.minimum(part, _SWITCHED)[plant.thermostat.there]
+        part[plant.thermostat.mask] = np.minimum(part, _SWITCHED)[plant.thermostat.mask]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(speed > 0, part / speed, np.inf)
 
@@ -101,11 +101,11 @@ def fastest(plant: Plant) -> Array:
     for acting in plant.steady:
         # A pump's signal is 0 to 1: at 1 its loss is the parameter itself.
         _, loss = held(acting.effect, {name: np.ones(1) for name in acting.effect.signals.values()})
-        speed = speed + acting.there * loss
+        speed = speed + acting.mask * loss
     if plant.thermostat is not None:
-        speed = speed + plant.thermostat.there * plant.thermostat.effect.params["loss"]
+        speed = speed + plant.thermostat.mask * plant.thermostat.effect.params["loss"]
     if plant.radiation is not None:
         effect = plant.radiation.effect
         warm = _WARM * parameter(effect, "scale")
-        speed = speed + plant.radiation.there * 4.0 * effect.params["gain"] * warm**3
+        speed = speed + plant.radiation.mask * 4.0 * effect.params["gain"] * warm**3
     return speed

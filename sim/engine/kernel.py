@@ -46,12 +46,12 @@ class Moved:
 
 
 def move(
-    plant: Plant, steps: Tables, row: Rows, *, s: Array, mode: Array, opened: Mask, push: Array | float = 0.0
+    plant: Plant, steps: Tables, row: Rows, *, s: Array, mode: Array, opened: Mask, noise: Array | float = 0.0
 ) -> Moved:
     """The runs after the step `row` from the states `s` (N, d).
 
     `row` is one step for all runs, or a slice of N steps, one for each. `mode` (N,) is m, `opened` (N,) the thermostat
-    after the last step, `push` (N, d) the step's noise.
+    after the last step, `noise` (N, d) the step's noise.
     """
     # In this order: the thermostat as the state says it, the linear step, the rate limit, the noise, and last the runs
     # whose end lies beyond a threshold, which are cut where they crossed it.
@@ -80,14 +80,14 @@ def move(
         if met.any():
             after = after.copy()
             after[:, 0] = s[:, 0] + np.clip(change, -rate * dt, rate * dt)
-    after = after + push
+    after = after + noise
     now = switched(plant, after[:, 0], opened)
     at = np.flatnonzero(now != opened)
     # Most runs switch in few segments: only those that crossed are cut, the others have their whole step already.
     if steps.open is None or not at.size:
         return Moved(after, opened, met, opened.astype(float))
     which = np.arange(steps.dt.size)[row][at] if isinstance(row, slice) else np.full(at.size, row)
-    spread = push[at] if isinstance(push, np.ndarray) else np.zeros((at.size, plant.size))
+    spread = noise[at] if isinstance(noise, np.ndarray) else np.zeros((at.size, plant.size))
     rests = np.zeros(at.size) if rest is None else rest[at]
     run = _Run(
         which=which,
@@ -95,7 +95,7 @@ def move(
         mode=mode[at],
         rest=rests,
         opened=opened[at],
-        push=spread,
+        noise=spread,
         share=np.zeros(at.size),
     )
     share = opened.astype(float)
@@ -128,7 +128,7 @@ class _Run:
     mode: Array
     rest: Array
     opened: Mask
-    push: Array
+    noise: Array
     share: Array
 
 
@@ -192,4 +192,4 @@ def _piece(plant: Plant, steps: Tables, run: _Run, begin: Array, until: Array) -
     # A table's row is made for the whole step; a piece has its own length, so its exponential is worked out afresh.
     phi, poly = carried(plant, loss, steps.coupling[which], steps.dt[which] * length, closed.powers)
     after = np.einsum("nij,nj->ni", phi, run.s) + np.einsum("niq,nq->ni", poly, heat)
-    return np.asarray(after + length[:, None] * run.push)
+    return np.asarray(after + length[:, None] * run.noise)

@@ -119,8 +119,8 @@ def score(residual: Array) -> Score:
 def _at(prediction: Prediction, times: Array) -> Array:
     """The predicted mean at `times`, each of which must be an output time; the last of equal ones counts."""
     row = np.searchsorted(prediction.times, times, side="right") - 1
-    found = (row >= 0) & (prediction.times[row] == times)
-    if not found.all():
-        missing = float(times[int(np.argmin(found))])
+    matches = (row >= 0) & (prediction.times[row] == times)
+    if not matches.all():
+        missing = float(times[int(np.argmin(matches))])
         raise ValueError(f"the prediction has no value at {missing:.3f} s: let it run at every reading and event")
     return prediction.mean[row]

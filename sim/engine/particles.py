@@ -194,13 +194,13 @@ def _limited(sha: SHA, steps: Steps, x0: Array) -> PathRuns:
             # Only a rate limit has to be looked at location by location: its closed form is the flow's.
             mean = np.empty(begins.shape)
             for index in np.unique(steps.location[row]):
-                here = steps.location[row] == index
-                mean[here] = flows.mean_step(
+                inside = steps.location[row] == index
+                mean[inside] = flows.mean_step(
                     sha.locations[index].flow,
-                    begins[here],
-                    steps.target[row, here],
-                    age=steps.age[row, here],
-                    dt=steps.dt[row, here],
+                    begins[inside],
+                    steps.target[row, inside],
+                    age=steps.age[row, inside],
+                    dt=steps.dt[row, inside],
                     max_rate=sha.max_rate,
                 )
         else:

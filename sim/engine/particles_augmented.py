@@ -32,12 +32,12 @@ def acting_stays(tracker: Tracker, belief: Belief, events: Sequence[Event]) -> l
     coming = [(each.due, each.symbol) for each in delayed if each.symbol]
     later = sorted(events, key=lambda event: event.time)
     coming += [(max(event.time, belief.time) + delay, event.symbol) for event in later]
-    stays, here = [(0.0, belief.location)], belief.location
+    stays, current = [(0.0, belief.location)], belief.location
     for due, symbol in coming:
-        target, _ = next_location(tracker, here, symbol)
+        target, _ = next_location(tracker, current, symbol)
         if target is not None:
-            here = target
-            stays.append((due - belief.time, here))
+            current = target
+            stays.append((due - belief.time, current))
     return stays
 
 
@@ -84,8 +84,8 @@ def augmented_path_runs(
     signals = _signals(tracker, belief, paths, stay, begin, rng=rng)
     offset = np.zeros(shape)
     for row, place in enumerate(sha.locations):
-        for given in place.flow.inputs:
-            added = given.gain * (signals[given.signal] - given.reference)
+        for driver in place.flow.inputs:
+            added = driver.gain * (signals[driver.signal] - driver.reference)
             offset += np.where((location == row) & np.isfinite(added), added, 0.0)
     # A start-up's clock begins with its event: the last one known, or one met on the way to a later stay.
     since = []
@@ -120,7 +120,7 @@ def augmented_path_runs(
         start[row] = s[:, plant.sensed] + before[row]
         roots = np.where(opened[:, None, None], other[rows], closed[rows])
         noise = (roots @ rng.standard_normal((shape[1], plant.size, 1)))[:, :, 0]
-        moved = move(plant, table, rows, s=s, mode=mode[row], opened=opened, push=noise)
+        moved = move(plant, table, rows, s=s, mode=mode[row], opened=opened, noise=noise)
         s, opened = moved.s, moved.opened
         held = np.clip(s[:, 0], sha.low, sha.high)
         clamps += int((held != s[:, 0]).sum())
@@ -192,9 +192,9 @@ def _meets(sha: SHA, event: str) -> Mask:
         seen, layer = {source}, [(source, False)]
         while layer:
             following = []
-            for here, met in layer:
+            for current, met in layer:
                 for edge in sha.edges:
-                    if edge.source == here and edge.target not in seen and edge.symbol != UNKNOWN:
+                    if edge.source == current and edge.target not in seen and edge.symbol != UNKNOWN:
                         seen.add(edge.target)
                         meets[row, index[edge.target]] = met or edge.symbol == event
                         following.append((edge.target, met or edge.symbol == event))

@@ -25,7 +25,7 @@ class Acting:
     """An effect, and for each of the L locations whether it acts there."""
 
     effect: Effect
-    there: Mask
+    mask: Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ def compile_plant(sha: SHA) -> Plant:
         # The constant that multiplies m in the drift; a logarithmic flow's falls with the age, and is not here (`t0`).
         drive=np.array([flow.params["k"] if flow.kind in RELAXING else float(flow.kind == "linear") for flow in flows]),
         t0=np.array([flow.params["t0"] if flow.kind == "logarithmic" else np.nan for flow in flows]),
-        coupling=np.where(housing.there, housing.effect.params["coupling"], 0.0) if housing else np.zeros(len(flows)),
+        coupling=np.where(housing.mask, housing.effect.params["coupling"], 0.0) if housing else np.zeros(len(flows)),
         housing_tau=inf if housing is None else housing.effect.params["tau"],
         lags=order,
         lag_rate=order / lag.effect.params["tau"] if lag is not None else 0.0,

@@ -144,8 +144,8 @@ def _noise(plant: Plant, keys: Array) -> Array:
     term[:, 0, 0] = dt * scale
     total, phi, power = term.copy(), np.broadcast_to(np.eye(plant.size), a.shape), np.eye(plant.size)
     for i in range(1, 2 * _TERMS + 1):
-        push = a @ term
-        term = (push + push.transpose(0, 2, 1)) / (i + 1)
+        drifted = a @ term
+        term = (drifted + drifted.transpose(0, 2, 1)) / (i + 1)
         total += term
         power = a @ power / i
         phi = phi + power

@@ -99,14 +99,14 @@ def schedule(
     if start is not None and not start <= times[0]:
         raise ValueError(f"the first output time {times[0]} lies before the start {start}")
     begin = float(times[0]) if start is None else float(start)
-    given = inputs if inputs is not None else Trace("no inputs", np.empty(0), {})
+    readings = inputs if inputs is not None else Trace("no inputs", np.empty(0), {})
     if not sha.effects:
-        return _steps(sha, _walk(sha, events, begin, float(times[-1]), policy), times, given)
+        return _steps(sha, _walk(sha, events, begin, float(times[-1]), policy), times, readings)
     check_effects(sha)
     delay = dead_time(sha)
     # A dead time is a shift of all that acts; from here on times are those at which things act.
     acting = [Event(event.time + delay, event.symbol) for event in events]
-    later = Trace(given.name, given.times + delay, given.signals)
+    later = Trace(readings.name, readings.times + delay, readings.signals)
     end = float(times[-1])
     walk, plant = _walk(sha, acting, begin, end, policy), compile_plant(sha)
     starts = tuple(
@@ -225,23 +225,23 @@ def _walk(sha: SHA, events: Sequence[Event], start: float, end: float, policy: P
         raise ValueError(
             f"event {row} ({events[row].symbol!r} at {clock[row]} s): times must be numbers, never going back"
         )
-    here, stays, unmatched = sha.initial, [(start, start, index[sha.initial])], []
+    current, stays, unmatched = sha.initial, [(start, start, index[sha.initial])], []
     for number, event in enumerate(events):
         if event.time > end:
             break
-        target = sha.initial if event.symbol == UNKNOWN else moves.get((here, event.symbol))
+        target = sha.initial if event.symbol == UNKNOWN else moves.get((current, event.symbol))
         if target is None:
             if policy == "reject":
                 raise ValueError(
-                    f"event {number} ({event.symbol!r} at {event.time:.3f} s): location {here!r} of SHA {sha.name!r} "
-                    f"has no edge for it; the policies 'ignore' and 'resync' go on all the same"
+                    f"event {number} ({event.symbol!r} at {event.time:.3f} s): location {current!r} of SHA "
+                    f"{sha.name!r} has no edge for it; the policies 'ignore' and 'resync' go on all the same"
                 )
             unmatched.append(number)
             if policy == "ignore":
                 continue
             target = fallback.get(event.symbol, sha.initial)
-        here = target
-        stay = (max(event.time, start), event.time, index[here])
+        current = target
+        stay = (max(event.time, start), event.time, index[current])
         if event.time < start:  # only settles where the run begins, and with which age
             stays = [stay]
         else:

@@ -83,10 +83,10 @@ def augmented_runs(
         if schedule.dt[row] > 0:
             # The same numbers serve an open and a closed thermostat: how many are drawn does not depend on the run.
             drawn = rng.standard_normal((x.size, plant.size))
-            push = drawn @ plan.closed[row].T
+            noise = drawn @ plan.closed[row].T
             if opened.any():
-                push = np.where(opened[:, None], drawn @ plan.open[row].T, push)
-            moved = move(plant, plan.steps, row, s=s, mode=mode, opened=opened, push=push)
+                noise = np.where(opened[:, None], drawn @ plan.open[row].T, noise)
+            moved = move(plant, plan.steps, row, s=s, mode=mode, opened=opened, noise=noise)
             s, opened = moved.s, moved.opened
             limited += moved.met
         if schedule.checked[row] and (s[:, 0].min() < low or s[:, 0].max() > high):

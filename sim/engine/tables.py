@@ -52,12 +52,12 @@ def tables(plant: Plant, segments: Segments, about: Array | None = None) -> Tabl
     if plant.radiation is not None and about is not None:
         acting, effect = plant.radiation, plant.radiation.effect
         zero = parameter(effect, "zero")
-        if "ambient" in effect.signals and acting.there[segments.location].any():
+        if "ambient" in effect.signals and acting.mask[segments.location].any():
             around = in_scale_of_x(effect, "ambient", segments.signals)
         else:
             around = np.full(about.shape, effect.params.get("surroundings", np.nan))
         # Walls that were never read have no temperature; where nothing is radiated any will do.
-        radiates = acting.there[segments.location] & np.isfinite(around)
+        radiates = acting.mask[segments.location] & np.isfinite(around)
         gain = np.where(radiates, effect.params["gain"], 0.0)
         loss, heat = radiation_tangent(gain=gain, zero=zero, about=about, around=np.where(radiates, around, zero))
         sums = _more(sums, loss, heat)
@@ -66,7 +66,7 @@ def tables(plant: Plant, segments: Segments, about: Array | None = None) -> Tabl
     if plant.thermostat is None:
         return Tables(closed=closed, open=None, dt=segments.dt, coupling=coupling, about=about, radiated=gain)
     # An open thermostat is one more loss, towards its sink; nothing else differs between the two halves.
-    p, acts = plant.thermostat.effect.params, plant.thermostat.there[segments.location].astype(float)
+    p, acts = plant.thermostat.effect.params, plant.thermostat.mask[segments.location].astype(float)
     cooled = _more(sums, acts * p["loss"], acts * p["loss"] * p["sink"])
     opened = _half(plant, segments, cooled)
     return Tables(closed=closed, open=opened, dt=segments.dt, coupling=coupling, about=about, radiated=gain)

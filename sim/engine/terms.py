@@ -72,12 +72,12 @@ def terms(plant: Plant, segments: Segments) -> Terms:
     place = segments.location
     loss, heat = plant.rate[place], plant.rate[place] * segments.offset
     for acting in plant.steady:
-        if not acting.there[place].any():
+        if not acting.mask[place].any():
             continue  # its signals were perhaps not asked for
         gained, lost = held(acting.effect, segments.signals)
-        there = acting.there[place] & np.isfinite(gained) & np.isfinite(lost)
-        loss = loss + np.where(there, lost, 0.0)
-        heat = heat + np.where(there, gained, 0.0)
+        active = acting.mask[place] & np.isfinite(gained) & np.isfinite(lost)
+        loss = loss + np.where(active, lost, 0.0)
+        heat = heat + np.where(active, gained, 0.0)
     if not (np.isfinite(plant.t0).any() or plant.startups or plant.wears):
         return Terms(loss, heat[:, None], plant.drive[place][:, None])
     # Each column is a Gauss point; the parabola through the three is found by one small inverse, made once.
@@ -85,9 +85,9 @@ def terms(plant: Plant, segments: Segments) -> Terms:
     time = segments.time[:, None] + v
     heats = np.repeat(heat[:, None], 3, axis=1)
     for acting, since in zip(plant.startups, segments.since, strict=True):
-        heats += acting.there[place][:, None] * varying(acting.effect, time, since[:, None] + v)
+        heats += acting.mask[place][:, None] * varying(acting.effect, time, since[:, None] + v)
     for acting in plant.wears:
-        heats += acting.there[place][:, None] * varying(acting.effect, time, time)
+        heats += acting.mask[place][:, None] * varying(acting.effect, time, time)
     t0 = plant.t0[place][:, None]
     drives = np.where(np.isnan(t0), plant.drive[place][:, None], 1.0 / (t0 + segments.age[:, None] + v))
     return Terms(loss, heats @ _TO_POWERS, drives @ _TO_POWERS)

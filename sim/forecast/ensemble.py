@@ -102,9 +102,9 @@ def learn(pool: Pool, context: str, log_densities: Sequence[float | None], worth
     equal = (1.0 / pool.members,) * pool.members
     plain = _drawn_to(pool, pool.overall, equal)
     overall = _credited(pool.overall, plain, known, worth=worth, fade=fade)
-    here = _floored(pool, _drawn(pool, context, plain))
+    floored = _floored(pool, _drawn(pool, context, plain))
     contexts = dict(pool.contexts)
-    contexts[context] = _credited(contexts.get(context, ()), here, known, worth=worth, fade=fade)
+    contexts[context] = _credited(contexts.get(context, ()), floored, known, worth=worth, fade=fade)
     return replace(pool, overall=overall, contexts=contexts)
 
 
@@ -144,15 +144,17 @@ class PoolEvidence:
     pending: tuple[Awaited, ...] = ()
 
 
-def issue_pool(evidence: PoolEvidence, horizon: float, context: str, made: Sequence[Forecast | None]) -> PoolEvidence:
+def issue_pool(
+    evidence: PoolEvidence, horizon: float, context: str, forecasts: Sequence[Forecast | None]
+) -> PoolEvidence:
     """The evidence with the members' forecasts for `horizon` (s) waiting; a single one teaches nothing."""
-    present = [forecast for forecast in made if forecast is not None]
+    present = [forecast for forecast in forecasts if forecast is not None]
     if evidence.pool.fixed is not None or len(present) < 2:
         return evidence
     column = present[0].horizons.tolist().index(horizon)
     fans = tuple(
         None if forecast is None else tuple(thinned(forecast, LEVELS).quantiles[:, column].tolist())
-        for forecast in made
+        for forecast in forecasts
     )
     waiting = Awaited(present[0].time + horizon, context, fans)
     return replace(evidence, pending=(*evidence.pending, waiting))

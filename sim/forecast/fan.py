@@ -125,8 +125,8 @@ def forecast(
         inputs = input_moments(tracker.model, belief.signals)
         if events is None:
             chain = compile_chain(tracker.model)
-            here = chain.names.index(belief.location)
-            paths = draw_paths(chain, here, age=belief.age, horizon=last, runs=runs, rng=rng)
+            current = chain.names.index(belief.location)
+            paths = draw_paths(chain, current, age=belief.age, horizon=last, runs=runs, rng=rng)
         else:
             stays, exact = _known_future(tracker, belief, events, horizons=ahead, levels=levels, inputs=inputs)
             paths = known_paths(stays, belief.age, runs)

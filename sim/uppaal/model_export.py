@@ -176,7 +176,7 @@ def _minimal(model: Model, replay: ReplayedTrace, questions: tuple[ExportedQuery
     if UNKNOWN in replay.all_symbols:
         moves += [(location.name, channels[UNKNOWN], sha.initial) for location in sha.locations]
     templates = (
-        on_a_circle(skeleton([location.name for location in sha.locations], names, moves, sha.initial)),
+        on_a_circle(structure([location.name for location in sha.locations], names, moves, sha.initial)),
         in_a_row(player(channels, ids, replay.all_symbols, timed=False)),
     )
     title = f"{comment_text(sha.name)} along {comment_text(replay.trace)}: does it accept every event?"

@@ -1,4 +1,4 @@
-"""The templates beside the machine: the event player, the player of the inputs, the compatibility skeleton."""
+"""The templates beside the machine: the event player, the player of the inputs, the structure for the compatibility."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -100,7 +100,7 @@ def input_player(readings: InputReadings, inputs: Mapping[str, tuple[str, str]])
     )
 
 
-def skeleton(
+def structure(
     locations: Sequence[str], names: FreshNames, moves: Iterable[tuple[str, str, str]], initial: str
 ) -> Template:
     """The automaton without clocks: locations and edges, for the compatibility question."""

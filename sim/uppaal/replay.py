@@ -42,7 +42,7 @@ class ReplayedTrace:
     temperature. `times` and `symbols` are the events from the start to the last reading, `duration` the time between
     (s), `added` the moves (source, symbol, target) that the policy makes where the automaton has no edge, `dropped`
     the number of events that it passes over and `passed_over` their symbols. Under a dead time all times are those at
-    which events and readings are felt; `clocks` are those of the effects. `all_symbols` are those of the whole trace,
+    which events and readings act; `clocks` are those of the effects. `all_symbols` are those of the whole trace,
     from the automaton's own initial location on, for the compatibility model.
     """
 
@@ -75,7 +75,7 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
     """
     steps = open_loop_schedule(model, trace, policy)
     law = start_law(model, trace, start)
-    # Under a dead time the model follows events and readings when they are felt, so the exported arrays have them then.
+    # Under a dead time the model follows events and readings when they act, so the exported arrays have them then.
     begin, end = steps.start, float(steps.times[-1])
     delayed, delay = trace, dead_time(model.sha)
     if delay:

@@ -63,7 +63,7 @@ def jobs_of(prepared: Prepared, traces: Sequence[Trace], settings: TraceRunSetti
     """
     if not prepared.variants:
         (semantics, reason), *_ = prepared.refusals.items()
-        jobs = [(semantics or "none", prepared.skeleton, reason)]
+        jobs = [(semantics or "none", prepared.structure, reason)]
     else:
         jobs = [(semantics, model, "") for semantics, model in prepared.variants.items()]
     return [

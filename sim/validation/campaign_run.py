@@ -96,7 +96,7 @@ def _reported(
         # The PNG of each (semantics, trace); the PDF lies beside it.
         files = {}
         if plan.pictures:
-            wanted = drawings(home / "pictures", outcomes, prepared.skeleton.temperature, plan.units)
+            wanted = drawings(home / "pictures", outcomes, prepared.structure.temperature, plan.units)
             todo = list(wanted.values())
             in_process = plan.workers == 1 or len(todo) <= PICTURES_HERE
             done = map(draw_one, todo) if in_process else parallel(draw_one, todo, plan.workers)

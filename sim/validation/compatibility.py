@@ -1,4 +1,4 @@
-"""Does every event have an edge: a walk through the automaton's skeleton that names what has none, and goes on."""
+"""Does every event have an edge: a walk through the automaton's structure that names what has none, and goes on."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

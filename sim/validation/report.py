@@ -96,14 +96,14 @@ class ModelReport:
         """What of it no plant made; empty when nothing is known to be synthetic."""
         count = len({result.trace for result in self.results if result.synthetic})
         parts = [f"{count} of {len({result.trace for result in self.results})} traces are SYNTHETIC"] if count else []
-        if self.prepared.skeleton.provenance.synthetic:
+        if self.prepared.structure.provenance.synthetic:
             parts.append("the model was learned from SYNTHETIC traces")
         return "; ".join(parts)
 
     @property
     def in_sample(self) -> list[str]:
         """The traces that have the name of one that the model was learned from."""
-        learned = set(self.prepared.skeleton.provenance.traces)
+        learned = set(self.prepared.structure.provenance.traces)
         return [name for name in dict.fromkeys(result.trace for result, _ in self.judged) if name in learned]
 
     @property

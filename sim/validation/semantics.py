@@ -140,14 +140,14 @@ def entries_of_traces(model: Model, traces: Sequence[Trace]) -> EntryLaws:
     """
     # The same locations and edges without flows, so that walking through them needs no input signal.
     still = tuple(Location(location.name, STILL, None, "none") for location in model.sha.locations)
-    skeleton = replace(model.sha, locations=still)
+    structure = replace(model.sha, locations=still)
     temperatures: dict[str, list[float]] = defaultdict(list)
     for trace in traces:
         if not np.isfinite(trace.signals.get(model.temperature, np.empty(0))).any():
             continue
         times, values = measured(trace, model.temperature)
         events = trace.events or (encode(trace, model.alphabet) if model.alphabet.channels else ())
-        steps = schedule(skeleton, events, times, policy="resync")
+        steps = schedule(structure, events, times, policy="resync")
         begins = steps.start + np.concatenate([[0.0], np.cumsum(steps.dt[:-1])])
         # Not the first: there the trace begins, and no location was entered.
         entered = np.flatnonzero(steps.entry)[1:]

@@ -57,7 +57,7 @@ class Stage:
 class Prepared:
     """A model after its first four stages. `variants` are what is simulated, by semantics; empty when nothing can be.
 
-    `skeleton` has the automaton for the compatibility of traces, whether it can be run or not; `refusals` say, by
+    `structure` has the automaton for the compatibility of traces, whether it can be run or not; `refusals` say, by
     semantics (empty for all), why nothing is simulated; `check` is that of stage 3, None without artefacts.
     """
 

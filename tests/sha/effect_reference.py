@@ -72,8 +72,8 @@ def reference(sha: SHA, events: Sequence[Event], outputs: Array, inputs: Trace, 
     def offset(t: float) -> float:
         return step.params["size"] if step is not None and t >= step.params["at"] else 0.0
 
-    felt = [(event.time + delay, event.symbol) for event in events]
-    marks = {outputs[0], outputs[-1], *outputs, *(t for t, _ in felt), *(inputs.times + delay)}
+    delayed = [(event.time + delay, event.symbol) for event in events]
+    marks = {outputs[0], outputs[-1], *outputs, *(t for t, _ in delayed), *(inputs.times + delay)}
     if "wear-drift" in by:
         marks.add(by["wear-drift"].params["since"])
     clock = sorted(t for t in marks if outputs[0] <= t <= outputs[-1])
@@ -81,7 +81,7 @@ def reference(sha: SHA, events: Sequence[Event], outputs: Array, inputs: Trace, 
     known = sha.by_name
     state = np.full(2 + order, x0 - offset(outputs[0]))
     here, entered, started, opened, read = sha.initial, clock[0], -inf, False, []
-    pending = list(felt)
+    pending = list(delayed)
     for begin, end in zip(clock, [*clock[1:], clock[-1]], strict=True):
         while pending and pending[0][0] <= begin:
             time, symbol = pending.pop(0)

@@ -36,7 +36,7 @@ def cased(name: str, kind: str = "exponential", seed: int = 4) -> tuple[Model, T
 
 
 def seen_and_native(exported: Exported, model: Model, trace: Trace) -> list[tuple[float, float, float]]:
-    """(time, exported, native) at every moment at which an event is felt, and at the end."""
+    """(time, exported, native) at every moment at which an event acts, and at the end."""
     _, seen = courses(exported.main.xml, exported.replay.duration, middle, most=1.0)
     looks = sorted({*exported.replay.times, exported.replay.duration})
     native = open_loop(model, replace(trace, events=trace.events), "resync")

@@ -119,11 +119,11 @@ def test_unknown_leads_to_the_initial_location_in_both_models() -> None:
     exported = export(model, trace, tick=0)
     _, seen = courses(exported.main.xml, exported.replay.duration, middle, most=1.0)
     assert seen[max(seen)] == pytest.approx(float(open_loop(model, trace, "reject").mean[-1]), abs=1e-4)
-    assert skeleton_accepts(exported.minimal.xml)
+    assert structure_accepts(exported.minimal.xml)
 
 
-def skeleton_accepts(xml: str) -> bool:
-    """Whether `A<> p_1.next_i == N_E` holds: the skeleton is deterministic, so its one run decides."""
+def structure_accepts(xml: str) -> bool:
+    """Whether `A<> p_1.next_i == N_E` holds: the structure is deterministic, so its one run decides."""
     network = Network(xml, middle)
     network.settle()
     return bool(network.by_name["p_1"].own["next_i"] == network.globals["N_E"])
@@ -135,8 +135,8 @@ def test_the_minimal_model_accepts_what_the_automaton_accepts_and_stops_at_what_
     for trace, accepted in ((good, True), (bad, False)):
         exported = export(model, trace)
         assert exported.replay.accepted is accepted
-        assert skeleton_accepts(exported.minimal.xml) is accepted
-        assert skeleton_accepts(exported.minimal.xml.replace("\nchan ", "\nbroadcast chan ")) is True  # vacuous
+        assert structure_accepts(exported.minimal.xml) is accepted
+        assert structure_accepts(exported.minimal.xml.replace("\nchan ", "\nbroadcast chan ")) is True  # vacuous
 
 
 def test_a_signal_that_is_read_late_counts_as_at_its_reference_until_then() -> None:
@@ -180,7 +180,7 @@ def test_an_automaton_with_102_symbols_replays_all_of_them(full: bool) -> None:
     exported = export(model, trace, tick=0)
     network, _ = courses(exported.main.xml, exported.replay.duration, middle, most=10.0)
     assert network.by_name["m_1"].own["taken"] == 101
-    assert skeleton_accepts(exported.minimal.xml)
+    assert structure_accepts(exported.minimal.xml)
 
 
 def test_a_trace_without_events_is_exported_too() -> None:
@@ -190,7 +190,7 @@ def test_a_trace_without_events_is_exported_too() -> None:
     network, seen = courses(exported.main.xml, exported.replay.duration, middle)
     assert network.by_name["p_1"].here == "Done"
     assert seen[max(seen)] == pytest.approx(float(open_loop(model, silent).mean[-1]), abs=1e-4)
-    assert skeleton_accepts(exported.minimal.xml)
+    assert structure_accepts(exported.minimal.xml)
 
 
 def test_of_evenly_spaced_events_none_is_lost() -> None:

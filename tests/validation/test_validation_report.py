@@ -164,6 +164,6 @@ def test_traces_that_the_model_was_learned_from_are_named() -> None:
     one, results = prepared(), [outcome.result for outcome in outcomes(prepared())]
     assert "In sample" not in model_html(ModelReport(campaign=CAMPAIGN, prepared=one, stages=[], results=results))
     origin = Provenance("bins", traces=("run2", "elsewhere"))
-    learned = replace(one, skeleton=replace(one.skeleton, provenance=origin))
+    learned = replace(one, structure=replace(one.structure, provenance=origin))
     text = model_html(ModelReport(campaign=CAMPAIGN, prepared=learned, stages=[], results=results))
     assert "learned from traces of the names run2;" in text

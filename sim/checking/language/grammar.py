@@ -179,8 +179,8 @@ def _sentence(error: UnexpectedInput, text: str) -> str:
     if begun and begun[1] != (right := _BEGINNINGS.get(begun[1].casefold(), begun[1])):
         return f"column {begun.start(1) + 1}: a query begins with {right}, not with {begun[1]}; {FORMS}"
     if isinstance(error, UnexpectedCharacters):
-        found = text.split("\n")[error.line - 1][error.column - 1]
-        return str(at(place, f"found {found!r}; {_SIGNS.get(found, f'no query has this sign; {FORMS}')}"))
+        sign = text.split("\n")[error.line - 1][error.column - 1]
+        return str(at(place, f"found {sign!r}; {_SIGNS.get(sign, f'no query has this sign; {FORMS}')}"))
     if not isinstance(error, UnexpectedToken):
         return str(at(place, FORMS))
     # `accepts` is what the parser could really take here; `expected` has also what it would refuse a step later.

@@ -63,7 +63,10 @@ class Bounds:
     @property
     def excess(self) -> float:
         """degC by which the range is left at most; 0 where it is proven."""
-        return max((abs(way.reach - (self.high if way.up else self.low)) for way in self.escapes), default=0.0)
+        return max(
+            (abs(excursion.reach - (self.high if excursion.up else self.low)) for excursion in self.escapes),
+            default=0.0,
+        )
 
 
 def find_bounds(
@@ -99,7 +102,7 @@ def find_bounds(
     ]
     settled = upper.settled and lower.settled
     verdict: Verdict = "proven" if settled and not escapes else "not decided"
-    if any(way.word is not None for way in escapes):
+    if any(excursion.word is not None for excursion in escapes):
         verdict = "refuted"
     readings = {name: (x[0] + least, x[1] + most) for name, x in intervals(graph, upper, lower).items()}
     if of_feature(model.sha, "sensor lag") or dead_time(model.sha):
@@ -159,7 +162,7 @@ def _kindest(room: Envelope, location: Location, within: Range, doubt: float) ->
     if room.forcing is not None:
         lowest, highest = (_nearest(room, middle, within[int(up)], doubt, up=up) for up in (False, True))
         return replace(plain, m=(lowest, highest))
-    below, above = (min(max(way, 0.0), doubt) for way in (middle - room.m[0], room.m[1] - middle))
+    below, above = (min(max(margin, 0.0), doubt) for margin in (middle - room.m[0], room.m[1] - middle))
     up = min(max(plain.target(up=True) - within[1], 0.0), below)
     down = min(max(within[0] - plain.target(up=False), 0.0), above)
     return replace(plain, m=(middle + down, middle - up))

@@ -67,11 +67,11 @@ class Assumptions:
             raise ValueError(f"z counts standard deviations: give a finite number of at least 0, not {self.z:g}")
         if self.horizon is not None and not (isfinite(self.horizon) and self.horizon >= 0):
             raise ValueError(f"wear is followed for a finite time of at least 0 s, not {self.horizon:g} s")
-        ranges: dict[str, Range | None] = {f"the input {name!r}": given for name, given in self.inputs.items()}
+        ranges: dict[str, Range | None] = {f"the input {name!r}": limits for name, limits in self.inputs.items()}
         ranges["the start temperature"] = self.start
-        for what, given in ranges.items():
-            if given is not None and not (isfinite(given[0]) and isfinite(given[1]) and given[0] <= given[1]):
-                raise ValueError(f"{what} ranges from {given[0]:g} to {given[1]:g}; give LOW and HIGH, both finite")
+        for what, limits in ranges.items():
+            if limits is not None and not (isfinite(limits[0]) and isfinite(limits[1]) and limits[0] <= limits[1]):
+                raise ValueError(f"{what} ranges from {limits[0]:g} to {limits[1]:g}; give LOW and HIGH, both finite")
         if isinstance(self.sojourn, tuple) and not 0 <= self.sojourn[0] <= self.sojourn[1]:
             low, high = self.sojourn
             raise ValueError(f"stays of {low:g} to {high:g} s are none; give LOW and HIGH with 0 <= LOW <= HIGH")
@@ -247,11 +247,11 @@ def _last_announced(model: Model, moves: Sequence[Move]) -> dict[str, set[str]]:
 
 def describe(assumptions: Assumptions) -> tuple[str, ...]:
     """The assumptions in sentences, for people."""
-    given = assumptions.sojourn
-    stays = f"every stay lasts {given[0]:g} to {given[1]:g} s" if isinstance(given, tuple) else ""
-    if given == "any":
+    sojourn = assumptions.sojourn
+    stays = f"every stay lasts {sojourn[0]:g} to {sojourn[1]:g} s" if isinstance(sojourn, tuple) else ""
+    if sojourn == "any":
         stays = "every stay lasts any time from 0 on"
-    elif given == "law":
+    elif sojourn == "law":
         stays = f"every stay lasts as its location's sojourn law allows at z = {assumptions.z:g}; any time without one"
     ranges = [f"{name} within {low:g} to {high:g}" for name, (low, high) in assumptions.inputs.items()]
     events = "events in any order" + (", UNKNOWN among them" if assumptions.unknown else ", but never UNKNOWN")

@@ -196,13 +196,13 @@ def _circles(parent: Indices, changed: Sequence[int]) -> list[list[int]]:
     # Each location has one best predecessor, so that following them from a location meets at most one loop; what an
     # earlier walk has seen need not be walked again.
     for number, begin in enumerate(changed):
-        path, here = list[int](), begin
-        while here >= 0 and here not in state:
-            state[here] = number
-            path.append(here)
-            here = int(parent[here])
-        if here >= 0 and state[here] == number and here in path:
-            circles.append(path[path.index(here) :][::-1])
+        path, current = list[int](), begin
+        while current >= 0 and current not in state:
+            state[current] = number
+            path.append(current)
+            current = int(parent[current])
+        if current >= 0 and state[current] == number and current in path:
+            circles.append(path[path.index(current) :][::-1])
     return circles
 
 

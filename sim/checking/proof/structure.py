@@ -110,21 +110,21 @@ def components(sha: SHA) -> tuple[tuple[str, ...], ...]:
     graph = csr_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(index), len(index)))
     _, labels = connected_components(graph, directed=True, connection="strong")
     numbers = [int(label) for label in labels]
-    found = [
+    groups = [
         tuple(name for name, label in zip(names, numbers, strict=True) if label == number) for number in set(numbers)
     ]
     # scipy numbers the components as it pleases: of equally large ones that of the first location goes first.
-    return tuple(sorted(found, key=lambda group: (-len(group), names.index(group[0]))))
+    return tuple(sorted(groups, key=lambda group: (-len(group), names.index(group[0]))))
 
 
 def traps(sha: SHA) -> tuple[tuple[str, ...], ...]:
     """The components that are never left once entered, where there are others besides; dead ends are not repeated."""
-    found = components(sha)
+    groups = components(sha)
     onward = _onward(sha)
-    if len(found) < 2:
+    if len(groups) < 2:
         return ()
     ends = set(dead_ends(sha))
-    closed = [group for group in found if set().union(*(onward[name] for name in group)) <= set(group)]
+    closed = [group for group in groups if set().union(*(onward[name] for name in group)) <= set(group)]
     return tuple(group for group in closed if not set(group) <= ends)
 
 
@@ -143,17 +143,22 @@ def accept_all(sha: SHA, words: Mapping[str, Sequence[Event]]) -> tuple[Followed
         onward.setdefault((edge.source, edge.symbol), set()).add(edge.target)
 
     def followed(events: Sequence[Event], trace: str) -> FollowedTrace:
-        here = {sha.initial}
+        current = {sha.initial}
         for index, event in enumerate(events):
             # All locations at once (the subset construction): the automaton need not be deterministic.
-            reached = {target for place in here for target in onward.get((place, event.symbol), ())}
+            reached = {target for place in current for target in onward.get((place, event.symbol), ())}
             if event.symbol == UNKNOWN:
                 reached = {sha.initial}
             if not reached:
                 return FollowedTrace(
-                    trace, len(events), index=index, symbol=event.symbol, time=event.time, locations=tuple(sorted(here))
+                    trace,
+                    len(events),
+                    index=index,
+                    symbol=event.symbol,
+                    time=event.time,
+                    locations=tuple(sorted(current)),
                 )
-            here = reached
+            current = reached
         return FollowedTrace(trace, len(events))
 
     return tuple(followed(events, name) for name, events in words.items())

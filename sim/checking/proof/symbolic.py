@@ -1,4 +1,4 @@
-"""Symbolic queries are decided exhaustively over the discrete skeleton: locations and edges, any sequence of events.
+"""Symbolic queries are decided exhaustively over the discrete structure: locations and edges, any sequence of events.
 
 A path begins in the initial location and follows edges as long as there are any: it is infinite, or it ends in a
 location that no edge leaves (a deadlock, where the run stays for ever). So
@@ -236,7 +236,7 @@ def _path_to(tree: _Tree, place: str) -> tuple[str, ...]:
 
 
 def _symbols(graph: _Graph, path: Iterable[str]) -> tuple[str, ...]:
-    return tuple(graph.following[here][there] for here, there in pairwise(path))
+    return tuple(graph.following[source][target] for source, target in pairwise(path))
 
 
 _COMPARE: Mapping[str, Callable[[float, float], bool]] = MappingProxyType(

@@ -141,7 +141,7 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
             entered = fresh[number] + sensor_offset(sha, clock + step.time)
         inside = free[bounds[number] : bounds[number + 1]]
         until = word.end if number == len(stays) - 1 else stays[number + 1][0].time
-        references = {given.signal: given.reference for given in location.flow.inputs}
+        references = {driver.signal: driver.reference for driver in location.flow.inputs}
         visits.append(
             Visit(
                 time=step.time,
@@ -163,19 +163,19 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
 def _stays(sha: SHA, word: TimedWord, policy: Policy) -> list[tuple[WordStep, Location]]:
     """The stays with their locations; an event that is ignored begins none."""
     onward, fallback, known = transitions(sha), resync_targets(sha), sha.by_name
-    here = sha.initial
-    stays = [(word.steps[0], known[here])]
+    current = sha.initial
+    stays = [(word.steps[0], known[current])]
     for number, step in enumerate(word.steps[1:]):
-        target = sha.initial if step.symbol == UNKNOWN else onward.get((here, step.symbol))
+        target = sha.initial if step.symbol == UNKNOWN else onward.get((current, step.symbol))
         if target is None and policy == "reject":
             raise ValueError(
-                f"event {number} ({step.symbol!r} at {step.time:g} s): location {here!r} of SHA {sha.name!r} has no "
+                f"event {number} ({step.symbol!r} at {step.time:g} s): location {current!r} of SHA {sha.name!r} has no "
                 f"edge for it; the policies 'ignore' and 'resync' go on all the same"
             )
         if target is None and policy == "ignore":
             continue
-        here = fallback.get(step.symbol, sha.initial) if target is None else target
-        stays.append((step, known[here]))
+        current = fallback.get(step.symbol, sha.initial) if target is None else target
+        stays.append((step, known[current]))
     return stays
 
 
@@ -185,9 +185,9 @@ def _schedule(sha: SHA, stays: Stays, end: float, clock: float) -> Schedule:
     looks = np.linspace(begins, np.append(begins[1:], end), POINTS + 1) if sha.effects else np.array([end])
     events = [Event(clock + step.time, step.symbol) for step, _ in stays[1:]]
     inputs = [
-        {**{given.signal: given.reference for given in place.flow.inputs}, **step.inputs} for step, place in stays
+        {**{driver.signal: driver.reference for driver in place.flow.inputs}, **step.inputs} for step, place in stays
     ]
-    names = {given.signal for place in sha.locations for given in place.flow.inputs} | set(signals_of(sha))
+    names = {driver.signal for place in sha.locations for driver in place.flow.inputs} | set(signals_of(sha))
     signals = {name: np.array([each.get(name, nan) for each in inputs]) for name in names}
     trace = Trace("word", clock + begins, signals)
     return schedule(sha, events, np.unique(looks) + clock, start=clock, inputs=trace, policy="resync")

@@ -198,7 +198,7 @@ class Simulation:
 
 @dataclass(frozen=True, slots=True)
 class Symbolic:
-    """`E<>`, `E[]`, `A<>`, `A[]` of `inner`, or `inner --> then`: decided over the discrete skeleton, exhaustively."""
+    """`E<>`, `E[]`, `A<>`, `A[]` of `inner`, or `inner --> then`: decided over the discrete structure, exhaustively."""
 
     kind: Literal["E<>", "E[]", "A<>", "A[]", "-->"]
     inner: Formula

@@ -73,7 +73,7 @@ def _centred(model: Model, shape: FitShape, names: ParameterNames) -> FitShape:
         centre[number] = mode_parameter(by_name[name])[0]
         spread[number] = spreads.get(by_name[name].flow.kind, TARGET_SPREAD)
     for number, (group, signal) in enumerate(names.gains, start=len(names.targets)):
-        gain = next(given.gain for given in by_name[group].flow.inputs if given.signal == signal)
+        gain = next(driver.gain for driver in by_name[group].flow.inputs if driver.signal == signal)
         centre[number], spread[number] = gain, max(GAIN_SPREAD * abs(gain), 1e-4)
     rates = [by_name[name].flow.params[RATES[by_name[name].flow.kind]] for name in names.rates]
     return replace(

@@ -66,10 +66,10 @@ def catalogue() -> tuple[CatalogueEntry, ...]:
 
 def entry_of(name: str) -> CatalogueEntry:
     """The entry of a kind. Raises ValueError, naming it, for one that a diagnosis does not know."""
-    found = next((entry for entry in catalogue() if entry.name == name), None)
-    if found is None:
+    entry = next((known for known in catalogue() if known.name == name), None)
+    if entry is None:
         raise ValueError(f"a diagnosis does not know effects of the kind {name!r}: there is no strength to be fitted")
-    return found
+    return entry
 
 
 def signals_of(entry: CatalogueEntry, present: Mapping[str, str]) -> dict[str, str] | None:

@@ -125,9 +125,9 @@ def filtered(frame: Frame, state: CourseState, heat: Array) -> Array:
     runs = frame.record.runs
     decay, pull = decay_and_pull(state.k + state.loss, runs.dt)
     decay = np.where(runs.first, 0.0, decay)
-    push = np.where(runs.first, 0.0, pull)
+    pull = np.where(runs.first, 0.0, pull)
     columns = heat if heat.ndim == 2 else heat[:, None]
-    return linear_recursion(decay[:, None], push[:, None] * columns, np.zeros(columns.shape[1]))
+    return linear_recursion(decay[:, None], pull[:, None] * columns, np.zeros(columns.shape[1]))
 
 
 def sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
@@ -155,10 +155,11 @@ def sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
     before = np.concatenate([[0.0], state.mean[:-1]])
     # As in sim.learning.free_run: the course's own recursion, driven by the change of its coefficients with log(rate).
     up, down = (steps(runs, shape, state.log_rates + sign * step) for sign in (1, -1))
-    push = ((up[0] - down[0]) * before + (up[1] - down[1]) * state.target) / (2 * step)
-    push[runs.first] = 0.0
+    forcing = ((up[0] - down[0]) * before + (up[1] - down[1]) * state.target) / (2 * step)
+    forcing[runs.first] = 0.0
     group = np.append(shape.rate, -1)[runs.place]
-    rates = linear_recursion(decay[:, None], np.where(group[:, None] == np.arange(r), push[:, None], 0.0), np.zeros(r))
+    forcings = np.where(group[:, None] == np.arange(r), forcing[:, None], 0.0)
+    rates = linear_recursion(decay[:, None], forcings, np.zeros(r))
     return np.column_stack([linear, rates])
 
 

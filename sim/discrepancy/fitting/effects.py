@@ -66,8 +66,8 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
             loss, heat = radiation_tangent(gain=effect.params["gain"], zero=zero, about=course, around=around)
         case law:
             raise unknown("a diagnosis", effect.kind, law)
-    there = np.array([acts_in(effect, location.name) for location in record.model.sha.locations])[runs.place]
-    acting = there & np.isfinite(heat) & np.isfinite(loss)
+    present = np.array([acts_in(effect, location.name) for location in record.model.sha.locations])[runs.place]
+    acting = present & np.isfinite(heat) & np.isfinite(loss)
     return np.where(acting, heat, 0.0), np.where(acting, loss, 0.0)
 
 

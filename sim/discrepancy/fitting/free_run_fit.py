@@ -207,20 +207,20 @@ def _newton_steps(
         longest = np.concatenate([LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior), strengths])
         step = step * min(1.0, 1.0 / float(np.max(np.abs(step) / longest, initial=1.0)))
         # Backtracking, five lengths at most. If none helps, the linear problem does not describe the plant here.
-        here = float(point.residual @ both[:, 0] + point.off @ (prior * point.off))
+        before = float(point.residual @ both[:, 0] + point.off @ (prior * point.off))
         for _half in range(5):
             moved = at(frame, _allowed(state, state.parameters + step), start, state.named, state.course)
             residual = reading - frame.record.windowed(moved.mean)
             off = point.off + np.concatenate([step[: point.off.size - len(state.named)], np.zeros(len(state.named))])
-            there = float(residual @ whitener.weigh(residual[:, None])[:, 0] + off @ (prior * off))
-            if np.isfinite(there) and there <= here + 1e-6:
+            after = float(residual @ whitener.weigh(residual[:, None])[:, 0] + off @ (prior * off))
+            if np.isfinite(after) and after <= before + 1e-6:
                 break
             step = 0.5 * step
-        if not np.isfinite(there) or there > here:
+        if not np.isfinite(after) or after > before:
             break
         state = moved
         point = _around(frame, state, start, reading)
-        if here - there < 0.02:  # a hundredth of a nat: no decision is that fine
+        if before - after < 0.02:  # a hundredth of a nat: no decision is that fine
             break
     return state
 

@@ -13,13 +13,13 @@ from sim.sha import UNKNOWN, Effect, Model
 class Named:
     """An effect in the model: its catalogue `entry`, the signal of each role, and all its parameters by name.
 
-    `given` is the effect that the model had before, whose signals, locations and event it keeps.
+    `existing` is the effect that the model had before, whose signals, locations and event it keeps.
     """
 
     entry: CatalogueEntry
     signals: Mapping[str, str]
     params: Mapping[str, float]
-    given: Effect | None = None
+    existing: Effect | None = None
 
     @property
     def strength(self) -> float:
@@ -33,12 +33,12 @@ class Named:
 
 def named_of(model: Model) -> tuple[Named, ...]:
     """The effects that a model has already. Raises ValueError for a kind that cannot be fitted."""
-    found = []
+    named = []
     for effect in model.sha.effects:
         defaults = {name: each.default for name, each in kind_of(effect).parameters.items() if each.default is not None}
         params = {**defaults, **effect.params}
-        found.append(Named(entry_of(effect.kind), dict(effect.signals), params, effect))
-    return tuple(found)
+        named.append(Named(entry_of(effect.kind), dict(effect.signals), params, effect))
+    return tuple(named)
 
 
 def effects_of(named: Named, model: Model) -> tuple[Effect, ...]:
@@ -51,8 +51,8 @@ def effects_of(named: Named, model: Model) -> tuple[Effect, ...]:
 def effect_of(named: Named, model: Model) -> Effect:
     """The effect that bears a named one's name."""
     kind, candidate = named.entry.kind, named.entry.candidate
-    if named.given is not None:
-        return replace(named.given, params={**named.given.params, candidate.strength: named.strength})
+    if named.existing is not None:
+        return replace(named.existing, params={**named.existing.params, candidate.strength: named.strength})
     unread = candidate.unread != "" and bool(named.params.get(candidate.unread))
     signals = {role: signal for role, signal in named.signals.items() if role in kind.needed or not unread}
     acts, everywhere = kind.acts_with(signals), tuple(location.name for location in model.sha.locations)
@@ -95,9 +95,10 @@ def running_locations(model: Model) -> tuple[str, ...]:
 
 def _reached_running(model: Model, rising: str, falling: str) -> set[str]:
     """Locations entered by `rising`, or from those by anything but `falling` and UNKNOWN, after which nothing is."""
-    found = {edge.target for edge in model.sha.edges if edge.symbol == rising}
+    reached = {edge.target for edge in model.sha.edges if edge.symbol == rising}
     while True:
-        more = {e.target for e in model.sha.edges if e.source in found and e.symbol not in (falling, UNKNOWN)} - found
+        onward = {e.target for e in model.sha.edges if e.source in reached and e.symbol not in (falling, UNKNOWN)}
+        more = onward - reached
         if not more:
-            return found
-        found |= more
+            return reached
+        reached |= more

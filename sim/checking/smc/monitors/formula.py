@@ -162,7 +162,7 @@ def affine(expression: Expression) -> tuple[float, float, float] | None:
     t, g = values[1] - c, values[2] - c
     size = 1.0 + max(abs(number) for number in values)
     fits = all(
-        abs(c + t * time + g * age - one) <= TINY * size for (time, age), one in zip(corners, values, strict=True)
+        abs(c + t * time + g * age - height) <= TINY * size for (time, age), height in zip(corners, values, strict=True)
     )
     return (c, t, g) if fits else None
 
@@ -219,7 +219,7 @@ def compile_formulas(formulas: tuple[Formula, ...], names: tuple[str, ...]) -> C
     place: dict[Compare, tuple[int, Comparison]] = {}
     lines: dict[ThresholdLine, int] = {}
     watched = set()
-    every = [one for formula in formulas for one, _ in comparisons(formula)]
+    every = [compare for formula in formulas for compare, _ in comparisons(formula)]
     for formula in formulas:
         check_formula(formula, names)
         for compare, positive in comparisons(formula):
@@ -307,11 +307,11 @@ def _table(compiled: CompiledFormulas, which: int, piece: Piece, clocks: tuple[b
         side = np.sign(shape - (2 * ranks[index] + 1))
         return np.asarray(np.take(_SIGNS[op], side + 1))
 
-    found = _truth(
+    truth = _truth(
         compiled.formulas[which], compared, lambda at: np.asarray(piece.location == compiled.names.index(at))
     )
     size = (regions.size,) if shape.ndim == 1 else (regions.size, piece.start.size)
-    return np.broadcast_to(found, size)
+    return np.broadcast_to(truth, size)
 
 
 def _ranks(compiled: CompiledFormulas, piece: Piece) -> Indices:
@@ -347,11 +347,11 @@ def exists(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask | bool:
     """(n,) whether formula `which` is true at some instant of the piece; one answer where it is the same for all."""
     truth = table(compiled, which, piece)
     if truth.ndim == 1:
-        found = _border(truth.tobytes())
-        if isinstance(found, bool):
-            return found
-        if found is not None:
-            line, up, strict = found
+        border = _border(truth.tobytes())
+        if isinstance(border, bool):
+            return border
+        if border is not None:
+            line, up, strict = border
             return reached(compiled.lines[line], piece, up=up, strict=strict)
     low, high = visited(compiled, piece)
     # A continuous path visits every region from its lowest to its highest; cumulated counts say in one subtraction
@@ -371,7 +371,7 @@ def _border(truth: bytes) -> bool | tuple[int, bool, bool] | None:
     itself); None where it is more than that."""
     if not any(truth) or all(truth):
         return bool(truth[0])
-    changes = sum(one != other for one, other in pairwise(truth))
+    changes = sum(left != right for left, right in pairwise(truth))
     if changes > 1:
         return None
     if truth[-1]:
@@ -396,8 +396,8 @@ def visited(compiled: CompiledFormulas, piece: Piece) -> tuple[Indices, Indices]
 def region(compiled: CompiledFormulas, piece: Piece, *, at_end: bool) -> Indices:
     """(n,) the region in which each run is at the piece's start or end."""
     x = piece.end if at_end else piece.start
-    here = np.zeros(x.size, dtype=np.intp)
+    index = np.zeros(x.size, dtype=np.intp)
     for line in compiled.lines:
         position = line.ends(piece)[int(at_end)]
-        here += (x > position).astype(np.intp) + (x >= position)
-    return here
+        index += (x > position).astype(np.intp) + (x >= position)
+    return index

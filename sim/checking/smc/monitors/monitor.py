@@ -122,11 +122,11 @@ class EventuallyMonitor:
     low: float
     high: float
     runs: int
-    found: Mask = field(init=False)
+    satisfied: Mask = field(init=False)
     when: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        self.found, self.when = np.zeros(self.runs, dtype=np.bool_), np.full(self.runs, inf)
+        self.satisfied, self.when = np.zeros(self.runs, dtype=np.bool_), np.full(self.runs, inf)
 
     def watch(self, piece: Piece, who: Indices) -> WatchedLines:
         """The formula's lines, within the span."""
@@ -140,8 +140,8 @@ class EventuallyMonitor:
         if met is False:
             return
         rows = np.arange(who.size) if met is True else np.flatnonzero(met)
-        new = rows[~self.found[who[rows]]]
-        self.found[who[new]] = True
+        new = rows[~self.satisfied[who[rows]]]
+        self.satisfied[who[new]] = True
         if new.size:
             # The same piece for the runs that are new, without its extremes, which this does not ask for.
             part = Piece(
@@ -159,7 +159,7 @@ class EventuallyMonitor:
 
     def open(self) -> Mask | None:
         """The runs in which it has not been true."""
-        return ~self.found
+        return ~self.satisfied
 
 
 @dataclass(slots=True)
@@ -174,13 +174,13 @@ class UntilMonitor:
     low: float
     high: float
     runs: int
-    found: Mask = field(init=False)
+    satisfied: Mask = field(init=False)
     broken: Mask = field(init=False)
     when: Array = field(init=False)
     unclear: int = 0
 
     def __post_init__(self) -> None:
-        self.found, self.broken = np.zeros((2, self.runs), dtype=np.bool_)
+        self.satisfied, self.broken = np.zeros((2, self.runs), dtype=np.bool_)
         self.when = np.full(self.runs, inf)
 
     def watch(self, piece: Piece, who: Indices) -> WatchedLines:
@@ -193,29 +193,29 @@ class UntilMonitor:
             return
         n = who.size
         low, high = visited(self.compiled, piece)
-        here = region(self.compiled, piece, at_end=False)
-        ends, goal = (_nearest(table(self.compiled, which, piece), here, n) for which in (0, 1))
+        start_region = region(self.compiled, piece, at_end=False)
+        ends, goal = (_nearest(table(self.compiled, which, piece), start_region, n) for which in (0, 1))
         up, down = ends[0] <= high, ends[1] >= low
         late = inside(piece, self.low, self.high)
         rise = (goal[0] <= high) & (goal[0] <= ends[0]) & late
         fall = (goal[1] >= low) & (goal[1] >= ends[1]) & late
-        at_once = (goal[0] == here) & late
+        at_once = (goal[0] == start_region) & late
         # Goal on one side, end of hold on the other, both reached: the bridge does not say which came first.
         torn = ~at_once & ((rise & down & ~fall) | (fall & up & ~rise))
-        alive = ~self.found[who] & ~self.broken[who]
+        alive = ~self.satisfied[who] & ~self.broken[who]
         self.unclear += int(np.count_nonzero(torn & alive))
         success = alive & (at_once | ((rise | fall) & ~torn))
-        self.found[who[success]] = True
+        self.satisfied[who[success]] = True
         by = np.where(at_once, piece.begin, piece.begin + piece.dt)
         self.when[who[success]] = by[success]
         self.broken[who[alive & ~success & (up | down)]] = True
 
     def open(self) -> Mask | None:
         """The runs in which neither has come."""
-        return ~(self.found | self.broken)
+        return ~(self.satisfied | self.broken)
 
 
-def _nearest(truth: Mask, here: Indices, runs: int) -> tuple[Indices, Indices]:
+def _nearest(truth: Mask, own: Indices, runs: int) -> tuple[Indices, Indices]:
     """(n,) the first true region at or above the runs' own, and at or below; beyond all where there is none."""
     count = truth.shape[0]
     wide = truth if truth.ndim == 2 else np.broadcast_to(truth[:, None], (count, runs))
@@ -226,7 +226,7 @@ def _nearest(truth: Mask, here: Indices, runs: int) -> tuple[Indices, Indices]:
         back = count - 1 - index
         above[back] = np.where(wide[back], back, above[back + 1])
     columns = np.arange(runs)
-    return above[here, columns], below[here, columns]
+    return above[own, columns], below[own, columns]
 
 
 @dataclass(slots=True)
@@ -254,11 +254,13 @@ class ResponseMonitor:
         n = who.size
         begin, middle = (np.broadcast_to(np.asarray(time, dtype=float), (n,)) for time in (piece.begin, piece.middle))
         stop = np.broadcast_to(np.asarray(piece.begin + piece.dt), (n,))
-        here, there = (region(self.compiled, piece, at_end=at_end) for at_end in (False, True))
+        first_region, last_region = (region(self.compiled, piece, at_end=at_end) for at_end in (False, True))
         spans = []
         for which in (0, 1):
             met = np.broadcast_to(exists(self.compiled, which, piece), (n,))
-            at_start, at_end = (_true_in(table(self.compiled, which, piece), where) for where in (here, there))
+            at_start, at_end = (
+                _true_in(table(self.compiled, which, piece), where) for where in (first_region, last_region)
+            )
             first = np.where(at_start, begin, np.where(met, middle, inf))
             last = np.where(at_end, stop, np.where(at_start & ~met, begin, np.where(met, middle, -inf)))
             spans.append((first, last))
@@ -287,12 +289,12 @@ class ResponseMonitor:
         # One sweep over the pieces for all runs: causes come in the order of time, so each run's pointer to the first
         # piece whose effect is late enough only moves on. The row of inf below the last piece stops it.
         for cause in self.causes:
-            asked = (cause + self.high <= self.bound + 1e-9) & ~failed
-            target = np.where(asked, cause + self.low, -inf)
+            due = (cause + self.high <= self.bound + 1e-9) & ~failed
+            target = np.where(due, cause + self.low, -inf)
             while np.any(behind := last[pointer, columns] < target - 1e-9):
                 pointer += behind
             answer = np.maximum(first[pointer, columns], target)
-            failed |= asked & (answer > cause + self.high + 1e-9)
+            failed |= due & (answer > cause + self.high + 1e-9)
         return failed
 
 

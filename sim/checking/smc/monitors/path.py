@@ -34,8 +34,8 @@ class PreparedPath:
         if isinstance(monitor, ResponseMonitor):
             return ~monitor.failed()
         if isinstance(monitor, EventuallyMonitor):
-            return ~monitor.found if isinstance(self.path, Always) else monitor.found
-        return monitor.found if isinstance(monitor, UntilMonitor) else np.empty(0, dtype=np.bool_)
+            return ~monitor.satisfied if isinstance(self.path, Always) else monitor.satisfied
+        return monitor.satisfied if isinstance(monitor, UntilMonitor) else np.empty(0, dtype=np.bool_)
 
     def when(self, monitor: Monitor) -> Array | None:
         """(n,) the moment (s) of the goal (for `[]`: of the violation), inf without; None for a response."""

@@ -81,8 +81,8 @@ class KnownUnderEffects:
         start = s[:, plant.sensed] + self.before[row]
         if dt > 0:
             drawn = rng.standard_normal((runs, plant.size))
-            push = np.where(opened[:, None], drawn @ plan.open[row].T, drawn @ plan.closed[row].T)
-            moved = move(plant, plan.steps, row, s=s, mode=state.mode, opened=opened, push=push)
+            noise = np.where(opened[:, None], drawn @ plan.open[row].T, drawn @ plan.closed[row].T)
+            moved = move(plant, plan.steps, row, s=s, mode=state.mode, opened=opened, noise=noise)
             s, opened = moved.s, moved.opened
             state.limited += moved.met
             _clamp(schedule_.sha, s, state.clamps)

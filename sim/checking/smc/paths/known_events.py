@@ -304,8 +304,8 @@ def _with_columns(world: World, rows: Sequence[_Row]) -> tuple[tuple[_Row, ...],
         if free and law is not None:
             sigma = law.params["sigma"]
         elif free:  # the first stay's m: the belief's, or as the location draws it
-            here = world.sha.locations[world.location]
-            sigma = sqrt(world.belief.mm if world.belief is not None else mode_parameter(here)[1])
+            location = world.sha.locations[world.location]
+            sigma = sqrt(world.belief.mm if world.belief is not None else mode_parameter(location)[1])
         else:
             sigma = 0.0
         # How far one standard deviation of this m moves X over its stay, roughly: the pulls of its steps, added up.

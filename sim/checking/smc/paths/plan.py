@@ -115,8 +115,8 @@ class State:
 
     def put(self, rows: Indices, other: "State") -> None:
         """Write the runs of `other` into these rows."""
-        for real, given in zip(self.reals(), other.reals(), strict=True):
-            real[rows if real.size else slice(0)] = given
+        for real, values in zip(self.reals(), other.reals(), strict=True):
+            real[rows if real.size else slice(0)] = values
         for whole, count in zip(self.wholes(), other.wholes(), strict=True):
             whole[rows if whole.size else slice(0)] = count
 

@@ -59,16 +59,16 @@ class SemiMarkov:
 
     def begin(self, runs: int, rng: np.random.Generator) -> State:
         """`runs` runs at the start, each with the time at which it leaves its first stay."""
-        world, here = self.world, self.world.location
+        world, current = self.world, self.world.location
         drawn = np.empty(0) if self.tilts is None else np.full((runs, self.columns), np.nan)
         if self.tilts is None or not self.columns:
             x, mode = draw_start(world, runs, rng)
         else:
             drawn[:, 0] = self.tilts.scores(0, runs, rng)
             x, mode = start_at(world, drawn[:, 0], rng)
-        mode = mode + (world.belief.offset if world.belief is not None else self._offset(here, runs, rng))
+        mode = mode + (world.belief.offset if world.belief is not None else self._offset(current, runs, rng))
         x, outside = clamp(world.sha, x)
-        law = self.chain.laws[here]
+        law = self.chain.laws[current]
         leaves = np.full(runs, np.inf) if law is None else distributions.draw_remaining(law, world.age, runs, rng)
         none = np.zeros(runs, dtype=np.intp)
         clamps = none.copy() if outside is None else outside.astype(np.intp)
@@ -77,7 +77,7 @@ class SemiMarkov:
             mode,
             clamps,
             none.copy(),
-            location=none + here,
+            location=none + current,
             entered=np.full(runs, -world.age),
             leaves=leaves,
             stays=none.copy(),
@@ -90,25 +90,25 @@ class SemiMarkov:
         rows: Indices | None = None
         now: Array = np.full(state.x.size, begin)
         while now.size:
-            there = np.arange(state.x.size) if rows is None else rows
-            stop, instant = self._stop(state, there, now, end, looked=bool(self.looked[row]))
-            yield self._moved(state, rows, there, now=now, dt=stop - now, rng=rng)
+            who = np.arange(state.x.size) if rows is None else rows
+            stop, instant = self._stop(state, who, now, end, looked=bool(self.looked[row]))
+            yield self._moved(state, rows, who, now=now, dt=stop - now, rng=rng)
             if instant.any():
-                yield self._instant(state, there[instant], stop[instant])
-            self._jump(state, there[state.leaves[there] <= stop], rng)
+                yield self._instant(state, who[instant], stop[instant])
+            self._jump(state, who[state.leaves[who] <= stop], rng)
             left = stop < end
-            rows, now = there[left], stop[left]
+            rows, now = who[left], stop[left]
 
-    def _stop(self, state: State, there: Indices, now: Array, end: float, *, looked: bool) -> tuple[Array, Mask]:
+    def _stop(self, state: State, who: Indices, now: Array, end: float, *, looked: bool) -> tuple[Array, Mask]:
         """Where each run stops next, and whether a condition on its clocks changes there."""
-        stop = np.minimum(state.leaves[there], end)
-        entered = state.entered[there]
+        stop = np.minimum(state.leaves[who], end)
+        entered = state.entered[who]
         if looked:
-            location = state.location[there]
+            location = state.location[who]
             for place in _visited(location):
-                here = np.flatnonzero(location == place)
-                longest = limit(self.world.sha.locations[place].flow, now[here] - entered[here])
-                stop[here] = np.minimum(stop[here], now[here] + longest)
+                members = np.flatnonzero(location == place)
+                longest = limit(self.world.sha.locations[place].flow, now[members] - entered[members])
+                stop[members] = np.minimum(stop[members], now[members] + longest)
         instant = np.zeros(now.size, dtype=np.bool_)
         for c, t, g in self.cuts.clocks:
             if t + g != 0.0:
@@ -119,28 +119,30 @@ class SemiMarkov:
         return stop, instant
 
     def _moved(
-        self, state: State, rows: Indices | None, there: Indices, *, now: Array, dt: Array, rng: np.random.Generator
+        self, state: State, rows: Indices | None, who: Indices, *, now: Array, dt: Array, rng: np.random.Generator
     ) -> Piece:
-        start, mode, age = state.x[there], state.mode[there], now - state.entered[there]
-        location = state.location[there]
-        decay, pull, variance = np.empty((3, there.size))
-        fast = np.zeros(there.size, dtype=np.bool_)
-        mean = np.empty(there.size)
+        start, mode, age = state.x[who], state.mode[who], now - state.entered[who]
+        location = state.location[who]
+        decay, pull, variance = np.empty((3, who.size))
+        fast = np.zeros(who.size, dtype=np.bool_)
+        mean = np.empty(who.size)
         rate = self.world.sha.max_rate
         for place in _visited(location):
-            here = location == place
+            members = location == place
             flow = self.world.sha.locations[place].flow
-            decay[here], pull[here], variance[here] = flows.coefficients(flow, age[here], dt[here])
+            decay[members], pull[members], variance[members] = flows.coefficients(flow, age[members], dt[members])
             if isfinite(rate):
-                fast[here] = np.abs(flows.drift(flow, start[here], mode[here], age[here])) > rate
-                mean[here] = flows.mean_step(flow, start[here], mode[here], age=age[here], dt=dt[here], max_rate=rate)
+                fast[members] = np.abs(flows.drift(flow, start[members], mode[members], age[members])) > rate
+                mean[members] = flows.mean_step(
+                    flow, start[members], mode[members], age=age[members], dt=dt[members], max_rate=rate
+                )
         if not isfinite(rate):
             mean = decay * start + pull * mode
-        end, outside = clamp(self.world.sha, mean + np.sqrt(variance) * rng.standard_normal(there.size))
-        state.limited[there] += fast & (dt > 0)
+        end, outside = clamp(self.world.sha, mean + np.sqrt(variance) * rng.standard_normal(who.size))
+        state.limited[who] += fast & (dt > 0)
         if outside is not None:
-            state.clamps[there] += outside
-        state.x[there] = end
+            state.clamps[who] += outside
+        state.x[who] = end
         return Piece(
             rows=rows,
             begin=now,
@@ -174,15 +176,15 @@ class SemiMarkov:
         state.entered[rows] = state.leaves[rows]
         state.stays[rows] += 1
         for place in _visited(state.location[rows]):
-            here = rows[state.location[rows] == place]
-            state.mode[here] = draw_mode(self.world.sha, place, here.size, rng) + self._offset(place, here.size, rng)
+            jumps = rows[state.location[rows] == place]
+            state.mode[jumps] = draw_mode(self.world.sha, place, jumps.size, rng) + self._offset(place, jumps.size, rng)
             law, fresh = self.chain.laws[place], drawn_temperature(self.world.sha.locations[place])
-            lasts = np.inf if law is None else distributions.draw(law, here.size, rng)
-            state.leaves[here] = np.where(state.stays[here] < MOST_STAYS, state.entered[here] + lasts, np.inf)
+            lasts = np.inf if law is None else distributions.draw(law, jumps.size, rng)
+            state.leaves[jumps] = np.where(state.stays[jumps] < MOST_STAYS, state.entered[jumps] + lasts, np.inf)
             if fresh is not None:
-                state.x[here], outside = clamp(self.world.sha, distributions.draw(fresh, here.size, rng))
+                state.x[jumps], outside = clamp(self.world.sha, distributions.draw(fresh, jumps.size, rng))
                 if outside is not None:
-                    state.clamps[here] += outside
+                    state.clamps[jumps] += outside
 
     def _offset(self, place: int, runs: int, rng: np.random.Generator) -> Array | float:
         mean, sigma = self.inputs[place].tolist()
@@ -210,10 +212,10 @@ def semi_markov(world: World, cuts: Cuts) -> SemiMarkov:
     for low, high in cuts.looked:
         looked |= (middle >= low) & (middle <= high)
     held = world.belief.signals if world.belief is not None else {}
-    chain, here = compile_chain(model), world.location
+    chain, current = compile_chain(model), world.location
     notes: tuple[str, ...] = ()
-    if chain.laws[here] is None:
-        notes = (f"the runs start in {chain.names[here]!r}, for which the model has no semi-Markov law: never left",)
+    if chain.laws[current] is None:
+        notes = (f"the runs start in {chain.names[current]!r}, for which the model has no semi-Markov law: never left",)
     columns = int(start_tiltable(world))
     return SemiMarkov(
         world=world,

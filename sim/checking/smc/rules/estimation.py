@@ -216,12 +216,12 @@ def drawn(draw: Draw, runs: int) -> Array:
 
 def checked(outcomes: Array, runs: int) -> Array:
     """The outcomes as floats. Raises ValueError for one outside [0, 1] or NaN, and for a wrong number of them."""
-    given = np.asarray(outcomes, dtype=float)
-    if given.shape != (runs,):
-        raise ValueError(f"{runs} runs gave outcomes of shape {given.shape}")
-    if not np.all((given >= 0.0) & (given <= 1.0)):
+    values = np.asarray(outcomes, dtype=float)
+    if values.shape != (runs,):
+        raise ValueError(f"{runs} runs gave outcomes of shape {values.shape}")
+    if not np.all((values >= 0.0) & (values <= 1.0)):
         raise ValueError("an outcome of a run lies outside [0, 1]")
-    return given
+    return values
 
 
 def show_progress(progress: Progress | None, done: int, of: int) -> None:

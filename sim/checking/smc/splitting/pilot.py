@@ -111,8 +111,8 @@ def _next(event: RareEvent, ended: EntranceStates, goal: float, share: float, be
         rows = np.flatnonzero(ahead >= level)
         # How many runs of equal weight these are worth where they are to be weighted on: Kish's (sum w)^2 / sum w^2.
         drawn, applied = ended.state.drawn[rows], ended.applied[rows]
-        given = 1.0 if level >= goal else balance(tilts, drawn, applied, share)
-        weights = np.exp(given * tilts.log_weights(drawn) - applied)
+        exponent = 1.0 if level >= goal else balance(tilts, drawn, applied, share)
+        weights = np.exp(exponent * tilts.log_weights(drawn) - applied)
         if float(weights.sum() ** 2 / np.square(weights).sum()) >= ENOUGH * ahead.size:
             break
     return level
