@@ -16,7 +16,7 @@ from sim.uppaal.effects import augmented
 from sim.uppaal.effects import refused as refused_effects
 from sim.uppaal.layout import in_a_row, on_a_circle
 from sim.uppaal.machine import Beginning, Move, machine, variables
-from sim.uppaal.players import event_arrays, input_declarations, input_player, player, skeleton
+from sim.uppaal.players import event_arrays, input_declarations, input_player, player, structure
 from sim.uppaal.queries import compatibility, default_questions, query_file, questions_of
 from sim.uppaal.replay import ReplayedTrace, replay_of
 from sim.uppaal.rules import check_rules

@@ -64,7 +64,7 @@ class Prepared:
     label: str
     where: str
     parsed: FoundModel
-    skeleton: Model
+    structure: Model
     variants: Mapping[str, Model]
     refusals: Mapping[str, str]
     stages: tuple[Stage, ...]
@@ -135,8 +135,8 @@ def prepare(
             checking.details = {**checking.details, "locations": rows}
     with timed(generating):
         bare = Model(parsed.structure, Alphabet(()), temperature, 0.0, provenance=Provenance(method="artefacts"))
-        skeleton = _with_alphabet(parsed.model or bare, alphabet)
-        variants, refusals = _variants(parsed, skeleton, wanted, training, seed)
+        structure = _with_alphabet(parsed.model or bare, alphabet)
+        variants, refusals = _variants(parsed, structure, wanted, training, seed)
         sentences, models = [], {}
         for name, model in variants.items():
             laws = model.provenance.settings.get("entry_laws", "")
@@ -162,7 +162,7 @@ def prepare(
         label=parsed.name,
         where=where,
         parsed=parsed,
-        skeleton=skeleton,
+        structure=structure,
         variants=variants,
         refusals=refusals,
         stages=stages,

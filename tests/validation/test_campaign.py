@@ -60,7 +60,7 @@ def prepared(label: str, **options: float) -> Prepared:
         label=label,
         where=label,
         parsed=parsed,
-        skeleton=model,
+        structure=model,
         variants={"own": model},
         refusals={},
         stages=(),

@@ -59,7 +59,7 @@ def prepared(label: str) -> Prepared:
         label=label,
         where=label,
         parsed=FoundModel(label, model.sha, model),
-        skeleton=model,
+        structure=model,
         variants={"own": model},
         refusals={},
         stages=(),

@@ -235,7 +235,7 @@ def _rare(query: q.Probability, path: PreparedPath, start: Start, settings: Quer
             "--rare and ask for more runs"
         )
     where = cuts((path,), path.bound)
-    simulator = engine(start.world, replace(where, longest=min(where.longest, path.bound / SPLIT_STEPS)))
+    made = engine(start.world, replace(where, longest=min(where.longest, path.bound / SPLIT_STEPS)))
     # The spawn key lies beyond those of the chunks of plain runs (`runs.generator`): no random number is used twice.
     rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy=settings.seed, spawn_key=(1 << 20,))))
     splitting = split(made, path, rng, confidence=settings.level, report=report)

@@ -106,8 +106,8 @@ class Sampler:
 def sampler(world: World, paths: tuple[PreparedPath, ...], seed: int) -> Sampler:
     """A sampler of runs long enough for all the paths. Raises ValueError as the engines do."""
     bound = max(path.bound for path in paths)
-    simulator = engine(world, cuts(paths, bound))
-    return Sampler(simulator, paths, seed, np.empty((0, len(paths)), dtype=np.bool_), Totals())
+    made = engine(world, cuts(paths, bound))
+    return Sampler(made, paths, seed, np.empty((0, len(paths)), dtype=np.bool_), Totals())
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,13 +147,13 @@ def extremes(
     factor, rest = linear_in_temperature(expression)
     bent = affine(rest) is None
     looked = ((0.0, bound),) if factor or bent else ()
-    simulator = engine(world, Cuts(bound, (), (), looked, LONGEST if bent else inf))
+    made = engine(world, Cuts(bound, (), (), looked, LONGEST if bent else inf))
     sign = 1.0 if greatest else -1.0
     statistics, totals, number = RunStatistics(), Totals(), 0
     while statistics.runs < runs:
         size = chunk_size(number)
         monitor = ExtremeMonitor(factor, rest, sign, np.full(size, -inf))
-        totals += follow(simulator, [monitor], size, generator(seed, number))
+        totals += follow(made, [monitor], size, generator(seed, number))
         _check_finite(monitor.best)
         statistics = statistics.joined(sign * monitor.best[: runs - statistics.runs])
         number += 1
@@ -184,15 +184,15 @@ def trajectories(
 
     Raises ValueError for more numbers than fit, and for an expression that is not finite everywhere.
     """
-    simulator = engine(world, Cuts(bound, (), (), ((0.0, bound),), max(LONGEST, bound / MOST_SHOWN)))
-    rows = simulator.clock.size - 1
+    made = engine(world, Cuts(bound, (), (), ((0.0, bound),), max(LONGEST, bound / MOST_SHOWN)))
+    rows = made.clock.size - 1
     if runs * rows * 2 * len(expressions) > MOST_POINTS:
         raise ValueError(
             f"{runs} courses of {rows} steps with {len(expressions)} expressions are too many numbers; "
             f"ask for fewer runs or a shorter bound"
         )
     monitor = TrajectoryMonitor(tuple(expressions), tuple(place.name for place in world.sha.locations))
-    totals = follow(simulator, [monitor], runs, generator(seed, 0))
+    totals = follow(made, [monitor], runs, generator(seed, 0))
     _check_finite(*(column for pair in monitor.values for column in pair))
     # The pieces came in the order of time, all runs mixed: a stable sort by run keeps each run's own in that order.
     who = np.concatenate([owner for *_, owner in monitor.times])
@@ -209,4 +209,4 @@ def trajectories(
         same = (np.diff(instants) == 0) & np.all(np.isclose(np.diff(course, axis=1), 0.0, atol=1e-12), axis=0)
         keep = np.concatenate([[True], ~same])
         courses.append(Trajectory(instants[keep], course[:, keep]))
-    return tuple(courses), totals, simulator.notes
+    return tuple(courses), totals, made.notes

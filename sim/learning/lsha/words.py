@@ -122,7 +122,7 @@ def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> TraceWo
     first = [(traces[0].name, 0)]
     edges: dict[tuple[int, str], tuple[int, int]] = {}
     for name, offset, word in stretches:
-        source, history, node = 0, start, 0
+        here, history, node = 0, start, 0
         for length, symbol in enumerate(word, 1):
             node = nodes.get((node, symbol), -1)
             often = node > 0 and counts[node - 1] >= n_min
@@ -219,13 +219,13 @@ def classes_of(words: TraceWords, memory: Memory) -> Classes:
 def apart(ones: Sequence[WordHistory], others: Sequence[WordHistory], table: Meaning) -> Array:
     """(C, D) how far classes are from each other, as `structure.distance` counts, another direction like a switch."""
     nan = float("nan")  # a channel that is not known
-    contexts, other_contexts = (
+    one, other = (
         np.array([[nan if value is None else value for value in key.context] for key in keys], dtype=float)
         for keys in (ones, others)
     )
     total = np.zeros((len(ones), len(others)))
     for channel, level in enumerate(table.levels):
-        a, b = contexts[:, channel, None], other_contexts[None, :, channel]
+        a, b = one[:, channel, None], other[None, :, channel]
         away = np.abs(a - b) if level else SWITCH_STEPS * (a != b)
         both = np.isnan(a) & np.isnan(b)
         total += np.where(np.isnan(a) | np.isnan(b), np.where(both, 0.0, 1.0), away)
