@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
+from time import monotonic
 
 import click
 
@@ -102,6 +103,7 @@ def main(as_json: bool, thorough: bool, only: Sequence[str]) -> None:
     with tempfile.TemporaryDirectory(prefix="decanter-bench-") as folder:
         for name in only or BENCHMARKS:
             click.echo(f"{name} ...", err=True)
+            begun = monotonic()
             options = [] if thorough else ["--quick"]
             options += ["--model-folder", folder] if name in WITH_MODEL else []
             try:
@@ -111,6 +113,7 @@ def main(as_json: bool, thorough: bool, only: Sequence[str]) -> None:
             else:
                 if not as_json:
                     show(name, found[name])
+            click.echo(f"{name}: {monotonic() - begun:.0f} s", err=True)
     if as_json:
         plain = {name: [figure.plain() for figure in figures] for name, figures in found.items()}
         click.echo(json.dumps({"machine": asdict(here), "thorough": thorough, "figures": plain, "failed": failed}))

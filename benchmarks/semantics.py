@@ -88,11 +88,11 @@ def figures_of(what: str, scores: Scores, seed: int) -> list[Figure]:
 
 @click.command(help=__doc__)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
-@click.option("--quick", is_flag=True, help="Four traces only: whether it works.")
-@click.option("--traces", type=click.IntRange(2, len(SCENARIOS)), help="So many traces.  [default: all, or 4]")
+@click.option("--quick", is_flag=True, help="Two traces only: whether it works.")
+@click.option("--traces", type=click.IntRange(2, len(SCENARIOS)), help="So many traces.  [default: all, or 2]")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the scenarios.")
 def main(as_json: bool, quick: bool, traces: int | None, seed: int) -> None:
-    count = traces or (4 if quick else len(SCENARIOS))
+    count = traces or (2 if quick else len(SCENARIOS))
     figures = figures_of("cd1..cd17, held out", scenarios(seed, count), seed)
     if SKAB.is_file() and not quick:
         try:
