@@ -174,6 +174,7 @@ def test_what_depends_on_the_direction_of_a_level_is_told_apart() -> None:
     assert max(down) < 60
 
 
+@pytest.mark.usefixtures("_no_bands")
 def test_a_level_that_is_jumped_to_is_learned_as_a_resampled_one() -> None:
     traces = random_traces(by_context, 5, count=8, jumps=True)
     result = learned(traces)
