@@ -289,7 +289,7 @@ def test_very_few_data_give_the_simplest_model() -> None:
 
 @pytest.mark.real_data
 @pytest.mark.parametrize(
-    ("device", "source"), [("skab", "skab/anomaly-free.csv"), ("femto", "femto_bearing/Bearing2_4_temp.csv")]
+    ("device", "source"), [("skab", "skab/anomaly-free.csv"), ("femto", "femto_bearing/Bearing2_5_temp.csv")]
 )
 def test_real_data_give_a_sound_model(device: str, source: str) -> None:
     if not (DATA / source).exists():

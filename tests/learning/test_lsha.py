@@ -214,7 +214,7 @@ def test_every_word_has_an_edge_and_what_was_never_seen_a_default_one() -> None:
 
 
 def test_the_order_of_the_traces_copies_and_names_of_copies_do_not_matter() -> None:
-    traces = random_traces(by_context, 3, count=5, stays=12)
+    traces = random_traces(by_context, 3, count=5, stays=9)
     first = learned(traces)
     rng = np.random.default_rng(0)
     mixed = [traces[number] for number in rng.permutation(len(traces))]
