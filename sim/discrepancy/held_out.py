@@ -79,7 +79,8 @@ def floor_squares(trial: HeldOutRun, seed: int) -> Array:
 
 def compared(before: Fitted, after: Fitted, record: Record, seed: int) -> tuple[HeldOutProof, HeldOutRun, HeldOutRun]:
     """Two fits let run over the held-out record, with the excess removed and its interval over cycles."""
-    first, second = let_run(before, record), let_run(after, record)
+    first = let_run(before, record)
+    second = first if after is before else let_run(after, record)
     floor = floor_squares(second, seed)
     # Mean squares by cycle, weighted by windows: the floor is of the fit after, under whose noise both are judged.
     counts = np.bincount(first.order).astype(float)

@@ -90,7 +90,7 @@ def diagnose(
     )
     verdict, reasons = verdict_of(path, reservations, ceiling_before, beyond[0])
     kept = verdict in ("named", "class")
-    if not kept:  # nothing is added, so what the report shows "after" is the refit itself
+    if not kept and after is not base:  # nothing is added, so what the report shows "after" is the refit itself
         after = base
         held, first, second = compared(after, after, held_out, seed)
 

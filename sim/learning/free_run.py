@@ -102,15 +102,23 @@ class FreeRunFit:
 def steps(runs: FreeRuns, shape: FitShape, log_rates: Array) -> tuple[Array, Array]:
     """(decay, pull) of every step at the given log(rate); exactly (0, 0) where a run begins."""
     decay, pull = np.ones(len(runs)), np.zeros(len(runs))
-    for place in np.unique(runs.place):
-        kind, rows = shape.kinds[place], runs.place == place
+    # Locations of one kind and rate make the same steps, and are done together.
+    alike: dict[tuple[str, int], list[int]] = {}
+    for place in np.flatnonzero(np.bincount(runs.place)).tolist():
+        kind = shape.kinds[place]
+        alike.setdefault((kind, int(shape.rate[place]) if kind in RATES else -1), []).append(place)
+    for (kind, rate), places in alike.items():
         params = dict.fromkeys(FLOWS[kind].params, 0.0)
         if kind in RATES:
-            params[RATES[kind]] = float(np.exp(log_rates[shape.rate[place]]))
+            params[RATES[kind]] = float(np.exp(log_rates[rate]))
+        inside = np.zeros(len(shape.kinds), dtype=bool)
+        inside[places] = True
+        rows = inside[runs.place] if len(alike) > 1 else slice(None)
         decay[rows], pull[rows], _ = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
     # Nothing is carried over from the run before: exactly 0, so that one recursion serves all runs.
-    decay[runs.first] = 0.0
-    pull[runs.first] = 0.0
+    first = runs.first
+    decay[first] = 0.0
+    pull[first] = 0.0
     return decay, pull
 
 

@@ -148,29 +148,31 @@ def _filtered(
     m = np.zeros_like(x)
     xx, xm, mm = m + noise, m, m
     innovation, variance = np.empty((knots.size, width)), np.empty((knots.size, width))
-    after, begin = np.empty((5, knots.size, width)), 0
-    for end in ends.tolist():
+    after, begins = np.empty((5, knots.size, width)), np.append(0, ends[:-1])
+    anew = np.logical_or.reduceat(fresh[:, 0], begins).tolist()
+    full = np.logical_and.reduceat(known[:, 0], begins).tolist()
+    for begin, end, some_fresh, all_known in zip(begins.tolist(), ends.tolist(), anew, full, strict=True):
         at, size = slice(begin, end), end - begin
         x, m, xx, xm, mm = x[:size], m[:size], xx[:size], xm[:size], mm[:size]
-        if fresh[at].any():
+        if some_fresh:
             # A fresh m is independent of X: mean 0, variance that of its location, no covariance with what was before.
-            m, xm = np.where(fresh[at], 0.0, m), np.where(fresh[at], 0.0, xm)
-            mm = np.where(fresh[at], drawn[at], mm)
+            new = fresh[at]
+            m, xm, mm = np.where(new, 0.0, m), np.where(new, 0.0, xm), np.where(new, drawn[at], mm)
         # The prediction, by the step's own closed form; its innovation is scored before the reading is taken in.
-        x = a[at] * x + p[at] * m + drift[at]
-        xx, xm = aa[at] * xx + ap[at] * xm + pp[at] * mm + added[at], a[at] * xm + p[at] * mm
+        carried, pulled = a[at], p[at]
+        x = carried * x + pulled * m + drift[at]
+        xx, xm = aa[at] * xx + ap[at] * xm + pp[at] * mm + added[at], carried * xm + pulled * mm
         error = innovation[at] = reading[at] - x
         total = variance[at] = xx + noise
         # The scalar update needs no inverse.
         gain, turn = xx / total, xm / total
-        if not known[at].all():
+        if not all_known:
             # Without a reading gain and turn are 0, and the prediction stands.
             gain, turn = np.where(known[at], gain, 0.0), np.where(known[at], turn, 0.0)
             error = np.where(known[at], error, 0.0)
         x, m, mm, left = x + gain * error, m + turn * error, mm - turn * xm, 1 - gain
         xx, xm = left * xx, left * xm
         after[0, at], after[1, at], after[2, at], after[3, at], after[4, at] = x, m, xx, xm, mm
-        begin = end
     scores[knots], states[:, knots] = _log_score(innovation, variance), after
     return scores, states
 

@@ -73,7 +73,7 @@ def sources(draw: st.DrawFn) -> Source:
     return Source(tuple(SourceLocation(name, draw(number), draw(law)) for name in names), tuple(edges), draw(labels))
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(sources())
 def test_written_and_read_again_a_source_is_the_same(source: Source) -> None:
     assert parse_source(source_text(source)) == source

@@ -113,7 +113,7 @@ def reports(draw: st.DrawFn) -> Report:
     )
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(reports())
 def test_written_and_read_again_a_report_is_the_same(report: Report) -> None:
     assert parse_report(report_text(report)) == report

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from sim.learning.bins import learn as bins
 from tests.cli.support import ROOT, decanter, only_object
 
 REAL = ROOT.parent / "shared" / "data"
@@ -17,6 +18,12 @@ pytestmark = [
     pytest.mark.real_data,
     pytest.mark.skipif(not CARS.is_dir(), reason=f"the measured data are not at {REAL}"),
 ]
+
+
+@pytest.fixture(autouse=True)
+def _no_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bands, for which a model is fitted two or three times more, and which a diagnosis does not look at."""
+    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_: [])
 
 
 def diagnosed(model: Path, traces: Path, column_map: str, out: Path) -> dict[str, Any]:

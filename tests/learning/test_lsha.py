@@ -174,6 +174,7 @@ def test_what_depends_on_the_direction_of_a_level_is_told_apart() -> None:
     assert max(down) < 60
 
 
+@pytest.mark.usefixtures("_no_bands")
 def test_a_level_that_is_jumped_to_is_learned_as_a_resampled_one() -> None:
     traces = random_traces(by_context, 5, count=8, jumps=True)
     result = learned(traces)
@@ -213,7 +214,7 @@ def test_every_word_has_an_edge_and_what_was_never_seen_a_default_one() -> None:
 
 
 def test_the_order_of_the_traces_copies_and_names_of_copies_do_not_matter() -> None:
-    traces = random_traces(by_context, 3, count=5, stays=12)
+    traces = random_traces(by_context, 3, count=5, stays=9)
     first = learned(traces)
     rng = np.random.default_rng(0)
     mixed = [traces[number] for number in rng.permutation(len(traces))]
