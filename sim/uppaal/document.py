@@ -1,6 +1,7 @@
 """A UPPAAL document as plain records, and its XML text by a template with named placeholders."""
 
 from dataclasses import dataclass, field
+from functools import cache
 from math import isfinite
 from typing import Literal
 
@@ -68,9 +69,10 @@ class System:
     questions: tuple[ExportedQuery, ...] = field(default=())
 
 
-def xml_text(system: System) -> str:
-    """The document as UPPAAL's graphical editor and verifyta read it; all text is escaped by the template engine."""
-    engine = Environment(
+@cache
+def _engine() -> Environment:
+    """The template engine; it keeps the template that it has compiled."""
+    return Environment(
         loader=PackageLoader("sim.uppaal"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -78,12 +80,16 @@ def xml_text(system: System) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+
+
+def xml_text(system: System) -> str:
+    """The document as UPPAAL's graphical editor and verifyta read it; all text is escaped by the template engine."""
     # The file format refers to locations by ids, which are unique within a template only.
     numbers = {
         template.name: {place.name: f"id{index}" for index, place in enumerate(template.places)}
         for template in system.templates
     }
-    return engine.get_template("system.xml").render(system=system, doctype=DOCTYPE, ids=numbers)
+    return _engine().get_template("system.xml").render(system=system, doctype=DOCTYPE, ids=numbers)
 
 
 def number(value: float) -> str:

@@ -159,10 +159,13 @@ def _functions(document: _Document) -> list[str]:
 def _known_names(document: _Document) -> list[str]:
     """Labels use only declared names and built-in functions."""
     sentences = []
+    everywhere = document.declared[""] | FUNCTIONS | {"true", "false"}
     for label in document.labels:
-        known = document.declared[""] | document.declared[label.template] | FUNCTIONS | {"true", "false"}
+        own = document.declared[label.template]
         unknown = [
-            name for name in _NAME.findall(label.text) if name not in known and not re.fullmatch(r"[eE]\d*", name)
+            name
+            for name in _NAME.findall(label.text)
+            if name not in everywhere and name not in own and not re.fullmatch(r"[eE]\d*", name)
         ]
         if unknown:
             sentences.append(f"{label.where()} uses {unknown[0]!r}, which nothing declares")

@@ -32,7 +32,7 @@ from sim.sha.trace import Event, Trace
 from tests.checking.worlds import TEMP, compare, eventually, flow, model, normal
 from tests.rig.quadrature import Stretch, first_passage
 
-GAIN, OFFSET, SECONDS = 1.25, -7.0, 300.0
+GAIN, OFFSET, SECONDS, ASKED = 1.25, -7.0, 300.0, 60.0
 PLAIN = model(
     [flow("exponential", k=0.01), flow("logarithmic", t0=20.0), flow("linear")],
     [normal(45.0, 2.0), normal(1.0, 0.3), normal(-0.01, 0.005)],
@@ -85,11 +85,11 @@ PLAIN_STARTS, SENSOR_STARTS = starts_of(PLAIN), starts_of(SENSOR)
 
 def paths(at: "dict[float, float]") -> list[Path]:
     """Each kind of path about limits that `at` maps."""
-    whole = TimeSpan(0.0, 120.0)
+    whole = TimeSpan(0.0, ASKED)
     hot, warm, mild = compare(">=", at[43.0]), compare(">=", at[42.0]), compare("<=", at[41.0])
     within: Formula = Either(mild, At("q_1"))
     return [
-        eventually(hot, 120.0).path,
+        eventually(hot, ASKED).path,
         Always(compare("<=", at[42.0]), whole),
         Until(compare("<=", at[43.0]), warm, whole),
         BoundedResponse(warm, within, TimeSpan(0.0, 30.0)),
@@ -104,8 +104,8 @@ SENSOR_AT = {limit: read(limit) for limit in PLAIN_AT}
 def test_probabilities_are_those_of_the_mapped_limits(name: str) -> None:
     settings = QuerySettings(rule="fixed", runs=500, seed=3)
     for plain, sensor in zip(paths(PLAIN_AT), paths(SENSOR_AT), strict=True):
-        mine = answer(Probability(120.0, sensor), starts(SENSOR)[name], settings)
-        other = answer(Probability(120.0, plain), starts(PLAIN)[name], settings)
+        mine = answer(Probability(ASKED, sensor), starts(SENSOR)[name], settings)
+        other = answer(Probability(ASKED, plain), starts(PLAIN)[name], settings)
         assert mine.numbers["probability"] == pytest.approx(other.numbers["probability"], abs=0.0021)
         assert mine.runs == other.runs
 
@@ -163,8 +163,8 @@ def test_quadrature_of_the_corrected_flow_agrees_with_its_runs() -> None:
 def test_a_hypothesis_is_decided_alike() -> None:
     for name in starts(PLAIN):
         questions = (
-            (SENSOR, Probability(120.0, paths(SENSOR_AT)[0])),
-            (PLAIN, Probability(120.0, paths(PLAIN_AT)[0])),
+            (SENSOR, Probability(ASKED, paths(SENSOR_AT)[0])),
+            (PLAIN, Probability(ASKED, paths(PLAIN_AT)[0])),
         )
         verdicts = {
             answer(Hypothesis(question, ">=", 0.3), starts(model)[name], QuerySettings()).verdict

@@ -152,7 +152,7 @@ def rows_of(trace: Trace) -> list[Row]:
     return rows
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(traces(), alphabets(), MODES)
 def test_batch_equals_streaming_equals_the_reference(trace: Trace, alphabet: Alphabet, mode: Mode) -> None:
     rows = rows_of(trace)

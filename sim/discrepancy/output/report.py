@@ -3,11 +3,12 @@
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import isfinite
 from pathlib import Path
 from shlex import quote
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from sim.discrepancy import Diagnosis, HeatPlace, NamedEffect, TriedEffect, span
 from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE
@@ -60,14 +61,9 @@ class Occasion:
         return quote(str(self.folder / "model"))
 
 
-def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str, Path]) -> str:
-    """The whole report. Raises OSError when a picture cannot be read."""
-    data = {
-        name: "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
-        for name, path in pictures.items()
-        if name != SHEET
-    }
-    best = max((tried.gain for tried in diagnosis.candidates if isfinite(tried.gain)), default=0.0)
+@cache
+def _template() -> Template:
+    """The report's template, compiled once."""
     # Names of models, signals and traces come from whoever wrote them: they are escaped, and a variable that the
     # template misspells stops the report instead of leaving a hole in it.
     environment = Environment(
@@ -78,7 +74,18 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
         lstrip_blocks=True,
     )
     environment.filters |= {"number": _number, "share": _share, "span": lambda seconds: span(*seconds)}
-    return environment.get_template("diagnosis.html").render(
+    return environment.get_template("diagnosis.html")
+
+
+def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str, Path]) -> str:
+    """The whole report. Raises OSError when a picture cannot be read."""
+    data = {
+        name: "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
+        for name, path in pictures.items()
+        if name != SHEET
+    }
+    best = max((tried.gain for tried in diagnosis.candidates if isfinite(tried.gain)), default=0.0)
+    return _template().render(
         one=diagnosis,
         occasion=occasion,
         meaning=MEANINGS[diagnosis.verdict],
