@@ -142,10 +142,11 @@ def test_a_model_is_learned_shown_and_simulated(model: Path, traces: Path, tmp_p
     assert "SYNTHETIC" in decanter("model", "show", model).stdout
     picture = tmp_path / "sim.png"
     arguments = ["model", "simulate", model, "--trace", traces / "cd17.csv", "--runs", 50, "--picture", picture]
-    (row,) = only_object(decanter(*arguments, "--json").stdout)["traces"]
+    said = decanter(*arguments, "--json").stdout
+    (row,) = only_object(said)["traces"]
     assert 0 < row["mae"] <= row["rmse"] < 20 and 0 <= row["coverage 90 %"] <= 1
     assert picture.stat().st_size > 10_000
-    assert decanter(*arguments, "--json").stdout == decanter(*arguments, "--json").stdout
+    assert decanter(*arguments, "--json").stdout == said
 
 
 def test_model_commands_refuse_wrong_input_in_one_sentence(wrong: Path, model: Path, traces: Path) -> None:

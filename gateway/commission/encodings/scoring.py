@@ -155,20 +155,20 @@ def _weighed(
         if abs(number) > _FAR:  # a float's garbage, whose products would overflow
             return []
         total = total + _log_shown(number * scales + offsets, seen.shown)
+        if np.max(total) == -math.inf:  # so it stays, whatever is added
+            return []
         if words not in before:
             former = before[-1] if before else None
             total = total + np.log(resolution * scales) - _log_background(words, former, layout.dtype)
         before.append(words)
     kept = np.flatnonzero(np.isfinite(total) & (total > np.max(total) - HOPELESS))
+    scales, offsets = scales[kept], offsets[kept]
+    values = [(raw[0] * scales + offsets).tolist() for raw in raws if raw is not None]
     return [
-        (
-            float(total[index]),
-            layout,
-            float(scales[index]),
-            float(offsets[index]),
-            tuple(float(raw[0] * scales[index] + offsets[index]) for raw in raws if raw is not None),
+        (weight, layout, scale, offset, each)
+        for weight, scale, offset, each in zip(
+            total[kept].tolist(), scales.tolist(), offsets.tolist(), zip(*values, strict=True), strict=True
         )
-        for index in kept
     ]
 
 
@@ -196,15 +196,19 @@ def _log_shown(values: Vector, shown: ShownNumber) -> Vector:
     """log P(the HMI shows this | the value): rounded, cut off, or of a moment earlier; -inf far away."""
     step, slack = shown.step, _SLACK * max(1.0, abs(shown.value))
     error = values - shown.value
-    rounded = np.abs(error) <= 0.5 * step + slack
-    towards_zero = error * (1.0 if shown.value >= 0 else -1.0)
-    cut = (towards_zero >= -slack) & (towards_zero < step + slack)
     # The value moved between the HMI's refresh and the read: a Cauchy density, whose tails forgive a wide move.
     width = step + DRIFT * abs(shown.value)
     away = np.maximum(np.abs(error) - 0.5 * step, 0.0) / width
-    moved = np.where(away < FARTHEST, MOVED * step / (math.pi * width * (1.0 + away**2)), 0.0)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(ROUNDED * rounded + CUT * cut + moved))
+    logs = np.full(values.shape, -math.inf)
+    # Few of all values are near, and what is rounded or cut is.
+    near = np.flatnonzero(away < FARTHEST)
+    error, away = error[near], away[near]
+    rounded = np.abs(error) <= 0.5 * step + slack
+    towards_zero = error * (1.0 if shown.value >= 0 else -1.0)
+    cut = (towards_zero >= -slack) & (towards_zero < step + slack)
+    moved = MOVED * step / (math.pi * width * (1.0 + away**2))
+    logs[near] = np.log(ROUNDED * rounded + CUT * cut + moved)
+    return logs
 
 
 def _log_background(words: Sequence[int], former: Sequence[int] | None, dtype: DType) -> float:
