@@ -162,7 +162,7 @@ def test_batch_equals_streaming_equals_the_reference(trace: Trace, alphabet: Alp
     assert list(encode(trace, alphabet, mode)) == streamed
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(traces(), alphabets(), MODES, st.data())
 def test_a_restart_between_any_two_rows_and_ticks_at_any_time_change_nothing(
     trace: Trace, alphabet: Alphabet, mode: Mode, data: st.DataObject
