@@ -24,7 +24,7 @@ TESTS = Path(__file__).parent
 INTEGRATION = TESTS / "integration"
 DURATIONS = TESTS / "durations.json"
 """Seconds of every test that took LONG or more, with its fixtures, when `make durations` measured it last."""
-LONG = 0.5
+LONG = 0.3
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
