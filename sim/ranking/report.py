@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from sim.pages import page_environment
 from sim.ranking.ranking import Ranking, entrants
 from sim.sha import Array
 from sim.validation import ENDINGS, MEASURED, QUANTILES, TraceResult
@@ -156,12 +156,10 @@ def write_page(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> 
 
 def page(ranking: Ranking, results: Sequence[TraceResult]) -> str:
     """The page: pictures inside, every name escaped."""
-    places = PackageLoader("sim.ranking")
-    environment = Environment(loader=places, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    environment.filters["figure"] = _figure
     text = StringIO()
     _save(figure(ranking, results), text, "svg")
     _, tag, rest = text.getvalue().partition("<svg")  # without the XML prologue, which has no place inside HTML
+    environment = page_environment("sim.ranking", figure=_figure)
     return environment.get_template("ranking.html").render(ranking=ranking, picture=tag + rest)
 
 

@@ -106,16 +106,6 @@ def check_folder(path: Path, *, overwrite: bool) -> list[Path]:
     return sorted(present for pattern in wanted for present in path.glob(pattern) if present.is_file())
 
 
-def _earlier(file: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except (ValueError, OSError):
-        document = None
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise ValueError(f"{file}: this is no campaign of ours; give a new folder or an empty one")
-    return document
-
-
 @contextmanager
 def held(path: Path) -> Iterator[None]:
     """Makes the folder and keeps other campaigns out of it until the block ends, however it ends.

@@ -8,8 +8,9 @@ from math import ceil, floor, inf, isfinite, log10
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 
+from sim.pages import page_environment
 from sim.validation.metrics import QUANTILES
 from sim.validation.results import Interval, TraceResult
 from sim.validation.stages import Prepared, Stage, location_row
@@ -221,15 +222,7 @@ def index_html(campaign: CampaignSummary, entries: Sequence[ReportEntry], log: S
 
 
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("sim.validation"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"number": _number, "share": _share, "interval": _interval}
-    return environment
+    return page_environment("sim.validation", number=_number, share=_share, interval=_interval)
 
 
 def _number(value: float | None, digits: int = 2, sign: bool = False) -> str:

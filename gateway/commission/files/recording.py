@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from drivers.csv_rows import CsvRowError, numbered_rows
 from drivers.tag import Sample, Tag
 from gateway.commission.files.cells import ListError
 from gateway.store import to_trace
@@ -88,27 +89,10 @@ def _from_csv(path: Path, start: float, end: float) -> SiteRecording:
 
 
 def _rows(stream: Iterable[str], path: Path) -> Iterator[tuple[int, list[str]]]:
-    """(number of its first line, cells) of each row; a quoted cell may go on over several lines.
-
-    Lines that begin with # are comments. Raises ListError for a row that is not CSV, by the line at which it begins.
-    """
-    number, inside = 0, 0
-
-    def feed() -> Iterator[str]:
-        nonlocal number, inside
-        for line in stream:
-            number += 1
-            # Between rows comments and blank lines are left out; inside a quoted cell they are its text.
-            if inside or (line.strip() and not line.startswith("#")):
-                inside += 1
-                yield line
-
     try:
-        for cells in csv.reader(feed(), strict=True):
-            yield number - inside + 1, cells
-            inside = 0
-    except csv.Error as error:
-        raise ListError(f"{path}: line {number - inside + 1}: is not CSV ({error}); correct that line") from None
+        yield from numbered_rows(stream)
+    except CsvRowError as error:
+        raise ListError(f"{path}: line {error.line}: is not CSV ({error.reason}); correct that line") from None
 
 
 def _time(where: str, cell: str) -> float:

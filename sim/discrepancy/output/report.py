@@ -3,15 +3,13 @@
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from math import isfinite
 from pathlib import Path
 from shlex import quote
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
-
 from sim.discrepancy import Diagnosis, HeatPlace, NamedEffect, TriedEffect, span
 from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE
+from sim.pages import page_environment
 
 MEANINGS: Mapping[str, str] = {
     "agree": "On these cycles the model, with its parameters fitted anew, is as right as its own noise allows. "
@@ -61,22 +59,6 @@ class Occasion:
         return quote(str(self.folder / "model"))
 
 
-@cache
-def _template() -> Template:
-    """The report's template, compiled once."""
-    # Names of models, signals and traces come from whoever wrote them: they are escaped, and a variable that the
-    # template misspells stops the report instead of leaving a hole in it.
-    environment = Environment(
-        loader=PackageLoader("sim.discrepancy.output"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"number": _number, "share": _share, "span": lambda seconds: span(*seconds)}
-    return environment.get_template("diagnosis.html")
-
-
 def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str, Path]) -> str:
     """The whole report. Raises OSError when a picture cannot be read."""
     data = {
@@ -85,7 +67,8 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
         if name != SHEET
     }
     best = max((tried.gain for tried in diagnosis.candidates if isfinite(tried.gain)), default=0.0)
-    return _template().render(
+    environment = page_environment("sim.discrepancy.output", number=_number, share=_share, span=_span)
+    return environment.get_template("diagnosis.html").render(
         one=diagnosis,
         occasion=occasion,
         meaning=MEANINGS[diagnosis.verdict],
@@ -130,3 +113,7 @@ def _share(value: float | None, digits: int = 0, sign: bool = False) -> str:
     if value is None or not isfinite(value):
         return "–"
     return f"{100 * value:{'+' if sign else ''}.{digits}f} %"
+
+
+def _span(seconds: tuple[float, float]) -> str:
+    return span(*seconds)

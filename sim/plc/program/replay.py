@@ -6,7 +6,6 @@ reading": the last value holds. A position counts in seconds from the first row;
 row at or before it, never an interpolated one.
 """
 
-import csv
 import math
 from array import array
 from bisect import bisect_right
@@ -16,6 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
+from drivers.csv_rows import CsvRowError, numbered_rows
 from sim.plc.program.checks import InputError, listed, read_text
 
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
@@ -132,24 +132,10 @@ def read_trace(path: Path) -> TraceTable:
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """(number of its first line, cells) of each row; a quoted cell may go on over several lines."""
-    text = iter(read_text(path, "a trace").splitlines(keepends=True))
-    number, inside = 0, 0
-
-    def feed() -> Iterator[str]:
-        nonlocal number, inside
-        for number, line in enumerate(text, start=1):  # noqa: B007 (read outside)
-            # Between rows comments and blank lines are left out; inside a quoted cell they are its text.
-            if inside or (line.strip() and not line.startswith("#")):
-                inside += 1
-                yield line
-
     try:
-        for cells in csv.reader(feed(), strict=True):
-            yield number - inside + 1, cells
-            inside = 0
-    except csv.Error as error:
-        raise InputError(f"{path}: line {number - inside + 1}: is not CSV: {error}; correct that line") from None
+        yield from numbered_rows(read_text(path, "a trace").splitlines(keepends=True))
+    except CsvRowError as error:
+        raise InputError(f"{path}: line {error.line}: is not CSV: {error.reason}; correct that line") from None
 
 
 def _reading(cell: str, where: str) -> float:
