@@ -25,7 +25,7 @@ demo: $(STAMP)
 
 test: lint types contracts unit
 
-# The inner loop: everything that neither starts a process nor takes 0.3 s (tests/durations.json).
+# The inner loop: everything that neither starts a process nor takes long (tests/durations.json).
 check: lint types contracts
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --without-processes
 

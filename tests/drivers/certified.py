@@ -4,7 +4,6 @@ import datetime as dt
 import ssl
 from functools import cache
 from pathlib import Path
-from shutil import copy
 
 from gateway.certificates import Signer, issue, make_authority, write
 
@@ -54,12 +53,4 @@ def for_plc(path: Path) -> Path:
     """What the software PLC wants in its folder, beside a gateway's certificates."""
     folder(path)
     write(path, "server", server())
-    return path
-
-
-def other_folder(path: Path, source: Path) -> Path:
-    """A copy of certificates that a test can spoil."""
-    path.mkdir()
-    for file in source.iterdir():
-        copy(file, path / file.name)
     return path

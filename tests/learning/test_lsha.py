@@ -81,12 +81,9 @@ FOUR = {
 
 
 def found_again(seed: int) -> bool:
-    """Whether exactly the four locations of `by_context` come back, from traces that hold them evenly.
-
-    The flow is given: that it is found too is asked of one learned model, below.
-    """
+    """Whether exactly the four locations of `by_context` come back, from traces that hold them evenly."""
     traces = random_traces(by_context, seed)
-    chosen = LshaSettings(default_flow="exponential")
+    chosen = LshaSettings()
     teacher = teacher_of(traces, PLANT, "T", chosen.n_min, chosen.split)
     flowing, _ = choose_flow(teacher, chosen.default_flow, chosen.alpha, chosen.n_min)
     structure, _ = choose_structure(teacher, flowing.sample, chosen)
