@@ -15,7 +15,7 @@ from sim.engine.belief import observe, on_event, start, with_inputs
 from sim.engine.tracker import Tracker, compile_model
 from sim.forecast.calibration import calibrate, issue, settle
 from sim.forecast.fan import forecast
-from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
+from sim.sha.automaton import SHA, Distribution, Edge, Effect, Flow, Input, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model, Stay
 from sim.sha.semi_markov import compile_chain, draw_paths
@@ -28,7 +28,7 @@ SYMBOLS = ("W_ON", "W_OFF", "A_0", "A_1", "A_2", "A_3")
 K, NOISE, SENSOR = 0.004, 0.05, 0.1
 
 
-def plant() -> Tracker:
+def plant(*effects: Effect) -> Tracker:
     """Six locations, each driven by the current, all of them left after 10 s on average."""
     locations = tuple(
         Location(
@@ -47,7 +47,7 @@ def plant() -> Tracker:
         )
         for source in SYMBOLS
     }
-    sha = SHA("benchmark", locations, edges, SYMBOLS[1])
+    sha = SHA("benchmark", locations, edges, SYMBOLS[1], effects=effects)
     return compile_model(Model(sha, DECANTER, "T", SENSOR, semi_markov=stays))
 
 
@@ -106,6 +106,24 @@ def measure_filter(tracker: Tracker, repeats: int) -> list[Figure]:
     ]
 
 
+def measure_random(plain: Tracker, repeats: int) -> list[Figure]:
+    """The same with heat that has a memory and a machine's own offset, against the plant without them."""
+    effects = (Effect("heat-disturbance", {"sigma": 0.005, "memory": 400.0}), Effect("machine-offset", {"sigma": 3.0}))
+    tracker, size = plant(*effects), SAMPLES // 10
+    readings = (40.0 + SENSOR * np.random.default_rng(1).standard_normal(size)).tolist()
+    filtered = [best(lambda one=one: filter_all(one, readings), repeats) for one in (tracker, plain)]
+    foreseen = []
+    for one in (tracker, plain):
+        belief, rng = start(one, 0.0, 60.0), np.random.default_rng(1)
+        foreseen.append(
+            best(lambda: forecast(one, belief, HORIZONS, rng, limit=80.0, runs=256), repeats)  # noqa: B023
+        )
+    return [
+        Figure("belief with memory, readings", size / filtered[0], "samples/s", "without", size / filtered[1]),
+        Figure("forecast with memory, 256 runs", 1e3 * foreseen[0], "ms", "without", 1e3 * foreseen[1]),
+    ]
+
+
 def measure_forecast(tracker: Tracker, runs: int, repeats: int) -> list[Figure]:
     """One forecast of three horizons up to 15 minutes, with stays of 10 s on average, and a step of recalibration."""
     belief, rng = start(tracker, 0.0, 60.0), np.random.default_rng(1)
@@ -140,7 +158,8 @@ def measure_forecast(tracker: Tracker, runs: int, repeats: int) -> list[Figure]:
 def main(as_json: bool, quick: bool, repeats: int) -> None:
     times, tracker = 2 if quick else repeats, plant()
     fans = [figure for runs in (256, 512) for figure in measure_forecast(tracker, runs, times)]
-    give("belief and forecast", [*measure_filter(tracker, times), *fans], as_json=as_json)
+    figures = [*measure_filter(tracker, times), *fans, *measure_random(tracker, times)]
+    give("belief and forecast", figures, as_json=as_json)
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from sim.forecast.calibration import settle as settle_bands
 from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue_pool, mixture, settle_pool, thinned, weights
 from sim.forecast.fan import LEVELS, Forecast, forecast
 from sim.learning.bins.learn import learn_bins
+from sim.learning.outcomes import outcomes_of
 from sim.plant.decanter import DecanterPlant
 from sim.plant.scenarios import production
 from sim.scores import block_bootstrap, coverage, crps_quantiles
@@ -107,7 +108,7 @@ def follow(case: Case, runs: int, seed: int) -> tuple[list[Scheme], Array]:
     events, upcoming, last = [*trace.events, Event(inf, UNKNOWN)], 0, dict[int, str]()
     due = float(trace.times[0]) + case.every
     readings = trace.signals[name]
-    known = (trace.times[np.isfinite(readings)], readings[np.isfinite(readings)])
+    known = outcomes_of(trace, name, case.models[0].alphabet.gap)
     for row, (time, value) in enumerate(zip(trace.times.tolist(), readings.tolist(), strict=True)):
         while events[upcoming].time <= time:
             event, upcoming = events[upcoming], upcoming + 1
@@ -123,7 +124,7 @@ def follow(case: Case, runs: int, seed: int) -> tuple[list[Scheme], Array]:
                 way.evidence[horizon] = settle_pool(kept, horizon, time, value, case.every / 2)
         if time >= due and all(one.belief.seen for one in followers):
             due = time + case.every
-            outcome = [_outcome(known, time + horizon, case.models[0].alphabet.gap) for horizon in case.horizons]
+            outcome = [nan if (at := known.at(time + horizon)) is None else at for horizon in case.horizons]
             made = [_made(one, case.horizons, runs, (seed, row, n)) for n, one in enumerate(followers)]
             _mix(ways, made, contexts(alphabet, last))
             outcomes.append(outcome)
@@ -156,13 +157,6 @@ def _mix(ways: Sequence[Scheme], made: Sequence[Forecast], context: Mapping[str,
         way.fans.append(mixture(made, shares, LEVELS).quantiles)
         for horizon, kept in way.evidence.items():
             way.evidence[horizon] = issue_pool(kept, horizon, here, made)
-
-
-def _outcome(known: tuple[Array, Array], due: float, gap: float) -> float:
-    after = int(np.searchsorted(known[0], due))
-    if after in (0, known[0].size) or known[0][after] - known[0][after - 1] > gap:
-        return nan
-    return float(np.interp(due, known[0][after - 1 : after + 1], known[1][after - 1 : after + 1]))
 
 
 def figures(case: Case, runs: int, seed: int) -> list[Figure]:

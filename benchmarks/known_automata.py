@@ -3,6 +3,10 @@
 Three families over a switch and a level of three bins. `context`: the law depends on what both channels are;
 `direction`: also on whether the level rose or fell last; `free`: any deterministic automaton of so many locations, in
 which the location may depend on the whole word.
+
+`python -m benchmarks.known_automata` learns automata of the family `free` from ever more traces of 30 stays: what comes
+back must not get worse with more of them. Truth is the smallest automaton with the same targets; the error is that of
+free runs of the whole model over eight new traces.
 """
 
 from collections import Counter
@@ -10,17 +14,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import exp
+from time import process_time
 from typing import Literal
 
+import click
 import numpy as np
 
+from benchmarks.figures import Figure, give
+from sim.engine.open_loop_run import measured, open_loop
 from sim.learning.lsha.evidence import PooledEvidence, same_distribution
 from sim.learning.lsha.flow_hypotheses import Flowing, choose_flow
 from sim.learning.lsha.hypothesis import hypothesis_of
+from sim.learning.lsha.learn import learn_lsha
 from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import choose_structure
 from sim.learning.lsha.teacher import Teacher, teacher_of
 from sim.learning.lsha.words import classes_of
+from sim.sha.automaton import transitions
 from sim.sha.events import Alphabet, Bins, Switch, encode
 from sim.sha.trace import Trace
 
@@ -102,15 +112,24 @@ def _remembering(family: Family, laws: int, rng: np.random.Generator) -> Automat
     return Automaton(after, tuple(targets[number] for number in rng.permutation(law)[: len(states)]))
 
 
-def traces_of(automaton: Automaton, rng: np.random.Generator, scatter: float = SCATTER) -> list[Trace]:
-    """Encoded traces of random words; every trace begins by announcing both channels."""
-    return [_trace(automaton, rng, f"t{number:02d}", number * 1e6, scatter) for number in range(TRACES)]
+def traces_of(
+    automaton: Automaton,
+    rng: np.random.Generator,
+    scatter: float = SCATTER,
+    *,
+    count: int = TRACES,
+    stays: int = STAYS,
+) -> list[Trace]:
+    """`count` encoded traces of random words; every trace begins by announcing both channels."""
+    return [_trace(automaton, rng, f"t{number:02d}", number * 1e6, scatter, stays) for number in range(count)]
 
 
-def _trace(automaton: Automaton, rng: np.random.Generator, name: str, begin: float, scatter: float) -> Trace:
+def _trace(
+    automaton: Automaton, rng: np.random.Generator, name: str, begin: float, scatter: float, stays: int
+) -> Trace:
     on, level, x, rows = int(rng.integers(2)), int(rng.integers(3)), float(rng.uniform(20, 60)), []
     state = automaton.after[automaton.after[0, "ON" if on else "OFF"], f"L_{level}"]
-    for _ in range(STAYS):
+    for _ in range(stays):
         m = automaton.target[state] + scatter * rng.normal()
         for _ in range(int(rng.integers(6, 30))):
             rows.append((on, LEVELS[level], x + SENSOR * rng.normal()))
@@ -181,6 +200,51 @@ def _flowing(traces: Sequence[Trace], settings: LshaSettings) -> tuple[Teacher, 
     return teacher, choose_flow(teacher, settings.default_flow, settings.alpha, settings.n_min)[0]
 
 
+@dataclass(frozen=True, slots=True)
+class LearnedAgain:
+    """A model of one automaton against the truth: `locations` and `edges` (both channels known, as met in the traces),
+    how far off targets are on average, the free-run error (both degC), and processor seconds."""
+
+    locations: tuple[int, int]
+    edges: tuple[int, int]
+    target_error: float
+    held_out: float
+    seconds: float
+
+
+def learned_from(automaton: Automaton, traces: Sequence[Trace], others: Sequence[Trace]) -> LearnedAgain:
+    """The whole model learned from `traces`, judged on `others`."""
+    begin = process_time()
+    model = learn_lsha(traces, PLANT, "T", seed=0).model
+    seconds = process_time() - begin
+    moves, minimal = transitions(model.sha), automaton.minimal()
+    locations: set[tuple[int, str]] = set()
+    edges: set[tuple[int, str, str]] = set()
+    off: list[float] = []
+    for trace in traces:
+        state, here = 0, model.sha.initial
+        for number, event in enumerate(trace.events):
+            if number > 1:
+                edges.add((minimal[state], here, event.symbol))
+            state, here = automaton.after[state, event.symbol], moves[here, event.symbol]
+            if number:
+                locations.add((minimal[state], here))
+                law = model.sha.by_name[here].distribution
+                off.append(abs((law.params["mu"] if law else np.nan) - automaton.target[state]))
+    errors = []
+    for trace in others:
+        times, values = measured(trace, "T")
+        run = open_loop(replace(model, calibration={}), trace, "resync")
+        errors.append(run.mean[np.searchsorted(run.times, times, side="right") - 1] - values)
+    return LearnedAgain(
+        locations=(len({there for _, there in locations}), len({state for state, _ in locations})),
+        edges=(len({edge[1:] for edge in edges}), len({(state, symbol) for state, _, symbol in edges})),
+        target_error=float(np.nanmean(off)),
+        held_out=float(np.mean(np.abs(np.concatenate(errors)))),
+        seconds=seconds,
+    )
+
+
 def query_p(difference: float, rng: np.random.Generator, kind: str = "exponential") -> float:
     """p of one hypothesis-test query (no tolerance) between two locations whose targets differ by `difference` degC.
 
@@ -210,3 +274,35 @@ def _evidence(pooled: Sequence[PooledEvidence], keys: Sequence[object], level: i
     for one in mine[1:]:
         whole = whole.joined(one)
     return whole
+
+
+@click.command(help=__doc__)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of a table.")
+@click.option("--quick", is_flag=True, help="One automaton of six locations, 20 and 80 traces.")
+@click.option("--locations", default="4,6,8,10", show_default=True, help="Locations of the automata.")
+@click.option("--traces", default="5,20,60,200", show_default=True, help="Traces of each automaton.")
+@click.option("--stays", default=STAYS, show_default=True, type=click.IntRange(2), help="Stays of a trace.")
+@click.option("--seed", default=1, show_default=True, help="Seed of the automata.")
+def main(as_json: bool, quick: bool, locations: str, traces: str, stays: int, seed: int) -> None:
+    figures = []
+    for laws in [6] if quick else [int(text) for text in locations.split(",")]:
+        automaton = random_automaton("free", laws, np.random.default_rng(seed))
+        others = traces_of(automaton, np.random.default_rng([seed, laws]), count=8, stays=stays)
+        first: float | None = None
+        for count in [20, 80] if quick else [int(text) for text in traces.split(",")]:
+            given = traces_of(automaton, np.random.default_rng([seed, laws, count]), count=count, stays=stays)
+            found = learned_from(automaton, given, others)
+            first = found.held_out if first is None else first
+            what = f"{laws} locations, {count} traces, {sum(len(trace.events) for trace in given):,} events"
+            figures += [
+                Figure(f"{what}: locations", found.locations[0], "", "true ones", found.locations[1]),
+                Figure(f"{what}: edges", found.edges[0], "", "true ones", found.edges[1]),
+                Figure(f"{what}: targets off by", found.target_error, "degC", "scatter from stay to stay", SCATTER),
+                Figure(f"{what}: held-out MAE", found.held_out, "degC", "that of the fewest traces", first),
+                Figure(f"{what}: processor time", found.seconds, "s", "bound for 20,000 events", 30.0),
+            ]
+    give("Known automata", figures, as_json=as_json)
+
+
+if __name__ == "__main__":
+    main()

@@ -36,11 +36,14 @@ BENCHMARKS = (
     "queries",
     "campaign",
     "smc",
+    "formulas",
     "semantics",
     "verification",
     "lsha",
+    "known_automata",
     "can_logs",
     "guess",
+    "skill",
 )
 LONGEST = 600.0
 """Seconds after which a benchmark is given up: many times what it takes on a quiet machine."""

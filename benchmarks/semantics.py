@@ -16,9 +16,9 @@ import numpy as np
 
 from benchmarks.figures import Figure, give
 from sim.learning.bins.learn import learn_bins
+from sim.paired import Paired, paired
 from sim.plant.scenarios import SCENARIOS, scenario
 from sim.ranking.cross_validation import HeldOutFold, held_out
-from sim.ranking.paired import Paired, paired
 from sim.sha.events import DECANTER, Alphabet, encode
 from sim.sha.trace import Trace
 from sim.traces.column_map import load_map

@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from drivers.errors import DriverError
+from drivers.named_files import parse_toml, regular
 
 
 class ConfigError(ValueError):
@@ -50,8 +51,7 @@ S = TypeVar("S", bound=BaseModel)
 def read_toml(path: Path) -> dict[str, Any]:
     """The file's content. Raises ConfigError, with the line where TOML has one."""
     try:
-        with path.open("rb") as stream:
-            return tomllib.load(stream)
+        return parse_toml(regular(path).read_bytes().decode())
     except FileNotFoundError:
         raise ConfigError([f"{path}: there is no such file; give the path of an existing TOML file"]) from None
     except OSError as error:

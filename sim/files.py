@@ -4,6 +4,8 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from drivers.named_files import endless_number, regular
+
 
 class ArtefactError(ValueError):
     """A file cannot be used or written. The message names file, line or key, the reason and what would be right."""
@@ -17,13 +19,16 @@ def at(file: str | Path, line: int | None, sentence: str) -> ArtefactError:
 def read_text(path: Path) -> str:
     """The file's text (UTF-8, with or without a byte-order mark). Raises ArtefactError when it cannot be read."""
     try:
-        return path.read_bytes().decode("utf-8-sig")
+        text = regular(path).read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
         raise at(path, None, "there is no such file; give the path of an existing one") from None
     except UnicodeDecodeError as error:
         raise at(path, None, f"byte {error.start} is not UTF-8; save the file as UTF-8") from None
     except OSError as error:
         raise at(path, None, f"cannot be read ({error.strerror}); make it a file that this user can read") from None
+    if problem := endless_number(text):
+        raise at(path, None, problem)
+    return text
 
 
 def refused(path: Path, error: OSError) -> ArtefactError:

@@ -73,9 +73,10 @@ def crps_ordered(ordered: Array, outcome: ArrayLike) -> Array:
 def crps_quantiles(levels: ArrayLike, quantiles: ArrayLike, outcome: ArrayLike) -> Array:
     """CRPS of a fan: `quantiles` (..., L) at ascending `levels` (L,) in (0, 1), `outcome` (...).
 
-    CRPS is twice the integral of the pinball loss over all levels. Each level stands for the levels nearer to it than
-    to any other (so 0.05, 0.25, 0.5, 0.75, 0.95 weigh .15, .225, .25, .225, .15); with L = 1 at 0.5 it is the absolute
-    error. Beside the closed form, those five levels give a Gaussian's expected CRPS 3 % too low.
+    CRPS is twice the integral of the pinball loss over all levels (Laio & Tamea 2007; Gneiting & Ranjan 2011). Each
+    level stands for the levels nearer to it than to any other (so 0.05, 0.25, 0.5, 0.75, 0.95 weigh .15, .225, .25,
+    .225, .15); with L = 1 at 0.5 it is the absolute error. Beside the closed form, those five levels give a Gaussian's
+    expected CRPS 3 % too low, and 0.01, 0.02 .. 0.99 give it less than 0.1 % too high.
     """
     alpha = np.asarray(levels, dtype=float)
     if alpha.size == 0 or np.any(np.diff(alpha) <= 0) or not 0 < alpha[0] <= alpha[-1] < 1:

@@ -20,6 +20,7 @@ from cantools.database.can import Database, Message, Signal
 from drivers.can.fields import Bits, Field, LayoutCondition, check_type, frame_key
 from drivers.can.protection import PROFILE, Protection
 from drivers.errors import AddressError, DriverError
+from drivers.named_files import regular
 from drivers.tag import DType, Tag
 
 PREFIX = "dbc:"
@@ -46,7 +47,7 @@ class Dbc:
         self.path = path
         try:
             # Not strict: that signals overlap, or lie outside their message, in other people's files is theirs to mend.
-            loaded = cantools.database.load_file(path, database_format="dbc", strict=False)
+            loaded = cantools.database.load_file(regular(path), database_format="dbc", strict=False)
         except (OSError, UnicodeError, cantools.Error) as error:
             raise DriverError(f"{path}: is no DBC file that can be used: {error}") from None
         if not isinstance(loaded, Database):

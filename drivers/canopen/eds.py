@@ -13,6 +13,7 @@ from canopen.objectdictionary.eds import import_eds
 from drivers.canopen.pdo import COMMUNICATION, Kind, PdoMapping, from_objects
 from drivers.canopen.place import ObjectPlace, bytes_needed, from_bytes, parse_place
 from drivers.errors import AddressError, DriverError
+from drivers.named_files import regular
 from drivers.tag import Tag
 
 
@@ -87,7 +88,7 @@ def locate(tag: Tag, sheet: DataSheet | None) -> Where:
 def load_sheet(path: Path, node: int) -> DataSheet:
     """The EDS (or DCF) in a file, for this node id. Raises DriverError naming file and reason."""
     try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
+        text = regular(path).read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise DriverError(f"canopen: eds: {path} cannot be read ({error.strerror}); give the device's EDS") from None
     return parse_sheet(text, node, str(path))

@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from drivers.errors import DriverError
+from drivers.named_files import regular
 from drivers.tag import Value
 
 _WORDS: dict[str, Value | None] = {"": None, "true": True, "false": False}
@@ -95,7 +96,7 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """(number of its first line, cells) of each row: a quoted cell may go on over several lines."""
     number = 1
     try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
+        with regular(path).open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream, strict=True)
             for row in reader:
                 yield number, row

@@ -22,6 +22,7 @@ from can.io.blf import OBJ_HEADER_BASE_STRUCT, BLFParseError
 
 from drivers.can import CanFrame
 from drivers.errors import RecordingError
+from drivers.named_files import regular
 
 _LONGEST_LINE = 4096
 _PARSE_ERRORS = (
@@ -135,7 +136,7 @@ class Log:
         """The data frames in the order of the log, from its beginning; times as they are logged (finite seconds)."""
         kind = FORMATS[self.format]
         try:
-            raw = self.path.open("rb")
+            raw = regular(self.path).open("rb")
         except OSError as error:
             self.note("broken", f"it cannot be read: {error.strerror}")
             return
@@ -226,7 +227,7 @@ def open_log(path: Path, format_: str | None = None) -> Log:
     if format_ is not None and format_ not in FORMATS:
         raise RecordingError(f"{format_!r} is no format of CAN logs; give one of {', '.join(FORMATS)}")
     try:
-        size = path.stat().st_size
+        size = regular(path).stat().st_size
         if path.is_dir():
             raise RecordingError(f"{path}: is a folder; give one log file")
     except OSError as error:

@@ -10,6 +10,10 @@ COMMANDS: Table = {
     "simulate": ("gateway.lab.simulate:simulate", "Let a model run along measured traces; say how far off it is."),
     "check": ("gateway.lab.check:check", "Answer a query: how probable, how hot, whether it can."),
     "correct": ("gateway.lab.correct:correct", "Learn T' = k T + b from traces and write the corrected model."),
+    "skill": (
+        "gateway.lab.skill:skill",
+        "Forecast along held-out traces as the running gateway does; score it beside rivals.",
+    ),
     "validate": (
         "gateway.lab.validate:validate",
         "Validate models along measured traces in nine stages; write a report for each.",

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from drivers.named_files import regular
 from gateway.commission.acceptance import gather, verify, write
 from gateway.commission.session import SharedOptions, audit_option, audit_path, login, record_options
 from gateway.console import emit, table
@@ -48,7 +49,7 @@ def report(
         return
     with sentences():
         now, by, log_path = time.time(), given.by or login(), audit_path(audit, given)
-        records = given.records.read_bytes()
+        records = regular(given.records).read_bytes()
         data = gather(given.records, log_path, site=site, by=by, now=now, remarks=remarks)
         data["site"] = site or "; ".join(data["places"]) or "no device"
         own_seal = write(out, data, records)

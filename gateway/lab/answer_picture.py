@@ -18,16 +18,18 @@ POINTS = 400
 """Moments at which means and bands are drawn."""
 
 COLOUR, STRONG = "#1f6fb4", "#c65d1e"
-_UNITS = {"temperature": " (°C)", "time": " (s)", "age": " (s)"}
 
 
-def draw_answer(answer: Answer, text: str, path: Path) -> None:
-    """Draw the answer to `path`. Raises ValueError for a query that has no picture, OSError."""
+def draw_answer(answer: Answer, text: str, path: Path, unit: str) -> None:
+    """Draw the answer to `path`; `unit` is that of the temperature, as people read it.
+
+    Raises ValueError for a query that has no picture, OSError.
+    """
     query = answer.query
     if isinstance(query, Simulation):
         figure, panels = _figure(len(query.labels))
         for row, (axes, label) in enumerate(zip(panels, query.labels, strict=True)):
-            _courses(axes, answer, row, label, query.expressions[row])
+            _courses(axes, answer, row, label, query.expressions[row], unit=unit)
     elif answer.passages is not None and answer.passages.size:
         figure, panels = _figure(1)
         _passages(panels[0], answer)
@@ -49,7 +51,7 @@ def _figure(rows: int) -> tuple[Figure, list[Axes]]:
     return figure, panels
 
 
-def _courses(axes: Axes, answer: Answer, row: int, label: str, expression: Expression) -> None:
+def _courses(axes: Axes, answer: Answer, row: int, label: str, expression: Expression, *, unit: str) -> None:
     """The courses with their mean; of a condition only the share of runs in which it holds."""
     times = np.linspace(0.0, answer.courses[0].times[-1], POINTS)
     mean = np.mean([np.interp(times, course.times, course.values[row]) for course in answer.courses], axis=0)
@@ -67,9 +69,9 @@ def _courses(axes: Axes, answer: Answer, row: int, label: str, expression: Expre
     if several:
         axes.plot(times, mean, color=STRONG, linewidth=1.6, label=f"mean of {len(answer.courses)} runs")
         axes.legend(loc="best", fontsize=8)
-    unit = _UNITS[expression.kind] if isinstance(expression, Quantity) else ""
+    own = f" ({unit if expression.kind == 'temperature' else 's'})" if isinstance(expression, Quantity) else ""
     more = f"\nthe first {MOST_DRAWN} of {len(answer.courses)}" if len(answer.courses) > MOST_DRAWN else ""
-    axes.set_ylabel(f"{label}{unit}{more}")
+    axes.set_ylabel(f"{label}{own}{more}")
 
 
 def _passages(axes: Axes, answer: Answer) -> None:

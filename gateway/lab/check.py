@@ -16,8 +16,8 @@ from sim.artefacts.formats import find_model
 from sim.checking.language import parse_query
 from sim.checking.query import Simulation, Symbolic
 from sim.checking.smc import Answer, QuerySettings, Rule, Start, answer, believed, decided, initial
-from sim.sha import Model, Trace, encode
-from sim.validation import ENDINGS
+from sim.pictures import ENDINGS
+from sim.sha import DEGREES, Model, Trace, encode, shown_unit
 
 HISTORY = 24 * 3600.0
 """Seconds of a historian that are filtered to know what is believed at its end; a stay is seldom longer."""
@@ -136,6 +136,7 @@ def check(
             trace = traces[0]
             found_model = find_model(model_name, alphabet=column_map.alphabet, temperature=column_map.temperature)
         query = parse_query(query_text, found_model.model if found_model.model is not None else found_model.structure)
+        unit = shown_unit(found_model.model.unit if found_model.model is not None else DEGREES)
         if isinstance(query, Symbolic):
             result = decided(query, found_model.structure)
         else:
@@ -154,7 +155,7 @@ def check(
                         values = (repr(value) for value in course.values[:, row].tolist())
                         writer.writerow([number, repr(time), *values])
         if picture is not None:
-            draw_answer(result, query_text, picture)
+            draw_answer(result, query_text, picture, unit)
     data = {
         "query": query_text,
         "kind": result.kind,
@@ -170,7 +171,7 @@ def check(
         "csv": courses and str(courses),
         "picture": picture and str(picture),
     }
-    emit(data, lambda: _show(result, query_text, courses, picture), as_json_line=as_json)
+    emit(data, lambda: _show(result, query_text, courses, picture, unit=unit), as_json_line=as_json)
     if result.kind in ("hypothesis", "comparison", "symbolic") and result.verdict is not True:
         raise SystemExit(int(Exit.CHECK_FAILED))
 
@@ -211,7 +212,7 @@ def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None
     raise ValueError(f"--from {origin!r}: write initial, location:NAME, trace:SECONDS or historian:FILE")
 
 
-def _show(result: Answer, text: str, courses: Path | None, picture: Path | None) -> None:
+def _show(result: Answer, text: str, courses: Path | None, picture: Path | None, *, unit: str) -> None:
     """The answer on one screen: what was asked, the answer, how it came about, what limits it."""
     click.echo(text)
     click.secho(f"  {result.sentence}", bold=True)
@@ -223,7 +224,7 @@ def _show(result: Answer, text: str, courses: Path | None, picture: Path | None)
     if result.levels:
         # The levels lead to the event; of an invariant that is its violation, and `probability` is the complement.
         chance = result.numbers.get("violation", result.numbers["probability"])
-        rows = [[f"{level:.4g} °C", f"{share:.2e}"] for level, share in result.levels]
+        rows = [[f"{level:.4g} {unit}", f"{share:.2e}"] for level, share in result.levels]
         table("way", ["level", "chance to reach it"], [*rows, ["the event", f"{chance:.2e}"]])
     click.echo(f"  method   {result.rule}")
     if result.runs:

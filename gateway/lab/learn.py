@@ -9,12 +9,12 @@ import click
 
 from gateway.console import emit, json_option, map_option, progress, seed_option, table
 from gateway.entry import sentences
-from gateway.lab.show import show_model, summary
+from gateway.lab.show import show_model, spread_sentence, summary
 from gateway.lab.traces.load import load
 from sim.artefacts.formats import write_model_directory
 from sim.learning.bins import Learned, learn_bins
 from sim.learning.lsha import LearnedLsha, LshaSettings, learn_lsha, report_document, report_text
-from sim.sha import Trace
+from sim.sha import Trace, shown_unit
 from sim.strict_json import json_text
 from sim.traces import ColumnMap
 
@@ -82,18 +82,23 @@ def learn(
                 f"{REPORT}.md": report_text(account, name),
             }
             model, shown, acceptance = words_learned.model, lsha_diagnostics(words_learned), account.acceptance
+            spread = None
             written = write_model_directory(out, model, words_learned.values, observations=account.table, more=more)
         else:
             learned = learn_from(traces, column_map, name=name, seed=seed, report=report)
             written = write(out, learned)
             model, shown, acceptance = learned.model, diagnostics(learned), None
+            spread = learned.spread
     data = {"model": str(out), "file": str(written), **summary(model), "diagnostics": shown}
+    data["machines"] = spread and asdict(spread)
 
     def show() -> None:
         show_model(model)
         for title, rows in shown.items():
             if rows:
                 table(title, list(rows[0]), [list(row.values()) for row in rows])
+        if spread is not None:
+            click.echo(spread_sentence(spread, shown_unit(model.unit)))
         click.echo(f"model directory: {out}")
         if acceptance is not None:
             counts = f"{acceptance.accepted} of {acceptance.traces} training traces"
@@ -138,12 +143,13 @@ def lsha_diagnostics(learned: LearnedLsha) -> dict[str, list[dict[str, Any]]]:
     fits = [asdict(location) for location in report.locations]
     edges = {"observed": report.observed_edges, "default": report.default_edges, "queries": report.queries}
     checked = {"traces": report.acceptance.traces, "accepted": report.acceptance.accepted}
+    events = {"events": report.acceptance.events, "of which compared for the flow": report.flow_events}
     return {
         "flow hypotheses": [asdict(flow) for flow in report.flows],
         "structures (errors in units of a segment's uncertainty)": [
             asdict(structure) for structure in report.structures
         ],
         "locations": [{name: fit[name] for name in wanted} for fit in fits],
-        "edges and acceptance": [edges | checked],
+        "edges and acceptance": [edges | checked | events],
         "held-out forecasts": [asdict(row) for row in report.coverage],
     }

@@ -9,16 +9,19 @@ from typing import Any
 
 import click
 
+from drivers.named_files import regular
 from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
 from gateway.entry import Exit, fail, interruptible, sentences
+from gateway.lab.judged_forecasts import judged_forecasts, skill_options
+from gateway.lab.skill import show_skill
 from sim.checking.proof import verify
+from sim.pictures import check_picture
 from sim.ranking import (
     Facts,
     Ranking,
     Seen,
     Weights,
     as_plain,
-    check_picture,
     draw_ranking,
     entrants,
     limits_of,
@@ -26,7 +29,8 @@ from sim.ranking import (
     write_page,
 )
 from sim.ranking import rank as ranked
-from sim.sha import Model, Trace
+from sim.sha import Model, Trace, shown_unit
+from sim.skill import ForecastSkill
 from sim.traces import load_map, load_traces
 from sim.validation import (
     CAMPAIGN,
@@ -48,10 +52,11 @@ GENERATION = "04_model_generation.json"
 
 @dataclass(frozen=True, slots=True)
 class RankingInput:
-    """What is ranked: the results, and what is known of each model beside them, by entrant."""
+    """What is ranked: the results, what is known of each model by entrant, and its forecasts' skill, if asked for."""
 
     results: list[TraceResult]
     facts: dict[str, Facts]
+    skill: ForecastSkill | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +72,8 @@ class RankingRequest:
     runs: int
     jobs: int | None
     seed: int
+    skill: bool
+    rivals: bool
 
 
 def compared(request: RankingRequest, progress: Progress) -> RankingInput:
@@ -85,7 +92,12 @@ def compared(request: RankingRequest, progress: Progress) -> RankingInput:
             prepared, traces, without=unread(report, traces), settings=settings, run=run, progress=progress
         )
         results = [outcome.result for _, outcomes in by_model for outcome in outcomes]
-        return RankingInput(results, _by_entrant(results, {model.label: _facts(model, traces) for model in prepared}))
+        facts_at_hand = _by_entrant(results, {model.label: _facts(model, traces) for model in prepared})
+        if not request.skill:
+            return RankingInput(results, facts_at_hand)
+        learned = training if request.rivals else None
+        made = judged_forecasts(prepared, traces, training=learned, seed=request.seed, report=progress)
+        return RankingInput(results, facts_at_hand, made.skill(seed=request.seed))
     results = [result for folder in request.folders for result in read_results(folder)]
     names, labels = {result.trace for result in results}, sorted({result.model for result in results})
     facts: dict[str, dict[str, Facts]] = {}
@@ -172,7 +184,7 @@ def _origin(model: Model, seen: Mapping[str, Seen]) -> Facts:
 
 def _document(file: Path) -> dict[str, Any]:
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document = json.loads(regular(file).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     return document if isinstance(document, dict) else {}
@@ -210,7 +222,10 @@ Limits of fitness, judged on traces that were not in training where there are an
     show_default=True,
     help="The temperature is carried over events (own) or drawn on entry (thesis); both are ranked apart.",
 )
-@click.option("--training", multiple=True, help="Traces that give the thesis semantics its entry laws.")
+@click.option(
+    "--training", multiple=True, help="Traces that give the thesis semantics its entry laws; rivals are fitted to them."
+)
+@skill_options
 @click.option(
     "--weights",
     type=click.FloatRange(0.0),
@@ -247,6 +262,8 @@ def rank(
     map_name: str,
     wanted: Wanted,
     training: Sequence[str],
+    skill: bool,
+    rivals: bool,
     weights: tuple[float, float, float],
     limits: Sequence[tuple[str, str]],
     allow_synthetic: bool,
@@ -261,10 +278,15 @@ def rank(
 
     Give MODEL... and --traces to run them (open loop), or --results of an earlier `decanter model validate`; models
     given beside --results are verified. A model that has seen a trace in training is marked in-sample. The limits of
-    fitness for deployment are options; `open` means that one of them could not be looked at.
+    fitness for deployment are options; `open` means that one of them could not be looked at. With --skill the models'
+    forecasts along the traces are scored too, beside persistence, and it is said where they are not worth it.
     """
     if bool(paths) == bool(folders) or (paths and not models):
         raise click.UsageError("Give MODEL... with --traces, or --results of an earlier campaign.")
+    if (skill or rivals) and not paths:
+        raise click.UsageError("--skill forecasts along traces: give MODEL... with --traces instead of --results.")
+    if rivals and not training:
+        raise click.UsageError("--rivals are fitted to traces: name them with --training")
     try:
         with sentences(), progress("ranking") as bar, interruptible(bar) as report:
             if picture is not None:
@@ -280,9 +302,11 @@ def rank(
                 runs=runs,
                 jobs=jobs,
                 seed=seed,
+                skill=skill or rivals,
+                rivals=rivals,
             )
             seen = compared(request, report)
-            ranking = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed)
+            ranking = ranked(seen.results, seen.facts, weights=used, limits=bounds, seed=seed, skill=seen.skill)
             if page is not None:
                 write_page(ranking, seen.results, page)
             if picture is not None:
@@ -302,7 +326,11 @@ def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> None:
         [row.rank or "–", row.entrant, row.verdict, *(getattr(row, name) for name in names), row.failed, row.in_sample]
         for row in ranking.standings
     ]
-    table(f"{formula} (°C), means over {len(ranking.common)} common traces", (*columns, "wins", "failed", ""), rows)
+    table(
+        f"{formula} ({shown_unit(ranking.unit)}), means over {len(ranking.common)} common traces",
+        (*columns, "wins", "failed", ""),
+        rows,
+    )
     pairs = [
         [
             pair.one,
@@ -318,7 +346,9 @@ def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> None:
     ]
     if pairs:
         heads = ("first", "second", "traces", "first - second", "95 %", "p (Holm)", "wins", "what it tells")
-        table("differences of S on the same traces (°C)", heads, pairs)
+        table(f"differences of S on the same traces ({shown_unit(ranking.unit)})", heads, pairs)
+    if ranking.skill is not None:
+        show_skill(ranking.skill, ("by horizon", "by machine"))
     for row in ranking.standings:
         for finding in row.findings:
             if finding.kept is not True:

@@ -1,6 +1,7 @@
 """`decanter model show`: a model as text or JSON."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from math import nan
 from typing import Any
 
@@ -11,7 +12,8 @@ from gateway.entry import sentences
 from sim.artefacts import model_hash
 from sim.artefacts.formats import FoundModel, find_model
 from sim.effects import effect_summary
-from sim.sha import SHA, Model, Stay, distributions
+from sim.learning import MachineSpread
+from sim.sha import SHA, Model, Stay, distributions, shown_unit
 
 
 @click.command(short_help="Show a model and where it comes from.")
@@ -80,6 +82,8 @@ def summary(shown: Model) -> dict[str, Any]:
             }
             for effect in shown.sha.effects
         ],
+        "borrowed": sorted(shown.borrowed),
+        "plain": [asdict(member) for member in shown.plain],
         "provenance": {
             "method": shown.provenance.method,
             "data_hash": shown.provenance.data_hash,
@@ -115,13 +119,47 @@ def show_model(shown: Model) -> None:
         columns,
         [list(row.values()) for row in rows],
     )
+    unit = shown_unit(shown.unit)
     for effect in shown.sha.effects:
-        click.echo(f"effect {effect_summary(effect)}")
+        match effect.kind:
+            case "heat-disturbance":
+                sigma, memory = effect.params["sigma"], effect.params["memory"]
+                click.echo(
+                    f"disturbance: heat that comes and goes by {sigma:.3g} {unit}/s, with a memory of {memory:.4g} s"
+                )
+            case "machine-offset":
+                click.echo(
+                    f"machines: the next one's targets lie off the model's by {effect.params['sigma']:.3g} {unit}"
+                )
+            case _:
+                click.echo(f"effect {effect_summary(effect)}")
+    if shown.borrowed:
+        click.echo(f"borrowed, as no data have shown them: {', '.join(sorted(shown.borrowed))}")
+    for member in shown.plain:
+        odds = ", ".join(f"{horizon:g} s {value:.3g}" for horizon, value in sorted(member.odds.items()))
+        click.echo(
+            f"plain member {member.name}: {f'odds against the model {odds}' if odds else 'no odds were learned'}"
+        )
     origin = shown.provenance
-    click.echo(f"temperature {shown.temperature}, sensor sigma {shown.sensor_sigma:.3g} °C, method {origin.method}")
+    click.echo(f"temperature {shown.temperature}, sensor sigma {shown.sensor_sigma:.3g} {unit}, method {origin.method}")
     if shown.calibration:
         click.echo("calibration " + ", ".join(f"{h:g} s x {f:.2f}" for h, f in sorted(shown.calibration.items())))
     if not shown.correction.identity:
-        click.echo(f"correction T' = {shown.correction.gain:.4g} T {shown.correction.offset:+.3g} °C")
+        click.echo(f"correction T' = {shown.correction.gain:.4g} T {shown.correction.offset:+.3g} {unit}")
     synthetic = ", SYNTHETIC: not learned from a plant" if origin.synthetic else ""
     click.echo(f"{len(origin.traces)} traces, content {origin.data_hash[:12]}{synthetic}")
+
+
+def spread_sentence(spread: MachineSpread, unit: str) -> str:
+    """What the training says of the spread between machines, in words; `unit` as people read it."""
+    count = len(spread.offsets)
+    if count < 2:
+        return "machines: fewer than two are told apart in the training, so nothing is known of how they differ"
+    if spread.sigma == 0:
+        return f"machines: the {count} of the training differ by no more than their errors tell"
+    few = {2: "two machines only: wide bands; ", 3: "three machines only: wide bands; "}.get(count, "")
+    offsets = ", ".join(f"{name} {offset:+.3g}" for name, offset in spread.offsets.items())
+    return (
+        f"machines: {few}targets off the model's by {offsets} {unit}, {spread.between:.3g} {unit} between machines, "
+        f"{spread.sigma:.3g} {unit} for the next one"
+    )

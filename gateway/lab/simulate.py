@@ -16,7 +16,7 @@ from sim.artefacts.formats import find_model
 from sim.engine import Policy, Start, errors, measured, open_loop, open_loop_schedule, start_law
 from sim.engine import simulate as sample_runs
 from sim.forecast import beyond, standardised
-from sim.sha import Model, Trace
+from sim.sha import Model, Trace, shown_unit, unit_of
 from sim.validation import Curve, Picture, draw
 
 BAND = (0.05, 0.95)
@@ -58,6 +58,7 @@ def simulate_traces(
 def _simulate_one(
     model: Model, trace: Trace, runs: int, policy: Policy, start: Start, rng: np.random.Generator, picture: Path | None
 ) -> dict[str, Any]:
+    unit = unit_of([trace], model.temperature, model.unit)
     mean = open_loop(model, trace, policy, start)
     missed = errors(mean, trace, model.temperature)
     steps = open_loop_schedule(model, trace, policy)
@@ -84,10 +85,13 @@ def _simulate_one(
             inputs=inputs,
             events=trace.events,
             note="SYNTHETIC: not measured on a plant" if trace.synthetic else trace.origin,
+            units=trace.units,
+            unit=unit,
         )
         draw(drawn, picture)
     return {
         "trace": trace.name,
+        "unit": unit,
         "synthetic": trace.synthetic,
         "events": len(trace.events),
         "rmse": missed.at_samples.rmse,
@@ -169,6 +173,7 @@ def _show_rows(rows: Sequence[Mapping[str, Any]], picture: Path | None) -> None:
     columns = ("trace", "events", "rmse", "mae", "rmse at events", "final", "coverage 90 %", "clamps", "flags")
     done = [[row[name] for name in columns] for row in rows if "error" not in row]
     if done:
-        table("open loop (°C)", columns, done)
+        units = " and ".join(dict.fromkeys(shown_unit(row["unit"]) for row in rows if "error" not in row))
+        table(f"open loop ({units})", columns, done)
     if picture is not None:
         click.echo(f"picture: {picture}")

@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -14,10 +14,12 @@ import click
 
 from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
 from gateway.entry import Exit, fail, interruptible, sentences
+from gateway.lab.judged_forecasts import judged_forecasts, skill_options
 from sim.artefacts.formats import write_model_directory
 from sim.engine import Policy
 from sim.ranking import METHODS, Task
-from sim.sha import Trace
+from sim.sha import Trace, shown_unit
+from sim.skill import ForecastSkill
 from sim.traces import ColumnMap, load_map, load_traces, units
 from sim.validation import (
     LEARNED,
@@ -61,12 +63,14 @@ class ValidationRequest:
     address: str | None
     pictures: bool
     created: float
+    skill: bool
+    rivals: bool
 
 
 def campaign(
     request: ValidationRequest, tell: Callable[[str], None], progress: Progress
-) -> tuple[list[Prepared], list[TraceResult]]:
-    """The models and the results of all of them; the folder is complete then.
+) -> tuple[list[TraceResult], dict[str, ForecastSkill]]:
+    """The results of all models, and the skill of their forecasts by label if asked for; the folder is complete then.
 
     Raises ValueError or OSError, before anything is written, for a folder, a map, a model, a set of traces or a cluster
     that cannot be used. Models that are to be learned (see `methods_in`) are learned once all that is known to be good.
@@ -115,7 +119,13 @@ def campaign(
             models = [model or _learned(where, request, column_map, known, progress) for where, model in ready]
             prepared = relabelled(models)
             folder.assign([model.label for model in prepared])
-            return prepared, conduct(
+            skill = {}
+            if request.skill:
+                seed = request.settings.seed
+                rivals = training if request.rivals else None
+                made = judged_forecasts(prepared, traces, training=rivals, seed=seed, report=progress)
+                skill = {model.label: made.skill(model.label, seed=seed) for model in prepared}
+            results = conduct(
                 prepared,
                 traces,
                 unread(report, traces),
@@ -124,7 +134,9 @@ def campaign(
                 folder=folder,
                 tell=tell,
                 progress=progress,
+                skill=skill,
             )
+            return results, skill
 
 
 def to_learn(models: Sequence[str]) -> list[str]:
@@ -180,8 +192,9 @@ MOST_REASONS = 5
 @click.option(
     "--training",
     multiple=True,
-    help="Traces to learn `bins` or `lsha` from, and to give the thesis semantics its entry laws.",
+    help="Traces to learn `bins` or `lsha` from, to give the thesis semantics its entry laws, and to fit rivals to.",
 )
+@skill_options
 @click.option(
     "--policy",
     type=click.Choice(["reject", "ignore", "resync"]),
@@ -203,6 +216,8 @@ def validate(
     overwrite: bool,
     wanted: Wanted,
     training: Sequence[str],
+    skill: bool,
+    rivals: bool,
     policy: Policy,
     runs: int,
     jobs: int | None,
@@ -216,8 +231,11 @@ def validate(
     MODEL is a model directory, a store, STORE@VERSION, a model.json, or DIR/NAME of a set of artefacts; `bins` or
     `lsha`, where nothing of that name is there, is learned from --training first. --out gets the record of each of the
     nine stages, results as JSON and CSV, pictures, one HTML report a model and an index. A trace that fails is reported
-    and the others go on; the exit code is 1 only when nothing could be simulated.
+    and the others go on; the exit code is 1 only when nothing could be simulated. With --skill the models' forecasts
+    along the traces are scored too, beside persistence, and it is said where they are not worth it.
     """
+    if rivals and not training:
+        raise click.UsageError("--rivals are fitted to traces: name them with --training")
     try:
         with sentences(), progress("validating") as bar, interruptible(bar) as report:
             place, settings = shipped("traces", map_name), TraceRunSettings(runs, policy, seed)
@@ -234,9 +252,11 @@ def validate(
                 address=address,
                 pictures=pictures,
                 created=time.time(),
+                skill=skill or rivals,
+                rivals=rivals,
             )
             # With --json the stages are in the folder alone.
-            _, results = campaign(request, (lambda _: None) if as_json else click.echo, report)
+            results, found = campaign(request, (lambda _: None) if as_json else click.echo, report)
     except KeyboardInterrupt:
         begun = (out / "campaign.json").is_file()
         left = f"what was done lies in {out}, and --overwrite begins anew there" if begun else "nothing was written"
@@ -248,14 +268,15 @@ def validate(
         "report": str(out / "index.html"),
         "summaries": [asdict(summary) for summary in summaries(results)],
         "gains": {name: asdict(gained) | {"sentence": gained.sentence} for name, gained in gains.items() if gained},
+        "forecasts": {name: each.as_plain() for name, each in found.items()},
         "results": [asdict(run) | {"verdict": asdict(verdict(run))} for run in results],
     }
-    emit(data, lambda: _show(out, results), as_json_line=as_json)
+    emit(data, lambda: _show(out, results, found), as_json_line=as_json)
     if all(result.failure for result in results):
         fail(f"no model could be run along any trace; {results[0].trace}: {results[0].failure}", Exit.CHECK_FAILED)
 
 
-def _show(out: Path, results: Sequence[TraceResult]) -> None:
+def _show(out: Path, results: Sequence[TraceResult], skill: Mapping[str, ForecastSkill]) -> None:
     columns = ("model", "semantics", "good", "review", "failed", "MAE", "RMSE", "at events", "dense", "final %")
     more = ("coverage", "CRPS", "persistence")
     names = ("mae", "rmse", "at_events", "dense", "final_percent", "coverage", "crps", "persistence")
@@ -264,7 +285,8 @@ def _show(out: Path, results: Sequence[TraceResult]) -> None:
         + [getattr(summary, name) for name in names]
         for summary in summaries(results)
     ]
-    table("validation, means over traces (°C)", (*columns, *more), rows)
+    units = " and ".join(dict.fromkeys(shown_unit(result.unit) for result in results))
+    table(f"validation, means over traces ({units})", (*columns, *more), rows)
     for name in dict.fromkeys(result.model for result in results):
         own = [result for result in results if result.model == name]
         gained = gain(own)
@@ -282,4 +304,7 @@ def _show(out: Path, results: Sequence[TraceResult]) -> None:
             click.echo(f"{name}: {sentence}")
         if len(lines) > MOST_REASONS:
             click.echo(f"{name}: {len(lines) - MOST_REASONS} more of these are in the report")
+    for name, each in skill.items():
+        for sentence in (*each.sentences, *(f"note: {note}" for note in each.notes)):
+            click.echo(f"{name}: {sentence}")
     click.echo(f"report: {out / 'index.html'}")

@@ -4,12 +4,14 @@ from pathlib import Path
 
 import click
 
+from drivers.named_files import endless_number, regular
 from gateway.console import emit, table
 from gateway.entry import sentences
 from sim.artefacts.formats import find_model
 from sim.checking.proof import parse_word, replay
 from sim.effects import in_sensor_scale
 from sim.engine import Policy
+from sim.sha import shown_unit
 
 COLUMNS = ("time", "symbol", "location", "seconds", "m", "offset", "entered", "left", "clamped")
 
@@ -22,12 +24,14 @@ def replay_word(directory: str, text_or_file: str, policy: Policy, *, as_json: b
         # Every word has an @; a file's name may have one too.
         if "@" not in text_or_file or Path(text_or_file).is_file():
             try:
-                text = Path(text_or_file).read_text(encoding="utf-8")
+                text = regular(Path(text_or_file)).read_text(encoding="utf-8")
+                if problem := endless_number(text):
+                    raise ValueError(f"{text_or_file}: {problem}")
             except UnicodeDecodeError as error:
                 reason = f"byte {error.start} is not UTF-8; give a text file with a timed word"
                 raise ValueError(f"{text_or_file}: {reason}") from None
         done = replay(model, parse_word(text), policy)
-    low, high = model.sha.low, model.sha.high
+    low, high, unit = model.sha.low, model.sha.high, shown_unit(model.unit)
     outside = done.leaves(low, high)
     data = {
         "model": model.sha.name,
@@ -40,8 +44,10 @@ def replay_word(directory: str, text_or_file: str, policy: Policy, *, as_json: b
 
     def show() -> None:
         rows = [[getattr(visit, name) for name in COLUMNS] for visit in done.visits]
-        table("replay without noise and clamps (s, °C)", COLUMNS, rows)
-        sentence = f"from {done.lowest:.6g} to {done.highest:.6g} °C; the model's range is {low:g} to {high:g} °C"
+        table(f"replay without noise and clamps (s, {unit})", COLUMNS, rows)
+        sentence = (
+            f"from {done.lowest:.6g} to {done.highest:.6g} {unit}; the model's range is {low:g} to {high:g} {unit}"
+        )
         left = f": it is left in {outside.location!r}, in the stay from {outside.time:.6g} s on" if outside else ""
         click.echo(sentence + left)
 

@@ -125,6 +125,9 @@ class EnsembleSection(Section):
         description="'none', 'running' (weights of their own for running and stopped) or 'symbols' (for each "
         "combination of the alphabet's symbols)",
     )
+    plain: bool = Field(
+        True, description="whether the model's plain members (persistence, a damped trend) take part in its forecast"
+    )
     half_life: float = Field(30.0, gt=0, description="independent forecasts after which evidence counts half")
     floor: float = Field(0.02, ge=0, lt=1, description="the least weight that evidence leaves a model")
 

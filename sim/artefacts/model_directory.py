@@ -7,6 +7,7 @@ first, so that a directory whose writing was interrupted has none, and one that 
 import hashlib
 from pathlib import Path
 
+from drivers.named_files import regular
 from sim.artefacts.json_node import JsonNode, parse_json
 from sim.artefacts.model_json import parse_model
 from sim.files import at, read_text
@@ -44,7 +45,7 @@ def check_hashes(directory: Path) -> None:
     hashes = listed(manifest)
     for name, expected in hashes.items():
         try:
-            digest = sha256((directory / name).read_bytes())
+            digest = sha256(regular(directory / name).read_bytes())
         except OSError as error:
             sentence = f"the manifest lists this file, but it cannot be read ({error.strerror}); write the model again"
             raise at(directory / name, None, sentence) from None

@@ -8,7 +8,7 @@ the reader reads back as an equal model; what the reader would refuse the writer
 import hashlib
 import json
 from collections.abc import Mapping
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from sim.artefacts.json_node import JsonNode, parse_json, written_number
 from sim.effects import check_effect, check_sha, in_sensor_scale
 from sim.files import ArtefactError, read_text
 from sim.sha import (
+    DEGREES,
     SHA,
     Alphabet,
     Bins,
@@ -28,6 +29,7 @@ from sim.sha import (
     Input,
     Location,
     Model,
+    PlainMember,
     Provenance,
     Stay,
     Switch,
@@ -66,8 +68,15 @@ KEYS = (
     "semi_markov",
     "calibration",
     "correction",
+    "borrowed",
+    "plain",
     "provenance",
 )
+
+
+def _units(unit: str) -> dict[str, str]:
+    """The unit of every kind of number, for a model that follows a variable in `unit`."""
+    return {key: text.replace(DEGREES, unit) for key, text in UNITS.items()}
 
 
 def model_text(model: Model) -> str:
@@ -89,7 +98,7 @@ def model_document(model: Model) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "version": EFFECTS_VERSION if sha.effects else VERSION,
-        "units": dict(UNITS),
+        "units": _units(model.unit),
         "name": sha.name,
         "temperature": model.temperature,
         "sensor_sigma": written_number(model.sensor_sigma),
@@ -106,6 +115,9 @@ def model_document(model: Model) -> dict[str, Any]:
             for horizon, factor in sorted(model.calibration.items())
         ],
         **_correction_part(model.correction),
+        # Left out where there is none, as are effects and correction: such a model keeps its text and its hash.
+        **({"borrowed": sorted(model.borrowed)} if model.borrowed else {}),
+        **({"plain": [_plain_part(member) for member in model.plain]} if model.plain else {}),
         "provenance": _provenance_part(model.provenance),
     }
 
@@ -124,8 +136,9 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
     if version == VERSION and "effects" in root.value:
         raise root.get("effects").error(f"a model with effects has version {EFFECTS_VERSION}, here it is {version}")
     units = root.get("units").table(JsonNode.text)
-    if units != UNITS:
-        raise root.get("units").error(f"the units must be {dict(UNITS)}; convert the model's numbers and say so here")
+    unit = units.get("temperature", DEGREES)
+    if units != _units(unit) and units != {key: text for key, text in _units(unit).items() if key != "temperature"}:
+        raise root.get("units").error(f"the units must be {_units(unit)}; convert the model's numbers and say so here")
     # The automaton first: what the other parts name (locations, signals) is checked against it.
     limits = root.get("limits").only(("low", "high", "max_rate"))
     name, initial = root.get("name").text(), root.get("initial_location").text()
@@ -147,6 +160,9 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
         calibration=_calibration_of(root.get("calibration")),
         provenance=_provenance_of(root.get("provenance")),
         correction=_correction_of(root),
+        borrowed=_borrowed_of(root, sha),
+        plain=tuple(_plain_of(node) for node in root.get("plain").each()) if "plain" in root.value else (),
+        unit=unit,
     )
     try:
         _check(model)
@@ -361,6 +377,50 @@ def _calibration_of(node: JsonNode) -> dict[float, float]:
     if len(factors) < len(pairs):
         raise node.error("a horizon is given twice; keep one factor for each")
     return factors
+
+
+def _plain_part(member: PlainMember) -> dict[str, Any]:
+    """A plain member; its heat only where there is one."""
+    numbers = {"sensor": member.sensor, "walk": member.walk}
+    if member.heat:
+        numbers |= {"heat": member.heat, "memory": member.memory}
+    horizons = [
+        {
+            "horizon": written_number(horizon),
+            "factor": written_number(member.calibration.get(horizon, 1.0)),
+            "odds": written_number(member.odds.get(horizon, 1.0)),
+        }
+        for horizon in sorted({*member.calibration, *member.odds})
+    ]
+    return {"name": member.name, **_numbers_part(numbers), "horizons": horizons}
+
+
+def _plain_of(node: JsonNode) -> PlainMember:
+    """The plain member that `_plain_part` wrote."""
+    node.only(("name", "sensor", "walk", "heat", "memory", "horizons"))
+    name, sensor, walk = node.get("name").text(), node.get("sensor").number(), node.get("walk").number()
+    heat = node.get("heat").number() if "heat" in node.value else 0.0
+    memory = node.get("memory").number() if "memory" in node.value else inf
+    factors, odds = {}, {}
+    for row in node.get("horizons").each():
+        row.only(("horizon", "factor", "odds"))
+        horizon = row.get("horizon").number()
+        factors[horizon], odds[horizon] = row.get("factor").number(), row.get("odds").number()
+    try:
+        return PlainMember(name, sensor, walk, heat=heat, memory=memory, calibration=factors, odds=odds)
+    except ValueError as error:
+        raise node.error(str(error)) from None
+
+
+def _borrowed_of(root: JsonNode, sha: SHA) -> frozenset[str]:
+    """The names of borrowed locations; none where the document says nothing."""
+    if "borrowed" not in root.value:
+        return frozenset()
+    names, known = list(root.get("borrowed").each()), sha.by_name
+    for node in names:
+        if node.text() not in known:
+            raise node.error(f"the automaton has no location {node.text()!r}")
+    return frozenset(node.text() for node in names)
 
 
 def _correction_part(correction: Correction) -> dict[str, Any]:

@@ -35,7 +35,9 @@ from sim.effects.kinds import (
     sensor_offset,
     sensor_offsets,
     signals_of,
+    without_random,
 )
+from sim.effects.random import DisturbanceStep, disturbance_step
 
 __all__ = [
     "ABSOLUTE_SECONDS",
@@ -43,6 +45,7 @@ __all__ = [
     "EFFECTS",
     "FEATURES",
     "ROLES",
+    "DisturbanceStep",
     "EffectCandidate",
     "EffectKind",
     "EffectRefusal",
@@ -61,6 +64,7 @@ __all__ = [
     "check_sha",
     "corrected",
     "dead_time",
+    "disturbance_step",
     "effect_summary",
     "growing_from",
     "in_scale_of_x",
@@ -75,4 +79,5 @@ __all__ = [
     "sensor_offsets",
     "signals_of",
     "unknown",
+    "without_random",
 ]

@@ -19,7 +19,9 @@ Acts = Literal["running", "anywhere", "everywhere"]
 """Where a diagnosis lets it act: while the machine runs; in any locations; in all at once, as it is none's own."""
 Rescaled = Literal["stays", "scaled", "mapped", "inverse cube"]
 """What becomes of a parameter p under T' = k T + b: p, k p, k p + b, p / k^3 (`correction`)."""
-Feature = Literal["dead time", "sensor lag", "sensor offset", "housing", "thermostat", "radiation"]
+Feature = Literal[
+    "dead time", "sensor lag", "sensor offset", "housing", "thermostat", "radiation", "disturbance", "machine offset"
+]
 """What engines execute by code of their own, since it is no heat that could be written down beside the others."""
 
 ABSOLUTE_SECONDS = "s, absolute"
@@ -32,6 +34,8 @@ FEATURES: Mapping[Feature, tuple[str, ...]] = {
     "housing": ("coupling", "tau"),
     "thermostat": ("loss", "sink", "opens", "closes"),
     "radiation": ("gain", "surroundings", "zero", "scale", "shift"),
+    "disturbance": ("sigma", "memory"),
+    "machine offset": ("sigma",),
 }
 """The parameters that the code of each feature reads."""
 

@@ -3,17 +3,20 @@
 docs/effects.md has the equations and how exactly each engine solves them; docs/adding_an_effect.md adds a row.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from sim.effects.exchange import BENDING, FLOWING, HOUSING
 from sim.effects.heating import HEATING
 from sim.effects.kind import EffectKind, Feature, Structural, VaryingBound
+from sim.effects.random import RANDOM
 from sim.effects.sensing import SENSING
 from sim.effects.varying import VARYING
 from sim.sha import SHA, Array, Effect
 
 EFFECTS: dict[str, EffectKind] = {
-    kind.name: kind for kind in (*HEATING, *FLOWING, HOUSING, *VARYING, *SENSING, *BENDING)
+    kind.name: kind for kind in (*HEATING, *FLOWING, HOUSING, *VARYING, *SENSING, *BENDING, *RANDOM)
 }
 """All kinds by name, in the order in which a diagnosis tries them."""
 
@@ -58,6 +61,12 @@ def signals_of(sha: SHA, location: str | None = None) -> tuple[str, ...]:
 def of_feature(sha: SHA, feature: Feature) -> tuple[Effect, ...]:
     """The effects that engines execute by their code of a feature."""
     return tuple(effect for effect in sha.effects if kind_of(effect).law == Structural(feature))
+
+
+def without_random(sha: SHA) -> SHA:
+    """The automaton without a disturbance and without an offset of the machine's own, whose means are 0."""
+    random = (*of_feature(sha, "disturbance"), *of_feature(sha, "machine offset"))
+    return replace(sha, effects=tuple(effect for effect in sha.effects if effect not in random))
 
 
 def dead_time(sha: SHA) -> float:

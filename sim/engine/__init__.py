@@ -1,14 +1,25 @@
 """What executes an automaton: along a schedule, as moments, runs and paths, and sample by sample."""
 
-from sim.engine.belief import advance, anomaly, filter_trace, observe, on_event, restarted, start, with_inputs
+from sim.engine.belief import (
+    advance,
+    anomaly,
+    filter_trace,
+    machine_offset,
+    observe,
+    on_event,
+    restarted,
+    start,
+    with_inputs,
+    with_machine_offset,
+)
 from sim.engine.belief_state import Belief, Hidden, belief_of
 from sim.engine.cuts import fastest, longest
 from sim.engine.kernel import move
 from sim.engine.moment_equations import Prediction, mean_readings, moments, stay_draws
-from sim.engine.moments_augmented import start_state
+from sim.engine.moments_augmented import drawn_start
 from sim.engine.open_loop_run import Score, Start, errors, measured, open_loop, open_loop_schedule, score, start_law
-from sim.engine.particles import PathRuns, Steps, draw_belief, lay_out, run, survival
-from sim.engine.particles_augmented import acting_paths, acting_stays, augmented_path_runs, draw_states, real_age
+from sim.engine.particles import PathRuns, Steps, draw_belief, draw_states, lay_out, run, survival
+from sim.engine.particles_augmented import acting_paths, acting_stays, augmented_path_runs, real_age
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import linear_recursion
 from sim.engine.schedules import Indices, Policy, Schedule, resync_targets, schedule, step_coefficients
@@ -44,6 +55,7 @@ __all__ = [
     "compiled",
     "draw_belief",
     "draw_states",
+    "drawn_start",
     "errors",
     "fastest",
     "filter_trace",
@@ -51,6 +63,7 @@ __all__ = [
     "lay_out",
     "linear_recursion",
     "longest",
+    "machine_offset",
     "mean_readings",
     "measured",
     "moments",
@@ -69,9 +82,9 @@ __all__ = [
     "simulate",
     "start",
     "start_law",
-    "start_state",
     "stay_draws",
     "step_coefficients",
     "survival",
     "with_inputs",
+    "with_machine_offset",
 ]

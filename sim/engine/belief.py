@@ -17,7 +17,7 @@ Every function takes a `Model` or, where speed counts, its `Tracker` (`compile_m
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import inf, isfinite, log, nan, pi
+from math import inf, isfinite, log, nan, pi, sqrt
 from types import MappingProxyType
 
 import numpy as np
@@ -40,11 +40,13 @@ __all__ = [
     "belief_of",
     "compile_model",
     "filter_trace",
+    "machine_offset",
     "observe",
     "on_event",
     "restarted",
     "start",
     "with_inputs",
+    "with_machine_offset",
 ]
 
 _NO_SIGNALS: Mapping[str, float] = MappingProxyType({})
@@ -279,6 +281,21 @@ def restarted(model: Model | Tracker, belief: Belief, temperature: float) -> Bel
     tracker = compiled(model)
     reading = replace(belief, x=temperature, xx=tracker.sensor, xm=0.0, seen=True, clamps=0)
     return reading if tracker.plant is None else state_estimate.moved_to(tracker.plant, belief, reading)
+
+
+def machine_offset(model: Model | Tracker, belief: Belief) -> tuple[float, float] | None:
+    """(mean, standard deviation), degC, of what this machine's targets lie above the model's; None if not asked."""
+    plant = compiled(model).plant
+    known = None if plant is None else state_estimate.machine_offset(plant, belief)
+    return None if known is None else (known[0], sqrt(max(known[1], 0.0)))
+
+
+def with_machine_offset(model: Model | Tracker, belief: Belief, mean: float, sigma: float) -> Belief:
+    """The belief with what was learned of this machine before it was begun (`machine_offset`); else as it is."""
+    plant = compiled(model).plant
+    if plant is None or plant.machine is None:
+        return belief
+    return state_estimate.with_machine_offset(plant, belief, mean, sigma * sigma)
 
 
 def anomaly(belief: Belief) -> float:

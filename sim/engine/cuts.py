@@ -97,7 +97,7 @@ def longest(plant: Plant) -> Array:
 
 def fastest(plant: Plant) -> Array:
     """(L,) the greatest relaxation rate of X (1/s) by location, with every signal at 1 and every valve open."""
-    speed = plant.rate + plant.coupling
+    speed = plant.rate + plant.couplings[:, 0]
     for acting in plant.steady:
         # A pump's signal is 0 to 1: at 1 its loss is the parameter itself.
         _, loss = held(acting.effect, {name: np.ones(1) for name in acting.effect.signals.values()})

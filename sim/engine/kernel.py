@@ -190,6 +190,6 @@ def _piece(plant: Plant, steps: Tables, run: _Run, begin: Array, until: Array) -
         heat[:, 0] += (first + second * begin) * begin
         heat[:, 1], heat[:, 2] = (first + 2.0 * second * begin) * length, second * length * length
     # A table's row is made for the whole step; a piece has its own length, so its exponential is worked out afresh.
-    phi, poly = carried(plant, loss, steps.coupling[which], steps.dt[which] * length, closed.powers)
+    phi, poly = carried(plant, loss, steps.couplings[which], steps.dt[which] * length, closed.powers)
     after = np.einsum("nij,nj->ni", phi, run.s) + np.einsum("niq,nq->ni", poly, heat)
     return np.asarray(after + length[:, None] * run.noise)

@@ -59,8 +59,34 @@ class MeanCourse:
 
 
 def start_state(plant: Plant, temperature: Array | float, offset: float) -> Array:
-    """(..., d) the state at a first reading: X, housing and lags alike, less what the sensor reads too much."""
-    return np.repeat(np.asarray(temperature, dtype=float)[..., None] - offset, plant.size, axis=-1)
+    """(..., d) the mean state at a first reading: X, housing and lags alike, less what the sensor reads too much.
+
+    A disturbance and the machine's offset, of which it says nothing, are at their mean 0.
+    """
+    state = np.repeat(np.asarray(temperature, dtype=float)[..., None] - offset, plant.size, axis=-1)
+    for place, _ in plant.own_states:
+        state[..., place] = 0.0
+    return state
+
+
+def start_covariance(plant: Plant, variance: float) -> Array:
+    """(d, d) the covariance at a first reading that has the `variance` (degC^2).
+
+    One number is known of X, housing and lags, so that they are perfectly correlated until time tells them apart.
+    """
+    covariance = np.full((plant.size, plant.size), variance)
+    for place, sigma in plant.own_states:
+        covariance[place, :], covariance[:, place] = 0.0, 0.0
+        covariance[place, place] = sigma**2
+    return covariance
+
+
+def drawn_start(plant: Plant, temperature: Array, offset: float, rng: np.random.Generator) -> Array:
+    """(N, d) states of runs whose first readings are `temperature` (N,), by the law of `start_covariance`."""
+    state = start_state(plant, temperature, offset)
+    for place, sigma in plant.own_states:
+        state[:, place] = sigma * rng.standard_normal(temperature.size)
+    return state
 
 
 def mean_course(
@@ -168,7 +194,7 @@ def covariance(plant: Plant, course: MeanCourse, drawn: DrawnMoments, variance0:
     added = crossed + crossed.transpose(0, 2, 1) + half.noise
     added += drawn.spread[:, None, None] * np.einsum("ni,nj->nij", half.pull, half.pull)
     added += fresh * np.einsum("ni,nj->nij", first, first)
-    return _squared(phi, added, np.full(d * d, variance0))[:, plant.sensed * (d + 1)]
+    return _squared(phi, added, start_covariance(plant, variance0).ravel())[:, plant.sensed * (d + 1)]
 
 
 _CHUNK = 4096

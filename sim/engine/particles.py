@@ -11,6 +11,10 @@ target the chance of that is
 It is the Brownian-bridge formula (V = s^2 dt without relaxation) carried through the change of time that makes a
 relaxing flow a Brownian motion (V = s^2 sinh(k dt) / k); what is left out is the curvature of the limit in that time,
 of second order in k dt. A step over several relaxation times is treated as one over one of them.
+
+A disturbance of heat is drawn exactly at the ends of each step and taken at the mean of both in between, which is right
+to second order in the step over its memory; a machine's offset moves the targets. Other effects have an engine of their
+own (`sim.engine.particles_augmented`).
 """
 
 from dataclasses import dataclass
@@ -18,7 +22,8 @@ from math import exp, isfinite, sqrt
 
 import numpy as np
 
-from sim.engine.belief import Belief
+from sim.effects import disturbance_step
+from sim.engine.belief import Belief, Hidden
 from sim.engine.tracker import Tracker
 from sim.sha import SHA, Array, Indices, Mask, Paths, flows
 
@@ -66,17 +71,32 @@ def lay_out(
     """
     stay, begin, dt, first, marks = merge(paths, grid)
     # The order of the draws (X and m of the belief, targets, noise, X on entry) is part of a seed's forecast.
-    x0, m0 = draw_belief(belief, paths.location.shape[1], rng)
+    if tracker.plant is None or belief.hidden is None:
+        (x0, m0), own = draw_belief(belief, paths.location.shape[1], rng), None
+    else:
+        own, m0 = draw_states(belief.hidden, paths.location.shape[1], rng)
+        x0 = own[:, 0]
     # m + offset of each stay: the belief's in the present one, drawn by its location's laws in the later ones.
     modes = [tracker.modes[place.name].parameter for place in tracker.model.sha.locations]
     mean = np.array([mode[0] for mode in modes]) + inputs[:, 0]
     sigma = np.sqrt(np.array([mode[1] for mode in modes]) + inputs[:, 1] ** 2)
     target = mean[paths.location] + sigma[paths.location] * rng.standard_normal(paths.location.shape)
     target[0] = m0 + belief.offset
+    if tracker.plant is not None and own is not None and tracker.plant.machine is not None:
+        target += (tracker.plant.rate > 0)[paths.location] * own[:, tracker.plant.offset_state]
     cell = stay * paths.location.shape[1] + np.arange(paths.location.shape[1])
     location = np.take(paths.location, cell)
     age = np.maximum(begin - np.take(paths.entered, cell), 0.0) + np.where(stay == 0, paths.age, 0.0)
     decay, pull, variance = _coefficients(tracker.model.sha, location, age, dt)
+    noise = np.sqrt(variance) * rng.standard_normal(dt.shape)
+    if tracker.plant is not None and own is not None and tracker.plant.disturbance is not None:
+        k, p = tracker.plant.rate[location], tracker.plant.disturbance.params
+        step = disturbance_step(p["memory"], dt, np.divide(pull, k, out=dt.copy(), where=k > 0))
+        fresh = p["sigma"] * np.sqrt(step.fresh) * rng.standard_normal(dt.shape)
+        heat = own[:, tracker.plant.heat_state]
+        for row in range(len(dt)):
+            noise[row] += step.carried[row] * heat + step.into[row] * fresh[row]
+            heat = step.keep[row] * heat + fresh[row]
     steps = Steps(
         location=location,
         begin=begin,
@@ -86,7 +106,7 @@ def lay_out(
         decay=decay,
         pull=pull,
         variance=variance,
-        noise=np.sqrt(variance) * rng.standard_normal(dt.shape),
+        noise=noise,
         drawn=drawn_temperatures(tracker, location, first, rng),
         marks=marks,
     )
@@ -135,6 +155,15 @@ def draw_belief(belief: Belief, runs: int, rng: np.random.Generator) -> tuple[Ar
     share = belief.xm / sqrt(belief.xx) if belief.xx > 0 else 0.0
     own = sqrt(max(belief.mm - share * share, 0.0))
     return belief.x + sqrt(belief.xx) * z, belief.m + share * z + own * w
+
+
+def draw_states(hidden: Hidden, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """N draws of (states (N, d), m (N,)) from a belief's joint normal law."""
+    # Eigenvalues and not Cholesky: states of which one number is known are perfectly correlated.
+    values, vectors = np.linalg.eigh(np.array(hidden.covariance))
+    spread = vectors * np.sqrt(np.maximum(values, 0.0))
+    drawn = np.array(hidden.mean) + rng.standard_normal((runs, len(hidden.mean))) @ spread.T
+    return drawn[:, :-1], drawn[:, -1]
 
 
 def drawn_temperatures(tracker: Tracker, location: Indices, first: Mask, rng: np.random.Generator) -> Array | None:

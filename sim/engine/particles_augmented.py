@@ -16,7 +16,7 @@ import numpy as np
 from sim.effects import dead_time, sensor_offsets
 from sim.engine.belief_state import Belief, Hidden
 from sim.engine.kernel import move
-from sim.engine.particles import PathRuns, Steps, drawn_temperatures, merge
+from sim.engine.particles import PathRuns, Steps, draw_states, drawn_temperatures, merge
 from sim.engine.plant import Indices, Plant
 from sim.engine.simulation_augmented import root
 from sim.engine.tables import tables
@@ -144,15 +144,6 @@ def augmented_path_runs(
         marks=marks,
     )
     return steps, PathRuns(start, end, clamps)
-
-
-def draw_states(hidden: Hidden, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """N draws of (states (N, d), m (N,)) from a belief's joint normal law."""
-    # Eigenvalues and not Cholesky: states of which one number is known are perfectly correlated.
-    values, vectors = np.linalg.eigh(np.array(hidden.covariance))
-    spread = vectors * np.sqrt(np.maximum(values, 0.0))
-    drawn = np.array(hidden.mean) + rng.standard_normal((runs, len(hidden.mean))) @ spread.T
-    return drawn[:, :-1], drawn[:, -1]
 
 
 def _signals(

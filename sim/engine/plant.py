@@ -1,15 +1,19 @@
 """An automaton with effects made ready: its state beyond X, and what acts in which location, as tables by location.
 
-The state s is X, then the housing's temperature H, then the sensor's lags, each where there is one: `size` of them.
+The state s is X, then the housing's temperature H, the disturbance's heat D, the machine's offset B and the sensor's
+lags, each where there is one: `size` of them.
 Everything but thermostat and radiation is linear in s and in the stay's mode parameter m, so that inside a segment
 
-    dX/dt = -(k + loss) X + drive m + coupling (H - X) + heat(t),    dH/dt = (X - H) / tau,    dL/dt = rate (before - L)
+    dX/dt = -(k + loss) X + drive m + coupling (H - X) + D + k B + heat(t),    dH/dt = (X - H) / tau,
+    dD/dt = -D / memory + white noise,    dB/dt = 0,    dL/dt = rate (before - L)
 
-with k the flow's, and the sensor reads the last lag, or X where there is none.
+with k the flow's (0 where it has no target), and the sensor reads the last lag, or X where there is none.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from math import inf
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +36,8 @@ class Acting:
 class Plant:
     """The tables, each (L,) by location: `rate` (k of the flow, 1/s), `noise`, `drive` (what m is multiplied by).
 
-    `t0` is NaN except for logarithmic flows, whose drive is 1/(t0 + age). `coupling` (1/s) is that of the housing.
+    `t0` is NaN except for logarithmic flows, whose drive is 1/(t0 + age). `couplings` (L, 2) (1/s) are those of X to
+    the housing and to the machine's offset.
     `lags` first-order lags of the rate `lag_rate` (1/s) follow X. `steady` are the effects with a held law, `startups`
     those that vary since an event, `wears` those that vary with the time alone.
     """
@@ -42,7 +47,7 @@ class Plant:
     noise: Array
     drive: Array
     t0: Array
-    coupling: Array
+    couplings: Array
     housing_tau: float
     lags: int
     lag_rate: float
@@ -51,11 +56,42 @@ class Plant:
     wears: tuple[Acting, ...]
     thermostat: Acting | None
     radiation: Acting | None
+    disturbance: Effect | None
+    machine: Effect | None
+    places: Mapping[str, int]
+    memo: dict[tuple[int, float, float], Any] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def random_only(self) -> bool:
+        """Whether all that acts is random: a disturbance, the machine's offset."""
+        return len(self.sha.effects) == (self.disturbance is not None) + (self.machine is not None)
+
+    @property
+    def steady_linear(self) -> bool:
+        """Whether all steps are affine with numbers that stay while the signals do."""
+        varying = self.startups or self.wears or np.isfinite(self.t0).any()
+        return self.linear and not varying
 
     @property
     def size(self) -> int:
         """The number of states."""
-        return 1 + (self.housing_tau < inf) + self.lags
+        return 1 + (self.housing_tau < inf) + (self.disturbance is not None) + (self.machine is not None) + self.lags
+
+    @property
+    def heat_state(self) -> int:
+        """The place of the disturbance's heat among the states, where there is one."""
+        return 1 + (self.housing_tau < inf)
+
+    @property
+    def offset_state(self) -> int:
+        """The place of the machine's offset among the states, where there is one."""
+        return self.heat_state + (self.disturbance is not None)
+
+    @property
+    def own_states(self) -> tuple[tuple[int, float], ...]:
+        """(place, standard deviation before anything is read) of the states that no temperature tells at once."""
+        heat = () if self.disturbance is None else ((self.heat_state, self.disturbance.params["sigma"]),)
+        return heat if self.machine is None else (*heat, (self.offset_state, self.machine.params["sigma"]))
 
     @property
     def linear(self) -> bool:
@@ -90,15 +126,18 @@ def compile_plant(sha: SHA) -> Plant:
             case law:
                 raise unknown("the simulation", effect.kind, law)
     housing, lag = features.get("housing"), features.get("sensor lag")
+    disturbance, machine = features.get("disturbance"), features.get("machine offset")
     order = int(lag.effect.params["order"]) if lag is not None else 0
+    rate = np.array([flow.params["k"] if flow.kind in RELAXING else 0.0 for flow in flows])
+    coupling = np.where(housing.mask, housing.effect.params["coupling"], 0.0) if housing else np.zeros(len(flows))
     return Plant(
         sha=sha,
-        rate=np.array([flow.params["k"] if flow.kind in RELAXING else 0.0 for flow in flows]),
+        rate=rate,
         noise=np.array([flow.params["noise"] for flow in flows]),
         # The constant that multiplies m in the drift; a logarithmic flow's falls with the age, and is not here (`t0`).
         drive=np.array([flow.params["k"] if flow.kind in RELAXING else float(flow.kind == "linear") for flow in flows]),
         t0=np.array([flow.params["t0"] if flow.kind == "logarithmic" else np.nan for flow in flows]),
-        coupling=np.where(housing.mask, housing.effect.params["coupling"], 0.0) if housing else np.zeros(len(flows)),
+        couplings=np.column_stack([coupling, rate if machine else np.zeros(len(flows))]),
         housing_tau=inf if housing is None else housing.effect.params["tau"],
         lags=order,
         lag_rate=order / lag.effect.params["tau"] if lag is not None else 0.0,
@@ -107,4 +146,7 @@ def compile_plant(sha: SHA) -> Plant:
         wears=tuple(wears),
         thermostat=features.get("thermostat"),
         radiation=features.get("radiation"),
+        disturbance=disturbance.effect if disturbance else None,
+        machine=machine.effect if machine else None,
+        places={location.name: row for row, location in enumerate(sha.locations)},
     )

@@ -15,7 +15,7 @@ from sim.sha import Array
 _TERMS = 14
 """Terms of the Taylor series, of matrices whose norm is at most 1/2: the remainder is below 1e-16."""
 
-_DIGITS = 6
+DIGITS = 6
 """Decimals of a length (s) by which segments count as alike where there are several states: clocks in absolute seconds
 have no more, and equal segments are worked out once."""
 
@@ -25,37 +25,45 @@ class SegmentResponse:
     """For n segments of d states: `phi` (n, d, d), `poly` (n, d, q), `noise` (n, d, d).
 
     `poly` are the states (degC) that heats of 1, v and v^2 degC/s leave behind (q = 1 for the first alone), `noise` the
-    covariance (degC^2) left by white heat of unit intensity.
+    covariance (degC^2) left by white heat of unit intensity, `disturbed` that left by what is new in the disturbance
+    (None without one).
     """
 
     phi: Array
     poly: Array
     noise: Array
+    disturbed: Array | None = None
 
 
-def respond(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) -> SegmentResponse:
-    """The answers of segments with dX/dt = -`loss` X + `coupling` (H - X) + heat over `dt` seconds, each (n,)."""
-    phi, poly = carried(plant, loss, coupling, dt, powers)
+def respond(plant: Plant, loss: Array, couplings: Array, dt: Array, powers: int) -> SegmentResponse:
+    """The answers of segments with dX/dt = -`loss` X + (its `couplings` (n, 2)) + heat over `dt` seconds, each (n,)."""
+    phi, poly = carried(plant, loss, couplings, dt, powers)
     if plant.size == 1:
         noise = dt * weights(2.0 * loss * dt, 1)[:, 0]
         return SegmentResponse(phi, poly, noise[:, None, None])
-    keys, back = _alike(loss, coupling, dt)
-    return SegmentResponse(phi, poly, _noise(plant, keys)[back])
+    keys, back = _alike(loss, couplings, dt)
+    noise = _noise(plant, keys, 0, 1.0)[back]
+    if plant.disturbance is None:
+        return SegmentResponse(phi, poly, noise)
+    # The intensity at which the heat's variance stays sigma^2.
+    p = plant.disturbance.params
+    fresh = _noise(plant, keys, plant.heat_state, 2.0 * p["sigma"] ** 2 / p["memory"])[back]
+    return SegmentResponse(phi, poly, noise, fresh)
 
 
-def carried(plant: Plant, loss: Array, coupling: Array, dt: Array, powers: int) -> tuple[Array, Array]:
+def carried(plant: Plant, loss: Array, couplings: Array, dt: Array, powers: int) -> tuple[Array, Array]:
     """(phi, poly) of the answers alone: a piece of a step needs no noise, and that is the dearer half."""
     if plant.size == 1:
         z = loss * dt
         return np.exp(-z)[:, None, None], (dt[:, None] * weights(z, powers))[:, None, :]
-    keys, back = _alike(loss, coupling, dt)
+    keys, back = _alike(loss, couplings, dt)
     phi, poly = _transition(plant, keys, powers)
     return phi[back], poly[back]
 
 
-def _alike(loss: Array, coupling: Array, dt: Array) -> tuple[Array, Indices]:
-    """The different segments (loss, coupling, dt), each once, and which of them each segment is."""
-    same = np.column_stack([loss, coupling, np.round(dt, _DIGITS)])
+def _alike(loss: Array, couplings: Array, dt: Array) -> tuple[Array, Indices]:
+    """The different segments (loss, couplings, dt), each once, and which of them each segment is."""
+    same = np.column_stack([loss, couplings, np.round(dt, DIGITS)])
     if len(same) == 1:  # pieces of a single run's step come one by one, and sorting them would cost more than they do
         return same, np.zeros(1, dtype=np.intp)
     keys, back = np.unique(same, axis=0, return_inverse=True)
@@ -90,16 +98,21 @@ def _series(z: Array, powers: int) -> Array:
     return np.asarray(np.vander(z, _TERMS + 1, increasing=True) @ _COEFFICIENTS[:, :powers])
 
 
-def drift_matrix(plant: Plant, loss: Array, coupling: Array) -> Array:
-    """(n, d, d) the matrix A of ds/dt = A s."""
+def drift_matrix(plant: Plant, loss: Array, couplings: Array) -> Array:
+    """(n, d, d) the matrix A of ds/dt = A s, the couplings (n, 2) being those to the housing and to the offset."""
     d = plant.size
     a = np.zeros((loss.size, d, d))
     a[:, 0, 0] = -loss
     before = 0
     if plant.housing_tau < inf:
-        a[:, 0, 0] -= coupling
-        a[:, 0, 1] = coupling
+        a[:, 0, 0] -= couplings[:, 0]
+        a[:, 0, 1] = couplings[:, 0]
         a[:, 1, 0], a[:, 1, 1] = 1.0 / plant.housing_tau, -1.0 / plant.housing_tau
+    if plant.disturbance is not None:
+        heat = plant.heat_state
+        a[:, 0, heat], a[:, heat, heat] = 1.0, -1.0 / plant.disturbance.params["memory"]
+    if plant.machine is not None:
+        a[:, 0, plant.offset_state] = couplings[:, 1]
     for place in range(d - plant.lags, d):
         a[:, place, before], a[:, place, place] = plant.lag_rate, -plant.lag_rate
         before = place
@@ -112,10 +125,10 @@ def _transition(plant: Plant, keys: Array, powers: int) -> tuple[Array, Array]:
     The exponential is Taylor's series of the matrix halved until its norm is at most 1/2, squared back (scaling and
     squaring: Moler and Van Loan 2003, method 3).
     """
-    loss, coupling, dt = keys.T
+    loss, dt = keys[:, 0], keys[:, -1]
     d = plant.size
     a = np.zeros((len(keys), d + powers, d + powers))
-    a[:, :d, :d] = drift_matrix(plant, loss, coupling) * dt[:, None, None]
+    a[:, :d, :d] = drift_matrix(plant, loss, keys[:, 1:-1]) * dt[:, None, None]
     a[:, 0, d] = dt
     for j in range(1, powers):
         a[:, d + j - 1, d + j] = 1.0
@@ -133,15 +146,18 @@ def _transition(plant: Plant, keys: Array, powers: int) -> tuple[Array, Array]:
     return total[:, :d, :d], poly
 
 
-def _noise(plant: Plant, keys: Array) -> Array:
-    """The covariance by its own Taylor series over a short piece, doubled: C(2h) = C(h) + phi(h) C(h) phi(h)^T."""
-    loss, coupling, dt = keys.T
-    a = drift_matrix(plant, loss, coupling) * dt[:, None, None]
+def _noise(plant: Plant, keys: Array, state: int, intensity: float) -> Array:
+    """The covariance left by white noise in one state, by its own Taylor series over a short piece, doubled.
+
+    C(2h) = C(h) + phi(h) C(h) phi(h)^T.
+    """
+    loss, dt = keys[:, 0], keys[:, -1]
+    a = drift_matrix(plant, loss, keys[:, 1:-1]) * dt[:, None, None]
     halvings = _halvings(2.0 * a)
     scale = np.exp2(-halvings)
     a *= scale[:, None, None]
     term = np.zeros_like(a)
-    term[:, 0, 0] = dt * scale
+    term[:, state, state] = intensity * dt * scale
     total, phi, power = term.copy(), np.broadcast_to(np.eye(plant.size), a.shape), np.eye(plant.size)
     for i in range(1, 2 * _TERMS + 1):
         drifted = a @ term

@@ -12,7 +12,7 @@ import numpy as np
 from sim.effects import sensor_offset, sensor_offsets
 from sim.engine.kernel import move
 from sim.engine.moment_equations import augmented_course
-from sim.engine.moments_augmented import start_state
+from sim.engine.moments_augmented import drawn_start
 from sim.engine.plant import Indices, Plant
 from sim.engine.schedules import Schedule
 from sim.engine.tables import Half, Tables
@@ -70,7 +70,7 @@ def augmented_runs(
 ) -> None:
     """Takes the first readings `x` (N,) along the plan: fills `out` (outputs, N), adds to the counts (N,)."""
     schedule, plant = plan.schedule, plan.plant
-    s, mode = start_state(plant, x, plan.first_offset), np.zeros(x.size)
+    s, mode = drawn_start(plant, x, plan.first_offset, rng), np.zeros(x.size)
     opened = np.zeros(x.size, dtype=np.bool_)
     low, high = schedule.sha.low, schedule.sha.high
     for row, place in enumerate(schedule.location.tolist()):

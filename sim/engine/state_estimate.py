@@ -5,7 +5,7 @@ radiation is linearised about the mean, the thermostat is where the mean's is. `
 taken; the functions here take beliefs whose `hidden` states belong to the plant.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
@@ -13,33 +13,55 @@ import numpy as np
 from sim.effects import sensor_offset, signals_of
 from sim.engine.belief_state import Belief, Hidden
 from sim.engine.cuts import Stays, cuts
-from sim.engine.moments_augmented import DrawnMoments, mean_course
+from sim.engine.moments_augmented import DrawnMoments, mean_course, start_covariance, start_state
 from sim.engine.plant import Plant
+from sim.engine.response import DIGITS, respond
 from sim.engine.tables import chosen
-from sim.engine.terms import Segments
+from sim.engine.terms import Segments, held
 from sim.engine.tracker import Mode
 from sim.sha import Array
+
+MOST_STEPS = 512
+"""Different steps that are kept; where signals change at every scan, none recurs and they are not worth more."""
 
 
 def at_reading(plant: Plant, belief: Belief) -> Belief:
     """The belief with all states at what its temperature says, as uncertain as that, and m independent of them."""
     d = plant.size
-    mean = np.full(d + 1, belief.x - sensor_offset(plant.sha, belief.time))
-    # One number is known of d states, so they are perfectly correlated until time tells them apart.
-    covariance = np.full((d + 1, d + 1), belief.xx)
-    mean[d], covariance[d, :], covariance[:, d] = belief.m, 0.0, 0.0
-    covariance[d, d] = belief.mm
+    mean, covariance = np.zeros(d + 1), np.zeros((d + 1, d + 1))
+    mean[:d] = start_state(plant, belief.x, sensor_offset(plant.sha, belief.time))
+    covariance[:d, :d] = start_covariance(plant, belief.xx)
+    mean[d], covariance[d, d] = belief.m, belief.mm
     hidden = belief.hidden or Hidden((), (), since=(None,) * len(plant.startups))
+    if plant.machine is not None and hidden.mean:
+        # What is known of this machine is known still, whatever its temperature is.
+        place = plant.offset_state
+        mean[place], covariance[place, place] = hidden.mean[place], hidden.covariance[place][place]
     return _with_states(plant, belief, mean, covariance, hidden)
 
 
+def machine_offset(plant: Plant, belief: Belief) -> tuple[float, float] | None:
+    """(mean, variance) of what this machine's targets lie off the model's (degC, degC^2); None without such a state."""
+    if plant.machine is None or belief.hidden is None:
+        return None
+    place = plant.offset_state
+    return belief.hidden.mean[place], belief.hidden.covariance[place][place]
+
+
+def with_machine_offset(plant: Plant, belief: Belief, mean: float, variance: float) -> Belief:
+    """The belief with what was learned earlier of this machine, independent of all the rest."""
+    hidden, states, covariance = _states(belief)
+    place = plant.offset_state
+    states[place], covariance[place, :], covariance[:, place] = mean, 0.0, 0.0
+    covariance[place, place] = variance
+    return _with_states(plant, belief, states, covariance, hidden)
+
+
 def moved_to(plant: Plant, before: Belief, reading: Belief) -> Belief:
-    """`reading`, which has the new temperature, with the states of `before` moved along, all but the housing's."""
+    """`reading`, which has the new temperature, with X and the lags of `before` moved along."""
     hidden, mean, covariance = _states(before)
-    moved = np.ones(plant.size + 1, dtype=np.bool_)
-    moved[plant.size] = False
-    if plant.housing_tau < inf:
-        moved[1] = False
+    moved = np.zeros(plant.size + 1, dtype=np.bool_)
+    moved[0], moved[plant.size - plant.lags : plant.size] = True, True
     mean[moved] += reading.x - before.x
     covariance[moved, :] = 0.0
     covariance[:, moved] = 0.0
@@ -53,9 +75,14 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
         return belief
     hidden, mean, covariance = _states(belief)
     d = plant.size
+    place = plant.places[belief.location]
+    if plant.steady_linear:
+        moved = _steady_step(plant, place, belief, mean, time)
+        if moved is not None:
+            step, mean[:d] = moved
+            return _with_states(plant, replace(belief, time=time), mean, step.carried(covariance), hidden)
     # The stretch from the belief's time to `time`, cut where effects demand it; in it nothing begins and nothing is
     # drawn, and the range is looked at once, at its end, as a schedule does at an output.
-    place = next(row for row, location in enumerate(plant.sha.locations) if location.name == belief.location)
     starts = tuple(np.array([] if since is None else [since]) for since in hidden.since)
     begin, end, entry = (np.array([at]) for at in (belief.time, time, belief.entered))
     inner = cuts(plant, Stays(begin, end, entry, np.array([place]), starts))
@@ -96,6 +123,60 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
     # Rounding makes the product slightly unsymmetric, and that grows from step to step.
     covariance = (covariance + covariance.T) / 2.0
     return _with_states(plant, later, mean, covariance, replace(hidden, opened=course.valve))
+
+
+@dataclass(frozen=True, slots=True)
+class _SteadyStep:
+    """One step of the states with m as one more that does not move: `transition` and `noise` (d + 1, d + 1).
+
+    `unit` (d,) is what a heat of 1 degC/s leaves.
+    """
+
+    transition: Array
+    noise: Array
+    unit: Array
+
+    def carried(self, covariance: Array) -> Array:
+        """The covariance (d + 1, d + 1) after the step."""
+        after = self.transition @ covariance @ self.transition.T + self.noise
+        # Rounding makes the product slightly unsymmetric, and that grows from step to step.
+        return np.asarray((after + after.T) / 2.0)
+
+
+def _steady_step(
+    plant: Plant, place: int, belief: Belief, mean: Array, time: float
+) -> tuple[_SteadyStep, Array] | None:
+    """(the step to `time`, the mean (d,) after it) where nothing varies inside it; None where it meets a limit.
+
+    A gateway takes the same step over and over, so that its matrices are made once and kept with the plant: they cost
+    twenty times as much as using them.
+    """
+    loss, heat = float(plant.rate[place]), float(plant.rate[place]) * belief.offset
+    for acting in plant.steady:
+        if acting.mask[place]:
+            signals = {name: np.array(belief.signals.get(name, np.nan)) for name in acting.effect.signals.values()}
+            gained, lost = held(acting.effect, signals)
+            if np.isfinite(gained) and np.isfinite(lost):
+                loss, heat = loss + float(lost), heat + float(gained)
+    dt = time - belief.time
+    key = (place, loss, round(dt, DIGITS))
+    step = plant.memo.get(key)
+    if step is None:
+        d = plant.size
+        answer = respond(plant, np.array([loss]), plant.couplings[[place]], np.array([dt]), 1)
+        transition, noise = np.eye(d + 1), np.zeros((d + 1, d + 1))
+        transition[:d, :d] = answer.phi[0]
+        transition[:d, d] = answer.poly[0, :, 0] * plant.drive[place]
+        noise[:d, :d] = answer.noise[0] * plant.noise[place] ** 2
+        if answer.disturbed is not None:
+            noise[:d, :d] += answer.disturbed[0]
+        if len(plant.memo) >= MOST_STEPS:
+            plant.memo.clear()
+        step = plant.memo[key] = _SteadyStep(transition, noise, answer.poly[0, :, 0])
+    after = (step.transition @ mean)[: plant.size] + step.unit * heat
+    sha, x = plant.sha, float(after[0])
+    limited = abs(x - float(mean[0])) > sha.max_rate * dt
+    return None if limited or not sha.low <= x <= sha.high else (step, after)
 
 
 def corrected(plant: Plant, belief: Belief, error: float, variance: float) -> Belief:

@@ -32,7 +32,7 @@ class Half:
 
 @dataclass(frozen=True, slots=True)
 class Tables:
-    """The steps with the thermostat `closed` and, where there is one, `open`; `dt` (n,) in s, `coupling` (n,) in 1/s.
+    """The steps with the thermostat `closed` and, where there is one, `open`; `dt` (n,) s, `couplings` (n, 2) 1/s.
 
     `about` (n,) is the X that radiation was linearised about and `radiated` (n,) its gain; None without radiation.
     """
@@ -40,7 +40,7 @@ class Tables:
     closed: Half
     open: Half | None
     dt: Array
-    coupling: Array
+    couplings: Array
     about: Array | None
     radiated: Array | None
 
@@ -61,15 +61,15 @@ def tables(plant: Plant, segments: Segments, about: Array | None = None) -> Tabl
         gain = np.where(radiates, effect.params["gain"], 0.0)
         loss, heat = radiation_tangent(gain=gain, zero=zero, about=about, around=np.where(radiates, around, zero))
         sums = _more(sums, loss, heat)
-    coupling = plant.coupling[segments.location]
+    couplings = plant.couplings[segments.location]
     closed = _half(plant, segments, sums)
     if plant.thermostat is None:
-        return Tables(closed=closed, open=None, dt=segments.dt, coupling=coupling, about=about, radiated=gain)
+        return Tables(closed=closed, open=None, dt=segments.dt, couplings=couplings, about=about, radiated=gain)
     # An open thermostat is one more loss, towards its sink; nothing else differs between the two halves.
     p, acts = plant.thermostat.effect.params, plant.thermostat.mask[segments.location].astype(float)
     cooled = _more(sums, acts * p["loss"], acts * p["loss"] * p["sink"])
     opened = _half(plant, segments, cooled)
-    return Tables(closed=closed, open=opened, dt=segments.dt, coupling=coupling, about=about, radiated=gain)
+    return Tables(closed=closed, open=opened, dt=segments.dt, couplings=couplings, about=about, radiated=gain)
 
 
 def _more(sums: Terms, loss: Array, heat: Array) -> Terms:
@@ -79,14 +79,14 @@ def _more(sums: Terms, loss: Array, heat: Array) -> Terms:
 
 
 def _half(plant: Plant, segments: Segments, sums: Terms) -> Half:
-    coupling = plant.coupling[segments.location]
-    answer = respond(plant, sums.loss, coupling, segments.dt, sums.powers)
+    answer = respond(plant, sums.loss, plant.couplings[segments.location], segments.dt, sums.powers)
+    noise = answer.noise * (plant.noise[segments.location] ** 2)[:, None, None]
     return Half(
         phi=answer.phi,
         pull=np.einsum("ndq,nq->nd", answer.poly, sums.drive),
         added=np.einsum("ndq,nq->nd", answer.poly, sums.heat),
         unit=answer.poly[:, :, 0],
-        noise=answer.noise * (plant.noise[segments.location] ** 2)[:, None, None],
+        noise=noise if answer.disturbed is None else noise + answer.disturbed,
         terms=sums,
     )
 

@@ -1,7 +1,27 @@
 """What the temperature may do next, and what keeps that honest."""
 
-from sim.forecast.calibration import Calibration, Horizon, PendingForecast, calibrate, factors, issue, settle
-from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue_pool, mixture, settle_pool, thinned, weights
+from sim.forecast.calibration import (
+    Calibration,
+    Horizon,
+    PendingForecast,
+    calibrate,
+    factors,
+    issue,
+    recent_coverage,
+    settle,
+)
+from sim.forecast.ensemble import (
+    DENSE,
+    Losses,
+    Pool,
+    PoolEvidence,
+    issue_pool,
+    mixture,
+    settle_pool,
+    thinned,
+    weighted,
+    weights,
+)
 from sim.forecast.fan import LEVELS, Forecast, forecast
 from sim.forecast.review import FORECASTS, ONE_STEP, Review, beyond, follow, follow_forecasts, share, standardised
 
@@ -13,6 +33,7 @@ __all__ = [
     "Calibration",
     "Forecast",
     "Horizon",
+    "Losses",
     "PendingForecast",
     "Pool",
     "PoolEvidence",
@@ -26,10 +47,12 @@ __all__ = [
     "issue",
     "issue_pool",
     "mixture",
+    "recent_coverage",
     "settle",
     "settle_pool",
     "share",
     "standardised",
     "thinned",
+    "weighted",
     "weights",
 ]

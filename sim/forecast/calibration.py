@@ -4,6 +4,11 @@ A matured forecast tells how far the reading came out, in units of the band: z =
 the 90 % band on that side - median), taken before any widening. The band that covers 90 % is the one widened by
 quantile_90(z) / 1.645. That quantile is taken from a histogram of z that forgets, so a state is small whatever its age.
 
+Under a shift of regime a histogram lags behind. So the factor has an integral part beside it (adaptive conformal
+inference as control of the quantile: Gibbs & Candes 2021; Angelopoulos, Candes & Tibshirani 2023): each published band
+that missed widens the next ones, each that held narrows them, in the ratio at which nine in ten hold in the long run,
+whatever the data do.
+
 Forecasts made every second for 15 minutes ahead overlap and err together: the evidence counted is the time that they
 span over their horizon, not their number. It is weighed against the model's own factor, on the scale of logarithms.
 """
@@ -17,6 +22,12 @@ import numpy as np
 
 from sim.forecast.fan import LEVELS, Forecast
 
+MISS = 0.1
+"""The share of outcomes that a 90 % band leaves out."""
+GAIN = 0.15
+"""By how much a missed band widens the next ones, on the scale of logarithms, for each independent forecast."""
+MOST_SHIFT = 1.5
+"""Bound of the integral part, on the scale of logarithms: a factor of 4.5."""
 LEAST_FACTOR, MOST_FACTOR = 0.2, 10.0
 """Bounds of a factor: beyond them the model is wrong, and no widening makes it right."""
 
@@ -27,12 +38,16 @@ _BINS = len(_EDGES) + 1
 
 @dataclass(frozen=True, slots=True)
 class PendingForecast:
-    """A forecast for one horizon that waits for its reading at `due`; the band's edges (degC) are not widened."""
+    """A forecast for one horizon that waits for its reading at `due`; the band's edges (degC) are not widened.
+
+    `factor` is the one by which they were when it was published.
+    """
 
     due: float
     low: float
     median: float
     high: float
+    factor: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +55,8 @@ class Horizon:
     """What one horizon has learned: forgetting counts of z by bins, the independent forecasts that they are worth.
 
     `prior` is the model's own factor, `last` the due time of the newest matured forecast (-inf before any), `missed`
-    counts the forecasts whose reading never came, `matured` the others.
+    counts the forecasts whose reading never came, `matured` the others. `shift` is the integral part of the factor (its
+    logarithm), `held` the fading evidence of published bands that held, out of `worth`.
     """
 
     prior: float
@@ -50,6 +66,8 @@ class Horizon:
     pending: tuple[PendingForecast, ...] = ()
     matured: int = 0
     missed: int = 0
+    shift: float = 0.0
+    held: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +114,7 @@ def issue(state: Calibration, forecast: Forecast) -> Calibration:
         if horizon in horizons:
             middle, factor = float(median[column]), float(forecast.factors[column])
             down, up = (middle - float(low[column])) / factor, (float(high[column]) - middle) / factor
-            waiting = PendingForecast(forecast.time + horizon, middle - down, middle, middle + up)
+            waiting = PendingForecast(forecast.time + horizon, middle - down, middle, middle + up, factor)
             horizons[horizon] = replace(horizons[horizon], pending=(*horizons[horizon].pending, waiting))
     return replace(state, horizons=horizons)
 
@@ -114,14 +132,18 @@ def settle(state: Calibration, time: float, temperature: float) -> Calibration:
         overdue = bisect_left(horizon.pending, time - state.tolerance, key=_due)
         reached = bisect_right(horizon.pending, time, key=_due)
         taken = reached if isfinite(temperature) else overdue
-        counts, worth, last = horizon.counts, horizon.worth, horizon.last
+        counts, worth, last, shift, held = horizon.counts, horizon.worth, horizon.last, horizon.shift, horizon.held
         for waiting in horizon.pending[overdue:taken]:
             # Overlapping forecasts err together: each is worth the part of its horizon by which it is newer than the
             # one before. Evidence fades by that worth, not by the clock.
             gained = min(max(waiting.due - last, 0.0) / ahead, 1.0)
             fade = exp(-gained / state.memory)
             faded = [count * fade for count in counts]
-            faded[int(np.searchsorted(_EDGES, deviation(waiting, temperature)))] += gained
+            z = deviation(waiting, temperature)
+            faded[int(np.searchsorted(_EDGES, z))] += gained
+            inside = z <= _Z90 * waiting.factor
+            shift += GAIN * gained * ((0.0 if inside else 1.0) - MISS)
+            shift, held = min(max(shift, -MOST_SHIFT), MOST_SHIFT), held * fade + gained * inside
             counts, worth, last = tuple(faded), worth * fade + gained, max(last, waiting.due)
         horizons[ahead] = replace(
             horizon,
@@ -131,6 +153,8 @@ def settle(state: Calibration, time: float, temperature: float) -> Calibration:
             pending=horizon.pending[taken:],
             matured=horizon.matured + taken - overdue,
             missed=horizon.missed + overdue,
+            shift=shift,
+            held=held,
         )
     return replace(state, horizons=horizons)
 
@@ -163,7 +187,13 @@ def factor(state: Calibration, horizon: float) -> float:
     seen = _bounded(_quantile(learned) / _Z90)
     # Weighed on the scale of logarithms: twice too wide and twice too narrow are equally wrong.
     share = learned.worth / (learned.worth + state.weight)
-    return _bounded(exp(share * log(seen) + (1.0 - share) * log(learned.prior)))
+    return _bounded(exp(share * log(seen) + (1.0 - share) * log(learned.prior) + learned.shift))
+
+
+def recent_coverage(state: Calibration, horizon: float) -> float | None:
+    """The share of recent published bands of a horizon (s) that held their reading, fading; None before any matured."""
+    learned = state.horizons[horizon]
+    return learned.held / learned.worth if learned.worth > 0 else None
 
 
 def factors(state: Calibration) -> dict[float, float]:

@@ -1,59 +1,74 @@
 """Several models followed together: one forecast from all of theirs, with weights from how right each was of late.
 
 The combined forecast is the mixture of the members' laws (a linear pool), not an average of their numbers: where
-members disagree it is wide, or has two humps. The weights are those under which the mixture itself would have given the
-readings the greatest density, followed online: each matured forecast credits a member with its share of the mixture's
-density (the E-step of EM for a mixture's weights; Raftery et al. 2005 fit the same on a sliding window), and credits
-fade with a stated half-life. Weights are kept for each context and drawn towards the overall ones where a context has
-little evidence; no weight falls below a floor, so that a member can come back.
+members disagree it is wide, or has two humps. Weights are exponential in the CRPS that members had of late (the
+exponentially weighted forecaster: Cesa-Bianchi & Lugosi 2006, ch. 2; for CRPS: Berrisch & Ziel 2021): losses fade with
+a stated half-life, are counted in units of the best member's, and start from prior weights. They are kept for each
+context beside the overall ones, and no weight falls below a floor, so that a member can come back.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf, isfinite, isnan, log
+from math import inf, isfinite, isnan
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sim.forecast.fan import LEVELS, Forecast
-from sim.scores import Estimate
+from sim.scores import Estimate, crps_quantiles
 from sim.sha import Array
 
 DENSE = tuple(round(0.01 * percent, 2) for percent in range(1, 100))
 """Levels of a member's fan in a mixture: a band of 90 % of the whole may lie in one member's tail."""
 
 HALF_LIFE = 30.0
-"""Independent forecasts (time over horizon) after which a credit counts half: 30 minutes at 60 s ahead."""
+"""Independent forecasts (time over horizon) after which a loss counts half: 30 minutes at 60 s ahead."""
 FLOOR = 0.02
 STRENGTH = 4.0
-"""Independent forecasts that the weights drawn to (equal ones overall; the overall ones in a context) count for."""
+"""Independent forecasts that the overall losses count for in a context, and the prior's beside a pool's own."""
+RATE = 2.0
+"""The learning rate: a member that is worse by the best one's whole loss falls behind by e^2 for each independent
+forecast."""
 LEAST_WIDTH = 1e-3
-"""degC: no two neighbouring quantiles are taken to be closer, so that a density stays finite."""
+"""degC: no two neighbouring quantiles are taken to be closer, so that none is a point; a loss below it is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Losses:
+    """Fading sums: `total` (members,) of CRPS (degC) weighed by worth, `evidence` of the worth (independent forecasts).
+
+    Members without a forecast are taken to have lost what the pool's weighted mean did.
+    """
+
+    total: tuple[float, ...]
+    evidence: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """What the members of an ensemble are worth at one horizon: fading credits overall and by context.
+    """What the members of an ensemble are worth at one horizon: fading losses overall and by context.
 
-    `half_life`, `strength` (both in independent forecasts) and `floor` are as in the module. `fixed` weights never
-    change. Credits are one number a member; their sum is the evidence that they stand on.
+    `half_life`, `strength` (both in independent forecasts) and `floor` are as in the module. `prior` are the weights
+    before any evidence (equal ones unless given); `fixed` weights never change.
     """
 
     members: int
     half_life: float = HALF_LIFE
     floor: float = FLOOR
     strength: float = STRENGTH
+    prior: tuple[float, ...] | None = None
     fixed: tuple[float, ...] | None = None
-    overall: tuple[float, ...] = ()
-    contexts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    overall: Losses | None = None
+    contexts: Mapping[str, Losses] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.members < 1 or not self.half_life > 0 or not self.strength > 0:
             raise ValueError("a pool needs at least one member, and a half-life and a strength above 0")
         if not 0 <= self.floor * self.members < 1:
             raise ValueError(f"a floor of {self.floor:g} leaves {self.members} members nothing; give less")
-        if self.fixed is not None:
-            check_weights(self.fixed, self.members)
+        for given in (self.fixed, self.prior):
+            if given is not None:
+                check_weights(given, self.members)
 
 
 def check_weights(weights: Sequence[float], members: int) -> None:
@@ -68,62 +83,52 @@ def weights(pool: Pool, context: str = "") -> tuple[float, ...]:
     """The members' weights in a context; they sum to 1."""
     if pool.fixed is not None:
         return pool.fixed
-    equal = (1.0 / pool.members,) * pool.members
-    return _floored(pool, _drawn(pool, context, _drawn_to(pool, pool.overall, equal)))
+    prior = np.full(pool.members, 1.0 / pool.members) if pool.prior is None else np.array(pool.prior)
+    plain = prior
+    if pool.overall is not None and pool.overall.evidence > 0:
+        mean, evidence = np.array(pool.overall.total) / pool.overall.evidence, pool.overall.evidence
+        own = pool.contexts.get(context)
+        if own is not None:
+            # The overall losses stand in for `strength` forecasts of the context's own.
+            borrowed = min(pool.strength, evidence)
+            mean = (np.array(own.total) + borrowed * mean) / (own.evidence + borrowed)
+            evidence = own.evidence + borrowed
+        best = max(float(mean.min()), LEAST_WIDTH)
+        plain = weighted(prior, mean / best, evidence)
+    return tuple((pool.floor + (1.0 - pool.floor * pool.members) * plain).tolist())
 
 
-def _drawn(pool: Pool, context: str, overall: tuple[float, ...]) -> tuple[float, ...]:
-    own = pool.contexts.get(context)
-    return overall if own is None else _drawn_to(pool, own, overall)
+def weighted(prior: Array, losses: Array, evidence: float) -> Array:
+    """(members,) weights from prior ones and mean `losses`, in units of the best member's, over so much `evidence`."""
+    raw = prior * np.exp(-RATE * evidence * (losses - losses.min()))
+    return np.asarray(raw / raw.sum())
 
 
-def _drawn_to(pool: Pool, credits: tuple[float, ...], towards: tuple[float, ...]) -> tuple[float, ...]:
-    if not credits:
-        return towards
-    total = sum(credits) + pool.strength
-    return tuple((credit + pool.strength * prior) / total for credit, prior in zip(credits, towards, strict=True))
-
-
-def _floored(pool: Pool, plain: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(pool.floor + (1.0 - pool.floor * pool.members) * weight for weight in plain)
-
-
-def learn(pool: Pool, context: str, log_densities: Sequence[float | None], worth: float = 1.0) -> Pool:
-    """The pool after a reading, of which each member's forecast had said the log density (nats; None: no forecast).
+def learn(pool: Pool, context: str, losses: Sequence[float | None], worth: float = 1.0) -> Pool:
+    """The pool after a reading, of which each member's forecast had the CRPS `losses` (degC; None: no forecast).
 
     `worth` (0 to 1) is the part of an independent forecast that it is. Only members that had a forecast are compared:
-    the credit that is shared among them is what the weights already gave them, so an absent one loses nothing by it.
+    an absent one loses what the weighted mean of the others did, so that it neither gains nor loses by it.
     """
-    # A density that is no number (of a fan with a NaN in it) is no forecast either.
-    known = {place: nats for place, nats in enumerate(log_densities) if nats is not None and not isnan(nats)}
-    if pool.fixed is not None or len(known) < 2 or not worth > 0:
+    # A loss that is no number (of a fan with a NaN in it) is no forecast either.
+    known = [None if loss is None or isnan(loss) else loss for loss in losses]
+    present = [place for place, loss in enumerate(known) if loss is not None]
+    if pool.fixed is not None or len(present) < 2 or not worth > 0:
         return pool
+    now = np.array(weights(pool, context))
+    share = now[present].sum()
+    mean = sum(now[place] * (known[place] or 0.0) for place in present) / share
+    lost = [mean if loss is None else loss for loss in known]
     fade = 0.5 ** (worth / pool.half_life)
-    equal = (1.0 / pool.members,) * pool.members
-    plain = _drawn_to(pool, pool.overall, equal)
-    overall = _credited(pool.overall, plain, known, worth=worth, fade=fade)
-    floored = _floored(pool, _drawn(pool, context, plain))
-    contexts = dict(pool.contexts)
-    contexts[context] = _credited(contexts.get(context, ()), floored, known, worth=worth, fade=fade)
-    return replace(pool, overall=overall, contexts=contexts)
 
+    def faded(before: Losses | None) -> Losses:
+        total = (0.0,) * pool.members if before is None else before.total
+        evidence = 0.0 if before is None else before.evidence
+        sums = tuple(float(fade * old + worth * new) for old, new in zip(total, lost, strict=True))
+        return Losses(sums, fade * evidence + worth)
 
-def _credited(
-    credits: tuple[float, ...],
-    weights: tuple[float, ...],
-    log_densities: Mapping[int, float],
-    *,
-    worth: float,
-    fade: float,
-) -> tuple[float, ...]:
-    """Credits faded, and `worth` shared by w_i p_i / sum w p; members without a forecast keep their weight's part."""
-    after = [fade * credit for credit in credits] or [0.0] * len(weights)
-    best = max(log_densities.values())  # only ratios count, and exp of the difference does not underflow for all
-    shares = {place: weights[place] * float(np.exp(density - best)) for place, density in log_densities.items()}
-    total, room = sum(shares.values()), sum(weights[place] for place in log_densities)
-    for place, weight in enumerate(weights):
-        after[place] += worth * (room * shares[place] / total if place in shares else weight)
-    return tuple(after)
+    contexts = {**pool.contexts, context: faded(pool.contexts.get(context))}
+    return replace(pool, overall=faded(pool.overall), contexts=contexts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,36 +180,9 @@ def settle_pool(
     for awaited in waiting:
         if known and awaited.due <= time:
             worth = min(max(awaited.due - last, 0.0) / horizon, 1.0)
-            densities = [None if fan is None else log_density(LEVELS, fan, temperature) for fan in awaited.fans]
-            pool, last = learn(pool, awaited.context, densities, worth), max(last, awaited.due)
+            losses = [None if fan is None else float(crps_quantiles(LEVELS, fan, temperature)) for fan in awaited.fans]
+            pool, last = learn(pool, awaited.context, losses, worth), max(last, awaited.due)
     return PoolEvidence(pool, last, tuple(awaited for awaited in waiting if awaited.due > time or not known))
-
-
-def log_density(levels: ArrayLike, quantiles: ArrayLike, outcome: float, least: float = LEAST_WIDTH) -> float:
-    """ln of the density (1/degC) of a fan at `outcome`: flat between its quantiles, exponential beyond the outermost.
-
-    The tails begin at the height of the outer bins, and hold the probability that lies beyond: a reading far outside
-    costs a member in proportion to its distance, not to its square, so one glitch of a sensor does not decide.
-    """
-    alpha = np.asarray(levels, dtype=float)
-    edges = np.asarray(quantiles, dtype=float)
-    widths = np.maximum(np.diff(edges), least)
-    if outcome < edges[0]:
-        return _tail(float(edges[0] - outcome), float(alpha[0]), _reach(alpha[1] / alpha[0], widths[0]))
-    if outcome > edges[-1]:
-        beyond = 1.0 - alpha
-        return _tail(float(outcome - edges[-1]), float(beyond[-1]), _reach(beyond[-2] / beyond[-1], widths[-1]))
-    row = min(max(int(np.searchsorted(edges, outcome)) - 1, 0), widths.size - 1)
-    return log(float((alpha[row + 1] - alpha[row]) / widths[row]))
-
-
-def _reach(ratio: float, width: float) -> float:
-    """The scale (degC) at which an exponential tail falls by `ratio` over `width`."""
-    return float(width) / log(float(ratio))
-
-
-def _tail(distance: float, mass: float, reach: float) -> float:
-    return log(mass / reach) - distance / reach
 
 
 def thinned(forecast: Forecast, levels: tuple[float, ...]) -> Forecast:
@@ -256,6 +234,13 @@ def mixture(forecasts: Sequence[Forecast], weights: ArrayLike, levels: tuple[flo
         factors=np.array([row @ [member.factors[h] for member in forecasts] for h, row in enumerate(w)]),
         clamps=sum(member.clamps for member in forecasts),
         cut=sum(member.cut for member in forecasts),
+        borrowed=tuple(
+            sum(
+                weight * (member.borrowed[h] if member.borrowed else 0.0)
+                for weight, member in zip(row, forecasts, strict=True)
+            )
+            for h, row in enumerate(w.tolist())
+        ),
     )
 
 

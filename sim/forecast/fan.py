@@ -54,7 +54,8 @@ class Forecast:
     (it says nothing of the model's own error). `minutes_to_limit` are the 5, 50 and 95 % quantiles of the time to the
     limit, inf where the longest horizon ends first.
 
-    `factors` (H,) are those by which the fan was widened. `clamps` counts the times that a run left the automaton's
+    `factors` (H,) are those by which the fan was widened. `borrowed` is for each horizon the probability of a location
+    that no data have shown (`Model.borrowed`). `clamps` counts the times that a run left the automaton's
     range, `cut` the runs that jumped more often than `semi_markov.MOST_STAYS`: above 0, doubt the model.
     """
 
@@ -70,6 +71,7 @@ class Forecast:
     factors: Array
     clamps: int = 0
     cut: int = 0
+    borrowed: tuple[float, ...] = ()
 
 
 def forecast(
@@ -111,7 +113,7 @@ def forecast(
     at = np.searchsorted(grid, ahead)
     factors = factors_at(tracker.model.calibration if calibration is None else calibration, ahead)
     names = [location.name for location in tracker.model.sha.locations]
-    if tracker.plant is not None:
+    if tracker.plant is not None and (events or not tracker.plant.random_only):
         known = [(begin, names.index(name)) for begin, name in acting_stays(tracker, belief, events or ())]
         if events is None:
             # Under a dead time the plant is already where it acts only later: paths are drawn from there.
@@ -157,6 +159,7 @@ def forecast(
         factors=factors,
         clamps=done.clamps,
         cut=paths.cut,
+        borrowed=tuple(sum(row.get(name, 0.0) for name in tracker.model.borrowed) for row in locations),
     )
 
 

@@ -1,6 +1,6 @@
 """What both learners use: free runs, their fit, their noise, the held-out judgement."""
 
-from sim.learning.calibrate import Coverage, Scored, coverage_of, score_forecasts
+from sim.learning.calibrate import Coverage, HeldOutForecasts, Scored, coverage_of, score_forecasts
 from sim.learning.correction import FORMS, LearnedCorrection, corrected_model, learn_correction
 from sim.learning.data import in_order
 from sim.learning.free_run import (
@@ -14,9 +14,21 @@ from sim.learning.free_run import (
     predict,
     steps,
 )
-from sim.learning.held_out import FOLDS, LEAST, HeldOutErrors, choose, cross_validate, folds, training_errors
+from sim.learning.held_out import (
+    FOLDS,
+    LEAST,
+    HeldOutErrors,
+    choose,
+    cross_validate,
+    folds,
+    huber_scale,
+    training_errors,
+)
+from sim.learning.machines import MachineSpread, machine_spread, machines_of, next_stay
 from sim.learning.max_rate import Bite, MaxRate, bite, learn_max_rate, with_max_rate
-from sim.learning.noise import NoiseLevels, drift_noise, fit_noise
+from sim.learning.noise import MEMORIES, NoiseLevels, drift_noise, fit_noise
+from sim.learning.outcomes import Outcomes, outcomes_of
+from sim.learning.plain import PERSISTENCE, TREND, learn_plain
 from sim.learning.preparation import LEAST_READINGS, LEAST_SHARE, check_data, encoded, initial_law, splits, with_range
 from sim.learning.runs import FreeRuns, Indices, first_switch, free_runs, pieces, sampled, thinned
 from sim.learning.semi_markov import fit_stays, with_inputs
@@ -43,8 +55,11 @@ __all__ = [
     "LEAST",
     "LEAST_READINGS",
     "LEAST_SHARE",
+    "MEMORIES",
+    "PERSISTENCE",
     "RATES",
     "SWITCH_STEPS",
+    "TREND",
     "Bite",
     "Context",
     "Coverage",
@@ -52,12 +67,15 @@ __all__ = [
     "FreeRunFit",
     "FreeRuns",
     "HeldOutErrors",
+    "HeldOutForecasts",
     "Indices",
     "LearnedCorrection",
     "LearningError",
     "LinearFit",
+    "MachineSpread",
     "MaxRate",
     "NoiseLevels",
+    "Outcomes",
     "ParameterNames",
     "Prior",
     "Scored",
@@ -80,15 +98,21 @@ __all__ = [
     "fit_stays",
     "folds",
     "free_runs",
+    "huber_scale",
     "in_order",
     "initial_law",
     "labels",
     "learn_correction",
     "learn_max_rate",
+    "learn_plain",
     "level_signals",
     "loads",
+    "machine_spread",
+    "machines_of",
     "name_of",
     "nearest",
+    "next_stay",
+    "outcomes_of",
     "pieces",
     "predict",
     "product_sha",

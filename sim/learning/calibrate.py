@@ -1,24 +1,28 @@
 """By how much a model's bands must be widened, learned from forecasts of what the model was not fitted to."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import exp, inf, log
 
 import numpy as np
 
 from sim.engine import Belief, Tracker, compiled, observe, on_event, start, with_inputs
-from sim.forecast import LEVELS, forecast
-from sim.learning.data import resolution, without_spikes
-from sim.sha import UNKNOWN, Array, Event, Model, Trace
+from sim.forecast import LEVELS, forecast, weighted
+from sim.learning.outcomes import Outcomes, outcomes_of
+from sim.scores import crps_quantiles
+from sim.sha import UNKNOWN, Event, Model, PlainMember, Trace, plain_model
 
 HORIZONS = (60.0, 300.0, 900.0)
 ORIGINS = 100
 """Forecasts that are made in all, spread evenly over the time that may be used."""
 RUNS = 128
-MOST_ROWS = 20_000
+MOST_ROWS = 10_000
 """Rows filtered in all; more are thinned evenly, the forecasts' outcomes are not."""
 SURE, UNSURE = 4.0, 1.25
 """A factor of 1.25 counts for four independent forecasts: the model does not know how wrong its own flows may be."""
+PRIOR = 3.0
+"""Independent forecasts at most that a plain member's odds at training count for: another machine is not this one."""
+LEAST_ODDS = 1e-3
 LEAST, MOST = 0.5, 5.0
 """Bounds of a factor: what lies outside is a model that does not fit, which a band cannot mend."""
 _Z90 = 1.6448536269514722
@@ -38,11 +42,12 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """One forecast for one horizon: when it was due, and its error in units of the band (z; 1.645 is its edge)."""
+    """One forecast for one horizon: when it was due, its error in units of the band (1.645 is its edge), its CRPS."""
 
     horizon: float
     due: float
     z: float
+    crps: float
 
 
 def score_forecasts(
@@ -60,9 +65,7 @@ def score_forecasts(
     scored: list[Scored] = []
     for trace, first in zip(traces, since, strict=True):
         raw = trace.signals[tracker.model.temperature]
-        reading = without_spikes(raw, resolution(raw))
-        finite = np.isfinite(reading)
-        times, values = trace.times[finite], reading[finite]
+        outcomes = outcomes_of(trace, tracker.model.temperature, tracker.model.alphabet.gap)
         rows = np.arange(0, trace.times.size, stride)
         inputs = {name: trace.signals[name][rows].tolist() for name in sorted(tracker.inputs) if name in trace.signals}
         # The last event never comes: it spares the loop a look at the end of the list.
@@ -77,15 +80,14 @@ def score_forecasts(
             # The filter gets the raw reading, spikes included: on the plant nobody takes them out beforehand.
             belief = observe(tracker, belief, time, value)
             if time >= following and belief.seen:
-                scored += _score(tracker, belief, times, values, rng)
+                scored += _score(tracker, belief, outcomes, rng)
                 following = max(following + every, time)
     return scored
 
 
-def _score(tracker: Tracker, belief: Belief, times: Array, values: Array, rng: np.random.Generator) -> list[Scored]:
-    """The forecast from `belief` at every horizon whose outcome is among the readings `values` at `times`."""
-    gap = tracker.model.alphabet.gap
-    outcomes = {horizon: _outcome(times, values, belief.time + horizon, gap) for horizon in HORIZONS}
+def _score(tracker: Tracker, belief: Belief, readings: Outcomes, rng: np.random.Generator) -> list[Scored]:
+    """The forecast from `belief` at every horizon whose outcome is among the `readings`."""
+    outcomes = {horizon: readings.at(belief.time + horizon) for horizon in HORIZONS}
     horizons = [horizon for horizon, value in outcomes.items() if value is not None]
     if not horizons:
         return []
@@ -96,16 +98,74 @@ def _score(tracker: Tracker, belief: Belief, times: Array, values: Array, rng: n
         error = (outcomes[horizon] or 0.0) - median[column]
         # The law need not be symmetric: an error counts in units of the half of the band on whose side it lies.
         edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
-        scored.append(Scored(horizon, belief.time + horizon, float(_Z90 * abs(error) / max(edge, 1e-9))))
+        z = float(_Z90 * abs(error) / max(edge, 1e-9))
+        crps = float(crps_quantiles(LEVELS, fan.quantiles[:, column], outcomes[horizon] or 0.0))
+        scored.append(Scored(horizon, belief.time + horizon, z, crps))
     return scored
 
 
-def _outcome(times: Array, values: Array, due: float, gap: float) -> float | None:
-    """The temperature at `due`, interpolated between readings at most `gap` seconds apart; None without them."""
-    after = int(np.searchsorted(times, due))
-    if after == 0 or after == times.size or times[after] - times[after - 1] > gap:
-        return None
-    return float(np.interp(due, times[after - 1 : after + 1], values[after - 1 : after + 1]))
+@dataclass(slots=True)
+class HeldOutForecasts:
+    """What models of the same kind forecast beyond what they were fitted to, and the `plain` members beside them.
+
+    `seed` draws the plain members' runs; the model's are drawn by whoever adds it.
+    """
+
+    plain: Sequence[PlainMember]
+    seed: int
+    scored: list[Scored] = field(default_factory=list)
+    of_plain: dict[str, list[Scored]] = field(default_factory=dict)
+
+    def add(
+        self,
+        model: Model,
+        traces: Sequence[Trace],
+        since: Sequence[float],
+        rng: np.random.Generator,
+        *,
+        origins: int = ORIGINS,
+    ) -> None:
+        """Score the forecasts of a part (`score_forecasts`), the plain members' along the same traces."""
+        self.scored += score_forecasts(model, traces, since, rng, origins=origins)
+        for number, member in enumerate(self.plain):
+            own = np.random.default_rng((self.seed, number + 1, len(self.scored)))
+            beside = replace(plain_model(model, member), calibration={})
+            self.of_plain.setdefault(member.name, []).extend(
+                score_forecasts(beside, traces, since, own, origins=origins)
+            )
+
+    @property
+    def coverage(self) -> tuple[Coverage, ...]:
+        """The model's own coverage and factors."""
+        return coverage_of(self.scored)
+
+    @property
+    def members(self) -> tuple[PlainMember, ...]:
+        """The plain members with their factors, and with their odds against the model at each horizon.
+
+        The odds are those that a pool would have come to over as many independent forecasts, PRIOR at most.
+        """
+        independent = {row.horizon: row.independent for row in self.coverage}
+        own = _mean_crps(self.scored)
+        members = []
+        for member in self.plain:
+            scored = self.of_plain.get(member.name, [])
+            losses, odds = _mean_crps(scored), {}
+            for horizon in own.keys() & losses.keys():
+                pair = np.array([own[horizon], losses[horizon]])
+                weight = weighted(np.ones(2), pair / max(pair.min(), 1e-3), min(independent[horizon], PRIOR))
+                odds[horizon] = float(min(max(weight[1] / weight[0], LEAST_ODDS), 1.0 / LEAST_ODDS))
+            factors = {row.horizon: row.factor for row in coverage_of(scored)}
+            members.append(replace(member, calibration=factors, odds=dict(sorted(odds.items()))))
+        return tuple(members)
+
+
+def _mean_crps(scored: Sequence[Scored]) -> dict[float, float]:
+    """horizon -> mean CRPS, degC."""
+    by_horizon: dict[float, list[float]] = {}
+    for each in scored:
+        by_horizon.setdefault(each.horizon, []).append(each.crps)
+    return {horizon: float(np.mean(values)) for horizon, values in by_horizon.items()}
 
 
 def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:

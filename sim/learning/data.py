@@ -12,15 +12,17 @@ SPIKE_LIMIT = 6.0
 
 
 def in_order(traces: Sequence[Trace]) -> tuple[tuple[Trace, ...], str]:
-    """(traces sorted by name and content with copies left out, SHA-256 over them all).
+    """(traces sorted by their first moment and the hash of their content with copies left out, SHA-256 over them all).
 
-    The result does not depend on the order in which the traces come, so neither does what is learned from them.
+    The result depends neither on the order in which the traces come nor on their names (of copies the first name by the
+    alphabet is kept), so neither does what is learned from them: folds and samples are dealt in this order,
+    in which each of them spans the whole time.
     """
-    named = sorted(((trace.name, content_hash(trace), trace) for trace in traces), key=lambda item: item[:2])
     unique: dict[str, Trace] = {}
-    for _, digest, trace in named:
-        unique.setdefault(digest, trace)
-    return tuple(unique.values()), joint_hash(unique.values())
+    for trace in sorted(traces, key=lambda each: each.name):
+        unique.setdefault(content_hash(trace), trace)
+    ordered = sorted(unique.items(), key=lambda item: (item[1].times[:1].tolist(), item[0]))
+    return tuple(trace for _, trace in ordered), joint_hash(unique.values())
 
 
 def resolution(readings: Array) -> float:

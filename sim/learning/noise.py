@@ -4,19 +4,23 @@ The means are given (free-run fit). The exact Kalman filter on (X, m) is run ove
 scored one step ahead and at 60, 300 and 900 s (events and inputs known): a composite likelihood with equal weights
 (Varin, Reid & Firth 2011). One-step likelihood alone would choose the noise by what happens between two readings, and
 the bands at 15 minutes would be whatever comes out of it. Errors beyond three standard deviations count linearly.
+
+Heat may have a memory (`sim.effects`, heat-disturbance). Whether it has, and which, is decided on data that the noise
+was not fitted to: one half of the chunks is fitted, the other scored, and the other way round.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from math import log, sqrt
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf, log, sqrt
 
 import numpy as np
 from scipy.optimize import minimize
 
+from sim.effects import DisturbanceStep, disturbance_step
 from sim.learning.data import resolution
 from sim.learning.free_run import RATES, FitShape, FreeRunFit, loads
 from sim.learning.runs import FreeRuns, Indices, sampled
-from sim.sha import FLOWS, Array, Flow, coefficients
+from sim.sha import FLOWS, RELAXING, Array, Effect, Flow, Mask, coefficients
 
 HORIZONS = (60.0, 300.0, 900.0)
 CHUNK = 150
@@ -25,6 +29,14 @@ ORIGINS = 400
 """Pairs of readings by which each horizon is judged, at most."""
 STEP = 1e-4
 """Of the logarithms, for the gradient by forward differences."""
+MEMORIES = (100.0, 400.0, 1600.0, 6400.0)
+"""The memories (s) of the disturbance that are tried."""
+WORTH = 2.0
+"""Nats of held-out log-likelihood, in all independent looks, that a disturbance must gain: it costs two numbers."""
+FIRST_HEAT = 1e-3
+"""degC/s with which the search for a disturbance begins."""
+SCAN = 12
+"""Steps of the searches that only compare disturbances."""
 DRIFT_SPAN = 300.0
 """The changes over so many seconds set the noise of locations in which nothing is known."""
 
@@ -34,17 +46,33 @@ class NoiseLevels:
     """`sensor` (degC); `process` (G,), degC/sqrt(s), by group of locations; `scatter` (L,), the sigma of each m.
 
     `score` is the mean log-likelihood per reading of the one-step predictions and of those at each of HORIZONS.
+    `heat` (degC/s) is the disturbance's standard deviation, 0 without one, and `memory` (s) how long it lasts.
     """
 
     sensor: float
     process: Array
     scatter: Array
     score: Mapping[float, float]
+    heat: float = 0.0
+    memory: float = inf
+
+    @property
+    def white(self) -> float:
+        """The white noise (degC^2/s) that the disturbance is over times longer than its memory."""
+        return self.heat**2 * 2.0 * self.memory if self.heat else 0.0
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The disturbance as an automaton has it; nothing without one."""
+        return (Effect("heat-disturbance", {"sigma": self.heat, "memory": self.memory}),) if self.heat else ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _AffineSteps:
-    """Every knot's affine step: X' = decay X + pull (m - mu) + drift, variance = density * process^2."""
+    """Every knot's affine step: X' = decay X + pull (m - mu) + drift, variance = density * process^2.
+
+    `lasting` is what a heat of 1 degC/s leaves in X, `heat` the disturbance's step (None without one).
+    """
 
     decay: Array
     pull: Array
@@ -56,11 +84,17 @@ class _AffineSteps:
     time: Array
     reading: Array
     run: Indices
+    dt: Array
+    lasting: Array
+    heat: DisturbanceStep | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Ahead:
-    """Predictions from K origins: mean = decay X + own (m - mu) + drift; variance weights of the noises after it."""
+    """Predictions from K origins: mean = decay X + own (m - mu) + drift; variance weights of the noises after it.
+
+    `heated` is the weight of the origin's disturbance, `disturbed` that of what is new in it after the origin.
+    """
 
     horizon: float
     origin: Indices
@@ -70,17 +104,21 @@ class _Ahead:
     drift: Array
     process: Array
     scatter: Array
+    heated: Array
+    disturbed: Array
 
 
 def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) -> _AffineSteps:
     n = len(runs)
-    decay, pull, density = np.ones(n), np.zeros(n), np.zeros(n)
+    decay, pull, density, lasting = np.ones(n), np.zeros(n), np.zeros(n), runs.dt.copy()
     for place in np.unique(runs.place):
         kind, rows = shape.kinds[place], runs.place == place
         params = dict.fromkeys(FLOWS[kind].params, 1.0)
         if kind in RATES:
             params[RATES[kind]] = float(fit.rates[shape.rate[place]])
         decay[rows], pull[rows], density[rows] = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
+        if kind in RELAXING:
+            lasting[rows] = pull[rows] / params["k"]
     return _AffineSteps(
         decay=decay,
         pull=pull,
@@ -92,6 +130,8 @@ def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) ->
         time=runs.time,
         reading=runs.reading,
         run=runs.run,
+        dt=runs.dt,
+        lasting=lasting,
     )
 
 
@@ -119,16 +159,16 @@ def _chunks(steps: _AffineSteps) -> Indices:
 
 
 def _filtered(
-    steps: _AffineSteps, table: Indices, sensor: Array, process: Array, scatter: Array
+    steps: _AffineSteps, table: Indices, *, sensor: Array, process: Array, scatter: Array, rough: Array
 ) -> tuple[Array, Array]:
-    """(log-likelihoods (n, Q), states (5, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ...
+    """(log-likelihoods (n, Q), states (9, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ...
 
-    The Kalman filter on (X, m - mu), vectorised twice: over the chunks, which begin at a reading and so need nothing of
-    one another, and over the Q sets of noises that a gradient takes. A state is the means of X and m - mu, then xx, xm
-    and mm of their covariance.
+    The Kalman filter on X, m - mu and the disturbance D, vectorised twice: over the chunks, which begin at a reading
+    and so need nothing of one another, and over the Q sets of noises that a gradient takes. A state is the means of X,
+    m - mu and D, then xx, xm, mm, xd, md and dd of their covariance; without a disturbance all of D is 0.
     """
     n, width = steps.run.size, sensor.size
-    scores, states = np.full((n, width), np.nan), np.full((5, n, width), np.nan)
+    scores, states = np.full((n, width), np.nan), np.full((9, n, width), np.nan)
     if table.shape[0] < 2:
         return scores, states
     # All that does not depend on the state is made for all knots at once, in the order in which the loop meets them:
@@ -147,21 +187,39 @@ def _filtered(
     x = np.repeat(steps.reading[table[0]][:, None], width, axis=1)
     m = np.zeros_like(x)
     xx, xm, mm = m + noise, m, m
+    d, xd, md, dd = m, m, m, m + rough**2
+    heat = steps.heat
+    if heat is not None:
+        keeps, carries = heat.keep[knots][:, None], heat.carried[knots][:, None]
+        intos, news = heat.into[knots][:, None], heat.fresh[knots][:, None] * rough**2
     innovation, variance = np.empty((knots.size, width)), np.empty((knots.size, width))
-    after, begins = np.empty((5, knots.size, width)), np.append(0, ends[:-1])
+    after, begins = np.zeros((9, knots.size, width)), np.append(0, ends[:-1])
     anew = np.logical_or.reduceat(fresh[:, 0], begins).tolist()
     full = np.logical_and.reduceat(known[:, 0], begins).tolist()
     for begin, end, some_fresh, all_known in zip(begins.tolist(), ends.tolist(), anew, full, strict=True):
         at, size = slice(begin, end), end - begin
         x, m, xx, xm, mm = x[:size], m[:size], xx[:size], xm[:size], mm[:size]
+        if heat is not None:
+            d, xd, md, dd = d[:size], xd[:size], md[:size], dd[:size]
         if some_fresh:
             # A fresh m is independent of X: mean 0, variance that of its location, no covariance with what was before.
             new = fresh[at]
             m, xm, mm = np.where(new, 0.0, m), np.where(new, 0.0, xm), np.where(new, drawn[at], mm)
+            md = np.where(new, 0.0, md) if heat is not None else md
         # The prediction, by the step's own closed form; its innovation is scored before the reading is taken in.
         carried, pulled = a[at], p[at]
         x = carried * x + pulled * m + drift[at]
-        xx, xm = aa[at] * xx + ap[at] * xm + pp[at] * mm + added[at], carried * xm + pulled * mm
+        xx = aa[at] * xx + ap[at] * xm + pp[at] * mm + added[at]
+        xm = carried * xm + pulled * mm
+        if heat is not None:
+            carry, keep, new_heat = carries[at], keeps[at], news[at]
+            x, d = x + carry * d, keep * d
+            # D's covariances with X and m come before the step here: `moved` is that of D with the rest of X'.
+            moved = carried * xd + pulled * md
+            xx = xx + 2.0 * carry * moved + carry * carry * dd + intos[at] ** 2 * new_heat
+            xm = xm + carry * md
+            xd = keep * (moved + carry * dd) + intos[at] * new_heat
+            md, dd = keep * md, keep * keep * dd + new_heat
         error = innovation[at] = reading[at] - x
         total = variance[at] = xx + noise
         # The scalar update needs no inverse.
@@ -170,9 +228,14 @@ def _filtered(
             # Without a reading gain and turn are 0, and the prediction stands.
             gain, turn = np.where(known[at], gain, 0.0), np.where(known[at], turn, 0.0)
             error = np.where(known[at], error, 0.0)
+        if heat is not None:
+            warm = xd / total if all_known else np.where(known[at], xd / total, 0.0)
+            d, md, dd = d + warm * error, md - turn * xd, dd - warm * xd
+            xd = (1.0 - gain) * xd
+            after[2, at], after[6, at], after[7, at], after[8, at] = d, xd, md, dd
         x, m, mm, left = x + gain * error, m + turn * error, mm - turn * xm, 1 - gain
         xx, xm = left * xx, left * xm
-        after[0, at], after[1, at], after[2, at], after[3, at], after[4, at] = x, m, xx, xm, mm
+        after[0, at], after[1, at], after[3, at], after[4, at], after[5, at] = x, m, xx, xm, mm
     scores[knots], states[:, knots] = _log_score(innovation, variance), after
     return scores, states
 
@@ -204,6 +267,9 @@ def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ah
     if not size:
         return None
     decay, own, drift, fresh = np.ones(size), np.zeros(size), np.zeros(size), np.zeros(size)
+    # The disturbance: the weight of the origin's own in X and what is left of it, and of what is new since then the
+    # variance in X, its covariance with D, and D's variance, all for a sigma of 1.
+    heated, kept, vx, vxd, vd = np.zeros(size), np.ones(size), np.zeros(size), np.zeros(size), np.zeros(size)
     process, scatter = np.zeros((size, groups)), np.zeros((size, places))
     # All origins walk on together, one knot a round, until each is at its outcome. The m of the stay in which an
     # origin lies is the filter's (`own`, while `still`); each later stay has one of its own, whose weight on X is
@@ -225,6 +291,14 @@ def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ah
         process[go] *= a[:, None] ** 2
         process[go, steps.group[knots]] += steps.density[knots]
         scatter[go] *= a[:, None] ** 2
+        if steps.heat is not None:
+            keep, carry = steps.heat.keep[knots], steps.heat.carried[knots]
+            into, new = steps.heat.into[knots], steps.heat.fresh[knots]
+            heated[go] = a * heated[go] + carry * kept[go]
+            kept[go] *= keep
+            vx[go] = a * a * vx[go] + 2.0 * a * carry * vxd[go] + carry * carry * vd[go] + into * into * new
+            vxd[go] = keep * (a * vxd[go] + carry * vd[go]) + into * new
+            vd[go] = keep * keep * vd[go] + new
         at[go] = knots
     scatter[np.arange(size), steps.place[end]] += fresh**2
     return _Ahead(
@@ -236,6 +310,8 @@ def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ah
         drift=drift,
         process=process,
         scatter=scatter,
+        heated=heated,
+        disturbed=vx,
     )
 
 
@@ -246,7 +322,10 @@ def _mean_known(scores: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """What the likelihood needs, and the floors and counts of its parameters."""
+    """What the likelihood needs, and the floors and counts of its parameters; the last one is the disturbance's sigma.
+
+    `memory` (s) is that of the disturbance, None without one.
+    """
 
     steps: _AffineSteps
     table: Indices
@@ -255,25 +334,30 @@ class _Task:
     seen: Indices
     places: int
     floor: float
+    memory: float | None = None
 
-    def unpack(self, theta: Array) -> tuple[Array, Array, Array]:
-        """(sensor (Q,), process (G, Q), scatter (L, Q)) from theta (P, Q) of logarithms."""
+    def unpack(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+        """(sensor (Q,), process (G, Q), scatter (L, Q), rough (Q,)) from theta (P, Q) of logarithms."""
         values = np.exp(theta)
         scatter = np.zeros((self.places, theta.shape[1]))
-        scatter[self.seen] = values[1 + self.groups :]
-        return values[0], values[1 : 1 + self.groups], scatter
+        scatter[self.seen] = values[1 + self.groups : 1 + self.groups + self.seen.size]
+        rough = np.zeros(theta.shape[1]) if self.memory is None else values[-1]
+        return values[0], values[1 : 1 + self.groups], scatter, rough
 
     def scores(self, theta: Array) -> list[Array]:
         """(Q,) the mean log-likelihood one step ahead, then at each horizon."""
-        sensor, process, scatter = self.unpack(theta)
-        one_step, states = _filtered(self.steps, self.table, sensor, process, scatter)
+        sensor, process, scatter, rough = self.unpack(theta)
+        one_step, states = _filtered(
+            self.steps, self.table, sensor=sensor, process=process, scatter=scatter, rough=rough
+        )
         scores = [_mean_known(one_step)]
         for ahead in self.aheads:
             # An origin outside all chunks has no state: NaN, which the mean leaves out.
-            x, m, xx, xm, mm = (part[ahead.origin] for part in states)
-            a, own = ahead.decay[:, None], ahead.own[:, None]
-            mean = a * x + own * m + ahead.drift[:, None]
+            x, m, d, xx, xm, mm, xd, md, dd = (part[ahead.origin] for part in states)
+            a, own, warm = ahead.decay[:, None], ahead.own[:, None], ahead.heated[:, None]
+            mean = a * x + own * m + warm * d + ahead.drift[:, None]
             variance = a * a * xx + 2 * a * own * xm + own * own * mm
+            variance = variance + warm * (2.0 * (a * xd + own * md) + warm * dd) + ahead.disturbed[:, None] * rough**2
             variance = variance + ahead.process @ process**2 + ahead.scatter @ scatter**2 + sensor**2
             scores.append(_mean_known(_log_score(ahead.outcome[:, None] - mean, variance)))
         return scores
@@ -284,8 +368,8 @@ class _Task:
         The scatters are shrunk towards their common geometric mean (factor 1.6): a location that was entered three
         times says little about its own.
         """
-        logs = theta[1 + self.groups :]
-        shrink = np.sum((logs - logs.mean(axis=0)) ** 2, axis=0) / (2 * 0.5**2)
+        logs = theta[1 + self.groups : 1 + self.groups + self.seen.size]
+        shrink = np.sum((logs - logs.mean(axis=0)) ** 2, axis=0) / (2 * 0.5**2) if logs.size else 0.0
         vague = np.sum((theta - self.start()[:, None]) ** 2, axis=0) / (2 * 3.0**2)
         return np.asarray(shrink + vague - weight * np.sum(self.scores(theta), axis=0))
 
@@ -295,60 +379,138 @@ class _Task:
         # White noise in second differences has 1 + 4 + 1 = 6 times its variance; a slow course nearly vanishes in them.
         rough = 1.4826 * float(np.median(np.abs(np.diff(reading, 2)))) / sqrt(6.0) if reading.size > 2 else 0.0
         logs = [log(max(rough, self.floor) * 1.01), *[log(0.005)] * self.groups, *[log(2.0)] * self.seen.size]
-        return np.array(logs)
+        return np.array(logs if self.memory is None else [*logs, log(FIRST_HEAT)])
 
     def bounds(self) -> list[tuple[float, float]]:
         """Of the logarithms: no sensor is better than its rounding, no plant without noise."""
         sensor = (log(self.floor), log(max(50.0, 2 * self.floor)))
-        return [sensor, *[(log(1e-4), log(1.0))] * self.groups, *[(log(0.05), log(60.0))] * self.seen.size]
+        bounds = [sensor, *[(log(1e-4), log(1.0))] * self.groups, *[(log(0.05), log(60.0))] * self.seen.size]
+        return bounds if self.memory is None else [*bounds, (log(1e-7), log(1.0))]
+
+    def fitted(
+        self, weight: float, begin: Array | None = None, *, iterations: int = 60, free: Mask | None = None
+    ) -> Array:
+        """(P,) the theta of least loss, from `begin` (P,); only what is `free` (P,) moves."""
+        theta = self.start() if begin is None else begin
+        free = np.ones(theta.size, dtype=np.bool_) if free is None else free
+        bounds = [each for each, moves in zip(self.bounds(), free.tolist(), strict=True) if moves]
+        search = minimize(
+            _value_and_slope,
+            theta[free],
+            args=(self, weight, theta, free),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": iterations, "ftol": 1e-7},
+        )
+        best = theta.copy()
+        best[free] = search.x
+        return best
+
+    def half(self, parity: int) -> "_Task":
+        """The task of every other chunk, and of the origins that lie in them."""
+        table = self.table[:, parity::2]
+        table = table[(table >= 0).any(axis=1)]
+        inside = np.zeros(self.steps.run.size, dtype=np.bool_)
+        inside[table[table >= 0]] = True
+        return replace(self, table=table, aheads=tuple(_of_origins(ahead, inside) for ahead in self.aheads))
+
+
+def _of_origins(ahead: _Ahead, inside: Mask) -> _Ahead:
+    rows = inside[ahead.origin]
+    return replace(
+        ahead, **{name: getattr(ahead, name)[rows] for name in _Ahead.__dataclass_fields__ if name != "horizon"}
+    )
 
 
 def fit_noise(
-    runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices, *, budget: int = 2500, floor: float = 1e-3
+    runs: FreeRuns,
+    shape: FitShape,
+    fit: FreeRunFit,
+    groups: Indices,
+    *,
+    budget: int = 2500,
+    floor: float = 1e-3,
+    memories: Sequence[float] = MEMORIES,
 ) -> NoiseLevels:
     """The noise of greatest composite likelihood, the means given by `fit`.
 
     `groups` (L,) numbers the locations that share one process noise. `floor` is the least sensor sigma (degC); the
-    sensor's own rounding, step/sqrt(12), is taken where that is more. Rows are sampled to about `budget` knots.
+    sensor's own rounding, step/sqrt(12), is taken where that is more. Rows are sampled to about `budget` knots. Of
+    disturbances with one of the `memories` (s) the likeliest is taken, if it is worth it on data held out.
     """
     few = sampled(runs, budget)
     steps = _steps(few, shape, fit, groups)
+    floor = max(floor, resolution(runs.reading) / sqrt(12.0))
+    task = _task(steps, groups, shape, floor, None)
+    # As many independent looks as the data have stretches of 300 s, spread over one step and the horizons.
+    weight = max(float(few.dt.sum()) / 300.0, 10.0)
+    best = task.fitted(weight)
+    # What a disturbance explains was taken for noise of the process or of the sensor: those move with it, while the
+    # scatter of the stays is left for the last fit.
+    begin = np.append(best, log(FIRST_HEAT))
+    free = np.ones(begin.size, dtype=np.bool_)
+    free[1 + task.groups : -1] = False
+    trials = []
+    for memory in memories:
+        trial = _task(steps, groups, shape, floor, memory)
+        theta = trial.fitted(weight, begin, iterations=SCAN, free=free)
+        trials.append((float(trial.loss(theta[:, None], weight)[0]), trial, theta))
+    if trials:
+        _, trial, theta = min(trials, key=lambda each: each[0])
+        gain = _held_out(trial, theta, free, weight) - _held_out(task, best, free[:-1], weight)
+        if weight * gain > WORTH:
+            task, best = trial, trial.fitted(weight, theta)
+    sensor, process, scatter, heat = task.unpack(best[:, None])
+    horizons = [0.0, *(ahead.horizon for ahead in task.aheads)]
+    score = {horizon: float(value[0]) for horizon, value in zip(horizons, task.scores(best[:, None]), strict=True)}
+    return NoiseLevels(
+        sensor=float(sensor[0]),
+        process=process[:, 0],
+        scatter=scatter[:, 0],
+        score=score,
+        heat=float(heat[0]),
+        memory=inf if task.memory is None else task.memory,
+    )
+
+
+def _task(steps: _AffineSteps, groups: Indices, shape: FitShape, floor: float, memory: float | None) -> _Task:
+    if memory is not None:
+        steps = replace(steps, heat=disturbance_step(memory, steps.dt, steps.lasting))
     count = int(groups.max()) + 1
     aheads = [_ahead(steps, horizon, count, groups.size) for horizon in HORIZONS]
-    task = _Task(
+    return _Task(
         steps=steps,
         table=_chunks(steps),
         aheads=tuple(ahead for ahead in aheads if ahead is not None),
         groups=count,
         seen=np.flatnonzero(shape.target >= 0),
         places=groups.size,
-        floor=max(floor, resolution(runs.reading) / sqrt(12.0)),
+        floor=floor,
+        memory=memory,
     )
-    # As many independent looks as the data have stretches of 300 s, spread over one step and the horizons.
-    weight = max(float(few.dt.sum()) / 300.0, 10.0)
-    search = minimize(
-        _value_and_slope,
-        task.start(),
-        args=(task, weight),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=task.bounds(),
-        options={"maxiter": 60, "ftol": 1e-7},
-    )
-    best = np.asarray(search.x)[:, None]
-    sensor, process, scatter = task.unpack(best)
-    horizons = [0.0, *(ahead.horizon for ahead in task.aheads)]
-    score = {horizon: float(value[0]) for horizon, value in zip(horizons, task.scores(best), strict=True)}
-    return NoiseLevels(float(sensor[0]), process[:, 0], scatter[:, 0], score)
 
 
-def _value_and_slope(theta: Array, task: _Task, weight: float) -> tuple[float, Array]:
+def _held_out(task: _Task, begin: Array, free: Mask, weight: float) -> float:
+    """The composite score, per look, of each half of the chunks under the noise fitted to the other, from `begin`."""
+    halves = task.half(0), task.half(1)
+    if any(half.table.shape[1] == 0 for half in halves):
+        return 0.0
+    scores = [
+        float(np.sum(judged.scores(taught.fitted(weight / 2.0, begin, iterations=SCAN, free=free)[:, None]), axis=0)[0])
+        for taught, judged in (halves, halves[::-1])
+    ]
+    return 0.5 * sum(scores)
+
+
+def _value_and_slope(point: Array, task: _Task, weight: float, theta: Array, free: Mask) -> tuple[float, Array]:
     """The loss and its gradient by forward differences, all perturbations in one pass of the filter.
 
-    In logarithms of standard deviations a step of 1e-4 is a hundredth of a percent: small against what the loss curves
-    by, large against its rounding.
+    `point` are the free ones of `theta`. In logarithms of standard deviations a step of 1e-4 is a hundredth of a
+    percent: small against what the loss curves by, large against its rounding.
     """
-    trials = theta[:, None] + STEP * np.eye(theta.size, theta.size + 1, 1)
+    trials = np.repeat(theta[:, None], point.size + 1, axis=1)
+    trials[free] = point[:, None] + STEP * np.eye(point.size, point.size + 1, 1)
     values = task.loss(trials, weight)
     return float(values[0]), (values[1:] - values[0]) / STEP
 

@@ -1,7 +1,7 @@
 """What every learner does first and last: encode, refuse what cannot teach, range, initial law, parts to forecast."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,15 +62,41 @@ def initial_law(traces: Sequence[Trace], temperature: str) -> Distribution:
     return Distribution("normal", {"mu": float(np.mean(firsts)), "sigma": max(float(sigma), 0.5)})
 
 
-Split = tuple[Sequence[Trace], Sequence[Trace], Sequence[float]]
+@dataclass(frozen=True, slots=True)
+class Split:
+    """A part of the calibration: the traces `known`, those `ahead` that are forecast, each `since` a moment (s).
+
+    `held` are the places of those ahead among the traces of two rows or more; None where times were cut instead.
+    """
+
+    known: Sequence[Trace]
+    ahead: Sequence[Trace]
+    since: Sequence[float]
+    held: frozenset[int] | None = None
 
 
 def splits(traces: Sequence[Trace]) -> list[Split]:
-    """(to learn from, to forecast, since when) of each part of the calibration."""
+    """The parts of the calibration: machines held out where there are several, else thirds of traces, else times."""
     usable = [trace for trace in traces if trace.times.size > 1]
-    if len(usable) >= 6:
-        parts = [(usable[third::3], [t for n, t in enumerate(usable) if n % 3 != third]) for third in range(3)]
-        return [(others, part, [float(trace.times[0]) for trace in part]) for part, others in parts]
+    machines = list(dict.fromkeys(trace.machine for trace in usable))
+    parts: list[frozenset[int]] = []
+    if len(machines) > 1:
+        # Each machine in one part: what is asked of a model is another machine's temperature.
+        count = min(len(machines), 3)
+        part_of = {machine: number % count for number, machine in enumerate(machines)}
+        parts = [frozenset(n for n, t in enumerate(usable) if part_of[t.machine] == part) for part in range(count)]
+    elif len(usable) >= 6:
+        parts = [frozenset(range(third, len(usable), 3)) for third in range(3)]
+    if parts:
+        return [
+            Split(
+                [trace for number, trace in enumerate(usable) if number not in held],
+                [usable[number] for number in sorted(held)],
+                [float(usable[number].times[0]) for number in sorted(held)],
+                held,
+            )
+            for held in parts
+        ]
     quarters: list[Split] = []
     for share in (0.5, 0.75):
         cuts = [_moment(trace, share) for trace in usable]
@@ -80,7 +106,7 @@ def splits(traces: Sequence[Trace]) -> list[Split]:
         ahead = [
             trace.between(trace.times[0], np.nextafter(end, np.inf)) for trace, end in zip(usable, ends, strict=True)
         ]
-        quarters.append(([trace for trace in known if trace.times.size], ahead, cuts))
+        quarters.append(Split([trace for trace in known if trace.times.size], ahead, cuts))
     return quarters
 
 

@@ -154,7 +154,7 @@ def read_faults(path: Path) -> list[OrderedFault]:
     if path.suffix == ".json":
         try:
             entries = json.loads(read_text(path, "a schedule of faults"))
-        except json.JSONDecodeError as error:
+        except (json.JSONDecodeError, RecursionError) as error:
             raise InputError(f"{path}: is not JSON: {error}; correct that place") from None
     else:
         data = read_toml(path, "a schedule of faults")

@@ -2,7 +2,7 @@
 
 from sim.ranking.fitness import Facts, Seen, limits_of, seen_traces
 from sim.ranking.ranking import Ranking, Weights, entrants, rank
-from sim.ranking.report import as_plain, check_picture, draw_ranking, write_page
+from sim.ranking.report import as_plain, draw_ranking, write_page
 from sim.ranking.tuning import Objective, StudyPlan, Tuning, final_model, tune
 from sim.ranking.tuning_methods import METHODS, Task
 
@@ -17,7 +17,6 @@ __all__ = [
     "Tuning",
     "Weights",
     "as_plain",
-    "check_picture",
     "draw_ranking",
     "entrants",
     "final_model",

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields
 from math import isfinite, nan
 from typing import Literal
 
-from sim.sha import Model, Trace, joint_hash
+from sim.sha import DEGREES, Model, Trace, joint_hash, shown_unit
 from sim.validation import TraceResult
 
 Verdict = Literal["fit", "unfit", "open"]
@@ -149,6 +149,10 @@ def _accepted(case: Case) -> Said:
     return kept, f"{_traces(len(refusing))} with an event that has no edge (limit {case.limits.rejecting:g}){first}"
 
 
+def _unit(case: Case) -> str:
+    return shown_unit(case.results[0].unit if case.results else DEGREES)
+
+
 def _clamps(case: Case) -> Said:
     clamps = sum(result.clamps for result in case.results)
     return clamps <= case.limits.clamps, f"{clamps} clamps to the model's range (limit {case.limits.clamps:g})"
@@ -160,7 +164,10 @@ def _diverging(case: Case) -> Said:
         return None, "no trace has an error"
     # An error that is no number is the largest of all, and no limit is kept with it.
     largest, trace = max(errors, key=lambda pair: pair[0] if isfinite(pair[0]) else float("inf"))
-    return largest <= case.limits.largest, f"largest error {largest:.3g} °C on {trace} (limit {case.limits.largest:g})"
+    return (
+        largest <= case.limits.largest,
+        f"largest error {largest:.3g} {_unit(case)} on {trace} (limit {case.limits.largest:g})",
+    )
 
 
 def _covered(case: Case) -> Said:
@@ -180,7 +187,7 @@ def _persistence(case: Case) -> Said:
     if not pairs:
         return None, "no error of persistence is known"
     own, rival = (_mean(column) for column in zip(*pairs, strict=True))
-    words = f"MAE {own:.3g} °C against {rival:.3g} °C of the first reading held"
+    words = f"MAE {own:.3g} {_unit(case)} against {rival:.3g} {_unit(case)} of the first reading held"
     return own < case.limits.persistence * rival, f"{words} (limit {case.limits.persistence:g} times)"
 
 

@@ -7,8 +7,10 @@ from math import isfinite, nan
 
 import numpy as np
 
+from sim.paired import Paired, holm, paired
 from sim.ranking.fitness import Facts, Finding, FitnessLimits, Seen, Verdict, judge, verdict
-from sim.ranking.paired import Paired, holm, paired
+from sim.sha import DEGREES
+from sim.skill import ForecastSkill
 from sim.validation import TraceResult
 
 LEVEL = 0.05
@@ -88,7 +90,10 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Ranking:
-    """The models, best first; those that could not be ranked come last. `scores` is entrant -> trace -> S (degC)."""
+    """The models, best first; those that could not be ranked come last. `scores`: entrant -> trace -> S in `unit`.
+
+    `skill` is that of their forecasts along the same traces, where these were made: it stands beside the free run.
+    """
 
     standings: tuple[Standing, ...]
     pairs: tuple[Pair, ...]
@@ -96,6 +101,8 @@ class Ranking:
     scores: Mapping[str, Mapping[str, float]]
     weights: Weights
     notes: tuple[str, ...] = ()
+    unit: str = DEGREES
+    skill: ForecastSkill | None = None
 
 
 def rank(
@@ -105,11 +112,13 @@ def rank(
     weights: Weights | None = None,
     limits: FitnessLimits | None = None,
     seed: int = 0,
+    skill: ForecastSkill | None = None,
 ) -> Ranking:
     """Ranks the models of a campaign by their mean score over the traces that all of them got through.
 
-    `facts` are by entrant (see `entrants`). A model without any figure is listed without a rank and takes no trace
-    from the others. Raises ValueError when there is no result, or two of one model on one trace.
+    `facts` are by entrant (see `entrants`); `skill`, if given, goes into the ranking as it is. A model without any
+    figure is listed without a rank and takes no trace from the others. Raises ValueError when there is no result, or
+    two of one model on one trace.
     """
     by_entrant = entrants(results)
     used, known = weights or Weights(), facts or {}
@@ -163,6 +172,8 @@ def rank(
         scores=scores,
         weights=used,
         notes=_notes(by_entrant, scores, placed, common),
+        unit=results[0].unit,
+        skill=skill,
     )
 
 

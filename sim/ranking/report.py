@@ -1,6 +1,5 @@
 """A ranking as pictures and as a page: pooled error distributions, the matrix of wins, and one self-contained HTML."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from io import StringIO
@@ -12,9 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sim.pages import page_environment
+from sim.pictures import check_picture, save_picture
 from sim.ranking.ranking import Ranking, entrants
-from sim.sha import Array
-from sim.validation import ENDINGS, MEASURED, QUANTILES, TraceResult
+from sim.sha import Array, shown_unit
+from sim.validation import MEASURED, QUANTILES, TraceResult
 
 COLOURS: Mapping[str, str] = {"fit": "#2a8c6a", "open": "#b08a2e", "unfit": "#b3261e"}
 SHOWN = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -87,7 +87,10 @@ def figure(ranking: Ranking, results: Sequence[TraceResult]) -> Figure:
     left.axvline(0.0, color=MEASURED, linewidth=0.8)
     left.set_yticks(range(len(shown)), [_label(spread.entrant) for spread in shown], parse_math=False)
     left.set_ylim(max(len(shown), 1) - 0.4, -0.6)
-    left.set_xlabel("predicted - measured (°C): box 25-75 %, whiskers 5-95 %, x extremes, | medians of the traces")
+    left.set_xlabel(
+        f"predicted - measured ({shown_unit(ranking.unit)}): "
+        "box 25-75 %, whiskers 5-95 %, x extremes, | medians of the traces"
+    )
     left.grid(alpha=0.25, axis="x")
     left.set_title("errors at the readings (colour: green fit, ochre open, red unfit)", fontsize=10, loc="left")
     names, matrix = win_matrix(ranking)
@@ -127,24 +130,12 @@ def _label(name: str) -> str:
     return name if len(name) <= LONGEST_LABEL else f"…{name[1 - LONGEST_LABEL :]}"
 
 
-def check_picture(path: Path) -> None:
-    """Raises ValueError for another ending than those of pictures."""
-    if path.suffix.lower() not in ENDINGS:
-        raise ValueError(f"{path}: cannot be a picture; give a name that ends in {', '.join(ENDINGS)}")
-
-
 def draw_ranking(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> Path:
     """Write the picture and return the path. Raises ValueError as `check_picture`, and OSError."""
     check_picture(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    _save(figure(ranking, results), path, path.suffix[1:].lower())
+    save_picture(figure(ranking, results), path, path.suffix[1:].lower())
     return path
-
-
-def _save(drawn: Figure, target: Path | StringIO, form: str) -> None:
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
-        drawn.savefig(target, format=form, dpi=110, metadata={"Date": None} if form == "svg" else None)
 
 
 def write_page(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> Path:
@@ -157,10 +148,12 @@ def write_page(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> 
 def page(ranking: Ranking, results: Sequence[TraceResult]) -> str:
     """The page: pictures inside, every name escaped."""
     text = StringIO()
-    _save(figure(ranking, results), text, "svg")
+    save_picture(figure(ranking, results), text, "svg")
     _, tag, rest = text.getvalue().partition("<svg")  # without the XML prologue, which has no place inside HTML
     environment = page_environment("sim.ranking", figure=_figure)
-    return environment.get_template("ranking.html").render(ranking=ranking, picture=tag + rest)
+    return environment.get_template("ranking.html").render(
+        ranking=ranking, unit=shown_unit(ranking.unit), picture=tag + rest
+    )
 
 
 def _figure(value: float, digits: int = 3) -> str:
@@ -182,4 +175,5 @@ def as_plain(ranking: Ranking) -> dict[str, Any]:
         "scores": {name: dict(own) for name, own in ranking.scores.items()},
         "win_matrix": {"models": list(names), "wins": matrix.tolist()},
         "notes": list(ranking.notes),
+        "forecasts": ranking.skill and ranking.skill.as_plain(),
     }

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from sim.paired import Paired, paired
 from sim.ranking.cross_validation import HeldOutFold, folds, held_out, usable
-from sim.ranking.paired import Paired, paired
 from sim.ranking.study import REASON, Facts, ask, finished_trials, interrupt, opened, unbroken
 from sim.ranking.tuning_methods import Method, Settings, Task, Taught, method_of
 from sim.sha import Alphabet, Trace

@@ -15,12 +15,24 @@ from sim.sha.events import (
     encode,
 )
 from sim.sha.flows import FIXED, FLOWS, RELAXING, Coefficients, check_flow, coefficients, mean_step, offset
-from sim.sha.model import Correction, Model, Provenance, Stay
+from sim.sha.model import Correction, Model, PlainMember, Provenance, Stay, plain_model
 from sim.sha.semi_markov import MOST_STAYS, Chain, Indices, Paths, compile_chain, draw_paths, input_moments, known_paths
-from sim.sha.trace import UNKNOWN, Array, Event, Mask, Trace, content_hash, joint_hash
+from sim.sha.trace import (
+    DEGREES,
+    UNKNOWN,
+    Array,
+    Event,
+    Mask,
+    Trace,
+    content_hash,
+    joint_hash,
+    shown_unit,
+    unit_of,
+)
 
 __all__ = [
     "DECANTER",
+    "DEGREES",
     "FIXED",
     "FLOWS",
     "LAWS",
@@ -48,6 +60,7 @@ __all__ = [
     "Mask",
     "Model",
     "Paths",
+    "PlainMember",
     "Provenance",
     "Stay",
     "Switch",
@@ -71,6 +84,9 @@ __all__ = [
     "mode_parameter",
     "nondeterminism",
     "offset",
+    "plain_model",
+    "shown_unit",
     "transitions",
+    "unit_of",
     "variance",
 ]

@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import isfinite
+from math import inf, isfinite
 
-from sim.sha.automaton import SHA, Distribution
-from sim.sha.events import Alphabet
+from sim.sha.automaton import SHA, Distribution, Edge, Effect, Flow, Location
+from sim.sha.events import Alphabet, alphabet_symbols
+from sim.sha.trace import DEGREES
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +59,40 @@ class Provenance:
 
 
 @dataclass(frozen=True, slots=True)
+class PlainMember:
+    """A forecaster that knows only the last readings: a random walk, perhaps under heat with a memory.
+
+    `sensor` (degC), `walk` (degC/sqrt(s)) and `heat` (degC/s) are standard deviations; `memory` (s) is finite where
+    there is heat. `calibration` is as a model's; `odds` (horizon in s -> its weight over the model's) say how the two
+    compared on data held out. Raises ValueError for what cannot be run.
+    """
+
+    name: str
+    sensor: float
+    walk: float
+    heat: float = 0.0
+    memory: float = inf
+    calibration: Mapping[float, float] = field(default_factory=dict)
+    odds: Mapping[float, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        usable = all(isfinite(value) and value >= 0 for value in (self.sensor, self.walk, self.heat))
+        if not usable or not self.memory > 0 or (self.heat > 0 and not isfinite(self.memory)):
+            raise ValueError(f"the plain member {self.name!r} needs noises of at least 0 and, with heat, a memory")
+
+
+@dataclass(frozen=True, slots=True)
 class Model:
     """`sha` run on `temperature` (the signal's name), fed by events of `alphabet`.
 
+    What is called a temperature is in `unit`: a model may follow another variable, such as a spindle's power in kW; all
+    that is said here and elsewhere to be in degC is then in that unit.
     `sensor_sigma` is the sensor's standard deviation (degC), `initial` the law of a trace's first temperature as read,
     `semi_markov` the stay of each location by its name, `calibration` the factor by which the forecast's standard
     deviation at each horizon (s) must be multiplied to cover what it says (learned on held-out cycles). `correction`
     leads from the automaton's temperature to the sensor's; whoever runs a model speaks of the sensor's
-    (`sim.effects.correction`), while `sha` alone is the automaton's own.
+    (`sim.effects.correction`), while `sha` alone is the automaton's own. `borrowed` are the locations that no data have
+    shown: their parameters are another's, or what physics says. `plain` are the forecasters that may stand beside it.
     """
 
     sha: SHA
@@ -77,3 +104,18 @@ class Model:
     calibration: Mapping[float, float] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=lambda: Provenance(method="by hand"))
     correction: Correction = Correction()
+    borrowed: frozenset[str] = frozenset()
+    plain: tuple[PlainMember, ...] = ()
+    unit: str = DEGREES
+
+
+def plain_model(model: Model, member: PlainMember) -> Model:
+    """A plain member as a model of one location, which every symbol of the alphabet leaves where it is.
+
+    It predicts what `model` predicts, by the same alphabet, in the sensor's own scale.
+    """
+    place = Location("any", Flow("constant", {"noise": member.walk}), entry="none")
+    edges = tuple(Edge("any", symbol, "any") for symbol in alphabet_symbols(model.alphabet))
+    effects = (Effect("heat-disturbance", {"sigma": member.heat, "memory": member.memory}),) if member.heat else ()
+    sha = SHA(member.name, (place,), edges, "any", low=model.sha.low, high=model.sha.high, effects=effects)
+    return Model(sha, model.alphabet, model.temperature, member.sensor, calibration=member.calibration, unit=model.unit)

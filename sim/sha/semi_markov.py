@@ -52,7 +52,8 @@ class Paths:
 def compile_chain(model: Model) -> Chain:
     """The process of `model.semi_markov`. A location without a stay there (or whose stay leads nowhere) is never left.
 
-    Raises ValueError, naming the location, for an unusable law, probabilities that do not sum to 1, and unknown names.
+    Raises ValueError, naming the location, for an unusable law, probabilities that are negative or do not sum to 1, and
+    unknown names.
     """
     names = tuple(location.name for location in model.sha.locations)
     unknown = sorted(set(model.semi_markov) - set(names))
@@ -71,7 +72,13 @@ def compile_chain(model: Model) -> Chain:
         if strange:
             raise ValueError(f"the stay of location {name!r} leads to {strange[0]!r}, which is not a location")
         row = np.array([stay.to.get(other, 0.0) for other in names])
-        if np.any(row < 0) or not abs(float(row.sum()) - 1.0) < 1e-6:
+        if not np.all(row >= 0):
+            wrong = names[int(np.argmin(row >= 0))]
+            raise ValueError(
+                f"location {name!r}: the probability of the next location {wrong!r} is {stay.to[wrong]:g}; it must be "
+                "at least 0"
+            )
+        if not abs(float(row.sum()) - 1.0) < 1e-6:
             raise ValueError(f"location {name!r}: the probabilities of the next location sum to {row.sum()}, not 1")
         chances[number] = row / row.sum()
     cumulative = np.cumsum(chances, axis=1)

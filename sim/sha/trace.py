@@ -13,6 +13,9 @@ Mask = NDArray[np.bool_]
 UNKNOWN = "unknown"
 """The encoder's own symbol: from here on the plant's state is not known. It is never a hold and never "stopped"."""
 
+DEGREES = "degC"
+"""The unit of what a model follows, where nobody says another one."""
+
 
 @dataclass(frozen=True, slots=True)
 class Event:
@@ -28,8 +31,9 @@ class Trace:
 
     Booleans are 0.0 and 1.0. NaN says "no new reading in this row", nothing more; `bad` name -> (n,) marks readings
     whose quality was bad (their value is NaN too). `events` are empty until encoded. `origin` says where the rows come
-    from (file, scenario and seed) and `synthetic` that no plant produced them. Raises ValueError on shapes that do not
-    match and on times that go back.
+    from (file, scenario and seed), `machine` which of several machines they are of ("": nobody says) and `synthetic`
+    that no plant produced them. `units` are those of the signals, as far as they are known. Raises ValueError on shapes
+    that do not match and on times that go back.
     """
 
     name: str
@@ -39,6 +43,8 @@ class Trace:
     bad: Mapping[str, Mask] = field(default_factory=dict)
     origin: str = ""
     synthetic: bool = False
+    machine: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         rows = self.times.shape
@@ -62,7 +68,28 @@ class Trace:
             bad={name: column[rows] for name, column in self.bad.items()},
             origin=self.origin,
             synthetic=self.synthetic,
+            machine=self.machine,
+            units=self.units,
         )
+
+
+def unit_of(traces: Iterable[Trace], signal: str, otherwise: str = DEGREES) -> str:
+    """The unit in which the traces have a signal; `otherwise` where none of them says it.
+
+    Raises ValueError for traces that have it in different units.
+    """
+    said = {trace.units[signal]: trace.name for trace in traces if trace.units.get(signal)}
+    if len(said) > 1:
+        (one, first), (other, second) = list(said.items())[:2]
+        raise ValueError(
+            f"{signal!r} is in {one} in trace {first!r} and in {other} in trace {second!r}; convert one of them"
+        )
+    return next(iter(said), otherwise)
+
+
+def shown_unit(unit: str) -> str:
+    """A unit as people read it: °C for degC."""
+    return unit.replace(DEGREES, "°C")
 
 
 def content_hash(trace: Trace) -> str:

@@ -7,6 +7,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from drivers.named_files import parse_toml, regular
 from drivers.settings import sentences
 from sim.sha import DECANTER, Alphabet
 from sim.traces.alphabet_table import alphabet_from_table
@@ -159,6 +160,8 @@ class ColumnMap(_MapPart):
     `duplicates` says what becomes of rows with the same time: the `average` of the readings (of booleans the last), the
     `last` reading of each signal, or `keep`. `clock_back`: `refuse` the fewest rows that leave a clock which never goes
     back, `split` into traces there, or `sort`. `extra`: columns that the map does not name become signals too.
+    `machine` says which machine a trace is of: each `folder` of files is one, each `file` is, or all are the one that
+    it names; models learn how much machines differ.
     """
 
     format: Literal["wide", "long"]
@@ -177,6 +180,7 @@ class ColumnMap(_MapPart):
     clock_back: Literal["refuse", "split", "sort"] = "refuse"
     extra: bool = False
     synthetic: bool = False
+    machine: Annotated[str, Field(min_length=1)] = "folder"
     effects: Effects | None = None
     alphabet: Alphabet = DECANTER
 
@@ -230,7 +234,7 @@ class ColumnMap(_MapPart):
 def load_map(path: str | Path) -> ColumnMap:
     """The column map in a TOML file. Raises ValueError: file, key, reason and what would be right in one sentence."""
     try:
-        table: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        table: dict[str, Any] = parse_toml(regular(Path(path)).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ValueError(f"{path}: there is no such column map; the project's own are in config/traces") from None
     except OSError as error:

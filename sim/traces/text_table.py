@@ -14,6 +14,7 @@ from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 
+from drivers.named_files import regular
 from sim.traces.cells import numbers
 from sim.traces.column_map import ColumnMap, Names
 from sim.traces.load_report import FileReport, TraceError, listed
@@ -52,7 +53,7 @@ def place_of(header: Sequence[str], names: Names) -> int | None:
 
 def find_layout(path: Path, column_map: ColumnMap, needed: Sequence[Names], report: FileReport) -> TextLayout:
     """Encoding, separator and header of `path`. Raises TraceError, saying what is there, unless all `needed` are."""
-    with path.open("rb") as stream:
+    with regular(path).open("rb") as stream:
         head = stream.read(_HEAD)
     if not head:
         raise TraceError(f"{path}: the file is empty; give one with a header and rows")

@@ -90,6 +90,18 @@ def _name(group: Sequence[Path], taken: set[str]) -> str:
     return name
 
 
+def _machine(files: Sequence[FileReport], column_map: ColumnMap) -> str:
+    """The machine of a group's trace. Parts of one trace lie in a folder of their own, which then is its file."""
+    first = files[0].path.absolute()
+    match column_map.machine:
+        case "file" if len(files) == 1:
+            return first.stem
+        case "file" | "folder":
+            return first.parent.name
+        case name:
+            return name
+
+
 def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trace]:
     parts, used = [], []
     for file in files:
@@ -117,7 +129,14 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
                 lines = piece.lines[piece.files == index]
                 file.refuse(lines.tolist(), f"there is no reading of {name} in its part of the trace")
             continue
-        trace = Trace(first.stem, *_merged(piece, column_map, used), origin=noted or own, synthetic=synthetic)
+        trace = Trace(
+            first.stem,
+            *_merged(piece, column_map, used),
+            origin=noted or own,
+            synthetic=synthetic,
+            machine=_machine(files, column_map),
+            units=units(column_map),
+        )
         traces.append(_completed(trace, column_map))
     if not traces:
         raise TraceError(f"{first}: there is no reading of {name} in it that can be used")

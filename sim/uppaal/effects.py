@@ -110,8 +110,9 @@ class _Writer:
     def written(self) -> EffectTexts:
         bounds, arrows = self._sensor()
         heats = [(effect, self._heat(effect)) for effect in self.sha.effects]
+        offsets = self._offset_terms()
         terms = {
-            place.name: "".join(text for effect, text in heats if acts_in(effect, place.name))
+            place.name: "".join(text for effect, text in heats if acts_in(effect, place.name)) + offsets[place.name]
             for place in self.sha.locations
         }
         shown = f"Temp = {self.jump} + {self.offset}" if self.offset else f"Temp = {self.jump}"
@@ -129,7 +130,7 @@ class _Writer:
             left=self.left,
             resets={channel: tuple(updates) for channel, updates in self.resets.items()},
             arrows=arrows,
-            polled=self.plant.thermostat is not None,
+            polled=self.plant.thermostat is not None or self.plant.disturbance is not None,
             offset=self.offset,
         )
 
@@ -193,12 +194,35 @@ class _Writer:
                 return f" + {coupling} * ({clock} - {self.x})"
             case Structural(feature="thermostat"):
                 return _thermostat(self, effect)
+            case Structural(feature="disturbance"):
+                sigma, memory = (self.constant(name.upper(), effect.params[name]) for name in ("sigma", "memory"))
+                heat = self.names.fresh("heat")
+                self.declared += ["// The heat that comes and goes; held between two draws.", f"double {heat} = 0.0;"]
+                # Between draws it keeps the part exp(-seconds / MEMORY), and what is new keeps its variance at SIGMA^2:
+                # exact at the draws, whatever the tick.
+                kept = f"exp(-{self.age} / {memory})"
+                fresh = f"{sigma} * sqrt(1.0 - {kept} * {kept}) * random_normal(0.0, 1.0)"
+                self.following.append(f"{heat} = {heat} * {kept} + {fresh}")
+                self.opening.append(f"{heat} = {sigma} * random_normal(0.0, 1.0)")
+                return f" + {heat}"
+            case Structural(feature="machine offset"):
+                return ""  # times each location's own rate: in `_offset_terms`
             case Structural(feature="dead time" | "sensor lag" | "sensor offset"):
                 return ""  # in the replay's times, and in `_sensor`
             case EffectRefusal(reason=reason):
                 raise ValueError(f"effects of the kind {effect.kind!r} have no text: {reason}")
             case text:
                 raise unknown("the UPPAAL export", effect.kind, text)
+
+    def _offset_terms(self) -> dict[str, str]:
+        """For each location what the machine's own offset adds to the rate."""
+        if self.plant.machine is None:
+            return dict.fromkeys(self.plant.places, "")
+        sigma, offset = self.constant("SIGMA", self.plant.machine.params["sigma"]), self.names.fresh("own")
+        self.declared += ["// What this machine's targets lie above or below.", f"double {offset} = 0.0;"]
+        self.opening.append(f"{offset} = {sigma} * random_normal(0.0, 1.0)")
+        rates = {name: float(self.plant.rate[row]) for name, row in self.plant.places.items()}
+        return {name: f" + {number(rate)} * {offset}" if rate else "" for name, rate in rates.items()}
 
     def since(self, effect: Effect) -> tuple[str, str]:
         """(flag that the effect's event was there, clock of the seconds since)."""
@@ -265,6 +289,8 @@ def refused(sha: SHA, tick: int, dropped: Sequence[str]) -> str:
     """Why these effects cannot be exported so ("": they can)."""
     if of_feature(sha, "thermostat") and not tick:
         return "the thermostat is looked at once a tick; give a tick of at least 1 s"
+    if of_feature(sha, "disturbance") and not tick:
+        return "the disturbance of heat is drawn once a tick; give a tick of at least 1 s"
     starts = [effect.event for effect in sha.effects if effect.event in dropped]
     if starts:
         return f"an event {starts[0]!r}, since which start-up heat counts, is passed over; use the policy 'resync'"

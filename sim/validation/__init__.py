@@ -4,7 +4,7 @@ from sim.validation.campaign import Progress, cluster, outcomes_by_model, parall
 from sim.validation.campaign_run import CampaignPlan, conduct
 from sim.validation.metrics import QUANTILES
 from sim.validation.output_folder import CAMPAIGN, LEARNED, check_folder, claim_folder, held, read_results
-from sim.validation.plots import ENDINGS, MEASURED, Curve, Picture, draw
+from sim.validation.plots import MEASURED, Curve, Picture, draw
 from sim.validation.report import CampaignSummary, natural
 from sim.validation.results import TraceResult
 from sim.validation.stage_records import load_stage
@@ -14,7 +14,6 @@ from sim.validation.verdicts import gain, summaries, verdict
 
 __all__ = [
     "CAMPAIGN",
-    "ENDINGS",
     "LEARNED",
     "MEASURED",
     "QUANTILES",

@@ -5,8 +5,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sim.sha import Trace
+from sim.skill import ForecastSkill
+from sim.strict_json import json_text
 from sim.validation.campaign import Progress, Runner, Unread, outcomes_by_model, parallel
-from sim.validation.output_folder import COMPLETE, RESULTS, Folder, results_csv, results_json
+from sim.validation.output_folder import COMPLETE, RESULTS, SKILL, Folder, results_csv, results_json
 from sim.validation.pictures import draw_one, drawings
 from sim.validation.report import CampaignSummary, ModelReport, ReportEntry, index_html, model_html, shown
 from sim.validation.results import TraceResult
@@ -39,8 +41,11 @@ def conduct(
     folder: Folder,
     tell: Callable[[str], None],
     progress: Progress,
+    skill: Mapping[str, ForecastSkill] | None = None,
 ) -> list[TraceResult]:
     """Stages 5 to 9 of every model; returns all results in the order of models, semantics and traces.
+
+    `skill` is that of the models' forecasts by label, which stands in their reports and in a file of its own.
 
     Everything is written as soon as it is known; the index and the state "complete" come last. Raises ValueError where
     the folder can no longer be written.
@@ -58,6 +63,8 @@ def conduct(
         for stage in model.stages:
             note(stage)
     note(loading)
+    if skill:
+        folder.write(SKILL, json_text({label: each.as_plain() for label, each in skill.items()}, indent=2) + "\n")
     results: list[TraceResult] = []
     entries: list[ReportEntry] = []
     for model, outcomes in outcomes_by_model(
@@ -70,7 +77,13 @@ def conduct(
         folder.write(f"{RESULTS}.json", results_json(results))
         folder.write(f"{RESULTS}.csv", results_csv(results))
         last, report = _reported(
-            model, outcomes, before=(*model.stages, loading, *stages), plan=plan, folder=folder, progress=progress
+            model,
+            outcomes,
+            before=(*model.stages, loading, *stages),
+            plan=plan,
+            folder=folder,
+            progress=progress,
+            skill=(skill or {}).get(model.label),
         )
         note(last)
         entries.append(ReportEntry(folder.places[model.label], report))
@@ -88,6 +101,7 @@ def _reported(
     plan: CampaignPlan,
     folder: Folder,
     progress: Progress,
+    skill: ForecastSkill | None,
 ) -> tuple[Stage, ModelReport]:
     """Stage 9: pictures, then the report."""
     last = Stage(9, prepared.label)
@@ -116,6 +130,7 @@ def _reported(
             results=results,
             pictures=pictures,
             missing=dict(missing.most_common(20)),
+            skill=skill,
         )
         drawn = f"{2 * len(files)} pictures" if plan.pictures else "no pictures asked for"
         last.found = f"{drawn}, report.html"

@@ -6,17 +6,21 @@ from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 
+from drivers.named_files import regular
 from sim.artefacts import MANIFEST, MODEL_FILE, STORE_FILE, version_directory
 from sim.artefacts.formats import (
     PRINTED,
     SUFFIXES,
     Artefacts,
+    Histogram,
+    Report,
     artefact_base,
     evidence,
     file_names,
     fit,
-    read_artefacts,
-    to_artefacts,
+    read_histogram,
+    read_report,
+    reported_laws,
 )
 from sim.files import at
 from sim.sha import Model
@@ -94,7 +98,7 @@ def _facts(directory: Path, names: Sequence[str]) -> tuple[FileFacts, ...]:
     facts = []
     for name in names:
         try:
-            content = (directory / name).read_bytes()
+            content = regular(directory / name).read_bytes()
         except OSError as error:
             raise at(directory / name, None, f"cannot be read ({error.strerror}); make it a readable file") from None
         facts.append(FileFacts(name, len(content), hashlib.sha256(content).hexdigest()))
@@ -150,21 +154,21 @@ def cross_check(artefacts: Artefacts) -> CrossCheck:
     return CrossCheck(checks, used.runs, used.distinct, used.origin, used.disagreements)
 
 
-def own_check(artefacts: Artefacts, model: Model) -> CrossCheck:
+def own_check(report: Report, histogram: Histogram | None, model: Model) -> CrossCheck:
     """The report beside a model.json of our own against the laws of that model.
 
     Its histogram has one estimate a stay, while the laws are fitted to all stays together: the means need not agree, so
     they stand beside and are not compared.
     """
-    meant = {law.name: law.mean for law in to_artefacts(model).report.distributions}
-    reported = {law.name: law.mean for law in artefacts.report.distributions}
+    meant = {law.name: law.mean for law in reported_laws(model.sha)}
+    reported = {law.name: law.mean for law in report.distributions}
     wrong = [f"{name} is in only one of the report and model.json" for name in sorted(set(meant) ^ set(reported))]
     wrong += [
         f"{name}: model.json says {meant[name]:.6g}, the report {mean:.6g}"
         for name, mean in reported.items()
         if name in meant and abs(mean - meant[name]) > PRINTED * max(1.0, abs(meant[name]))
     ]
-    runs = artefacts.histogram.runs if artefacts.histogram else ()
+    runs = histogram.runs if histogram else ()
     laws = tuple(_law_check(name, mean, runs[-1] if runs else {}) for name, mean in reported.items())
     return CrossCheck(laws, len(runs), len(runs), MODEL_FILE, tuple(wrong))
 
@@ -183,13 +187,18 @@ def _law_check(name: str, reported: float, values: Mapping[str, tuple[float, ...
     )
 
 
-def artefacts_beside(discovery: Discovery) -> Artefacts | None:
-    """The artefacts that a model directory of our own holds beside its model.json, if one set is whole.
+def report_beside(discovery: Discovery) -> tuple[Report, Histogram | None] | None:
+    """The report and the histogram that a model directory of our own holds beside its model.json, if it has one set.
 
-    Raises ArtefactError where they cannot be read.
+    The other artefacts say what model.json says too, and take long to parse: a source has an edge for each location and
+    symbol. Raises ArtefactError where they cannot be read.
     """
     names = {file.name for file in discovery.files}
     if not {MODEL_FILE, MANIFEST} <= names:
         return None
     bases = [name.removesuffix(SUFFIXES["source"]) for name in names if name.endswith(SUFFIXES["source"])]
-    return read_artefacts(discovery.directory, bases[0], OPTIONAL) if len(bases) == 1 else None
+    if len(bases) != 1:
+        return None
+    files = file_names(bases[0])
+    histogram = read_histogram(discovery.directory / files["histogram"]) if files["histogram"] in names else None
+    return read_report(discovery.directory / files["report"]), histogram

@@ -13,6 +13,7 @@ from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
+from drivers.named_files import regular
 from sim.engine import Score
 from sim.files import replace_durably
 from sim.strict_json import json_text
@@ -21,10 +22,11 @@ from sim.validation.stages import Stage
 
 CAMPAIGN = "campaign.json"
 RESULTS = "results"
+SKILL = "skill.json"
 FORMAT = "decanter-validation"
 VERSION = 1
 RUNNING, COMPLETE = "running", "complete"
-OWN_FILES = ("index.html", f"{RESULTS}.json", f"{RESULTS}.csv", "campaign.log")
+OWN_FILES = ("index.html", f"{RESULTS}.json", f"{RESULTS}.csv", SKILL, "campaign.log")
 MODEL_FILES = ("0[1-9]_*.json", "report.html", "pictures/*.png", "pictures/*.pdf", "pictures/.*.part")
 """What a campaign writes, as patterns: beside campaign.json, and in the folder of each model."""
 LEARNED = "learned"
@@ -208,7 +210,7 @@ def read_results(path: Path) -> list[TraceResult]:
     """The results in a campaign's folder or in its results.json. Raises ValueError with the file and the reason."""
     file = path / f"{RESULTS}.json" if path.is_dir() else path
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document = json.loads(regular(file).read_text(encoding="utf-8"))
         # Only the fields that this program knows: what a newer one adds is passed over, what an older one lacked keeps
         # its default.
         kinds = {field.name: field.type for field in fields(TraceResult)}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sim.sha import shown_unit
 from sim.validation.output_folder import places, stopped_at
 from sim.validation.plots import Curve, Picture, draw
 from sim.validation.trace_run import TraceOutcome
@@ -33,9 +34,10 @@ def drawings(
     pictures = {}
     for (semantics, trace), (result, course) in courses.items():
         notes = ["SYNTHETIC: not measured on a plant"] if result.synthetic else []
+        unit = shown_unit(result.unit)
         notes += [
-            f"MAE {result.mae.value:.2f} °C",
-            f"final error {result.final_error:+.2f} °C",
+            f"MAE {result.mae.value:.2f} {unit}",
+            f"final error {result.final_error:+.2f} {unit}",
             f"band covers {result.coverage:.0%}",
         ]
         if course.seen > len(course.events):
@@ -51,6 +53,7 @@ def drawings(
             events=course.events,
             note="; ".join(notes),
             units=units,
+            unit=result.unit,
         )
         file = f"{names[trace]}.{semantics}.png" if several else f"{names[trace]}.png"
         pictures[semantics, trace] = Drawing(picture, folder / file)

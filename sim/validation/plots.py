@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from sim.sha import UNKNOWN, Array, Event
+from sim.pictures import check_picture
+from sim.sha import DEGREES, UNKNOWN, Array, Event, shown_unit
 
-ENDINGS = (".png", ".pdf", ".svg")
 MEASURED, PREDICTED, OPEN_LOOP, AHEAD, ALARM = "#555555", "#1f6fb4", "#c65d1e", "#2a8c6a", "#b3261e"
 EVENT_COLOURS = ("#1f6fb4", "#c65d1e", "#2a8c6a", "#8a5fb0", "#b08a2e", "#5f7f8f", "#b35a7a", "#6b6b6b")
 TIME_UNITS = (("minutes", 60.0), ("hours", 3600.0), ("days", 86_400.0))
@@ -34,7 +34,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """What one picture shows; times in absolute seconds, temperatures in degC.
+    """What one picture shows; times in absolute seconds, temperatures in `unit`.
 
     `outages` are (start, end) stretches without usable data, `limit` a temperature to mark, `note` a line at the
     bottom (say there if the data are synthetic). Curves may be empty and may have NaN where there is nothing.
@@ -51,6 +51,7 @@ class Picture:
     limit: float | None = None
     note: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
+    unit: str = DEGREES
 
 
 Clock = Callable[[Array], Array]
@@ -60,11 +61,10 @@ Clock = Callable[[Array], Array]
 def draw(picture: Picture, path: Path, *also: Path) -> Path:
     """Write the picture to `path` (and, laid out once, to `also`) and return the path.
 
-    Raises ValueError for another ending than ENDINGS, and OSError.
+    Raises ValueError for another ending than a picture's, and OSError.
     """
     for file in (path, *also):
-        if file.suffix.lower() not in ENDINGS:
-            raise ValueError(f"{file}: cannot be a picture; give a name that ends in {', '.join(ENDINGS)}")
+        check_picture(file)
     # Minutes up to three hours, hours up to three days, then days.
     times = picture.measured.times
     origin, span = (float(times[0]), float(times[-1] - times[0])) if times.size else (0.0, 0.0)
@@ -152,7 +152,7 @@ def _temperatures(axis: Axes, picture: Picture, clock: Clock) -> None:
     if picture.limit is not None:
         # A line where it is near the curves; a word where it would press them flat.
         low, high = axis.get_ylim()
-        text = f"limit {picture.limit:g} °C"
+        text = f"limit {picture.limit:g} {shown_unit(picture.unit)}"
         if low <= picture.limit <= high + 0.3 * (high - low):
             axis.axhline(picture.limit, color=ALARM, linewidth=1, linestyle=":", label=text)
         else:
@@ -160,7 +160,8 @@ def _temperatures(axis: Axes, picture: Picture, clock: Clock) -> None:
             words = f"{text}, {'above' if above else 'below'} this range"
             height, side = (0.97, "top") if above else (0.03, "bottom")
             axis.text(0.99, height, words, transform=axis.transAxes, ha="right", va=side, color=ALARM, fontsize=8)
-    axis.set_ylabel("temperature (°C)")
+    quantity = "temperature" if picture.unit == DEGREES else "value"
+    axis.set_ylabel(f"{quantity} ({shown_unit(picture.unit)})")
     axis.grid(alpha=0.25)
     _legend(axis)
 

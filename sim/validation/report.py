@@ -11,6 +11,8 @@ from typing import Any
 from jinja2 import Environment
 
 from sim.pages import page_environment
+from sim.sha import shown_unit
+from sim.skill import ForecastSkill
 from sim.validation.metrics import QUANTILES
 from sim.validation.results import Interval, TraceResult
 from sim.validation.stages import Prepared, Stage, location_row
@@ -66,7 +68,7 @@ class CampaignSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelReport:
-    """All that the report of one model tells."""
+    """All that the report of one model tells; `skill` is that of its forecasts, where these were made."""
 
     campaign: CampaignSummary
     prepared: Prepared
@@ -74,6 +76,12 @@ class ModelReport:
     results: Sequence[TraceResult]
     pictures: Sequence[ReportFigure] = ()
     missing: Mapping[str, int] = field(default_factory=dict)
+    skill: ForecastSkill | None = None
+
+    @property
+    def unit(self) -> str:
+        """The unit of the errors, as people read it."""
+        return shown_unit(self.results[0].unit if self.results else self.prepared.structure.unit)
 
     @property
     def judged(self) -> list[tuple[TraceResult, TraceVerdict]]:
@@ -160,7 +168,7 @@ def error_boxes(results: Sequence[TraceResult]) -> Boxes | None:
                 semantics=result.semantics,
                 y=TOP + ROW * (row + 0.5),
                 x=tuple(place(value) for value in result.error_quantiles),
-                text=", ".join(f"{level:.0%}: {value:+.2f} °C" for level, value in quantiles),
+                text=", ".join(f"{level:.0%}: {value:+.2f} {shown_unit(result.unit)}" for level, value in quantiles),
             )
         )
     count, first = round((high - low) / step), round(low / step)
@@ -205,7 +213,11 @@ def model_html(report: ModelReport) -> str:
     """The report of one model as one HTML file without any external resource."""
     each = max(1, len(report.summaries))  # pictures that one trace has: whole traces are unfolded
     opened = each * ceil(OPEN / each)
-    return _environment().get_template("model.html").render(report=report, open=opened, embedded=EMBEDDED)
+    return (
+        _environment()
+        .get_template("model.html")
+        .render(report=report, unit=report.unit, open=opened, embedded=EMBEDDED)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +230,8 @@ class ReportEntry:
 
 def index_html(campaign: CampaignSummary, entries: Sequence[ReportEntry], log: Sequence[Stage]) -> str:
     """The page from which the reports of a campaign are reached."""
-    return _environment().get_template("index.html").render(campaign=campaign, entries=entries, log=log)
+    unit = " or ".join(dict.fromkeys(entry.report.unit for entry in entries))
+    return _environment().get_template("index.html").render(campaign=campaign, entries=entries, log=log, unit=unit)
 
 
 def _environment() -> Environment:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from math import nan
 
 from sim.engine import Score
+from sim.sha import DEGREES
 
 NO_SCORE = Score(nan, nan, nan, 0)
 
@@ -19,7 +20,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class TraceResult:
-    """One model along one trace, open loop. Temperatures and errors (predicted - measured) are in degC.
+    """One model along one trace, open loop. Temperatures and errors (predicted - measured) are in `unit`.
 
     `failure` is the sentence of the stage that could not be passed (`stage`, 1 to 9), and every figure after it is
     NaN. `accepted` says whether every event had an edge; `rejected` is the sentence about the first that had none.
@@ -58,3 +59,4 @@ class TraceResult:
     seconds: float = nan
     stage: int = 9
     failure: str = ""
+    unit: str = DEGREES

@@ -2,8 +2,10 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
+from sim.sha import shown_unit
 from sim.traces import LoadReport, listed
 from sim.validation.stages import Stage
 from sim.validation.trace_run import TraceOutcome
@@ -102,9 +104,10 @@ def _compared(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
             sparse = mean(outcome.result.at_events.mae for outcome in own)
             dense = mean(outcome.result.dense.mae for outcome in own)
             apart = max(outcome.comparison.apart for outcome in own)
+            unit = shown_unit(own[0].result.unit)
             parts.append(
-                f"{semantics}: mean MAE {sparse:.3f} °C at the filtered events (sparse), {dense:.3f} °C at all "
-                f"readings under the full encoding (dense), courses up to {apart:.3g} °C apart"
+                f"{semantics}: mean MAE {sparse:.3f} {unit} at the filtered events (sparse), {dense:.3f} {unit} at all "
+                f"readings under the full encoding (dense), courses up to {apart:.3g} {unit} apart"
             )
     rows: list[Row] = [
         {
@@ -119,12 +122,16 @@ def _compared(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
 
 
 def _measured(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
-    parts = [
-        f"{each.semantics}: MAE {each.mae:.3f} °C, RMSE {each.rmse:.3f} °C, final {each.final:.3f} °C "
-        f"({each.final_percent:.1f} %), coverage {each.coverage:.0%}, CRPS {each.crps:.3f} °C; "
-        f"better than persistence ({each.persistence:.2f} °C) on {each.better} of {each.scored}"
-        for each in summaries(outcome.result for outcome in outcomes if not outcome.result.failure)
-    ]
+    parts = []
+    for each in summaries(outcome.result for outcome in outcomes if not outcome.result.failure):
+        # A last reading of 0 has no error in per cent.
+        unit = shown_unit(each.unit)
+        percent = f"{each.final_percent:.1f} %" if isfinite(each.final_percent) else "–"
+        parts.append(
+            f"{each.semantics}: MAE {each.mae:.3f} {unit}, RMSE {each.rmse:.3f} {unit}, final {each.final:.3f} {unit} "
+            f"({percent}), coverage {each.coverage:.0%}, CRPS {each.crps:.3f} {unit}; "
+            f"better than persistence ({each.persistence:.2f} {unit}) on {each.better} of {each.scored}"
+        )
     names = ("final_error", "final_percent", "at_events", "at_samples", "mae", "rmse", "max_error", "error_sigma")
     more = ("coverage", "crps", "beyond", "persistence", "clamps", "error_quantiles")
     rows: list[Row] = []

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from sim.artefacts.formats import FoundModel, find_model
 from sim.effects import check_sha
 from sim.sha import Alphabet, Location, Model, Provenance, Trace, alphabet_symbols, distributions, transitions
-from sim.validation.discovery import CrossCheck, Discovery, artefacts_beside, cross_check, discover, own_check
+from sim.validation.discovery import CrossCheck, Discovery, cross_check, discover, own_check, report_beside
 from sim.validation.semantics import semantics_of, side_by_side
 
 STAGES: Mapping[int, str] = {
@@ -119,8 +119,8 @@ def prepare(
         if parsed.artefacts:
             check: CrossCheck | None = cross_check(parsed.artefacts)
         else:
-            beside = artefacts_beside(discovery)
-            check = own_check(beside, parsed.model) if beside and parsed.model else None
+            beside = report_beside(discovery)
+            check = own_check(*beside, parsed.model) if beside and parsed.model else None
         checked = check.sentence if check else "no artefacts with reported distributions"
         checking.details = {"cross_check": check, "notes": list(parsed.notes)}
         if parsed.model is None:

@@ -24,7 +24,7 @@ from sim.engine import (
     simulate,
     start_law,
 )
-from sim.sha import Array, Event, Model, Trace, distributions, encode
+from sim.sha import Array, Event, Model, Trace, distributions, encode, unit_of
 from sim.validation.compatibility import Compatibility, compatibility, dense_events, symbols_of
 from sim.validation.metrics import error_quantiles, judge_band, mae_interval, rmse_interval
 from sim.validation.results import TraceResult
@@ -131,7 +131,8 @@ class _PartialOutcome:
 
 def run_job(job: TraceJob) -> TraceOutcome:
     """The job done, or the sentence of the stage that could not be passed. Equal jobs give equal results anywhere."""
-    result = TraceResult(job.label, job.trace.name, job.semantics, synthetic=job.trace.synthetic)
+    unit = unit_of([job.trace], job.model.temperature, job.model.unit)
+    result = TraceResult(job.label, job.trace.name, job.semantics, synthetic=job.trace.synthetic, unit=unit)
     partial = _PartialOutcome(TraceOutcome(result, rows=job.trace.times.size))
     try:
         _stages(job, partial)

@@ -6,6 +6,7 @@ from math import isfinite, nan
 from statistics import fmean
 from typing import Literal
 
+from sim.sha import DEGREES, shown_unit
 from sim.validation.results import TraceResult
 
 Word = Literal["good", "review", "failed"]
@@ -36,7 +37,9 @@ def verdict(result: TraceResult) -> TraceVerdict:
     if result.coverage < COVERED:
         reasons.append(f"the 90 % band covers {result.coverage:.0%} of the readings")
     if result.mae.value >= result.persistence:
-        reasons.append(f"holding the first reading does as well (MAE {result.persistence:.2f} °C)")
+        reasons.append(
+            f"holding the first reading does as well (MAE {result.persistence:.2f} {shown_unit(result.unit)})"
+        )
     # The flag about events without an edge says once more what the rejection has said already.
     reasons += [flag for flag in result.flags if not (result.rejected and flag.startswith("events:"))]
     return TraceVerdict("review" if reasons else "good", tuple(reasons))
@@ -68,6 +71,7 @@ class VerdictSummary:
     crps: float
     persistence: float
     better: int
+    unit: str = DEGREES
 
 
 def summary(results: Sequence[TraceResult]) -> VerdictSummary:
@@ -96,6 +100,7 @@ def summary(results: Sequence[TraceResult]) -> VerdictSummary:
         crps=mean(result.crps for result in done),
         persistence=mean(result.persistence for result in done),
         better=sum(result.mae.value < result.persistence for result in done),
+        unit=results[0].unit,
     )
 
 
@@ -120,10 +125,12 @@ class Gain:
     def sentence(self) -> str:
         """The gain with its numbers."""
         ratio = f" ({self.thesis.mae / self.own.mae:.2g} times as much)" if self.own.mae > 0 else ""
+        unit = shown_unit(self.own.unit)
         return (
-            f"mean MAE {self.own.mae:.3f} °C with the temperature carried over events, {self.thesis.mae:.3f} °C with "
-            f"it drawn on entry{ratio}; carried is better on {self.wins} of {self.traces} traces; "
-            f"mean CRPS {self.own.crps:.3f} against {self.thesis.crps:.3f} °C, "
+            f"mean MAE {self.own.mae:.3f} {unit} with the temperature carried over events, "
+            f"{self.thesis.mae:.3f} {unit} with it drawn on entry{ratio}; "
+            f"carried is better on {self.wins} of {self.traces} traces; "
+            f"mean CRPS {self.own.crps:.3f} against {self.thesis.crps:.3f} {unit}, "
             f"coverage of the 90 % band {self.own.coverage:.0%} against {self.thesis.coverage:.0%}"
         )
 

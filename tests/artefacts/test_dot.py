@@ -102,3 +102,12 @@ def test_a_text_that_dot_cannot_hold_is_refused_and_never_written_differently() 
         source_text(Source((SourceLocation("a\\b"),), ()))
     with pytest.raises(ArtefactError, match="would lose its blanks"):
         source_text(Source((SourceLocation("a"),), (Edge("a", " e", "a"),)))
+
+
+def test_subgraphs_may_nest_deeper_than_a_program_calls() -> None:
+    depth = 1500
+    nodes = "".join(f"subgraph s{number} {{ q_{number} " for number in range(depth))
+    edges = "".join(f"q_{number} -> q_{number + 1} [label=a] " for number in range(depth - 1))
+    source = parse_source(f"digraph x {{ {nodes} {'}' * depth} {edges} }}")
+    assert [location.name for location in source.locations] == [f"q_{number}" for number in range(depth)]
+    assert len(source.edges) == depth - 1

@@ -128,3 +128,16 @@ def test_a_text_that_is_no_usable_json_is_one_sentence(text: str, reason: str) -
     with pytest.raises(ArtefactError) as error:
         parse_model(text, "m.json")
     assert reason in str(error.value)
+
+
+def test_a_model_of_another_variable_says_its_unit_and_one_without_is_in_degrees() -> None:
+    power = replace(decanter_model(), unit="kW")
+    document = json.loads(model_text(power))
+    assert document["units"]["temperature"] == "kW" and document["units"]["noise"] == "kW/sqrt(s)"
+    assert parse_model(model_text(power)) == power
+    older = json.loads(model_text(decanter_model()))
+    del older["units"]["temperature"]
+    assert parse_model(json.dumps(older)).unit == "degC"
+    document["units"]["noise"] = "degC/sqrt(s)"
+    with pytest.raises(ArtefactError, match="the units must be"):
+        parse_model(json.dumps(document))

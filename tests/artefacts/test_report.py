@@ -136,6 +136,7 @@ LAWS = "--LEARNED DISTRIBUTIONS--\n\n"
         ("Location 2: mu=1, mu=2\n", 1, "given twice"),
         ("Location 2: mu=1\nLocation 2: mu=1\n", 2, "a second time"),
         ("--FINAL OBSERVATION TABLE--\n |ε|a\n--+-+-\nb|(ε,ε)\n--+-+-\n", 4, "has 1 cells; the table has 2 columns"),
+        ("--FINAL OBSERVATION TABLE--\n |ε\n--+-\nb|f_1\n--+-\n", 4, "the row of b has the cell 'f_1'; write one like"),
     ],
 )
 def test_what_is_wrong_in_a_report_is_told_with_its_line(text: str, line: int, reason: str) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from benchmarks import skill
 from benchmarks.figures import Figure, as_table
 from benchmarks.latency import Scan, follow
 from benchmarks.processes import CURRENT, MAP, TEMPERATURE, learned_model
@@ -96,6 +97,33 @@ def test_a_figure_without_a_counterpart_has_no_ratio_and_a_row_all_the_same() ->
     figures = [Figure("a", 3.0, "s", "b", 2.0), Figure("c", 1.0, "s")]
     assert [one.ratio for one in figures] == [1.5, None]
     assert as_table("figures", figures).row_count == 2
+
+
+@pytest.mark.real_data
+@pytest.mark.skipif(not skill.DATA.is_dir(), reason="the measured data (../shared/data) is not here")
+def test_skill_sets_ours_against_the_best_other_method() -> None:
+    options = (
+        "--quick",
+        "--sets",
+        "pump",
+        "--methods",
+        "lsha",
+        "--methods",
+        "persistence",
+        "--period",
+        "600",
+        "--jobs",
+        "1",
+    )
+    figures = by_name(said("skill", *options)["figures"])
+    assert set(figures) == {f"pump, {h} s, lsha: {what}" for h in (60, 300, 900) for what in ("CRPS", "coverage")}
+    assert figures["pump, 60 s, lsha: CRPS"]["against"] == "best other: persistence"
+
+
+def test_skill_without_measured_data_has_no_figures_and_says_so(tmp_path: Path) -> None:
+    assert said("skill", "--data", str(tmp_path)) == {"benchmark": "skill", "figures": []}
+    done = CliRunner().invoke(skill.main, ["--data", str(tmp_path)])
+    assert done.exit_code == 1 and "has none of the sets car, pump, bearing; name their folder" in done.stderr
 
 
 # ---------------------------------------------------------------- the proof that a block holds a change

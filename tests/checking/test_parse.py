@@ -56,6 +56,18 @@ def refused(text: str) -> str:
         ("Pr[<=60](OFF U ON_300_plus)", q.Probability(60.0, q.Until(OFF, HIGH, q.TimeSpan()))),
         ("Pr[<=60](OFF U[5,6] ON_300_plus)", q.Probability(60.0, q.Until(OFF, HIGH, q.TimeSpan(5.0, 6.0)))),
         ("Pr(OFF U[5,6] ON_300_plus)", q.Probability(6.0, q.Until(OFF, HIGH, q.TimeSpan(5.0, 6.0)))),
+        (
+            "Pr[<=60](OFF --> ON_300_plus within 90)",
+            q.Probability(60.0, q.BoundedResponse(OFF, HIGH, q.TimeSpan(0.0, 90.0))),
+        ),
+        (
+            "Pr[<=60](OFF --> ON_300_plus within 9 weak)",
+            q.Probability(60.0, q.BoundedResponse(OFF, HIGH, q.TimeSpan(0.0, 9.0), weak=True)),
+        ),
+        (
+            "Pr[<=60](OFF -->[1,9] ON_300_plus weak)",
+            q.Probability(60.0, q.BoundedResponse(OFF, HIGH, q.TimeSpan(1.0, 9.0), weak=True)),
+        ),
         ("Pr[<=60](OFF -->[1,9] ON_300_plus)", q.Probability(60.0, q.BoundedResponse(OFF, HIGH, q.TimeSpan(1.0, 9.0)))),
         (
             "Pr[<=60](OFF --> ON_300_plus within 9)",
@@ -186,7 +198,8 @@ def test_there_are_documented_errors() -> None:
         ("Pr[<=5](<> OFF) > 0.5", "found '>'; right would be '<=' or '>='"),
         ("Pr[<=5](<>[4,3] OFF)", "[4,3] is no interval"),
         ("Pr[<=5](<>[-1,3] OFF)", "[-1,3] is no interval"),
-        ("Pr[<=5](OFF --> OFF within 6)", "beyond the run"),
+        ("Pr[<=5](OFF --> OFF within 6 weak)", "beyond the run"),
+        ("Pr[<=5](OFF --> OFF within 3 weakly)", "found 'weakly'; right would be 'within', 'weak' or ')'"),
         ("Pr[<=5](OFF -->[0,1] OFF within 1)", "within what time"),
         ("Pr[<=5](OFF --> OFF wihtin 1)", "found 'wihtin'"),
         ("Pr(<> OFF)", "how long is a run?"),
@@ -211,6 +224,9 @@ def test_there_are_documented_errors() -> None:
         ("A[] OFF\n and\n OFFF", "line 3, column 2: 'OFFF' is not known; did you mean OFF?"),
         (f"A[] {' or '.join(['OFF'] * 400)}", "300 is the most"),
         (f"A[] {'!' * 5000}OFF", "300 is the most"),
+        ("Pr[<=9](<> A)", 'A is a word of the language; a location of that name is named by at "A"'),
+        ("A[] not E", "column 9: found 'E'; E is a word of the language; a location of that name is named by at \"E\""),
+        ("A --> OFF", 'a location called A is named by at "A"'),
     ],
 )
 def test_what_cannot_be_read_gets_one_sentence_with_its_place(text: str, part: str) -> None:

@@ -1,5 +1,6 @@
 """What is printed is read back as what it was."""
 
+from dataclasses import replace
 from typing import Any
 
 from hypothesis import given, settings
@@ -53,6 +54,8 @@ def probabilities(draw: st.DrawFn) -> q.Probability:
     kind = draw(st.sampled_from([q.Eventually, q.Always, q.Until, q.BoundedResponse]))
     parts = [draw(CHANGING) for _ in range(1 if kind in (q.Eventually, q.Always) else 2)]
     path = kind(*parts, draw(spans(bound, kind is q.BoundedResponse)))
+    if isinstance(path, q.BoundedResponse) and draw(st.booleans()):
+        path = replace(path, weak=True)
     return q.Probability(bound, path, draw(st.none() | RUNS))
 
 

@@ -160,4 +160,4 @@ def test_what_cannot_be_split_is_refused_with_the_reason() -> None:
 
 def test_the_path_decides_where_steps_end() -> None:
     one = prepared(eventually(compare(">=", 50.0), 400.0, 100.0), START)
-    assert cuts((one,), 400.0).looked == ((100.0, 400.0),)
+    assert cuts((one,)).looked == ((100.0, 400.0),)

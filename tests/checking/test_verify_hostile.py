@@ -148,7 +148,7 @@ NOT_RUNNABLE: dict[str, tuple[str, Callable[[], Model]]] = {
     "a guard": ("has the guard 'x>1'", lambda: shaped(edges=(replace(EDGES[0], guard="x>1"), *EDGES[1:]))),
     "a stay that is no number": ("mean=nan", lambda: staying(Distribution("exponential", {"mean": nan}))),
     "half a probability": ("sum to 0.5", lambda: staying(to={"off": 0.5})),
-    "a probability that is no number": ("sum to nan", lambda: staying(to={"off": nan})),
+    "a probability that is no number": ("is nan; it must be at least 0", lambda: staying(to={"off": nan})),
     "a stay that leads to nowhere known": ("not a location", lambda: staying(to={"zz": 1.0})),
     "a stay of nowhere known": (
         "belongs to no location",

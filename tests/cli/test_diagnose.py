@@ -16,6 +16,7 @@ from sim.artefacts.formats.find import find_model
 from sim.discrepancy.workflow import diagnose
 from sim.effects.kinds import ROLES
 from sim.learning.bins import learn as bins
+from sim.learning.calibrate import HeldOutForecasts
 from sim.plant.cooled import EPOCH, CooledPlant, cooled_days
 from sim.plant.scenarios import scenario
 from sim.sha.trace import Trace
@@ -129,7 +130,7 @@ def test_the_demonstration_names_what_is_hidden_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The bands, for which the model is fitted three times more: a diagnosis does not look at them.
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_: [])
+    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
     misused(decanter("demo", "--discrepancy", "--limit", "80"), "simulates its own plant")
     result = decanter("demo", "--discrepancy", "--out", tmp_path / "demo", "--json")
     assert result.exit_code == 0

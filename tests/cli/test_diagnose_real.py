@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from sim.learning.bins import learn as bins
+from sim.learning.calibrate import HeldOutForecasts
 from tests.cli.support import ROOT, decanter, only_object
 
 REAL = ROOT.parent / "shared" / "data"
@@ -23,7 +24,7 @@ pytestmark = [
 @pytest.fixture(autouse=True)
 def _no_bands(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bands, for which a model is fitted two or three times more, and which a diagnosis does not look at."""
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_: [])
+    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
 
 
 def diagnosed(model: Path, traces: Path, column_map: str, out: Path) -> dict[str, Any]:

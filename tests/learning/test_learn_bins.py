@@ -11,6 +11,7 @@ from sim.learning import held_out
 from sim.learning.bins import learn as bins
 from sim.learning.bins.candidates import BinsCandidate
 from sim.learning.bins.learn import CANDIDATES, Learned, learn_bins
+from sim.learning.calibrate import HeldOutForecasts
 from sim.learning.held_out import HeldOutErrors, choose, huber_scale
 from sim.learning.structure import LearningError, contexts
 from sim.sha.automaton import nondeterminism
@@ -41,7 +42,7 @@ def driven() -> Learned:
 @pytest.fixture
 def _no_bands(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bands, for which a model is fitted two or three times more, where nothing is asked of them."""
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_: [])
+    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
 
 
 def assert_sound(model: Model) -> None:

@@ -8,7 +8,7 @@ import pytest
 from sim.learning.bins import learn as bins
 from sim.learning.bins.candidates import BinsCandidate
 from sim.learning.bins.learn import learn_bins
-from sim.learning.calibrate import HORIZONS, Scored, calibrate, coverage_of, score_forecasts
+from sim.learning.calibrate import HORIZONS, HeldOutForecasts, Scored, calibrate, coverage_of, score_forecasts
 from sim.sha.events import DECANTER
 from tests.learning.plants import Truth, simulate
 
@@ -17,7 +17,7 @@ CONSTANT, DRIVEN = BinsCandidate("constant"), BinsCandidate("driven", "shared", 
 
 
 def scored(z: np.ndarray, horizon: float = 60.0, every: float = 60.0) -> list[Scored]:
-    return [Scored(horizon, every * number, float(value)) for number, value in enumerate(z)]
+    return [Scored(horizon, every * number, float(value), 0.0) for number, value in enumerate(z)]
 
 
 def test_a_band_that_is_too_narrow_is_widened_by_as_much() -> None:
@@ -47,7 +47,7 @@ def test_little_evidence_leaves_the_factor_near_its_cautious_start() -> None:
 
 def test_only_forecasts_after_the_given_moment_count(monkeypatch: pytest.MonkeyPatch) -> None:
     # The model's own bands, for which it would be fitted three times more, are left aside when forecasts are scored.
-    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_: [])
+    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
     trace = simulate(Truth(), 1, cycles=1)[0]
     model = learn_bins(simulate(Truth(), 2, cycles=3, rows=120), DECANTER, "T", seed=0, candidates=[CONSTANT]).model
     since = float(trace.times[120])

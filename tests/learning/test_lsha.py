@@ -18,17 +18,21 @@ from sim.artefacts.model_directory import read_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.effects.check import check_sha
 from sim.engine.open_loop_run import measured, open_loop
-from sim.learning.lsha import learn
-from sim.learning.lsha.flow_hypotheses import choose_flow
+from sim.learning.bins.candidates import CANDIDATES
+from sim.learning.bins.learn import learn_bins
+from sim.learning.calibrate import HeldOutForecasts
+from sim.learning.lsha import flow_hypotheses, learn
+from sim.learning.lsha.flow_hypotheses import FlowHypothesis, choose_flow, flowing_over
 from sim.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.learning.lsha.report import counterexamples, report_document, report_text
 from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import choose_structure
-from sim.learning.lsha.teacher import teacher_of
+from sim.learning.lsha.teacher import beginnings, teacher_of
 from sim.learning.structure import LearningError, name_of
 from sim.plant.scenarios import scenario
 from sim.sha.automaton import nondeterminism, transitions
 from sim.sha.events import DECANTER, Alphabet, Bins, Switch, alphabet_symbols, encode
+from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event, Trace
 from tests.learning.lsha_plants import PLANT, by_context, by_direction, random_traces
 
@@ -48,7 +52,7 @@ def known() -> LearnedLsha:
 @pytest.fixture
 def _no_bands(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bands, for which a model is fitted two or three times more, where only the structure is looked at."""
-    monkeypatch.setattr(learn, "bands", lambda *_, **__: ())
+    monkeypatch.setattr(learn, "bands", lambda *_, **__: HeldOutForecasts([], 0))
 
 
 def assert_sound(result: LearnedLsha, traces: Sequence[Trace]) -> None:
@@ -113,11 +117,53 @@ def test_an_automaton_whose_location_depends_on_the_whole_word_comes_back(seed: 
     assert found.right == 1.0
 
 
-def test_the_memory_word_is_refused_for_more_events_than_it_is_made_for() -> None:
-    many = [one for seed in range(4) for one in random_traces(by_context, 20 + seed, count=14, stays=30)]
-    many = [replace(one, name=f"{number:02d}") for number, one in enumerate(many)]
-    with pytest.raises(LearningError, match=r"^the memory 'word' tells all words apart, which is done for up to 1500"):
-        learned(many, memory="word", default_flow="constant")
+def test_more_events_do_not_leave_words_out() -> None:
+    # 60 traces have 1,860 events: where words were left out of so many, 20 locations came back instead of 6.
+    automaton = random_automaton("free", 6, np.random.default_rng(1))
+    rng = np.random.default_rng([1, 6, 60])
+    found = known_again(automaton, traces_of(automaton, rng, count=60), traces_of(automaton, rng, count=4))
+    assert found.isomorphic
+    assert found.right == 1.0
+
+
+def test_what_is_left_out_is_said(known: LearnedLsha) -> None:
+    # Where the last move tells all, single words are not worth their cost, and the table says so.
+    traces = random_traces(by_context, 20, count=56, stays=30)
+    teacher = teacher_of(traces, PLANT, "T", 5, 5)
+    assert teacher.words.events > 1500
+    hypothesis = FlowHypothesis("exponential", alone=True)
+    _, rivals = choose_structure(teacher, flowing_over(hypothesis, teacher).sample, LshaSettings(delta=0.05))
+    word = next(rival for rival in rivals if "memory word" in rival.label)
+    assert word.note.startswith("not tried: more of a word than its last move explains")
+    report = replace(known.report, structures=(*known.report.structures, word), flow_traces=3, flow_events=70)
+    text = report_text(report, "plant")
+    assert "Compared on the beginnings of 3 traces with 70 of all" in text
+    assert word.note in text
+
+
+def test_a_sample_is_of_whole_traces_or_of_beginnings_spread_over_all() -> None:
+    traces = random_traces(by_context, 21, count=40, stays=10)
+    assert beginnings(traces, 1000, 5) == tuple(traces)
+    assert all(one in traces for one in beginnings(traces, 100, 5))
+    long = random_traces(by_context, 22, count=6, stays=60)
+    parts = beginnings(long, 100, 5)
+    assert len(parts) == 5
+    assert all(len(part.events) == 20 for part in parts)
+    assert all(part.events == trace.events[:20] for part, trace in zip(parts[:1], long[:1], strict=True))
+
+
+def test_single_words_without_an_automaton_behind_them_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flow_hypotheses, "FIRST_QUERIES", 0)
+    monkeypatch.setattr(flow_hypotheses, "QUERIES_PER_WORD", 0)
+    teacher = teacher_of(random_traces(by_context, 3, count=6), PLANT, "T", 5, 5)
+    flowing, _ = choose_flow(teacher, "exponential", 0.05, 5)
+    structure, rivals = choose_structure(teacher, flowing.sample, LshaSettings())
+    assert structure.classes.memory != "word"
+    assert [rival.note for rival in rivals if rival.note] == [
+        "given up: single words do not fall into few locations",
+    ]
+    patient, _ = choose_structure(teacher, flowing.sample, LshaSettings(memory="word"))
+    assert patient.classes.memory == "word"
 
 
 @pytest.mark.parametrize("debounce", [0.0, 13.4])
@@ -222,6 +268,25 @@ def test_the_order_of_the_traces_copies_and_names_of_copies_do_not_matter() -> N
     assert again.model.provenance.data_hash == first.model.provenance.data_hash
     assert replace(again.model, provenance=first.model.provenance) == first.model
     assert report_document(replace(again.report, copies=0)) == report_document(first.report)
+
+
+@pytest.mark.parametrize("method", ["lsha", "bins"])
+def test_the_names_of_the_traces_do_not_matter(method: str) -> None:
+    # Folds and parts were dealt by name: seven traces are more than there are of either.
+    traces = random_traces(by_context, 3, count=7, stays=9)
+
+    def model(given: Sequence[Trace]) -> Model:
+        if method == "bins":
+            return learn_bins(given, PLANT, "T", seed=0, candidates=CANDIDATES[:1]).model
+        return learned(given, default_flow="exponential").model
+
+    first = model(traces)
+    other = model(
+        [replace(traces[number], name=name) for name, number in zip("abcdefg", (4, 2, 6, 0, 5, 1, 3), strict=True)]
+    )
+    assert other.provenance.traces == tuple("abcdefg")
+    assert replace(other, provenance=first.provenance) == first
+    assert replace(other.provenance, traces=()) == replace(first.provenance, traces=())
 
 
 @st.composite

@@ -9,9 +9,10 @@ from sim.learning.lsha.merging import Partition, learn_partition
 from sim.learning.lsha.segments import Motion, TraceSegments, levels, parameters
 from sim.learning.lsha.settings import MEMORIES, LshaSettings
 from sim.learning.lsha.teacher import placed
-from sim.learning.lsha.words import Classes, WordHistory, classes_of, words_of
+from sim.learning.lsha.words import Classes, WordHistory, classes_of, coordinates, meaning, words_of
 from sim.learning.runs import free_runs
 from sim.sha.automaton import Flow
+from sim.sha.events import Alphabet, Bins
 from sim.sha.flows import coefficients
 from sim.sha.trace import Trace
 from tests.learning.lsha_plants import PLANT, by_context, random_traces
@@ -70,7 +71,7 @@ def test_the_scatter_between_segments_is_kept_apart_from_their_errors() -> None:
     variance = 10.0 ** rng.uniform(-1, 1, 400)
     value = 7.0 + rng.normal(0, np.sqrt(0.8**2 + variance))
     rows = np.zeros(400, dtype=np.intp)
-    sample = sample_of(TraceSegments(value, variance, rows, rows, rows, variance, variance, 0.1), rows[:1])
+    sample = sample_of(TraceSegments(value, variance, rows, rows, rows, variance, variance, 0.1), [rows[:1]])
     mean, error, scatter = between(sample, np.ones(400, dtype=bool))
     assert mean == pytest.approx(7.0, abs=4 * error)
     assert error < 0.2
@@ -81,8 +82,20 @@ def star(count: int) -> Classes:
     """A root from which every class is reached by a symbol of its own, and which every class leads back to."""
     keys = tuple(WordHistory((None,)) if n == 0 else WordHistory((n,)) for n in range(count + 1))
     edges = ({f"s{n}": n for n in range(1, count + 1)}, *({} for _ in range(count)))
-    apart = np.abs(np.subtract.outer(np.arange(count + 1), np.arange(count + 1))).astype(float)
-    return Classes("context", np.arange(count + 1), keys, edges, apart)
+    return classes_with(keys, edges)
+
+
+def classes_with(keys: tuple[WordHistory, ...], edges: tuple[dict[str, int], ...]) -> Classes:
+    """Classes of one channel, as far apart as their values are."""
+    level = Bins("Load", tuple(float(n) for n in range(1, 60)), tuple(f"L_{n}" for n in range(60)))
+    return Classes(
+        memory="context",
+        of_state=np.arange(len(keys)),
+        keys=keys,
+        edges=edges,
+        meaning=meaning(Alphabet((level,))),
+        coordinates=coordinates(keys),
+    )
 
 
 def partition(classes: Classes, found: list[PooledEvidence], delta: float = 0.0, alpha: float = 0.05) -> Partition:
@@ -122,12 +135,54 @@ def test_a_row_below_n_min_follows_its_neighbour_unless_its_segments_refute_it()
     assert partition(star(3), [rich[0], refutes, rich[1]]).location.tolist() == [0, 1, 2, 2]
 
 
+def test_a_location_of_few_segments_stays_if_they_speak_against_every_other_one() -> None:
+    rng = np.random.default_rng(7)
+    rich = [evidence(*drawn(rng, mu, 60, 0.3), 0.3) for mu in (0.0, 9.0)]
+    off = evidence(np.array([-20.0, -21.0, -19.0]), np.full(3, 0.01), 0.3)
+    result = partition(star(3), [*rich, off])
+    assert result.laws == 3
+    assert result.location.tolist() == [0, 1, 2, 3]
+
+
+def test_a_location_of_few_segments_is_dissolved_if_their_scatter_may_be_greater_than_that_of_all() -> None:
+    # Three standard errors: p = 0.003 if they scatter as all others do, 0.04 if five segments have to tell that.
+    rng = np.random.default_rng(7)
+    rich = [evidence(*drawn(rng, mu, 400, 0.3), 0.3) for mu in (0.0, 30.0)]
+    error = np.sqrt((0.3**2 + 0.01) / 2)
+    doubtful = evidence(np.full(2, -3.0 * error), np.full(2, 0.01), 0.3)
+    result = partition(star(3), [*rich, doubtful])
+    assert [each.verdict for each in result.decisions if each.row == 3] == ["new", "dissolved"]
+    assert result.location.tolist() == [0, 1, 2, 1]
+
+
+def test_many_segments_of_which_two_carry_the_weight_are_not_told_apart_from_nothing() -> None:
+    rng = np.random.default_rng(9)
+    running = evidence(*drawn(rng, 0.0, 80, 0.3), 0.3)
+    # Two long stays and thirteen that say nothing: the mean is 30 degC off, and its error is half a degree.
+    variance = np.array([0.01, 0.01, *np.full(13, 400.0)])
+    value = -30.0 + np.array([0.3, -0.3, *rng.normal(0, 20.0, 13)])
+    assert same_distribution(running, evidence(value, variance, 0.3), 0.0).p < 1e-3
+
+
+def test_a_merge_is_refused_when_all_that_it_entails_speaks_against_it_together() -> None:
+    """1 and 2 look alike; what follows 1 is in 3, what follows 2 are forty words of one segment, each a little off."""
+    symbols = [f"x{n:02d}" for n in range(40)]
+    keys = tuple(WordHistory((None,) if n == 0 else (n,)) for n in range(44))
+    after_one = dict.fromkeys(symbols, 3)
+    after_two = {symbol: 4 + number for number, symbol in enumerate(symbols)}
+    edges = ({f"s{n}": n for n in range(1, 44)}, after_one, after_two, *({} for _ in range(41)))
+    rng = np.random.default_rng(10)
+    found = [evidence(*drawn(rng, mu, count, 0.5), 0.5) for mu, count in ((0.0, 60), (0.0, 60), (20.0, 90))]
+    single = [evidence(20.0 + np.array([1.0 + rng.normal(0, 0.5)]), np.array([0.01]), 0.5) for _ in symbols]
+    result = partition(classes_with(keys, edges), [*found, *single])
+    assert result.location[1] != result.location[2]
+
+
 def test_a_merge_is_refused_when_a_suffix_speaks_against_it() -> None:
     """1 and 2 look alike, but after `x` they do not; 5 and 6 look alike and agree in what follows."""
     keys = tuple(WordHistory((None,) if n == 0 else (n,)) for n in range(7))
     edges = ({f"s{n}": n for n in range(1, 7)}, {"x": 3}, {"x": 4}, {}, {}, {"x": 3}, {"x": 3})
-    away = np.abs(np.subtract.outer(np.arange(7), np.arange(7))).astype(float)
-    classes = Classes("context", np.arange(7), keys, edges, away)
+    classes = classes_with(keys, edges)
     rng = np.random.default_rng(8)
     means = (0.0, 0.0, 20.0, 40.0, 60.0, 60.0)
     result = partition(classes, [evidence(*drawn(rng, mu, 50, 0.3), 0.3) for mu in means])
@@ -149,7 +204,7 @@ def test_every_segment_is_attached_once_and_to_one_class() -> None:
     )
     assert found.value.size == stays
     assert found.readings.sum() == sum(trace.times.size for trace in traces)
-    sample = sample_of(found, classes_of(words, "previous").of_state)
+    sample = sample_of(found, [classes_of(words, "previous").of_state])
     for memory in MEMORIES:
         classes = classes_of(words, memory)
         pooled = sample.pooled(classes.of_state, len(classes), N_MIN)
@@ -177,13 +232,14 @@ def test_single_segments_tell_the_rate_whatever_they_have_in_common() -> None:
     assert 1.0 / rate_alone(runs, "exponential") == pytest.approx(150.0, rel=0.05)
 
 
-def test_words_are_told_apart_one_by_one_only_while_there_are_few_events() -> None:
+def test_every_word_of_the_traces_is_told_apart_however_many_events_there_are() -> None:
     traces = random_traces(by_context, 10, count=4)
-    few, many = words_of(traces, PLANT, 2), words_of(traces * 20, PLANT, 200)
-    assert few.whole
-    assert not many.whole
-    assert len(classes_of(few, "word")) == 1 + len({e[: n + 1] for e in spelled_out(traces) for n in range(len(e))})
-    assert len(many.states) < len(few.states)
+    few, many = words_of(traces, PLANT, 2), words_of(traces * 40, PLANT, 200)
+    assert many.events > 3000
+    for words in (few, many):
+        assert len(classes_of(words, "word")) == 1 + len(
+            {e[: n + 1] for e in spelled_out(traces) for n in range(len(e))}
+        )
     longest = max(range(len(few.tree)), key=lambda node: len(few.spelled(node + 1)))
     assert few.spelled(longest + 1) in spelled_out(traces)
 

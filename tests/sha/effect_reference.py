@@ -185,6 +185,12 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
     "radiation to ambient": (Effect("radiation-loss", {"gain": 2e-11}, {"ambient": "Ta"}, ("on",)),),
 }
 
+# Effects whose mean is 0: tests/effects/test_random.py holds their laws against numerical integration.
+RANDOM: dict[str, Effect] = {
+    "heat-disturbance": Effect("heat-disturbance", {"sigma": 0.004, "memory": 240.0}),
+    "machine-offset": Effect("machine-offset", {"sigma": 4.0}),
+}
+
 TOGETHER: dict[str, tuple[Effect, ...]] = {
     "pump, housing, lag, dead time": (
         *EFFECTS["pump-cooling"],

@@ -71,6 +71,8 @@ def test_stays_too_short_for_the_horizon_end_the_path_and_are_counted() -> None:
         ({"warm": Stay(WEIBULL, {"hot": 1.0})}, "belongs to no location"),
         ({"cold": Stay(WEIBULL, {"warm": 1.0})}, "'cold' leads to 'warm'"),
         ({"cold": Stay(WEIBULL, {"hot": 0.5})}, "sum to 0.5, not 1"),
+        ({"cold": Stay(WEIBULL, {"cold": 1.5, "hot": -0.5})}, "next location 'hot' is -0.5; it must be at least 0"),
+        ({"cold": Stay(WEIBULL, {"hot": float("nan")})}, "'hot' is nan; it must be at least 0"),
         ({"cold": Stay(Distribution("weibull", {"shape": 1.0}), {"hot": 1.0})}, "takes shape, scale"),
     ],
 )

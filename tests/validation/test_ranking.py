@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.engine.open_loop_run import Score
+from sim.paired import holm, paired
 from sim.plant.scenarios import scenario
 from sim.ranking.fitness import CRITERIA, Facts, FitnessLimits, judge, limits_of, seen_traces, verdict
-from sim.ranking.paired import holm, paired
 from sim.ranking.ranking import Ranking, Weights, rank, score
 from sim.ranking.report import as_plain, draw_ranking, page, spreads, win_matrix
 from sim.sha.automaton import SHA, Flow, Location

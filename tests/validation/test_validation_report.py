@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from math import nan
 from pathlib import Path
 
 import pytest
@@ -167,3 +168,16 @@ def test_traces_that_the_model_was_learned_from_are_named() -> None:
     learned = replace(one, structure=replace(one.structure, provenance=origin))
     text = model_html(ModelReport(campaign=CAMPAIGN, prepared=learned, stages=[], results=results))
     assert "learned from traces of the names run2;" in text
+
+
+def test_a_last_reading_of_0_has_no_per_cent() -> None:
+    """The error in per cent of 0 is no number, and `nan %` no words."""
+    one = prepared()
+    done = outcomes(one)
+    cold = [replace(each, result=replace(each.result, final_percent=nan)) for each in done]
+    stages = records(one.label, cold)
+    assert "(–), coverage" in stages[-1].found
+    results = [outcome.result for outcome in cold]
+    page = model_html(ModelReport(campaign=CAMPAIGN, prepared=one, stages=stages, results=results))
+    assert "<span>final error</span>" in page
+    assert "nan" not in page.replace("</", "") and "– %" not in page

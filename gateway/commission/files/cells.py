@@ -12,6 +12,8 @@ from pathlib import Path
 from openpyxl import load_workbook
 from openpyxl.utils.exceptions import InvalidFileException
 
+from drivers.named_files import regular
+
 HEADER_WITHIN = 40
 """So many lines of titles may stand above the header."""
 _DELIMITERS = ";,\t|"
@@ -134,7 +136,7 @@ def key_of(text: str) -> str:
 def _rows(path: Path, sheet: str | None) -> Iterator[tuple[int, list[str]]]:
     """Every row with its line. Raises ListError."""
     try:
-        data = path.read_bytes()
+        data = regular(path).read_bytes()
     except OSError as error:
         raise ListError(
             f"{path}: cannot be read ({(error.strerror or str(error)).lower()}); give a CSV or XLSX file"

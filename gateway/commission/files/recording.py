@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.csv_rows import CsvRowError, numbered_rows
+from drivers.named_files import regular
 from drivers.tag import Sample, Tag
 from gateway.commission.files.cells import ListError
 from gateway.store import to_trace
@@ -36,7 +37,7 @@ def read_recording(path: Path, start: float = -1e18, end: float = 1e18) -> SiteR
     Raises ListError or HistorianError, in one sentence, for what cannot be used.
     """
     try:
-        with path.open("rb") as stream:
+        with regular(path).open("rb") as stream:
             historian = stream.read(len(_SQLITE)) == _SQLITE
         if historian:
             trace = to_trace(path, path.stem, start, end)

@@ -1,8 +1,20 @@
 """What the model makes of a scan: prediction, guards, forecast, and a newer model that takes over."""
 
+from gateway.machine.model.along import forecasts_along, machine_offset_along, recorded_scans
 from gateway.machine.model.loading import load_members, load_model
 from gateway.machine.model.outlook import FinishedForecast, block_values
 from gateway.machine.model.predict import ZONES, ScanPrediction
 from gateway.machine.model.unit import ModelUnit
 
-__all__ = ["ZONES", "FinishedForecast", "ModelUnit", "ScanPrediction", "block_values", "load_members", "load_model"]
+__all__ = [
+    "ZONES",
+    "FinishedForecast",
+    "ModelUnit",
+    "ScanPrediction",
+    "block_values",
+    "forecasts_along",
+    "load_members",
+    "load_model",
+    "machine_offset_along",
+    "recorded_scans",
+]

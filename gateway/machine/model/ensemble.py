@@ -2,11 +2,13 @@
 
 Every member has an encoder, a belief and bands of its own, so its alphabet need not be the first model's; what they
 share is the temperature. The first model alone gives the one-step prediction, its band, the location and the anomaly
-score; the forecast is the mixture (`sim.forecast.ensemble`). A member that fails is left out, said so, and begun anew.
+score; the forecast is the mixture (`sim.forecast.ensemble`), whose bands are kept honest on top of its members'. A
+model brings its plain members (persistence, a damped trend), which are there unless the configuration says otherwise. A
+member that fails is left out, said so, and begun anew.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ from sim.forecast import (
     LEVELS,
     Calibration,
     Forecast,
+    Losses,
     Pool,
     PoolEvidence,
     calibrate,
@@ -27,16 +30,20 @@ from sim.forecast import (
     forecast,
     issue_pool,
     mixture,
+    recent_coverage,
     settle_pool,
     thinned,
     weights,
 )
 from sim.forecast import issue as issue_bands
 from sim.forecast import settle as settle_bands
-from sim.sha import Array, Model, Switch
+from sim.sha import Array, Model, Switch, plain_model
 
 FAULTS = (ValueError, ArithmeticError, LookupError)
 """What following a model may raise that concerns this model alone; anything else is a defect of the program."""
+
+PLAIN_RUNS = 64
+"""Runs of a plain member's forecast at most."""
 
 RETRY_SECONDS = 60.0
 """Plant seconds after which a member that failed is begun anew."""
@@ -44,12 +51,16 @@ RETRY_SECONDS = 60.0
 
 @dataclass(frozen=True, slots=True)
 class ForecastJob:
-    """One member's forecast: all that a thread needs, none of it changing meanwhile."""
+    """One member's forecast: all that a thread needs, none of it changing meanwhile.
+
+    For a `plain` member no event matters: its fan is exact, and a few runs are enough for its way to the limit.
+    """
 
     tracker: Tracker
     belief: Belief
     factors: Mapping[float, float]
     seed: tuple[int, ...]
+    plain: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +103,8 @@ def run_job(job: ForecastJob, section: ForecastSection, limit: float, levels: tu
         section.horizons,
         np.random.default_rng(job.seed),
         limit=limit,
-        runs=section.runs,
+        runs=min(section.runs, PLAIN_RUNS) if job.plain else section.runs,
+        events=() if job.plain else None,
         calibration=job.factors,
         levels=levels,
     )
@@ -106,8 +118,11 @@ def foresee(
     context: str,
     section: ForecastSection,
     limit: float,
+    levels: tuple[float, ...] = LEVELS,
 ) -> MixedForecast:
     """All forecasts one after another, and their mixture by `shares` (H, members), renewed where some are missing.
+
+    The mixture's fan is at `levels`.
 
     Raises what the first model raises; what another one raises is its entry in the result.
     """
@@ -122,14 +137,15 @@ def foresee(
     # The weights of the members that have no forecast go to the others; where none of these had any, all count alike.
     total = weight.sum(axis=1, keepdims=True)
     weight = np.where(total > 0, weight / np.where(total > 0, total, 1.0), 1.0 / len(forecasts))
-    mixed = mixture(forecasts, weight, LEVELS)
+    mixed = mixture(forecasts, weight, levels)
     return MixedForecast(mixed, tuple(outcomes), context)
 
 
 class Ensemble:
     """The members beside the first model, and what each of them, the first included, is worth at each horizon.
 
-    `hashes` are those of all models, the first one's first; `models` are the others.
+    `hashes` are those of all models, the first one's first; `models` are the others, without the first one's plain
+    members. `joint` are the bands of the mixture.
     """
 
     def __init__(
@@ -143,23 +159,36 @@ class Ensemble:
         scan_period: float,
     ) -> None:
         self.first, self.section, self.forecasts = first, section, forecasts
-        self.hashes = list(hashes)
+        plain = first.model.plain if section.plain else ()
+        self.hashes = [*hashes, *(f"{hashes[0]} {member.name}" for member in plain)]
         self.names = [f"{m.sha.name} {key[:8]}" for key, m in zip(hashes, (first.model, *models), strict=True)]
+        self.names += [member.name for member in plain]
+        models = [*models, *(plain_model(first.model, member) for member in plain)]
         self.members = [
             Member(name, Predictor(model, first.temperature), bands(model, forecasts, scan_period))
             for name, model in zip(self.names[1:], models, strict=True)
         ]
         count = 1 + len(self.members)
-        if isinstance(section.weights, tuple):
-            pool = Pool(count, fixed=section.weights)
-        elif section.weights == "equal":
-            pool = Pool(count, fixed=(1.0 / count,) * count)
-        else:
-            pool = Pool(count, half_life=section.half_life, floor=section.floor)
-        self.evidence = {horizon: PoolEvidence(pool) for horizon in forecasts.horizons}
+        self.given = count - len(plain)
+
+        def pool(horizon: float) -> Pool:
+            if isinstance(section.weights, tuple):
+                return Pool(count, fixed=(*section.weights, *(0.0,) * len(plain)))
+            if section.weights == "equal":
+                return Pool(count, fixed=(1.0 / count,) * count)
+            odds = np.array([1.0] * self.given + [_at(member.odds, horizon) for member in plain])
+            prior = tuple((odds / odds.sum()).tolist())
+            return Pool(count, half_life=section.half_life, floor=section.floor, prior=prior)
+
+        self.evidence = {horizon: PoolEvidence(pool(horizon)) for horizon in forecasts.horizons}
+        self.joint = calibrate(dict.fromkeys(forecasts.horizons, 1.0), tolerance=max(5.0, 3.0 * scan_period))
         # A reading may come some scans after the moment that a forecast spoke of, and still counts as of that moment.
         self.tolerance = max(5.0, 3.0 * scan_period)
         self.complaints: list[tuple[str, str]] = []
+
+    def keep(self, former: "Ensemble") -> None:
+        """Go on with the configured members as `former` has followed them; plain members are the first model's own."""
+        self.members[: self.given - 1] = former.members[: former.given - 1]
 
     @property
     def context(self) -> str:
@@ -194,8 +223,14 @@ class Ensemble:
                     self._fail(member, scan.time, repr(error))
             # Its bands learn all the same: forecasts that it made while it was well are still due.
             member.calibration = settle_bands(member.calibration, scan.time, reading)
+        self.joint = settle_bands(self.joint, scan.time, reading)
         for horizon, state in self.evidence.items():
             self.evidence[horizon] = settle_pool(state, horizon, scan.time, reading, self.tolerance)
+
+    def widened(self, own: Mapping[float, float]) -> dict[float, float]:
+        """A member's factors times those of the mixture: its runs are widened by both, on the way to the limit too."""
+        joint = factors(self.joint)
+        return {horizon: factor * joint.get(horizon, 1.0) for horizon, factor in own.items()}
 
     def _fail(self, member: Member, now: float, reason: str) -> None:
         member.known, member.failure, member.failed = False, reason, now
@@ -212,7 +247,8 @@ class Ensemble:
             # The place, counted from 1, is part of the seed, or its errors would be like the first model's. Not from 0:
             # numpy's SeedSequence takes a 0 at the end for nothing, and the draws would be the first model's again.
             seed = (self.forecasts.seed, int(belief.time * 1000.0), place)
-            jobs.append(ForecastJob(member.predictor.tracker, belief, factors(member.calibration), seed))
+            widening, plain = self.widened(factors(member.calibration)), place >= self.given
+            jobs.append(ForecastJob(member.predictor.tracker, belief, widening, seed, plain))
         return jobs
 
     def take(self, mixed: MixedForecast, now: float) -> None:
@@ -222,6 +258,9 @@ class Ensemble:
                 self._fail(member, now, outcome)
             elif outcome is not None:
                 member.calibration = issue_bands(member.calibration, thinned(outcome, LEVELS))
+        published = factors(self.joint)
+        joint = np.array([published[horizon] for horizon in mixed.mixed.horizons.tolist()])
+        self.joint = issue_bands(self.joint, replace(thinned(mixed.mixed, LEVELS), factors=joint))
         forecasts = [entry if isinstance(entry, Forecast) else None for entry in mixed.members]
         for horizon, state in self.evidence.items():
             self.evidence[horizon] = issue_pool(state, horizon, mixed.context, forecasts)
@@ -233,7 +272,8 @@ class Ensemble:
             "members": self.names,
             "context": context,
             "weights": {f"{h:g}": list(weights(state.pool, context)) for h, state in self.evidence.items()},
-            "evidence": {f"{h:g}": sum(state.pool.overall) for h, state in self.evidence.items()},
+            "evidence": {f"{h:g}": _evidence(state.pool) for h, state in self.evidence.items()},
+            "held": {f"{h:g}": recent_coverage(self.joint, h) for h in self.evidence},
             "failures": {member.name: member.failure for member in self.members if member.failure},
         }
 
@@ -258,13 +298,27 @@ class Ensemble:
         for horizon, state in self.evidence.items():
             kept = saved["credits"].get(f"{horizon:g}")
             if kept is not None and _settings(kept) == _settings(asdict(state.pool)):
-                contexts = {name: tuple(credits) for name, credits in kept["contexts"].items()}
-                pool = Pool(**{**asdict(state.pool), "overall": tuple(kept["overall"]), "contexts": contexts})
-                self.evidence[horizon] = PoolEvidence(pool)
+                contexts = {name: _losses(losses) for name, losses in kept["contexts"].items()}
+                overall = None if kept["overall"] is None else _losses(kept["overall"])
+                self.evidence[horizon] = PoolEvidence(replace(state.pool, overall=overall, contexts=contexts))
         return True
+
+
+def _at(odds: Mapping[float, float], horizon: float) -> float:
+    """The odds at a horizon (s): linear between those known, constant outside, 1 without any."""
+    known = sorted(odds)
+    return float(np.interp(horizon, known, [odds[each] for each in known])) if known else 1.0
+
+
+def _evidence(pool: Pool) -> float:
+    return pool.overall.evidence if pool.overall is not None else 0.0
+
+
+def _losses(saved: Mapping[str, Any]) -> Losses:
+    return Losses(tuple(saved["total"]), saved["evidence"])
 
 
 def _settings(pool: Mapping[str, Any]) -> list[Any]:
     """What must be equal for credits to mean the same; JSON has turned tuples into lists."""
-    fixed = pool["fixed"]
-    return [pool[key] for key in ("members", "half_life", "floor", "strength")] + [fixed and list(fixed)]
+    plain = [pool[key] for key in ("members", "half_life", "floor", "strength")]
+    return plain + [pool[key] and list(pool[key]) for key in ("prior", "fixed")]

@@ -80,6 +80,8 @@ class Guards:
                 "forecasts": self.forecasts_clamped,
             },
             "correction": {"gain": correction.gain, "offset": correction.offset},
+            # By how much this machine is warmer than the model's, as far as it is known; none where all are alike.
+            "machine": None if (own := predictor.machine_offset) is None else {"offset": own[0], "sigma": own[1]},
         }
 
     def snapshot(self) -> dict[str, Any]:

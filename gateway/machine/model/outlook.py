@@ -31,6 +31,7 @@ class Outlook:
     """The newest forecast of one predictor; at most one is being made at a time, and scans never wait for it.
 
     Runs are drawn from the clock and the configured seed, so that a replay of the same beliefs gives the same fans.
+    `levels` are those of its fans, LEVELS among them; whoever scores them wants more.
     """
 
     def __init__(
@@ -40,9 +41,11 @@ class Outlook:
         limit: float,
         scan_period: float,
         ensemble: Ensemble | None = None,
+        *,
+        levels: tuple[float, ...] = LEVELS,
     ) -> None:
         self.predictor, self.section, self.limit = predictor, section, limit
-        self.ensemble = ensemble
+        self.ensemble, self.levels = ensemble, levels
         self.latest: Forecast | None = None
         self.made = 0
         self.calibration: Calibration = bands(predictor.model, section, scan_period)
@@ -87,7 +90,7 @@ class Outlook:
                 self.ensemble.take(made, made.mixed.time)
             made = made.mixed
         else:
-            self.calibration = issue(self.calibration, made)
+            self.calibration = issue(self.calibration, thinned(made, LEVELS))
         self.latest, self.made = made, self.made + 1
         return FinishedForecast(made, self._measured)
 
@@ -104,11 +107,13 @@ class Outlook:
         # Counted from its beginning, however long it takes: a slow machine makes fewer forecasts and never a queue.
         self._due, self._measured = now + self.section.period, measured
         seed = (self.section.seed, int(belief.time * 1000.0))
-        job = ForecastJob(self.predictor.tracker, belief, factors(self.calibration), seed)
+        own = factors(self.calibration)
+        widening = own if self.ensemble is None else self.ensemble.widened(own)
+        job = ForecastJob(self.predictor.tracker, belief, widening, seed)
         # What the thread computes with is bound here, in the loop: beliefs and weights move on with the next scan.
         work: Callable[[], Forecast | MixedForecast]
         if (ensemble := self.ensemble) is None:
-            work = partial(run_job, job, self.section, self.limit, LEVELS)
+            work = partial(run_job, job, self.section, self.limit, self.levels)
         else:
             work = partial(
                 foresee,
@@ -118,6 +123,7 @@ class Outlook:
                 context=ensemble.context,
                 section=self.section,
                 limit=self.limit,
+                levels=self.levels,
             )
         self._task = asyncio.create_task(asyncio.to_thread(work), name="forecast")
 

@@ -13,11 +13,13 @@ from sim.engine import (
     anomaly,
     belief_of,
     compile_model,
+    machine_offset,
     observe,
     on_event,
     restarted,
     start,
     with_inputs,
+    with_machine_offset,
 )
 from sim.sha import UNKNOWN, Encoder, EncoderState, Event, Model, Switch
 
@@ -43,7 +45,8 @@ class ScanPrediction:
     read. `measured` is the good reading or None. `free_run` is the same model let run since the cycle's start (or
     since the end of not knowing) without being corrected by readings. `inputs_good`: everything that the model reads
     was good in this scan; `worst` is 0 good, 1 uncertain, 2 bad; `age` the seconds since the oldest input was read
-    (inf: never). `known`: no channel of the alphabet is unknown. `reset`: knowledge was lost in this scan.
+    (inf: never). `known`: no channel of the alphabet is unknown. `reset`: knowledge was lost in this scan. `borrowed`:
+    no data have shown the location, its parameters are another's.
     """
 
     time: float
@@ -63,6 +66,7 @@ class ScanPrediction:
     events: tuple[Event, ...]
     reset: bool
     free_sigma: float | None = None
+    borrowed: bool = False
 
 
 class Predictor:
@@ -76,6 +80,8 @@ class Predictor:
         self.belief: Belief | None = None
         self.free: Belief | None = None
         self.events = 0
+        # What is known of this machine from before a pause (mean and sigma of its offset, degC).
+        self._machine: tuple[float, float] | None = None
         self._restart = True
         self._read_at: float | None = None
         self._index = {location.name: index for index, location in enumerate(model.sha.locations)}
@@ -88,6 +94,11 @@ class Predictor:
     def clamps(self) -> tuple[int, int]:
         """How often belief and free run were put back to the border of the model's range, since each began."""
         return (self.belief.clamps if self.belief else 0), (self.free.clamps if self.free else 0)
+
+    @property
+    def machine_offset(self) -> tuple[float, float] | None:
+        """(mean, standard deviation) of what this machine's targets lie above the model's, degC; None if not asked."""
+        return None if self.belief is None else machine_offset(self.tracker, self.belief)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -112,7 +123,11 @@ class Predictor:
 
         # Events may lie before the scan that shows them: a belief that begins here begins with the first of them.
         first = min((scan.time, *(event.time for event in events)))
-        expected = self.belief if self.belief is not None else start(self.tracker, first)
+        expected = self.belief
+        if expected is None:
+            expected = start(self.tracker, first)
+            if self._machine is not None:
+                expected = with_machine_offset(self.tracker, expected, *self._machine)
         for event in events:
             expected = on_event(self.tracker, expected, event)
         expected = with_inputs(self.tracker, expected, scan.time, signals)
@@ -158,6 +173,7 @@ class Predictor:
             events=tuple(events),
             reset=any(event.symbol == UNKNOWN for event in events),
             free_sigma=None if free_run is None or self.free is None else sqrt(self.free.xx + self.tracker.sensor),
+            borrowed=self.belief.location in self.model.borrowed,
         )
 
     def _free_run(
@@ -196,6 +212,9 @@ class Predictor:
         Raises KeyError, TypeError or ValueError for a snapshot of another alphabet or model.
         """
         belief = belief_of(saved["belief"])
+        # The plant may have changed while nobody looked, but it is still the same machine.
+        if belief.location in self._index:
+            self._machine = machine_offset(self.tracker, belief)
         if not 0.0 <= now - belief.time <= self.model.alphabet.gap or belief.location not in self._index:
             return False
         # JSON has turned the encoder's tuples into lists.

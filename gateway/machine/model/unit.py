@@ -55,7 +55,7 @@ class ModelUnit:
                 forecasts=config.forecast,
                 scan_period=period,
             )
-            if models
+            if models or (config.ensemble.plain and self.loaded.model.plain)
             else None
         )
         self.outlook = Outlook(self.predictor, config.forecast, config.alarms.limit, period, ensemble)
@@ -88,11 +88,11 @@ class ModelUnit:
 
     def _take_over(self, promoted: ReadyModel, now: float) -> None:
         """The other models of an ensemble go on as they are; what their evidence was held against begins anew."""
-        others = self.outlook.ensemble.members if self.outlook.ensemble else []
+        former = self.outlook.ensemble
         before, self.loaded = self.loaded.version, promoted.loaded
         self.begin_anew(promoted.predictor)
-        if self.outlook.ensemble is not None:
-            self.outlook.ensemble.members = others
+        if self.outlook.ensemble is not None and former is not None:
+            self.outlook.ensemble.keep(former)
         version = self.loaded.version
         self._historian.put("audit", [(now, f"model {version} runs", version, f"promoted; {before} ran before")])
         self._log.info("a promoted model runs from now on", version=version, before=before, hash=self.loaded.hash)

@@ -80,7 +80,7 @@ class BlockStage:
         if prediction is not None:
             state = validity(
                 inputs=prediction.inputs_good,
-                location=prediction.known,
+                location=prediction.known and not prediction.borrowed,
                 forecast=forecast is not None,
                 model=True,
                 familiar=prediction.zone != "red",
@@ -109,7 +109,7 @@ class BlockStage:
             "zone": float(ZONES.index(p.zone)),
             "input_quality": float(p.worst),
             "age": p.age,
-            "location": float(p.location_index) if p.known else None,
+            "location": float(p.location_index) if p.known and not p.borrowed else None,
             "temperature_now": p.mean,
             "band_low": p.low,
             "band_high": p.high,

@@ -2,8 +2,9 @@
 
 from sim.artefacts.formats.bundle import SUFFIXES, Artefacts, file_names, read_artefacts, write_artefacts
 from sim.artefacts.formats.find import FoundModel, artefact_base, find_model
-from sim.artefacts.formats.from_model import to_artefacts
-from sim.artefacts.formats.histogram import PRINTED, evidence, fit
+from sim.artefacts.formats.from_model import reported_laws, to_artefacts
+from sim.artefacts.formats.histogram import PRINTED, Histogram, evidence, fit, read_histogram
+from sim.artefacts.formats.report import Report, read_report
 from sim.artefacts.formats.write_model import save, write_model_directory
 
 __all__ = [
@@ -11,12 +12,17 @@ __all__ = [
     "SUFFIXES",
     "Artefacts",
     "FoundModel",
+    "Histogram",
+    "Report",
     "artefact_base",
     "evidence",
     "file_names",
     "find_model",
     "fit",
     "read_artefacts",
+    "read_histogram",
+    "read_report",
+    "reported_laws",
     "save",
     "to_artefacts",
     "write_artefacts",

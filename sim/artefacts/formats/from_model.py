@@ -44,7 +44,6 @@ def to_artefacts(
     equations = _numbered(equation_text(location.flow, model.temperature) for location in sha.locations)
     laws = _numbered(_key(location.distribution) for location in sha.locations if location.distribution)
     source = _source(sha, equations, laws, model.temperature)
-    named = {laws[_key(law)]: law for location in sha.locations if (law := location.distribution)}
     effects = ((f"{EFFECT} {number}", effect_summary(each)) for number, each in enumerate(sha.effects, start=1))
     table = None
     if observations:
@@ -56,9 +55,7 @@ def to_artefacts(
         table = _table(observations, cells)
     report = Report(
         events=tuple(_events(model.alphabet)),
-        distributions=tuple(
-            ReportedLaw(f"D_{number}", float(distributions.mean(law))) for number, law in sorted(named.items())
-        ),
+        distributions=reported_laws(sha),
         table=table,
         performance=(("SAMPLED TRACES", str(len(model.provenance.traces))), *effects),
         locations=tuple(_line(location) for location in sha.locations),
@@ -75,6 +72,12 @@ def to_artefacts(
         if location.distribution is not None:
             run[f"D_{laws[_key(location.distribution)]}"] += tuple(map(float, raw.get(location.name, ())))
     return Artefacts(sha.name, source, report, Histogram((run,) if run else ()), flows)
+
+
+def reported_laws(sha: SHA) -> tuple[ReportedLaw, ...]:
+    """The laws of an automaton's locations as its report has them: equal ones once, `D_0` first."""
+    laws = {_key(location.distribution): location.distribution for location in sha.locations if location.distribution}
+    return tuple(ReportedLaw(f"D_{number}", float(distributions.mean(law))) for number, law in enumerate(laws.values()))
 
 
 def _numbered(keys: Iterator[K]) -> dict[K, int]:

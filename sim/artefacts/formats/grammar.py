@@ -32,9 +32,9 @@ def finite_number(text: str, file: str | Path, line: int | None, what: str) -> f
     try:
         value = float(text)
     except ValueError:
-        raise at(file, line, f"{what} is {text!r}, which is no number; write one like 0.0031") from None
+        raise at(file, line, f"{what} is {text[:60]!r}, which is no number; write one like 0.0031") from None
     if value - value != 0.0:
-        raise at(file, line, f"{what} is {text!r}; a finite number is needed")
+        raise at(file, line, f"{what} is {text[:60]!r}; a finite number is needed")
     return value
 
 
@@ -51,7 +51,10 @@ def tokens(tree: Tree[Token]) -> list[Token]:
 
 def subtrees(tree: Tree[Token], kind: str) -> Iterator[Tree[Token]]:
     """All subtrees of one kind at any depth, in the text's order."""
-    for child in trees(tree):
+    # A stack of its own and not a recursion: a text may nest deeper than Python calls.
+    waiting = trees(tree)[::-1]
+    while waiting:
+        child = waiting.pop()
         if child.data == kind:
             yield child
-        yield from subtrees(child, kind)
+        waiting += trees(child)[::-1]

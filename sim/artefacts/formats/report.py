@@ -6,6 +6,7 @@ Public learner: `--EVENT LABELS DICT--` (some versions), `--OBSERVABLE EVENTS--`
 has both, so that either reader finds what it needs; `Limits:` is this project's own line (degC, degC/s).
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -13,7 +14,7 @@ from pathlib import Path
 
 from lark import Lark, Token, Tree
 
-from sim.artefacts.formats.grammar import finite, parse_text, trees
+from sim.artefacts.formats.grammar import finite, parse_text, tokens, trees
 from sim.files import at, read_text
 
 GRAMMAR = r"""
@@ -29,9 +30,8 @@ _line: location | limits
 pair: KEY ":" TEXT? _NL
 law: LAW "(" ATOM ("," ATOM)? ")" _NL
 header: "|" WORD ("|" WORD)* _NL
-upper: row*
-lower: row*
-row: WORD ("|" CELL)+ _NL
+upper: (ROW _NL)*
+lower: (ROW _NL)*
 location: LOCATION KEY ":" _items _NL
 limits: LIMITS ":" _items _NL
 _items: item ("," item)*
@@ -45,11 +45,14 @@ KEY: /[^\s:|\-][^:\n]*/
 TEXT: /[^\s][^\n]*/
 ATOM: /`[^`\n]+`[^\s,()=:|`]*|[^\s,()=:|`]+/
 WORD: /[^|\s\-(](?:[^|\n]*[^|\s])?/
-CELL: /\([^()|\n]*\)(?:;\([^()|\n]*\))*/
+ROW: /[^|\s\-(][^|\n]*\|[^\n]*/
 SEPARATOR: /-+(?:\+-+)+/
 _NL: /(?:[ \t\r]*\n)+[ \t]*/
 %ignore /[ \t\r]+/
 """
+CELL = re.compile(r"\([^()|]*\)(?:;\([^()|]*\))*")
+"""A cell of the observation table. Rows are one word to the grammar: a table of some hundred locations has a million
+cells, and the parser would take minutes for what `split` does."""
 WANTED = (
     "a report has sections like --OBSERVABLE EVENTS--, --LEARNED DISTRIBUTIONS-- with lines D_0(1.5), "
     "--FINAL OBSERVATION TABLE--, --PERFORMANCE DATA--, or lines Location 2: mu=23.5, sigma=1.2, flow=linear(alpha=0.1)"
@@ -181,14 +184,14 @@ def _table(tree: Tree[Token] | None, file: str | Path) -> Table | None:
     parts: list[tuple[ReportRow, ...]] = []
     for part in (*trees(tree, "upper"), *trees(tree, "lower")):
         rows = []
-        for row in trees(part, "row"):
-            word, *cells = _tokens(row)
+        for row in tokens(part):
+            word, *cells = (cell.strip() for cell in row.split("|"))
             if len(cells) != len(suffixes):
-                raise at(
-                    file,
-                    row.meta.line,
-                    f"the row of {word} has {len(cells)} cells; the table has {len(suffixes)} columns",
-                )
+                reason = f"the row of {word} has {len(cells)} cells; the table has {len(suffixes)} columns"
+                raise at(file, row.line, reason)
+            wrong = next((cell for cell in cells if not CELL.fullmatch(cell)), None)
+            if wrong is not None:
+                raise at(file, row.line, f"the row of {word} has the cell {wrong[:40]!r}; write one like (f_1,D_0)")
             rows.append(ReportRow(word, tuple(cells)))
         parts.append(tuple(rows))
     return Table(suffixes, *parts)

@@ -28,9 +28,10 @@ bounds: "[" LE number (";" number)? "]"
 eventually: DIAMOND interval? _formula
 always: BOX interval? _formula
 until: _formula UNTIL interval? _formula
-response: _formula LEADSTO interval? _formula within?
+response: _formula LEADSTO interval? _formula within? view?
 interval: "[" number COMMA number "]"
 within: NAME number
+view: NAME
 number: MINUS? NUMBER
 
 _formula: disjunction
@@ -195,6 +196,10 @@ def _sentence(error: UnexpectedInput, text: str) -> str:
         hint = "there is no strategy to be used: the events come from the plant"
     elif wanted == {"LEADSTO"}:
         hint = f"after a condition right would be an operator or '-->'; {FORMS}"
+    elif "NAME" in wanted and re.fullmatch(r"[^\W\d]\w*", token):
+        hint = f'{token} is a word of the language; a location of that name is named by at "{token}"'
+    elif wanted <= {"DIAMOND", "BOX", "LSQB"} and (word := re.search(r"\b[AE](?=\s*$)", text[: token.start_pos])):
+        hint = f'right would be {_expected(wanted)}; a location called {word[0]} is named by at "{word[0]}"'
     else:
         hint = f"right would be {_expected(wanted)}"
     return str(at(token, f"found {shown(token)!r}; {hint}"))

@@ -109,24 +109,30 @@ def _probability(tree: Node, scope: Scope) -> q.Probability:
 
 
 def _path(tree: Node, bound: float | None, scope: Scope) -> q.Path:
+    parts = {str(part.data): part for part in _trees(tree) if part.data in ("interval", "within", "view")}
+    read = [_formula(part, scope) for part in _trees(tree) if part.data not in parts]
+    weak = False
+    if "view" in parts:
+        word = cast(Token, parts["view"].children[0])
+        if word != "weak":
+            raise at(word, f"found {shown(str(word))!r}; right would be 'within', 'weak' or ')'")
+        weak = True
     span: q.TimeSpan | None = None
-    interval = next((part for part in _trees(tree) if part.data == "interval"), None)
-    if interval is not None:
-        low, high = (_number(part) for part in _trees(interval))
-        span = _span(low, high, interval, bound)
-    formulas = [part for part in _trees(tree) if part.data not in ("interval", "within")]
-    read = [_formula(part, scope) for part in formulas]
+    # A cause's answer may be due after the bound, unless such causes are left out.
+    latest = None if tree.data == "response" and not weak else bound
+    if "interval" in parts:
+        low, high = (_number(part) for part in _trees(parts["interval"]))
+        span = _span(low, high, parts["interval"], latest)
     if tree.data == "response":
         # The answer is due by the interval or by `within`, one of them.
-        within = next((part for part in _trees(tree) if part.data == "within"), None)
-        if (span is None) == (within is None):
+        if (span is None) == ("within" not in parts):
             raise at(tree.meta, "within what time is the answer due? write phi -->[0,60] psi or phi --> psi within 60")
-        if within is not None:
-            word, number = within.children
-            if word != "within":
-                raise at(cast(Token, word), f"found {shown(str(word))!r}; right would be 'within' or ')'")
-            span = _span(0.0, _number(cast(Node, number)), cast(Node, number), bound)
-        return q.BoundedResponse(read[0], read[1], cast(q.TimeSpan, span))
+        if "within" in parts:
+            named, number = parts["within"].children
+            if named != "within":
+                raise at(cast(Token, named), f"found {shown(str(named))!r}; right would be 'within', 'weak' or ')'")
+            span = _span(0.0, _number(cast(Node, number)), cast(Node, number), latest)
+        return q.BoundedResponse(read[0], read[1], cast(q.TimeSpan, span), weak)
     if tree.data == "until":
         return q.Until(read[0], read[1], span or q.TimeSpan())
     make = q.Eventually if tree.data == "eventually" else q.Always

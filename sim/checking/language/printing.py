@@ -87,7 +87,9 @@ def _path(query: q.Probability, ids: Identifiers) -> str:
     path = query.path
     # Nothing for the whole run; a span without an end goes to the run's.
     span = ""
-    if path.span != q.TimeSpan():
+    if isinstance(path, q.BoundedResponse):
+        span = f"[{_seconds(path.span.low)},{_seconds(path.span.high)}]"
+    elif path.span != q.TimeSpan():
         span = f"[{_seconds(path.span.low)},{_seconds(min(path.span.high, query.bound))}]"
     match path:
         case q.Eventually(inner=inner):
@@ -96,8 +98,8 @@ def _path(query: q.Probability, ids: Identifiers) -> str:
             return f"[]{span} {_formula(inner, ids)}"
         case q.Until(hold=hold, goal=goal):
             return f"{_formula(hold, ids)} U{span} {_formula(goal, ids)}"
-    due = span or f"[0,{_seconds(query.bound)}]"
-    return f"{_formula(path.cause, ids)} -->{due} {_formula(path.effect, ids)}"
+    view = " weak" if path.weak else ""
+    return f"{_formula(path.cause, ids)} -->{span} {_formula(path.effect, ids)}{view}"
 
 
 def _formula(formula: q.Formula, ids: Identifiers, around: int = 0) -> str:

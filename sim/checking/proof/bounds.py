@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import isinf, sqrt
+from math import hypot, isinf, sqrt
 from typing import Literal
 
 import numpy as np
@@ -13,7 +13,7 @@ from sim.checking.proof.reach import Bound, Graph, Side, climb, intervals, make_
 from sim.checking.proof.structure import moves
 from sim.checking.proof.word import TimedWord, parse_word, word_text
 from sim.checking.proof.word_replay import offset_range, replay
-from sim.effects import dead_time, in_sensor_scale, of_feature
+from sim.effects import dead_time, in_sensor_scale, of_feature, without_random
 from sim.sha import RELAXING, Location, Model, alphabet_symbols, drawn_temperature, mean, mode_parameter
 
 Verdict = Literal["proven", "refuted", "not decided"]
@@ -82,6 +82,8 @@ def find_bounds(
     if not low < high:
         raise ValueError(f"no temperature lies within {low:g} to {high:g} degC; give LOW below HIGH")
     model = in_sensor_scale(model)
+    if doubt is not None:
+        model = replace(model, sha=without_random(model.sha))
     symbols = alphabet_symbols(model.alphabet)
     onward = moves(model.sha, symbols, assumptions.policy, unknown=assumptions.unknown)
     rooms = envelopes(model, assumptions, onward)
@@ -217,8 +219,14 @@ def noise_band(model: Model, z: float) -> tuple[float, Mapping[str, float]]:
     The variance of a relaxing flow tends to noise^2 / (2k) from wherever it starts; that of any other flow grows with
     the time spent, at the given degC/sqrt(s). Locations without noise are left out.
     """
-    flows = {location.name: location.flow for location in in_sensor_scale(model).sha.locations}
+    sha = in_sensor_scale(model).sha
+    flows = {location.name: location.flow for location in sha.locations}
     noisy = {name: flow for name, flow in flows.items() if flow.params["noise"] > 0}
     settled = [flow.params["noise"] / sqrt(2.0 * flow.params["k"]) for flow in noisy.values() if flow.kind in RELAXING]
     walking = {name: flow.params["noise"] for name, flow in noisy.items() if flow.kind not in RELAXING}
+    # Over times longer than its memory an Ornstein-Uhlenbeck heat adds up as white noise of sigma sqrt(2 memory) does.
+    for effect in of_feature(sha, "disturbance"):
+        white = effect.params["sigma"] * sqrt(2.0 * effect.params["memory"])
+        still = [name for name, flow in flows.items() if flow.kind not in RELAXING]
+        walking |= {name: hypot(walking.get(name, 0.0), white) for name in still}
     return z * max(settled, default=0.0), walking

@@ -150,7 +150,7 @@ def envelopes(model: Model, assumptions: Assumptions, moves: Sequence[Move]) -> 
                 inputs=inputs,
                 sojourn=lasting,
                 fresh=None if fresh is None else quantiles(fresh, assumptions.z),
-                forcing=forcing_of(model.sha, location, m, signal, worn_for(assumptions)),
+                forcing=forcing_of(model.sha, location, m, signal, horizon=worn_for(assumptions), z=assumptions.z),
             )
         )
     return tuple(rooms)
@@ -258,6 +258,7 @@ def describe(assumptions: Assumptions) -> tuple[str, ...]:
     return (
         events + (", those without an edge resynchronise" if assumptions.policy == "resync" else ""),
         stays,
-        f"mode parameters within z = {assumptions.z:g} standard deviations, noise left out",
+        f"mode parameters, the machine's offset and a disturbance of heat within z = {assumptions.z:g} standard "
+        "deviations, noise left out",
         *ranges,
     )

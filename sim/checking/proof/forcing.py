@@ -66,12 +66,13 @@ class UnboundedEffect(ValueError):
 
 
 def forcing_of(
-    sha: SHA, location: Location, m: Range, ranges: Callable[[str], Range], horizon: float
+    sha: SHA, location: Location, m: Range, ranges: Callable[[str], Range], *, horizon: float, z: float
 ) -> Forcing | None:
     """What acts in the location; None where nothing does. `ranges` gives that of each signal that is read there.
 
-    `m` is the range of the mode parameter, `horizon` (s) how long wear goes on. Raises UnboundedEffect, naming the
-    kind, where an effect cannot be bounded: what is not bounded is never left out.
+    `m` is the range of the mode parameter, `horizon` (s) how long wear goes on, `z` how many standard deviations what
+    is random keeps to. Raises UnboundedEffect, naming the kind, where an effect cannot be bounded: what is not bounded
+    is never left out.
     """
     heats: list[Effect] = []
     losses: list[tuple[Effect, Loss]] = []
@@ -97,6 +98,14 @@ def forcing_of(
                 least, most = least + low, most + high
             case Structural(feature="housing" | "thermostat" | "radiation" as feature):
                 features[feature] = effect
+            case Structural(feature="disturbance" | "machine offset" as feature):
+                # Normal laws have no ends: as of m, so many standard deviations are taken. A flow without a target
+                # gathers a disturbance as it gathers noise, which no proof has in it (`bounds.noise_band`).
+                if location.flow.kind not in RELAXING:
+                    continue
+                size = z * effect.params["sigma"]
+                size *= location.flow.params["k"] if feature == "machine offset" else 1.0
+                least, most = least - size, most + size
             case EffectRefusal(reason=reason):
                 raise UnboundedEffect(f"effects of the kind {effect.kind!r} are not bounded: {reason}")
             case _:

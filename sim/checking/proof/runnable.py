@@ -61,7 +61,7 @@ def _strange_numbers(model: Model) -> Iterator[str]:
         # Moments and squares, not the numbers alone: all arithmetic is in variances, and 1e200 squared is no number.
         yield from (f"location {each.name!r}: {_TOO_GREAT}" for each in scaled.locations if not _moments(each))
         if not (model.sensor_sigma >= 0 and isfinite(model.sensor_sigma * model.sensor_sigma)):
-            yield f"sensor_sigma is {model.sensor_sigma:g} degC; it must be at least 0, and its square a number"
+            yield f"sensor_sigma is {model.sensor_sigma:g} {model.unit}; it must be at least 0, and its square a number"
     for name, stay in model.semi_markov.items():
         for signal, (centre, sigma) in stay.inputs.items():
             if not (isfinite(centre) and isfinite(sigma) and sigma >= 0):

@@ -265,7 +265,7 @@ def _decided(
             width = sha.high - sha.low
             wider = sha.low - SLACK * width, sha.high + SLACK * width
             course = find_bounds(model, *wider, assumptions, doubt=MOST_DOUBT * width)
-            checks += [timed(_mean_course(course, assumptions.z)), timed(_noise_check(model, assumptions.z))]
+            checks += [timed(_mean_course(course, model, assumptions.z)), timed(_noise_check(model, assumptions.z))]
             return bounds, checks if model.correction.identity else [*checks, timed(_correction(model))]
     except (UnboundedInput, UnboundedEffect) as error:
         return None, [Check("growth", "not decided", str(error))]
@@ -275,9 +275,9 @@ def _decided(
 
 
 def _within(bounds: Bounds, model: Model, assumptions: Assumptions, *, blocking: bool) -> Check:
-    claim = f"[{bounds.low:g}, {bounds.high:g}] degC"
+    claim = f"[{bounds.low:g}, {bounds.high:g}] {model.unit}"
     lows, highs = zip(*bounds.intervals.values(), strict=True)
-    details = tuple(f"{name}: {low:.4g} to {high:.4g} degC" for name, (low, high) in bounds.intervals.items())
+    details = tuple(f"{name}: {low:.4g} to {high:.4g} {model.unit}" for name, (low, high) in bounds.intervals.items())
     if bounds.verdict == "proven":
         evidence = f"T stays within {claim}: from {min(lows):.4g} to {max(highs):.4g}; {_noise(model, assumptions.z)}"
         return Check("bounds", "proven", evidence, details, blocking=blocking)
@@ -299,11 +299,11 @@ def _way_out(bounds: Bounds, up: bool) -> str:
 
 def _noise(model: Model, z: float) -> str:
     settled, walking = noise_band(model, z)
-    evidence = f"noise adds up to {settled:.3g} degC at z = {z:g} where a flow relaxes"
+    evidence = f"noise adds up to {settled:.3g} {model.unit} at z = {z:g} where a flow relaxes"
     if not walking:
         return evidence
     name = max(walking, key=lambda each: walking[each])
-    most = f"most in {name!r}: {walking[name]:.3g} degC/sqrt(s)"
+    most = f"most in {name!r}: {walking[name]:.3g} {model.unit}/sqrt(s)"
     return f"{evidence}, and grows with the time spent in {len(walking)} others ({most})"
 
 
@@ -313,7 +313,9 @@ def _growth(bounds: Bounds, model: Model) -> Check:
         return Check("growth", "not decided", "the bounds did not settle in the rounds that they are given")
     if not growing:
         lows, highs = zip(*bounds.intervals.values(), strict=True)
-        return Check("growth", "proven", f"T never passes {min(lows):.4g} or {max(highs):.4g} degC, whatever happens")
+        return Check(
+            "growth", "proven", f"T never passes {min(lows):.4g} or {max(highs):.4g} {model.unit}, whatever happens"
+        )
     words = tuple(escape.word for escape in growing if escape.word is not None)
     directions = " and ".join("upwards" if escape.up else "downwards" for escape in growing)
     ways = "; ".join(_way_out(bounds, escape.up) for escape in growing)
@@ -324,8 +326,8 @@ def _growth(bounds: Bounds, model: Model) -> Check:
     return Check("growth", "refuted" if words else "not decided", evidence, (), words)
 
 
-def _mean_course(mean: Bounds, z: float) -> Check:
-    span = f"[{mean.low:g}, {mean.high:g}] degC (the model's range and {SLACK:.0%} of its width)"
+def _mean_course(mean: Bounds, model: Model, z: float) -> Check:
+    span = f"[{mean.low:g}, {mean.high:g}] {model.unit} (the model's range and {SLACK:.0%} of its width)"
     doubt = f"given the benefit of its own doubt (z = {z:g}, at most the range's width)"
     if mean.verdict == "proven":
         evidence = f"with what is drawn at its mean, and each target {doubt}, T stays within {span}"
@@ -341,7 +343,9 @@ def _correction(model: Model) -> Check:
     gain, offset = model.correction.gain, model.correction.offset
     low, high = model.sha.low, model.sha.high
     middle = corrected(model.correction, 0.5 * (low + high))
-    evidence = f"T' = {gain:.4g} T {offset:+.4g} degC, which puts the middle of the range at {middle:.4g} degC"
+    evidence = (
+        f"T' = {gain:.4g} T {offset:+.4g} {model.unit}, which puts the middle of the range at {middle:.4g} {model.unit}"
+    )
     if GAINS[0] <= gain <= GAINS[1] and low <= middle <= high:
         return Check("correction", "proven", evidence)
     wanted = f"a sensor's calibration has a gain of {GAINS[0]:g} to {GAINS[1]:g} and leaves the middle in the range"
@@ -355,13 +359,13 @@ def _noise_check(model: Model, z: float) -> Check:
     width = sha.high - sha.low
     worst = {name: z * noise * sqrt(NOISE_SECONDS) for name, noise in walking.items()}
     name = max(worst, key=lambda each: worst[each], default="")
-    evidence = f"{_noise(model, z)}; the sensor's is {model.sensor_sigma:.3g} degC"
+    evidence = f"{_noise(model, z)}; the sensor's is {model.sensor_sigma:.3g} {model.unit}"
     wide = max(settled, z * model.sensor_sigma, worst.get(name, 0.0))
     if wide <= width:
         return Check("noise", "proven", evidence)
     return Check(
         "noise",
         "refuted",
-        f"at z = {z:g} noise reaches {wide:.3g} degC (over {NOISE_SECONDS:g} s where it grows), which is wider than "
-        f"the model's range of {width:g} degC, so that nothing is predicted: {evidence}",
+        f"at z = {z:g} noise reaches {wide:.3g} {model.unit} (over {NOISE_SECONDS:g} s where it grows), which is wider "
+        f"than the model's range of {width:g} {model.unit}, so that nothing is predicted: {evidence}",
     )

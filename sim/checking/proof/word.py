@@ -19,6 +19,9 @@ from math import isfinite, nan
 from sim.sha import Event
 
 TEMPERATURE, MODE, CLOCK = "T", "m", "t"
+MOST_CHARACTERS = 100_000
+"""Of a word: dividing a text into items takes a time in the square of the longest one."""
+
 _ITEM = re.compile(r"(?P<symbol>.*)@(?P<time>[^@,]+)(?P<rest>(?:,[^,=]+=[^,=]+)*)", re.DOTALL)
 
 
@@ -53,6 +56,8 @@ class TimedWord:
 
 def parse_word(text: str) -> TimedWord:
     """The word in a text. Raises ValueError, naming the item, for what is none."""
+    if len(text) > MOST_CHARACTERS:
+        raise ValueError(f"the word has {len(text)} characters, and {MOST_CHARACTERS} is the most")
     try:
         items = shlex.split(text, comments=True)
     except ValueError as error:
@@ -85,7 +90,7 @@ def parse_word(text: str) -> TimedWord:
 def _step(item: str) -> WordStep:
     match = _ITEM.fullmatch(item)
     if match is None:
-        raise ValueError(f"{item!r} is no item of a word; write SYMBOL@SECONDS, or SYMBOL@SECONDS,m=80,Signal=280")
+        raise ValueError(f"{item[:60]!r} is no item of a word; write SYMBOL@SECONDS, or SYMBOL@SECONDS,m=80,Signal=280")
     numbers = {}
     for part in filter(None, match["rest"].split(",")):
         name, _, value = part.partition("=")
@@ -103,7 +108,7 @@ def _number(text: str, item: str) -> float:
     except ValueError:
         value = nan
     if not isfinite(value):
-        raise ValueError(f"{item!r}: {text!r} is no finite number")
+        raise ValueError(f"{item[:60]!r}: {text[:60]!r} is no finite number")
     return value
 
 

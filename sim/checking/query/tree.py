@@ -136,12 +136,14 @@ class Until:
 class BoundedResponse:
     """Whenever `cause` holds, `effect` holds at some instant of the span that begins there.
 
-    A cause so late that the span reaches beyond the bound counts as answered unless the run shows the contrary.
+    Every cause up to the bound is judged, for which runs go on beyond it. `weak` is the weak view of a run cut off at
+    the bound: a cause whose span reaches beyond it is left out.
     """
 
     cause: Formula
     effect: Formula
     span: TimeSpan
+    weak: bool = False
 
 
 Path = Eventually | Always | Until | BoundedResponse

@@ -115,6 +115,9 @@ def answer(
     for part in parts:
         if not 0.0 < part.bound <= LONGEST_RUN:
             raise ValueError(f"a run of {part.bound:g} s cannot be made; the bound lies above 0 and at most at 1e9 s")
+        path = part.path if isinstance(part, q.Probability) else None
+        if isinstance(path, q.BoundedResponse) and (last := part.bound + path.span.high) > LONGEST_RUN:
+            raise ValueError(f"the last answer is due after {last:g} s, and runs are followed for 1e9 s at most")
     match query:
         case q.Probability():
             return _probability(query, start, chosen, report)
@@ -158,7 +161,7 @@ def _probability(query: q.Probability, start: Start, settings: QuerySettings, re
     never = estimate.probability == (0.0 if isinstance(query.path, q.Eventually) else 1.0)
     what = "the event came" if isinstance(query.path, q.Eventually) else "a violation came"
     advice: tuple[str, ...] = ()
-    if never and not refusal(path) and not start.world.sha.effects:
+    if never and not refusal(path) and not _effects_refused(start):
         if estimate.runs >= RARE_AFTER:
             try:
                 rarer = _rare(query, path, start, settings, report)
@@ -213,6 +216,7 @@ def _comparison(query: q.PairedComparison, start: Start, settings: QuerySettings
     }
     for name, side in (("left", comparison.left), ("right", comparison.right)):
         numbers |= {name: side.probability, f"{name} low": side.low, f"{name} high": side.high}
+    numbers |= _left_out(drawn)
     return Answer(
         query=query,
         kind="comparison",
@@ -227,14 +231,20 @@ def _comparison(query: q.PairedComparison, start: Start, settings: QuerySettings
     )
 
 
+def _effects_refused(start: Start) -> bool:
+    """Whether the runs have effects that importance splitting does not follow."""
+    plant = start.world.tracker.plant
+    return plant is not None and (start.world.trace is not None or not plant.random_only)
+
+
 def _rare(query: q.Probability, path: PreparedPath, start: Start, settings: QuerySettings, report: Progress) -> Answer:
     """A probability by importance splitting; for `[]` that of the contrary is estimated."""
-    if start.world.sha.effects:
+    if _effects_refused(start):
         raise ValueError(
             f"importance splitting does not follow effects, and model {start.world.sha.name!r} has some; leave out "
             "--rare and ask for more runs"
         )
-    where = cuts((path,), path.bound)
+    where = cuts((path,))
     made = engine(start.world, replace(where, longest=min(where.longest, path.bound / SPLIT_STEPS)))
     # The spawn key lies beyond those of the chunks of plain runs (`runs.generator`): no random number is used twice.
     rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy=settings.seed, spawn_key=(1 << 20,))))
@@ -385,7 +395,7 @@ def _answered(
         kind=kind,
         sentence=sentence,
         verdict=outcome.holds,
-        numbers={"probability": estimate.probability, "low": estimate.low, "high": estimate.high},
+        numbers={"probability": estimate.probability, "low": estimate.low, "high": estimate.high} | _left_out(drawn),
         rule=outcome.rule,
         runs=estimate.runs,
         seed=drawn.seed,
@@ -395,10 +405,23 @@ def _answered(
     )
 
 
+def _left_out(drawn: Sampler) -> dict[str, float]:
+    """How many causes the weak responses have left out; nothing where there is no such response."""
+    weak = any(isinstance(path.path, q.BoundedResponse) and path.path.weak for path in drawn.paths)
+    return {"causes left out": float(drawn.left_out.sum())} if weak else {}
+
+
 def _sampler_notes(drawn: Sampler) -> tuple[str, ...]:
     """The engine's notes, what happened to the runs, what is approximated."""
     notes = [*drawn.engine.notes, *_run_notes(drawn.totals)]
     notes += dict.fromkeys(sentence for path in drawn.paths for sentence in approximations(path))
+    for path, count in zip(drawn.paths, drawn.left_out.tolist(), strict=True):
+        if isinstance(path.path, q.BoundedResponse) and path.path.weak:
+            last = path.bound - path.path.span.high
+            notes.append(
+                f"weak: in the runs that hold, {count} causes later than {last:g} s, whose answer may be due after the "
+                f"run, are left out"
+            )
     if drawn.unclear:
         notes.append(
             f"in {drawn.unclear} runs the goal and the end of the condition fell into one step; they count as failed"

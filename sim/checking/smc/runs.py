@@ -19,15 +19,12 @@ from sim.checking.smc.monitors import (
     follow,
     linear_in_temperature,
 )
-from sim.checking.smc.paths import LONGEST, Cuts, Engine, World, augmented, known, semi_markov
+from sim.checking.smc.paths import LONGEST, Cuts, Engine, Indices, World, augmented, known, semi_markov
 from sim.checking.smc.rules import Progress
 from sim.sha import Array, Mask
 
 SMALLEST, LARGEST = 64, 16384
 """Runs of the first chunk, and of the large ones: each is twice the one before it. A chunk's rows fit the cache."""
-
-MOST_KEPT = 6_000_000
-"""Numbers that a chunk keeps of the pieces of its runs, for paths that are judged at the end."""
 
 MOST_MOMENTS = 1_000_000
 """Runs whose moment of the goal is kept, for a picture."""
@@ -35,14 +32,15 @@ MOST_MOMENTS = 1_000_000
 
 def engine(world: World, where: Cuts) -> Engine:
     """The engine for a world: along its trace's events, or by the semi-Markov law."""
-    if world.sha.effects:
+    plant = world.tracker.plant
+    if plant is not None and (world.trace is not None or not plant.random_only):
         return augmented(world, where)
     return known(world, where) if world.trace is not None else semi_markov(world, where)
 
 
-def chunk_size(number: int, largest: int = LARGEST) -> int:
+def chunk_size(number: int) -> int:
     """Runs of chunk `number`, from 0."""
-    return min(SMALLEST << min(number, 20), largest)  # beyond 20 the shift would only make a large number
+    return min(SMALLEST << min(number, 20), LARGEST)  # beyond 20 the shift would only make a large number
 
 
 def generator(seed: int, number: int) -> np.random.Generator:
@@ -56,19 +54,20 @@ class Sampler:
     """Verdicts of one run after another on some paths, all seen on the same runs (common random numbers).
 
     `verdicts` are the chunks drawn and not yet handed out; `drawn` counts the runs handed out, `when` keeps the moments
-    of the first path's goal, chunk by chunk. Chunks have `largest` runs at most: what the ones before had to keep says
-    how many.
+    of the first path's goal, chunk by chunk. `spare` (runs left, paths) and `left_out` (paths,) count the causes that a
+    weak response left out, in runs on which it holds: of those not yet handed out, and of those handed out.
     """
 
     engine: Engine
     paths: tuple[PreparedPath, ...]
     seed: int
     left: Mask
+    spare: Indices
+    left_out: Indices
     totals: Totals
     chunks: int = 0
     drawn: int = 0
     unclear: int = 0
-    largest: int = LARGEST
     when: list[Array] = field(default_factory=list)
 
     def draw(self, runs: int) -> Mask:
@@ -76,27 +75,29 @@ class Sampler:
         parts, missing = [], runs
         while missing > 0:
             if not self.left.shape[0]:
-                self.left = self._chunk()
+                self._chunk()
             part, self.left = self.left[:missing], self.left[missing:]
+            self.left_out += self.spare[:missing].sum(axis=0)
+            self.spare = self.spare[missing:]
             parts.append(part)
             missing -= part.shape[0]
         self.drawn += runs
         return np.concatenate(parts)
 
-    def _chunk(self) -> Mask:
-        runs = chunk_size(self.chunks, self.largest)
+    def _chunk(self) -> None:
+        """Make the next chunk of runs."""
+        runs = chunk_size(self.chunks)
         monitors = [path.start(runs) for path in self.paths]
         self.totals += follow(self.engine, monitors, runs, generator(self.seed, self.chunks))
         self.chunks += 1
         self.unclear += sum(getattr(monitor, "unclear", 0) for monitor in monitors)
-        for monitor in monitors:
-            if isinstance(monitor, ResponseMonitor):
-                # It keeps three numbers of each piece of each run until the end: large chunks would not fit.
-                self.largest = min(self.largest, max(MOST_KEPT // (3 * len(monitor.causes)), 1))
         moments = self.paths[0].when(monitors[0])
         if moments is not None and sum(part.size for part in self.when) < MOST_MOMENTS:
             self.when.append(moments)
-        return np.stack([path.verdict(seen) for path, seen in zip(self.paths, monitors, strict=True)], axis=1)
+        self.left = np.stack([path.verdict(seen) for path, seen in zip(self.paths, monitors, strict=True)], axis=1)
+        nothing = np.zeros(runs, dtype=np.intp)
+        kept = [each.left_out if isinstance(each, ResponseMonitor) else nothing for each in monitors]
+        self.spare = np.where(self.left, np.stack(kept, axis=1), 0)
 
     def passages(self) -> Array:
         """The moment (s) of the first path's goal in each run handed out (the first million of them), inf without."""
@@ -105,9 +106,16 @@ class Sampler:
 
 def sampler(world: World, paths: tuple[PreparedPath, ...], seed: int) -> Sampler:
     """A sampler of runs long enough for all the paths. Raises ValueError as the engines do."""
-    bound = max(path.bound for path in paths)
-    made = engine(world, cuts(paths, bound))
-    return Sampler(made, paths, seed, np.empty((0, len(paths)), dtype=np.bool_), Totals())
+    none = np.zeros((0, len(paths)), dtype=np.intp)
+    return Sampler(
+        engine=engine(world, cuts(paths)),
+        paths=paths,
+        seed=seed,
+        left=none.astype(np.bool_),
+        spare=none,
+        left_out=none.sum(axis=0),
+        totals=Totals(),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,9 @@ def initial(model: Model | Tracker, trace: Trace | None = None, location: str | 
         times, values = measured(trace, tracker.model.temperature)
         first = Distribution("normal", {"mu": float(values[0]), "sigma": 0.0})
         world = World(tracker, float(times[0]), place, first, trace=trace)
-        return Start(world, f"the first reading of {trace.name}, {values[0]:.4g} degC; events of the trace")
+        return Start(
+            world, f"the first reading of {trace.name}, {values[0]:.4g} {tracker.model.unit}; events of the trace"
+        )
     law = tracker.model.initial or drawn_temperature(sha.locations[place])
     if law is None:
         raise ValueError(
@@ -66,7 +68,7 @@ def believed(model: Model | Tracker, trace: Trace, until: float | None = None, *
     driven = "events of the trace" if recorded else "semi-Markov events"
     words = (
         f"{trace.name} at {now:.6g} s: {belief.location} for {belief.age:.4g} s, "
-        f"{belief.x:.4g} ± {belief.sigma:.2g} degC; {driven}"
+        f"{belief.x:.4g} ± {belief.sigma:.2g} {tracker.model.unit}; {driven}"
     )
     return Start(from_belief(tracker, belief, trace if recorded else None), words)
 

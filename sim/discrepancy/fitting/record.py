@@ -191,11 +191,16 @@ def _cut_late(runs: FreeRuns, running: Array) -> FreeRuns:
 
 
 def known(model: Model) -> Mask:
-    """(L,) which locations say how the temperature moves: all but an initial one in which nothing is known yet."""
+    """(L,) which locations say how the temperature moves.
+
+    Not an initial one in which nothing is known yet; nor one that no data have shown (`Model.borrowed`): what another
+    location lends it is no claim that a record could contradict.
+    """
     sha = model.sha
     return np.array(
         [
-            location.name != sha.initial or location.flow.kind != "constant" or len(sha.locations) == 1
+            location.name not in model.borrowed
+            and (location.name != sha.initial or location.flow.kind != "constant" or len(sha.locations) == 1)
             for location in sha.locations
         ]
     )

@@ -7,28 +7,30 @@ import numpy as np
 
 from sim.engine import linear_recursion
 from sim.learning import (
+    Context,
     FitShape,
     FreeRunFit,
     FreeRuns,
     Indices,
+    MachineSpread,
     NoiseLevels,
     contexts,
     drift_noise,
+    first_switch,
     loads,
     name_of,
     nearest,
+    next_stay,
     steps,
     with_parameters,
 )
 from sim.learning.bins.candidates import Basis, process_groups
-from sim.sha import SHA, Array, Distribution, Flow, Location
+from sim.sha import SHA, Alphabet, Array, Distribution, Flow, Location
 
 LEAST_DOUBT = 5.0
 """degC added (in quadrature) to the sigma of a target that is borrowed, at least."""
 HARDLY = 20.0
 """degC: a location whose target is not known better than this (half the prior's spread) counts as not seen."""
-FIRST_SCATTER = 1.0
-"""degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +68,24 @@ def well_seen(sha: SHA, shape: FitShape, fit: FreeRunFit, base: Basis) -> Basis:
 
 
 def learned_sha(
-    name: str, sha: SHA, *, shape: FitShape, fit: FreeRunFit, noise: NoiseLevels, runs: FreeRuns, base: Basis
+    name: str,
+    sha: SHA,
+    *,
+    shape: FitShape,
+    fit: FreeRunFit,
+    noise: NoiseLevels,
+    spread: MachineSpread,
+    runs: FreeRuns,
+    base: Basis,
 ) -> SHA:
     """`sha` with all parameters, and every location that `base` has not seen filled in.
 
-    A seen location's m scatters by the fitted sigma (drawn towards 1 degC as if one stay had said so) and by what is
-    not known of its mean. A known location without data takes flow and mean of its nearest seen neighbour; its sigma
-    is doubled, and the scatter of all seen means (5 degC at least) is added. Locations in which a channel is unknown
-    keep the temperature, with the noise of `drift_noise`.
+    A seen location's m scatters as `next_stay` says of the fitted sigma, and by what is not known of its mean. A known
+    location without data takes flow and mean of its nearest seen neighbour; its sigma is doubled, and the scatter of
+    all seen means (5 degC at least) is added. A standstill of which no data are there has no heat: it goes towards the
+    lowest temperature that was read, at its neighbour's rate, and may stop anywhere between that and half the way to
+    where the machine runs. Locations in which a channel is unknown keep the temperature, with the noise of
+    `drift_noise`.
     """
     groups, drift = process_groups(base.alphabet), drift_noise(runs)
     seen: dict[str, Location] = {}
@@ -83,8 +95,7 @@ def learned_sha(
             continue
         column = shape.target[place]
         stays = np.unique(runs.stay[(runs.place == place) & ~runs.first]).size
-        scatter = np.sqrt((stays * noise.scatter[place] ** 2 + FIRST_SCATTER**2) / (stays + 1))
-        sigma = float(np.hypot(scatter, fit.errors_at_rates[column]))
+        sigma = float(np.hypot(next_stay(float(noise.scatter[place]), stays), fit.errors_at_rates[column]))
         params = {**location.flow.params, "noise": float(noise.process[groups[place]])}
         law = Distribution("normal", {"mu": float(fit.linear[column]), "sigma": sigma})
         laws[location.name] = law
@@ -92,6 +103,7 @@ def learned_sha(
     # What was never seen is as far off as locations differ from one another, besides what the lender does not know.
     doubt = max(float(np.std([law.params["mu"] for law in laws.values()])), LEAST_DOUBT)
     known = contexts(base.alphabet)
+    coldest = float(np.nanmin(runs.reading))
     locations: list[Location] = []
     for title in (each.name for each in sha.locations):
         if title in seen:
@@ -101,9 +113,20 @@ def learned_sha(
         else:
             lender = lender_of(title, base)
             mu, sigma = laws[lender].params["mu"], laws[lender].params["sigma"]
-            widened = Distribution("normal", {"mu": mu, "sigma": float(np.hypot(2.0 * sigma, doubt))})
-            locations.append(Location(title, seen[lender].flow, widened))
-    return replace(sha, name=name, locations=tuple(locations))
+            flow, sigma = seen[lender].flow, float(np.hypot(2.0 * sigma, doubt))
+            if _at_rest(known[title], base.alphabet) and not _at_rest(known[lender], base.alphabet):
+                sigma = max(0.25 * abs(mu - coldest), sigma, LEAST_DOUBT)
+                # Nothing that drives the heat of a running machine drives that of one which stands.
+                mu, flow = coldest, replace(flow, kind="exponential", inputs=())
+            locations.append(Location(title, flow, Distribution("normal", {"mu": mu, "sigma": sigma})))
+    effects = (*noise.effects, *spread.effects)
+    return replace(sha, name=name, locations=tuple(locations), effects=effects)
+
+
+def _at_rest(context: Context, alphabet: Alphabet) -> bool:
+    """Whether the machine's switch is off in a context; without a switch nothing says so."""
+    switch = first_switch(alphabet)
+    return switch is not None and context[alphabet.channels.index(switch)] == 0
 
 
 def lender_of(name: str, base: Basis) -> str:

@@ -13,17 +13,18 @@ import numpy as np
 
 from sim.learning import (
     LEAST_READINGS,
+    MEMORIES,
     Coverage,
     FreeRunFit,
     FreeRuns,
     HeldOutErrors,
+    HeldOutForecasts,
     LearningError,
+    MachineSpread,
     NoiseLevels,
-    Scored,
     bare_sha,
     check_data,
     choose,
-    coverage_of,
     cross_validate,
     encoded,
     first_switch,
@@ -34,14 +35,16 @@ from sim.learning import (
     free_runs,
     in_order,
     initial_law,
+    learn_plain,
     level_signals,
+    machine_spread,
+    machines_of,
     sampled,
-    score_forecasts,
     splits,
     training_errors,
     with_range,
 )
-from sim.learning.bins.assemble import LocationFit, learned_sha, location_fits, stay_values, well_seen
+from sim.learning.bins.assemble import LocationFit, learned_sha, location_fits, source_of, stay_values, well_seen
 from sim.learning.bins.candidates import (
     CANDIDATES,
     Basis,
@@ -52,7 +55,7 @@ from sim.learning.bins.candidates import (
     modelled_places,
     process_groups,
 )
-from sim.sha import Alphabet, Array, Model, Provenance, Trace, check_alphabet
+from sim.sha import Alphabet, Array, Model, Provenance, Trace, check_alphabet, unit_of
 
 CHOICE_BUDGET, FIT_BUDGET, PART_BUDGET = 3_000, 40_000, 6_000
 """Knots to which the runs are sampled for cross-validation, for the last fit and for the fits of the calibration."""
@@ -89,9 +92,10 @@ class Learned:
     locations: tuple[LocationFit, ...]
     noise: NoiseLevels
     coverage: tuple[Coverage, ...]
+    spread: MachineSpread
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Fitted:
     """One candidate fitted to some traces: all that a model is made of but its calibration."""
 
@@ -100,6 +104,7 @@ class _Fitted:
     locations: tuple[LocationFit, ...]
     fit: FreeRunFit
     noise: NoiseLevels
+    spread: MachineSpread
 
 
 def learn_bins(
@@ -133,7 +138,8 @@ def learn_bins(
         name, ordered, runs=runs, base=base, candidate=chosen, begin=begin, temperature=temperature, budget=FIT_BUDGET
     )
     report("calibrating the bands", 0.75)
-    coverage = coverage_of(_held_out_forecasts(ordered, alphabet, temperature, chosen, seed))
+    forecasts = _held_out_forecasts(ordered, alphabet, temperature, candidate=chosen, whole=fitted, seed=seed)
+    coverage = forecasts.coverage
     report("done", 1.0)
     nan = float("nan")
     table = tuple(
@@ -163,7 +169,7 @@ def learn_bins(
     provenance = Provenance(
         method="bins",
         data_hash=data_hash or digest,
-        traces=tuple(trace.name for trace in ordered),
+        traces=tuple(sorted(trace.name for trace in ordered)),
         synthetic=any(trace.synthetic for trace in ordered),
         settings={
             "seed": seed,
@@ -180,7 +186,7 @@ def learn_bins(
         scores={name: value for name, value in figures.items() if np.isfinite(value)},
     )
     factors = {row.horizon: row.factor for row in coverage}
-    model = replace(fitted.model, calibration=factors, provenance=provenance)
+    model = replace(fitted.model, calibration=factors, plain=forecasts.members, provenance=provenance)
     return Learned(
         model=model,
         values=fitted.values,
@@ -188,6 +194,7 @@ def learn_bins(
         locations=fitted.locations,
         noise=fitted.noise,
         coverage=coverage,
+        spread=fitted.spread,
     )
 
 
@@ -247,55 +254,73 @@ def _fit(
     begin: Array | None,
     temperature: str,
     budget: int,
+    memories: Sequence[float] = MEMORIES,
+    spread: MachineSpread | None = None,
 ) -> _Fitted:
     sha, shape, _ = build(candidate, base)
     few = sampled(runs, budget)
     # Means first, then the noise about them; a location whose target came out too vague counts as not seen after all.
     fit = fit_free_run(few, shape, begin=begin)
-    noise = fit_noise(few, shape, fit, process_groups(base.alphabet))
+    noise = fit_noise(few, shape, fit, process_groups(base.alphabet), memories=memories)
     measured = well_seen(sha, shape, fit, base)
-    learned = learned_sha(name, sha, shape=shape, fit=fit, noise=noise, runs=few, base=measured)
+    if spread is None:
+        machines = machines_of(traces, temperature)
+        spread = machine_spread(few, shape, fit, noise=noise, groups=process_groups(base.alphabet), machines=machines)
+    learned = learned_sha(name, sha, shape=shape, fit=fit, noise=noise, spread=spread, runs=few, base=measured)
     model = Model(
         sha=with_range(learned, runs, 4.0 * noise.sensor),
         alphabet=base.alphabet,
         temperature=temperature,
         sensor_sigma=noise.sensor,
         initial=initial_law(traces, temperature),
+        borrowed=frozenset(
+            each.name for each in learned.locations if source_of(each.name, measured).startswith("borrowed")
+        ),
+        unit=unit_of(traces, temperature),
     )
     return _Fitted(
-        replace(model, semi_markov=fit_stays(model, traces)),
-        stay_values(few, learned, shape=shape, fit=fit, noise=noise, base=measured),
-        location_fits(learned, shape, fit, runs, measured),
-        fit,
-        noise,
+        model=replace(model, semi_markov=fit_stays(model, traces)),
+        values=stay_values(few, learned, shape=shape, fit=fit, noise=noise, base=measured),
+        locations=location_fits(learned, shape, fit, runs, measured),
+        fit=fit,
+        noise=noise,
+        spread=spread,
     )
 
 
 def _held_out_forecasts(
-    traces: Sequence[Trace], alphabet: Alphabet, temperature: str, candidate: BinsCandidate, seed: int
-) -> list[Scored]:
-    """Forecasts by models of the same kind that did not see what came next.
+    traces: Sequence[Trace],
+    alphabet: Alphabet,
+    temperature: str,
+    *,
+    candidate: BinsCandidate,
+    whole: _Fitted,
+    seed: int,
+) -> HeldOutForecasts:
+    """Forecasts by models of the same kind, as random as the `whole` one, that did not see what came next.
 
     With six traces or more, each third of them is forecast by the model of the others; with fewer, the third and the
     last quarter of each trace's time by a model of the time before.
     """
     rng = np.random.default_rng(seed)
-    scored: list[Scored] = []
-    for known, ahead, since in splits(traces):
+    forecasts = HeldOutForecasts(learn_plain(traces, temperature), seed)
+    for part in splits(traces):
         # A part of the data may teach nothing although the whole does: the other parts then judge alone.
         try:
-            runs, base = _ground(known, alphabet, temperature)
+            runs, base = _ground(part.known, alphabet, temperature)
         except LearningError:
             continue
         model = _fit(
             "part",
-            known,
+            part.known,
             runs=runs,
             base=base,
             candidate=candidate,
             begin=None,
             temperature=temperature,
             budget=PART_BUDGET,
+            memories=(whole.noise.memory,) if whole.noise.heat else (),
+            spread=whole.spread,
         ).model
-        scored += score_forecasts(model, ahead, since, rng)
-    return scored
+        forecasts.add(model, part.ahead, part.since, rng)
+    return forecasts

@@ -8,21 +8,24 @@ data. Below `n_min` segments the scatter of the whole is assumed instead of the 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtr
 
-from sim.learning import Indices
+from sim.learning import Indices, huber_scale
 from sim.learning.lsha.segments import TraceSegments
 from sim.sha import Array, Mask
 
 MEDIAN_CHI_SQUARE = 0.454936
 """The median of a chi-square with one degree of freedom."""
-LEAST_TWICE = 8
-"""Segments beyond the first of their states from which these tell the scatter."""
+LEAST_TWICE, LEAST_COMPANY = 8, 0.02
+"""Segments beyond the first of their classes from which these tell the scatter, and the share of all that are not alone
+from which they tell whether more of a word explains anything."""
+WORTH = 0.05
+"""The share of what the last move leaves unexplained that more of the word has to explain."""
 CERTAIN = 1e6
 """Degrees of freedom that stand for a known variance."""
 
@@ -50,10 +53,21 @@ class PooledEvidence:
         """How many segments there are."""
         return self.sums[0]
 
+    @property
+    def cautious(self) -> "PooledEvidence":
+        """The same, the common scatter being as uncertain as that of `n_min` segments: this set's may be another."""
+        return replace(self, freedom=min(self.freedom, self.n_min - 1.0))
+
     def joined(self, other: "PooledEvidence") -> "PooledEvidence":
         """The evidence of both sets, each segment counted once."""
         a, b = self.sums, other.sums
         sums = (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6])
+        return evidence_of(sums, self.n_min)
+
+    def without(self, part: "PooledEvidence") -> "PooledEvidence":
+        """The evidence of the segments that are not in `part` of this set."""
+        a, b = self.sums, part.sums
+        sums = (a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3], a[4] - b[4], a[5] - b[5], a[6] - b[6])
         return evidence_of(sums, self.n_min)
 
 
@@ -65,13 +79,17 @@ def evidence_of(sums: Sums, n_min: int) -> PooledEvidence:
     mean = total / weight
     # Kish's effective size: as many segments of equal weight would say as much.
     effective = weight * weight / square
-    if count < n_min or effective < 1.5:
+    if count < n_min:
         return PooledEvidence(sums, n_min, mean, 1.0 / weight, CERTAIN)
     # sum w^2 (m - mean)^2 multiplied out, so that it follows from sums that can be added up. The measurement errors are
     # its floor: a few segments that agree by chance do not know their mean better than they were measured.
     sandwich = square_square - 2.0 * mean * square_total + mean * mean * square
-    own = sandwich * effective / (effective - 1.0)
-    return PooledEvidence(sums, n_min, mean, max(own, error) / (weight * weight), effective - 1.0)
+    # Where few segments carry the weight, the degrees of freedom that are missing to those of n_min are the common
+    # scatter's (Smyth 2004): the own scatter of two is hardly known, and a test by it would tell nothing apart.
+    missing = max(n_min - effective, 0.0)
+    freedom = effective - 1.0 + missing
+    own = (sandwich * effective + missing * weight) / freedom
+    return PooledEvidence(sums, n_min, mean, max(own, error) / (weight * weight), freedom)
 
 
 class WelchTest(NamedTuple):
@@ -100,7 +118,8 @@ class SegmentSample:
     """Segments ready to be pooled: weights, values relative to `centre`, and the scatter that was assumed.
 
     `scatter` is the robust standard deviation of the parameter from segment to segment of one state, `spread` that of
-    all segments together (both in the parameter's unit).
+    all segments together (both in the parameter's unit). `longer` is the share of what the last move leaves unexplained
+    that more of the word explains.
     """
 
     segments: TraceSegments
@@ -109,6 +128,7 @@ class SegmentSample:
     centre: float
     scatter: float
     spread: float
+    longer: float
 
     def pooled(self, of_state: Indices, size: int, n_min: int, use: Mask | None = None) -> list[PooledEvidence]:
         """The evidence of each of `size` classes; `of_state` gives the class of each state, `use` (N,) leaves out."""
@@ -125,13 +145,30 @@ class SegmentSample:
         return [evidence_of((*row,), n_min) for row in sums.tolist()]
 
 
-def sample_of(segments: TraceSegments, alike: Indices) -> SegmentSample:
-    """The segments with weights: the scatter is the one that makes the residuals about their states' means typical.
+def sample_of(segments: TraceSegments, alike: Sequence[Indices]) -> SegmentSample:
+    """The segments with weights: the scatter is the one that makes the residuals about their classes' means typical.
 
-    `alike` (S,) puts states together that are believed to resemble each other, for when too few segments share one.
+    `alike` (each (S,)) puts states together that are believed to resemble each other, the finest first and those of the
+    same last move last.
     """
     value, variance = segments.value, segments.variance
-    scatter = _scatter(segments, alike)
+    *finer, last = (classes[segments.place] for classes in alike)
+    scatter, longer = _scatter(value, variance, last), 0.0
+    # Of the finer classes that count by which the others of a segment's class foretell it better than those of the same
+    # last move do: elsewhere the last move is all that matters, and a few words that all traces begin with are not
+    # typical of what follows.
+    weight = 1.0 / (scatter**2 + variance)
+    rest, best = _alone(value, weight, last), 0.0
+    for place in finer:
+        error = _alone(value, weight, place)
+        company, both = np.isfinite(error), np.isfinite(error) & np.isfinite(rest)
+        if company.sum() - np.unique(place[company]).size < LEAST_TWICE or both.sum() < LEAST_TWICE:
+            continue
+        explained = 1.0 - (huber_scale(error[both]) / huber_scale(rest[both])) ** 2
+        if explained > max(best, WORTH):
+            best, scatter = explained, _scatter(value, variance, place)
+        if company.mean() >= LEAST_COMPANY:
+            longer = max(longer, explained)
     weight = 1.0 / (scatter**2 + variance)
     centre = float(np.average(value, weights=weight))
     spread = float(np.sqrt(np.average((value - centre) ** 2, weights=weight)))
@@ -142,17 +179,12 @@ def sample_of(segments: TraceSegments, alike: Indices) -> SegmentSample:
         centre=centre,
         scatter=scatter,
         spread=max(spread, 1e-12),
+        longer=longer,
     )
 
 
-def _scatter(segments: TraceSegments, alike: Indices) -> float:
-    """tau by which half of (m - mean)^2 / (tau^2 + v) lie below a chi-square's median, over states with 2 or more.
-
-    States are taken as they are where LEAST_TWICE segments or more have company, else as `alike` says.
-    """
-    value, variance, place = segments.value, segments.variance, segments.place
-    if place.size - np.unique(place).size < LEAST_TWICE:
-        place = alike[place]
+def _scatter(value: Array, variance: Array, place: Indices) -> float:
+    """tau by which half of (m - mean)^2 / (tau^2 + v) lie below a chi-square's median, over classes with 2 or more."""
     # Residuals about a state's own mean, by measurement errors alone: the scatter that would weigh them is what is
     # looked for. A mean of n takes 1/n of each square with it, which n / (n - 1) gives back.
     _, inverse, count = np.unique(place, return_inverse=True, return_counts=True)
@@ -173,6 +205,15 @@ def _scatter(segments: TraceSegments, alike: Indices) -> float:
         else:
             high = middle
     return max(high, floor)
+
+
+def _alone(value: Array, weight: Array, place: Indices) -> Array:
+    """(N,) each segment's value less the mean of the others of its class; NaN where there are none."""
+    total, count = np.bincount(place, weight), np.bincount(place)
+    product = np.bincount(place, weight * value)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = (product[place] - weight * value) / (total[place] - weight)
+    return np.where(count[place] >= 2, value - mean, np.nan)
 
 
 def between(sample: SegmentSample, rows: Sequence[bool] | Mask) -> tuple[float, float, float]:

@@ -12,13 +12,11 @@ import numpy as np
 
 from sim.learning import (
     RATES,
-    Coverage,
     FitShape,
     FreeRuns,
+    HeldOutForecasts,
     Indices,
-    Scored,
     choose,
-    coverage_of,
     cross_validate,
     drift_noise,
     fit_free_run,
@@ -26,8 +24,10 @@ from sim.learning import (
     fit_stays,
     folds,
     initial_law,
+    learn_plain,
+    machine_spread,
+    next_stay,
     sampled,
-    score_forecasts,
     splits,
     with_parameters,
     with_range,
@@ -39,12 +39,9 @@ from sim.learning.lsha.identify import Identified, identify
 from sim.learning.lsha.segments import levels, stays_after
 from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import Structure
-from sim.learning.lsha.teacher import Teacher, alike, placed
+from sim.learning.lsha.teacher import Teacher, placed
 from sim.learning.lsha.words import described
-from sim.sha import SHA, Distribution, Entry, Flow, Input, Location, Model, Trace
-
-FIRST_SCATTER = 1.0
-"""degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""
+from sim.sha import SHA, Distribution, Entry, Flow, Input, Location, Model, Trace, unit_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +183,7 @@ def fit_motion(
     order = sorted(set(where))
     groups = np.array([order.index(each) for each in where], dtype=np.intp)
     noise = fit_noise(runs, shape, fit, groups)
+    spread = machine_spread(runs, shape, fit, noise=noise, groups=groups, machines=teacher.machines)
     bare = _bare(
         name, teacher, shape=shape, hypothesis=hypothesis, modelled=modelled, unknown=drift_noise(teacher.runs)
     )
@@ -198,11 +196,10 @@ def fit_motion(
         of_location, law = located == number, (np.nan, np.nan, np.nan)
         column = int(shape.target[number])
         if column >= 0:
-            # The law of m: what is not known of its mean, and the scatter from stay to stay, drawn towards
-            # FIRST_SCATTER as if one stay had shown that.
+            # The law of m: what is not known of its mean, and the scatter from stay to stay.
             stays = np.unique(runs.stay[(runs.place == number) & ~runs.first]).size
-            scatter = (stays * float(noise.scatter[number]) ** 2 + FIRST_SCATTER**2) / (stays + 1)
-            law = (float(fit.linear[column]), float(errors[column]), float(np.sqrt(scatter)))
+            scatter = next_stay(float(noise.scatter[number]), stays)
+            law = (float(fit.linear[column]), float(errors[column]), scatter)
             sigma = float(np.hypot(law[1], law[2]))
             params = {**location.flow.params, "noise": float(noise.process[groups[number]])}
             distribution = Distribution("normal", {"mu": law[0], "sigma": sigma})
@@ -226,7 +223,8 @@ def fit_motion(
                 law=law,
             )
         )
-    return FittedHypothesis(_sha(name, locations, hypothesis), noise.sensor, values, tuple(table))
+    sha = replace(_sha(name, locations, hypothesis), effects=(*noise.effects, *spread.effects))
+    return FittedHypothesis(sha, noise.sensor, values, tuple(table))
 
 
 def _bare(
@@ -371,6 +369,7 @@ def fitted_model(
         temperature=plan.temperature,
         sensor_sigma=fitted.sensor,
         initial=initial_law(traces, plan.temperature),
+        unit=unit_of(traces, plan.temperature),
     )
     return fitted, replace(model, semi_markov=fit_stays(model, traces))
 
@@ -378,7 +377,7 @@ def fitted_model(
 def fit(plan: FitPlan, teacher: Teacher, budget: int) -> FittedHypothesis:
     """All parameters of the automaton by the readings of `teacher`."""
     if plan.flowing.fit is None:
-        sample = sample_of(levels(teacher.runs, teacher.group), alike(teacher))
+        sample = sample_of(levels(teacher.runs, teacher.group), teacher.alike)
         return fit_levels(
             plan.name, teacher, sample=sample, hypothesis=plan.hypothesis, modelled=plan.modelled, words=plan.words
         )
@@ -405,8 +404,8 @@ def bands(
     fitted: Callable[[Teacher], Model],
     seed: int,
     origins: int,
-) -> tuple[Coverage, ...]:
-    """The coverage of forecasts over the parts of `preparation.splits`, `origins` of them a part.
+) -> HeldOutForecasts:
+    """The forecasts over the parts of `preparation.splits`, `origins` of them a part.
 
     `fitted` gives the parameters anew for the readings that are known in each part. The structure stays: what is
     learned here is how wrong flows and laws may be.
@@ -416,12 +415,12 @@ def bands(
     read = [trace for trace in traces if np.isfinite(trace.signals.get(temperature, np.empty(0))).any()]
     usable = np.array([number for number, trace in enumerate(read) if trace.times.size > 1], dtype=np.intp)
     rank = np.searchsorted(usable, runs.trace)
-    scored: list[Scored] = []
-    for part, (_, ahead, since) in enumerate(splits(read)):
-        # The same parts as those of `splits`, in knots: every third trace, or the time before the cut, where a run
-        # that goes on beyond it ends.
-        known = rank % 3 != part if usable.size >= 6 else runs.time < np.asarray(since)[rank]
+    forecasts = HeldOutForecasts(learn_plain(traces, temperature), seed)
+    for part in splits(read):
+        # The same parts as those of `splits`, in knots: all but the traces held out, or the time before the cut, where
+        # a run that goes on beyond it ends.
+        known = runs.time < np.asarray(part.since)[rank] if part.held is None else ~np.isin(rank, list(part.held))
         if np.isfinite(runs.reading[known]).sum() >= LEAST_KNOTS:
             model = fitted(replace(teacher, runs=runs.where(known), group=teacher.group[known]))
-            scored += score_forecasts(model, ahead, since, rng, origins=origins)
-    return coverage_of(scored)
+            forecasts.add(model, part.ahead, part.since, rng, origins=origins)
+    return forecasts

@@ -1,7 +1,9 @@
 """Which flow the plant has: hypotheses over a coarse structure, each judged by the free runs of held-out traces."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 
@@ -24,12 +26,11 @@ from sim.learning import (
     shape_of,
     steps,
 )
-from sim.learning.lsha.evidence import SegmentSample, sample_of
+from sim.learning.lsha.evidence import WORTH, SegmentSample, sample_of
 from sim.learning.lsha.identify import rate_alone
-from sim.learning.lsha.merging import Partition, learn_partition
+from sim.learning.lsha.merging import Partition, TooManyQueriesError, learn_partition
 from sim.learning.lsha.segments import Motion, levels, parameters, stays_after
-from sim.learning.lsha.settings import Memory
-from sim.learning.lsha.teacher import Teacher, alike, placed
+from sim.learning.lsha.teacher import Teacher, placed
 from sim.learning.lsha.words import Classes, WordHistory, classes_of
 from sim.sha import SHA, Array, Entry, Flow, Input, Location, Mask, Switch
 
@@ -39,8 +40,17 @@ ROUNDS = 2
 """Rounds of reweighting while rates are compared."""
 DELTA = 0.05
 """Merge tolerance of the structures on which flows are compared."""
+FEW_TRACES, FEW_EVENTS = 20, 1_000
+"""Traces and events up to which each trace is held out by itself."""
 BUDGET = 3_000
 """Knots to which the runs are sampled for the comparison."""
+FIRST_QUERIES, QUERIES_PER_WORD = 5_000, 5
+"""Queries after which the memory `word` is given up: so many, and for each word more of them. A structure that explains
+the words needs little more than one a word; where there is none, each word is compared with a location for each chance.
+"""
+ALWAYS = 1_500
+"""Events up to which the memory `word` is always tried; with more, more of a word than its last move has to explain
+something."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +87,11 @@ FLOW_HYPOTHESES: tuple[FlowHypothesis, ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Rival:
+class Contender:
     """A row of a table of rivals: held-out figures are NaN when there were too few data to hold any out.
 
     `likelihood` is the held-out log-likelihood per reading (or segment), `parameters` how many it has; errors in degC.
+    `note` says why one was not tried to the end.
     """
 
     label: str
@@ -89,6 +100,7 @@ class Rival:
     held_out_rmse: float
     held_out_mae: float
     chosen: bool
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,7 +124,7 @@ class Flowing:
         return np.array([self.rates.get(group, usual) for group in groups])
 
 
-def choose_flow(teacher: Teacher, kind: str | None, alpha: float, n_min: int) -> tuple[Flowing, tuple[Rival, ...]]:
+def choose_flow(teacher: Teacher, kind: str | None, alpha: float, n_min: int) -> tuple[Flowing, tuple[Contender, ...]]:
     """The hypothesis of greatest held-out likelihood (one-standard-error rule), of `kind` if one is given.
 
     Each hypothesis gets the structure that suits it: words merged with the memory `direction` or `word`, whichever is
@@ -136,18 +148,26 @@ def choose_flow(teacher: Teacher, kind: str | None, alpha: float, n_min: int) ->
             "choose another default flow"
         )
     candidates = [flowing(rival, teacher, groups, names, few) for rival in rivals]
-    memories: tuple[Memory, ...] = ("direction", "word") if teacher.words.whole else ("direction",)
-    views = [classes_of(teacher.words, memory) for memory in memories]
+    direction, word = classes_of(teacher.words, "direction"), classes_of(teacher.words, "word")
     scored: list[tuple[HeldOutErrors | None, int]] = []
     for candidate in candidates:
         # Each is judged by the memory that suits it best, or a flow would be refused for a structure's sake.
-        over = [_over(candidate, teacher, classes=view, cut=cut, alpha=alpha, n_min=n_min) for view in views]
+        over = [_over(candidate, teacher, classes=direction, cut=cut, alpha=alpha, n_min=n_min)]
+        if not why_not_word_by_word(teacher, candidate.sample):
+            with suppress(TooManyQueriesError):
+                over.append(_over(candidate, teacher, classes=word, cut=cut, alpha=alpha, n_min=n_min))
         scored.append(max(over, key=lambda pair: pair[0].score if pair[0] is not None else 0.0))
     sizes = [size for _, size in scored]
     known = [held for held, _ in scored if held is not None]
     best = choose(known, sizes) if len(known) == len(scored) else sizes.index(min(sizes))
     table = (row(rival.label, size, held) for rival, (held, size) in zip(rivals, scored, strict=True))
     return candidates[best], tuple(replace(each, chosen=number == best) for number, each in enumerate(table))
+
+
+def flowing_over(hypothesis: FlowHypothesis, teacher: Teacher) -> Flowing:
+    """The hypothesis over other traces than those that chose it."""
+    groups, names = coarse(teacher)
+    return flowing(hypothesis, teacher, groups, names, sampled(teacher.runs, BUDGET))
 
 
 def flowing(
@@ -161,7 +181,7 @@ def flowing(
             shape=None,
             fit=None,
             rates={},
-            sample=sample_of(levels(teacher.runs, teacher.group), alike(teacher)),
+            sample=sample_of(levels(teacher.runs, teacher.group), teacher.alike),
         )
     # One more location stands for all states without a law: runs begin where one of those ends.
     where = [*(_position(key, teacher) for key in names), ""]
@@ -181,7 +201,7 @@ def flowing(
         shape=shape,
         fit=fit,
         rates=by_group,
-        sample=sample_of(segments, alike(teacher)),
+        sample=sample_of(segments, teacher.alike),
     )
 
 
@@ -218,9 +238,9 @@ def _over(
 ) -> tuple[HeldOutErrors | None, int]:
     """(held-out errors over the structure by these classes, number of parameters).
 
-    Where every word is told apart the structure is learned anew without each fold of the traces: with a location for
-    each chance meeting of two words, a structure that knows the held-out trace is no judge. Otherwise it is learned
-    once, from so many events that one fold hardly changes it.
+    Where single words are told apart, and where events are few, the structure is learned anew without each fold of the
+    traces: with a location for each chance meeting of two words, a structure that knows the held-out trace is no judge.
+    Otherwise it is learned once, from so many events that one fold hardly changes it.
     """
     hypothesis, sample = candidate.hypothesis, candidate.sample
     delta = DELTA * sample.spread
@@ -233,13 +253,15 @@ def _over(
     if cut is None:
         return None, size
     traces = np.unique(cut.trace)
-    if not (teacher.words.whole and traces.size >= FOLDS and np.array_equal(teacher.group, teacher.runs.trace)):
+    anew = classes.memory == "word" or teacher.words.events <= ALWAYS
+    if not (anew and traces.size >= FOLDS and np.array_equal(teacher.group, teacher.runs.trace)):
         if candidate.shape is None:
             return hold_out_levels(placed(cut, place)), size
         return cross_validate(placed(cut, place), shape, candidate.rates_of(rated), fixed=True), size
-    fold, part = (np.searchsorted(traces, each) % FOLDS for each in (cut.trace, sample.segments.group))
+    parts = held_out_parts(teacher, traces.size, FOLDS)
+    fold, part = (np.searchsorted(traces, each) % parts for each in (cut.trace, sample.segments.group))
     error, kept = np.empty(len(cut)), np.isfinite(cut.reading)
-    for held in range(FOLDS):
+    for held in range(parts):
         fewer = merged(classes, sample, teacher, delta=delta, alpha=alpha, n_min=n_min, use=part != held)
         place, in_fold = fewer.location[classes.of_state], fold == held
         runs = placed(cut, place)
@@ -254,6 +276,21 @@ def _over(
     return HeldOutErrors(error[kept], np.unique(cut.run[kept], return_inverse=True)[1]), size
 
 
+def why_not_word_by_word(teacher: Teacher, sample: SegmentSample) -> str:
+    """Why the memory `word` is not worth its cost, in words; empty if it is tried."""
+    if teacher.words.events <= ALWAYS or sample.longer >= WORTH:
+        return ""
+    return f"not tried: more of a word than its last move explains {sample.longer:.1%} of what that leaves"
+
+
+def held_out_parts(teacher: Teacher, groups: int, least: int) -> int:
+    """Into how many parts the groups of the data are dealt, each held out once: `least`, or each by itself.
+
+    That is done where they are few: which ones are held out together would decide as much as what they say.
+    """
+    return max(groups, least) if groups <= FEW_TRACES and teacher.words.events <= FEW_EVENTS else least
+
+
 def merged(
     classes: Classes,
     sample: SegmentSample,
@@ -263,12 +300,18 @@ def merged(
     alpha: float,
     n_min: int,
     use: Mask | None = None,
+    patient: bool = False,
 ) -> Partition:
-    """The classes merged by what the segments (those to `use`) say of them; `delta` in the parameter's unit."""
+    """The classes merged by what the segments (those to `use`) say of them; `delta` in the parameter's unit.
+
+    Raises TooManyQueriesError where single words do not fall into few locations, unless one is `patient`.
+    """
     modelled = np.zeros(len(classes), dtype=bool)
     modelled[classes.of_state[teacher.modelled]] = True
     evidence = sample.pooled(classes.of_state, len(classes), n_min, use)
-    return learn_partition(classes, evidence, modelled, delta=delta, alpha=alpha, n_min=n_min)
+    limited = classes.memory == "word" and not patient
+    most = FIRST_QUERIES + QUERIES_PER_WORD * len(classes) if limited else inf
+    return learn_partition(classes, evidence, modelled, delta=delta, alpha=alpha, n_min=n_min, most=most)
 
 
 def positions(teacher: Teacher, place: Indices, size: int) -> list[str]:
@@ -281,11 +324,11 @@ def positions(teacher: Teacher, place: Indices, size: int) -> list[str]:
     return [max(times, key=lambda name: times[name]) for times in spent]
 
 
-def row(label: str, size: int, held: HeldOutErrors | None) -> Rival:
+def row(label: str, size: int, held: HeldOutErrors | None) -> Contender:
     """A row of a table of rivals, not chosen yet."""
     nan = float("nan")
     figures = (held.score, held.rmse, held.mae) if held is not None else (nan, nan, nan)
-    return Rival(label, size, *figures, chosen=False)
+    return Contender(label, size, *figures, chosen=False)
 
 
 def coarse(teacher: Teacher) -> tuple[Indices, tuple[WordHistory, ...]]:

@@ -15,7 +15,7 @@ import numpy as np
 from sim.learning import Indices
 from sim.learning.lsha.structures import Structure
 from sim.learning.lsha.teacher import Teacher
-from sim.learning.lsha.words import Word, WordHistory, apart, described, remembered
+from sim.learning.lsha.words import Word, WordHistory, apart, coordinates, described, remembered
 from sim.sha import UNKNOWN, Edge, Trace, alphabet_symbols
 
 
@@ -88,7 +88,7 @@ def _defaults(
     table, memory = teacher.words.meaning, classes.memory
     wanted = [remembered(table.after(typical[number], symbol), memory) for number, symbol in missing]
     different = tuple(dict.fromkeys(wanted))
-    away = apart(different, classes.keys, table)
+    away = apart(coordinates(different), classes.coordinates, table)
     # Where nothing is known is no guess, and what is seen is better than what is near.
     away[:, 0] = np.inf
     seen = {key: number for number, key in enumerate(classes.keys)}

@@ -19,7 +19,7 @@ import numpy as np
 
 from sim.learning import Coverage, LearningError, check_data, encoded, in_order, with_range
 from sim.learning.lsha.fitting import LshaLocationFit, bands, fit, fitted_model, plan_of
-from sim.learning.lsha.flow_hypotheses import Rival, choose_flow
+from sim.learning.lsha.flow_hypotheses import Contender, choose_flow, flowing_over
 from sim.learning.lsha.hypothesis import (
     HypothesisAutomaton,
     ObservationTable,
@@ -32,12 +32,14 @@ from sim.learning.lsha.identify import Identified
 from sim.learning.lsha.merging import Decision
 from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import Structure, choose_structure
-from sim.learning.lsha.teacher import CYCLE, Teacher, teacher_of
+from sim.learning.lsha.teacher import CYCLE, Teacher, beginnings, teacher_of
 from sim.learning.lsha.words import Word, described, spelled
 from sim.sha import Alphabet, Model, Provenance, Trace, check_alphabet
 
 BUDGET, PART_BUDGET = 20_000, 5_000
 """Knots to which the runs are sampled for the last fit, and for the fits of the bands."""
+FLOW_EVENTS = 2_000
+"""Events of the sample of traces on which the flow hypotheses are compared."""
 ORIGINS = 25
 """Forecasts by which the bands of each part are judged."""
 
@@ -62,19 +64,22 @@ class RowOfWords:
 class LshaReport:
     """How the model came about: the rivals, the queries and their answers, the table, the locations, the check.
 
-    `rows` (C,) are the classes of words, which the decisions number. `spread` is the standard deviation of all
-    segments' parameters, in which `delta` counts, `scatter` that from segment to segment after the same words. `level`
-    is the p below which one hypothesis-test query of `queries` told two rows apart.
+    `flow_traces` and `flow_events` are the sample on which the flows were compared (all of them where that is how many
+    there are). `rows` are the classes of words that the decisions are about, by number. `spread` is the standard
+    deviation of all segments' parameters, in which `delta` counts, `scatter` that from segment to segment after the
+    same words. `level` is the p below which one hypothesis-test query of `queries` told two rows apart.
     """
 
     settings: LshaSettings
-    flows: tuple[Rival, ...]
-    structures: tuple[Rival, ...]
+    flows: tuple[Contender, ...]
+    flow_traces: int
+    flow_events: int
+    structures: tuple[Contender, ...]
     delta: float
     spread: float
     scatter: float
     segments: int
-    rows: tuple[RowOfWords, ...]
+    rows: Mapping[int, RowOfWords]
     decisions: tuple[Decision, ...]
     queries: int
     level: float
@@ -127,9 +132,17 @@ def learn_lsha(
     report_progress("words and segments", 0.0)
     teacher = teacher_of(ordered, alphabet, temperature, n_min=chosen.n_min, split=chosen.split)
 
-    # Membership queries: which flow the segments follow, and each segment's parameter under it.
+    # Membership queries: which flow the segments follow, and each segment's parameter under it. The flow is a matter of
+    # all segments alike, so a sample tells it; what follows from it is learned from everything.
     report_progress("model-identification queries", 0.1)
-    flowing, flows = choose_flow(teacher, chosen.default_flow, chosen.alpha, chosen.n_min)
+    if teacher.words.events > FLOW_EVENTS:
+        sample = beginnings(ordered, FLOW_EVENTS, chosen.split)
+        few = teacher_of(sample, alphabet, temperature, n_min=chosen.n_min, split=chosen.split)
+        best, flows = choose_flow(few, chosen.default_flow, chosen.alpha, chosen.n_min)
+        flowing = flowing_over(best.hypothesis, teacher)
+    else:
+        sample = ordered
+        flowing, flows = choose_flow(teacher, chosen.default_flow, chosen.alpha, chosen.n_min)
     if not flowing.sample.value.size:
         raise LearningError(
             "no segment between two events has readings that tell its parameter; longer or denser traces are needed"
@@ -164,12 +177,15 @@ def learn_lsha(
         return replace(model, sha=with_range(fewer.sha, part.runs, fewer.margin), sensor_sigma=fewer.sensor)
 
     report_progress("calibrating the bands", 0.8)
-    coverage = bands(teacher, ordered, temperature=temperature, fitted=refitted, seed=seed, origins=ORIGINS)
+    forecasts = bands(teacher, ordered, temperature=temperature, fitted=refitted, seed=seed, origins=ORIGINS)
+    coverage = forecasts.coverage
     partition = structure.partition
     suffixes = [decision.suffix for decision in partition.decisions if decision.verdict == "new"]
     report = LshaReport(
         settings=chosen,
         flows=flows,
+        flow_traces=len(sample),
+        flow_events=sum(len(trace.events) for trace in sample),
         structures=structures,
         delta=structure.delta,
         spread=flowing.sample.spread,
@@ -198,7 +214,7 @@ def learn_lsha(
     provenance = Provenance(
         method="lsha",
         data_hash=data_hash or digest,
-        traces=tuple(trace.name for trace in ordered),
+        traces=tuple(sorted(trace.name for trace in ordered)),
         synthetic=any(trace.synthetic for trace in ordered),
         settings={
             "seed": seed,
@@ -212,6 +228,7 @@ def learn_lsha(
             "cycle_s": CYCLE,
             "copies_left_out": report.copies,
             "locations_with_a_law": sum(partition.modelled),
+            "flow_events": report.flow_events,
             "observed_edges": report.observed_edges,
             "default_edges": report.default_edges,
             "accepted": f"{accepted.accepted} of {accepted.traces} training traces",
@@ -221,17 +238,26 @@ def learn_lsha(
     )
     report_progress("done", 1.0)
     calibration = {row.horizon: row.factor for row in coverage}
-    return LearnedLsha(replace(model, calibration=calibration, provenance=provenance), fitted.values, report)
+    return LearnedLsha(
+        replace(model, calibration=calibration, plain=forecasts.members, provenance=provenance), fitted.values, report
+    )
 
 
-def _rows(teacher: Teacher, structure: Structure, hypothesis: HypothesisAutomaton) -> tuple[RowOfWords, ...]:
-    """Every class of words: what it is called, where it was seen first, and the location that it leads to."""
+def _rows(teacher: Teacher, structure: Structure, hypothesis: HypothesisAutomaton) -> dict[int, RowOfWords]:
+    """The classes of words in the decisions: what each is called, where it was seen first, where it leads."""
     classes, words = structure.classes, teacher.words
     first: dict[int, int] = {}
     for state, row in enumerate(classes.of_state.tolist()):
         first.setdefault(row, state)
-    names = [hypothesis.names[number] for number in structure.partition.location.tolist()]
-    return tuple(
-        RowOfWords(described(key, teacher.alphabet), spelled(key, words), *words.first[first[number]], names[number])
-        for number, key in enumerate(classes.keys)
-    )
+    decisions = structure.partition.decisions
+    named = {number for each in decisions for number in (each.row, each.other, each.rival) if number is not None}
+    place = structure.partition.location
+    return {
+        number: RowOfWords(
+            described(classes.keys[number], teacher.alphabet),
+            spelled(classes.keys[number], words),
+            *words.first[first[number]],
+            hypothesis.names[place[number]],
+        )
+        for number in sorted(named)
+    }

@@ -11,9 +11,11 @@ the pairs that it entails times their number (Bonferroni). So the probability th
 location to which it belongs is at most alpha (family-wise), as far as the tests' normal approximation holds.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from math import inf
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -34,8 +36,8 @@ class Decision:
 
     `new`: no location equals it, `answer` is that of the most similar one, which is `rival`; `suffix` is the word by
     which that one was told apart, empty for the row's own segments. `merged`: the best location that nothing speaks
-    against. `default`: below `n_min`, the default hypothesis, not refuted. `dissolved`: a location that had too little
-    evidence in the end.
+    against. `default`: below `n_min`, the default hypothesis, not refuted. `dissolved`: a location below `n_min` whose
+    segments in the end did not speak against another one.
     """
 
     row: int
@@ -47,13 +49,34 @@ class Decision:
     suffix: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Query:
-    """A refused merge: the pair of classes whose evidence speaks against it, and the suffix on which they meet."""
+Suffix = tuple["Suffix", str] | None
+"""A word from its end: what comes before the last symbol, and that symbol; None is the empty one. A long word shares
+its beginning with all that go on from it."""
+
+
+def _spelled(suffix: Suffix) -> tuple[str, ...]:
+    symbols: list[str] = []
+    while suffix is not None:
+        suffix, symbol = suffix
+        symbols.append(symbol)
+    return tuple(reversed(symbols))
+
+
+class Query(NamedTuple):
+    """Two classes that a merge would make one, and the suffix on which they meet; None: they cannot be one at all."""
 
     answer: WelchTest | None
-    suffix: tuple[str, ...]
+    suffix: Suffix
     pair: tuple[int, int]
+
+    @property
+    def p(self) -> float:
+        """The probability of so different evidence in one location; 0 where they cannot be one."""
+        return self.answer.p if self.answer else 0.0
+
+
+class TooManyQueriesError(Exception):
+    """The words do not fall into few locations, so they are not told apart one by one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +115,7 @@ class _PartitionState:
     placed: list[bool]
     delta: float
     n_min: int
+    most: float = inf
     queries: int = 0
     known: list[int] = field(default_factory=list)
 
@@ -103,6 +127,8 @@ class _PartitionState:
 
     def compare(self, first: PooledEvidence, second: PooledEvidence) -> WelchTest:
         self.queries += 1
+        if self.queries > self.most:
+            raise TooManyQueriesError
         return same_distribution(first, second, self.delta)
 
 
@@ -114,7 +140,7 @@ class _Fold:
     parent: dict[int, int] = field(default_factory=dict)
     edges: dict[int, dict[str, int]] = field(default_factory=dict)
     evidence: dict[int, PooledEvidence] = field(default_factory=dict)
-    answers: list[tuple[WelchTest, tuple[str, ...], tuple[int, int]]] = field(default_factory=list)
+    answers: list[Query] = field(default_factory=list)
 
     def find(self, number: int) -> int:
         number = self.state.find(number)
@@ -122,11 +148,17 @@ class _Fold:
             number = self.parent[number]
         return number
 
-    def join(self, row: int, location: int) -> Query | None:
-        """Joins two sets with all that it entails; what speaks against it outright, if anything does."""
-        stack: list[tuple[int, int, tuple[str, ...]]] = [(location, row, ())]
-        while stack:
-            first, second, suffix = stack.pop()
+    def join(self, row: int, location: int, level: float = 0.0) -> Query | None:
+        """Joins two sets with all that it entails; what speaks against it outright, if anything does.
+
+        A pair whose p stays below `level` even after the correction for as many tests as there can be at all ends it
+        at once: most merges are wrong, and the first few pairs show it.
+        """
+        certain = level / len(self.state.parent)
+        # The shortest suffixes first: their words have most evidence.
+        pairs: deque[tuple[int, int, Suffix]] = deque([(location, row, None)])
+        while pairs:
+            first, second, suffix = pairs.popleft()
             keep, absorbed = self.find(first), self.find(second)
             if keep == absorbed:
                 continue
@@ -138,14 +170,17 @@ class _Fold:
                 self.evidence.get(each, self.state.evidence[each]) for each in (keep, absorbed)
             )
             if kept_evidence.count and absorbed_evidence.count:
-                self.answers.append((self.state.compare(kept_evidence, absorbed_evidence), suffix, (keep, absorbed)))
+                query = Query(self.state.compare(kept_evidence, absorbed_evidence), suffix, (keep, absorbed))
+                if query.p < certain:
+                    return query
+                self.answers.append(query)
             self.evidence[keep] = kept_evidence.joined(absorbed_evidence)
             # Consistency: where both sets have an edge on a symbol, determinism makes their targets one as well.
             kept, lost = (
                 self.edges.get(keep, self.state.edges[keep]),
                 self.edges.get(absorbed, self.state.edges[absorbed]),
             )
-            stack += [(kept[symbol], lost[symbol], (*suffix, symbol)) for symbol in sorted(kept.keys() & lost.keys())]
+            pairs += [(kept[symbol], lost[symbol], (suffix, symbol)) for symbol in sorted(kept.keys() & lost.keys())]
             self.edges[keep] = {**lost, **kept}
             self.parent[absorbed] = keep
         return None
@@ -154,9 +189,26 @@ class _Fold:
         """(p of the whole merge, the pair that speaks most against it)."""
         if not self.answers:
             return 1.0, None
-        answer, suffix, pair = min(self.answers, key=lambda item: item[0].p)
         # Bonferroni: the least of n p-values is multiplied by n, whatever the dependence between the tests.
-        return min(1.0, answer.p * len(self.answers)), Query(answer, suffix, pair)
+        least = min(self.answers, key=lambda query: query.p)
+        p = least.p * len(self.answers)
+        together = self._together()
+        if together:
+            # Two families of tests share the error rate.
+            most = min(together, key=lambda query: query.p)
+            p, least = min((2.0 * p, least), (2.0 * most.p * len(together), most), key=lambda each: each[0])
+        return min(1.0, p), least
+
+    def _together(self) -> list[Query]:
+        """Each location against all that would join it, together: many words that say little by themselves."""
+        found = []
+        for keep, whole in self.evidence.items():
+            own = self.state.evidence[keep]
+            if keep in self.state.known and own.count and whole.count - own.count >= self.state.n_min:
+                self.state.queries += 1
+                rest = whole.without(own)
+                found.append(Query(same_distribution(own, rest, self.state.delta), None, (keep, keep)))
+        return found
 
     def commit(self) -> None:
         state = self.state
@@ -178,11 +230,12 @@ def learn_partition(
     delta: float,
     alpha: float,
     n_min: int,
+    most: float = inf,
 ) -> Partition:
     """The classes merged into locations; `delta` in the parameter's unit. The result depends on the evidence alone.
 
     Classes that are not `modelled` (C,), in which a channel is not known, stay what they are: nothing is merged with
-    them, so that not knowing never becomes knowing.
+    them, so that not knowing never becomes knowing. Raises TooManyQueriesError after the `most` queries.
     """
     size = len(classes)
     fixed = {number for number in range(size) if not modelled[number]}
@@ -195,6 +248,7 @@ def learn_partition(
         placed=[False] * size,
         delta=delta,
         n_min=n_min,
+        most=most,
     )
     # Only classes with evidence can be told apart by chance; the others do not share in the error rate.
     level = alpha / max(sum(pooled.count > 0 for pooled in evidence), 1)
@@ -217,7 +271,7 @@ def learn_partition(
                 # Without any evidence it follows the default hypothesis, where determinism and the tests allow it.
                 for neighbour in _neighbours(state, row, classes):
                     fold = _Fold(state)
-                    if fold.join(state.find(row), neighbour) is None and fold.worst()[0] >= level:
+                    if fold.join(state.find(row), neighbour, level) is None and fold.worst()[0] >= level:
                         fold.commit()
                         decisions.append(Decision(row=row, verdict="default", other=neighbour, evidence=0))
                         break
@@ -256,7 +310,7 @@ def _decide(state: _PartitionState, row: int, classes: Classes, level: float) ->
     allowed: list[tuple[int, _Fold]] = []
     for location in equal[:TRIED]:
         fold = _Fold(state)
-        query = fold.join(root, location)
+        query = fold.join(root, location, level)
         p, against = fold.worst()
         if query is None and p >= level:
             allowed.append((location, fold))
@@ -273,7 +327,7 @@ def _decide(state: _PartitionState, row: int, classes: Classes, level: float) ->
         return Decision(row=row, verdict=verdict, other=location, evidence=count, answer=answers[location])
     state.known.append(root)
     if refused is not None:
-        answer, rival, suffix = refused.answer, equal[0], refused.suffix
+        answer, rival, suffix = refused.answer, equal[0], _spelled(refused.suffix)
         return Decision(row=row, verdict="new", other=root, evidence=count, answer=answer, rival=rival, suffix=suffix)
     nearest = max(answers, key=lambda location: answers[location].p, default=None)
     test = answers[nearest] if nearest is not None else None
@@ -301,21 +355,27 @@ def _neighbours(state: _PartitionState, row: int, classes: Classes) -> list[int]
 
 
 def _dissolved(state: _PartitionState, level: float) -> list[Decision]:
-    """Locations below `n_min` join the most likely location that determinism and the tests of the rest allow."""
+    """Locations below `n_min` join the most likely location that neither their own segments nor the tests of the rest
+    speak against, if there is one."""
     decisions: list[Decision] = []
     # The smallest first; a list of its own, because a merge takes locations out of `known`.
     for location in sorted(state.known, key=lambda n: (state.evidence[n].count, n)):
         evidence = state.evidence[location]
         if location not in state.known or evidence.count >= state.n_min:
             continue
-        others = [other for other in state.known if other != location and state.evidence[other].count >= state.n_min]
-        answers = {other: state.compare(state.evidence[other], evidence) for other in others}
-        for other in sorted(others, key=lambda n: (answers[n].statistic, n))[:TRIED]:
+        # What became a location because of a few segments may be one of chance: they are asked once more, this time
+        # without the certainty that they scatter as all do. How many they are does not matter if they still say no.
+        answers = {
+            other: state.compare(state.evidence[other], evidence.cautious)
+            for other in state.known
+            if other != location and state.evidence[other].count >= state.n_min
+        }
+        allowed = (other for other, answer in answers.items() if answer.p >= level)
+        for other in sorted(allowed, key=lambda n: (-answers[n].p, n))[:TRIED]:
             fold = _Fold(state)
             if fold.join(location, other) is not None:
                 continue
-            # The row itself is too small to speak against it; what the merge entails beyond it may.
-            rest = [answer.p for answer, suffix, _ in fold.answers if suffix]
+            rest = [query.p for query in fold.answers if query.suffix]
             if not rest or min(rest) * len(rest) >= level:
                 fold.commit()
                 decisions.append(

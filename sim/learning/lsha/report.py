@@ -27,13 +27,14 @@ def report_document(report: LshaReport) -> dict[str, Any]:
     document = {
         "settings": asdict(report.settings),
         "flow_hypotheses": [asdict(rival) for rival in report.flows],
+        "flow_sample": {"traces": report.flow_traces, "events": report.flow_events},
         "structure_hypotheses": [asdict(rival) for rival in report.structures],
         "delta": report.delta,
         "parameter_spread": report.spread,
         "parameter_scatter": report.scatter,
         "segments": report.segments,
         "copies_left_out": report.copies,
-        "classes_of_words": [asdict(row) for row in report.rows],
+        "classes_of_words": [asdict(row) for row in report.rows.values()],
         "hypothesis_test_queries": report.queries,
         "p_below_which_rows_differ": report.level,
         "decisions": [_decision(decision, report) for decision in report.decisions],
@@ -81,6 +82,12 @@ def _lines(report: LshaReport, name: str) -> Iterator[str]:
     yield ""
     yield "## Which flow (held-out free runs)"
     yield ""
+    if report.flow_events < accepted.events:
+        yield (
+            f"Compared on the beginnings of {report.flow_traces} traces with {report.flow_events} of all "
+            f"{accepted.events} events; locations, edges and parameters are learned from all of them."
+        )
+        yield ""
     columns = ("hypothesis", "parameters", "log-likelihood", "RMSE", "MAE", "")
     yield from _grid(columns, _rivals(report.flows))
     yield ""
@@ -95,7 +102,7 @@ def _lines(report: LshaReport, name: str) -> Iterator[str]:
 
 def _rivals(rivals: Iterable[Any]) -> list[tuple[object, ...]]:
     return [
-        (r.label, r.parameters, r.likelihood, r.held_out_rmse, r.held_out_mae, "chosen" if r.chosen else "")
+        (r.label, r.parameters, r.likelihood, r.held_out_rmse, r.held_out_mae, "chosen" if r.chosen else r.note)
         for r in rivals
     ]
 

@@ -23,7 +23,7 @@ class LshaSettings:
     model-identification queries start. `memory`: what words share that have too little evidence of their own.
     `n_min`: segments below which a row of the table says nothing by itself. `alpha`: the family-wise error rate of the
     hypothesis-test queries, the probability that any two words of one location are kept apart. `split`: the parts
-    into which the traces are split; each is held out once. `complete`: what was never seen gets default edges.
+    into which the traces are split at least; each is held out once. `complete`: what was never seen gets default edges.
 
     Raises ValueError, naming the setting and what would be right.
     """

@@ -10,14 +10,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.learning import LEAST, HeldOutErrors, LearningError, choose
+from sim.learning import LEAST, HeldOutErrors, choose
 from sim.learning.lsha.evidence import SegmentSample
-from sim.learning.lsha.flow_hypotheses import DELTA, Rival, merged, row
-from sim.learning.lsha.merging import Partition
+from sim.learning.lsha.flow_hypotheses import DELTA, Contender, held_out_parts, merged, row, why_not_word_by_word
+from sim.learning.lsha.merging import Partition, TooManyQueriesError
 from sim.learning.lsha.settings import DELTAS, MEMORIES, LshaSettings, Memory
 from sim.learning.lsha.teacher import Teacher
-from sim.learning.lsha.words import MOST_EVENTS, Classes, classes_of
+from sim.learning.lsha.words import Classes, classes_of
 from sim.sha import Mask
+
+Hypothesis = tuple[Memory, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,38 +33,45 @@ class Structure:
 
 def choose_structure(
     teacher: Teacher, sample: SegmentSample, settings: LshaSettings
-) -> tuple[Structure, tuple[Rival, ...]]:
+) -> tuple[Structure, tuple[Contender, ...]]:
     """Memory first, then tolerance: each time the simplest structure that held-out segments do not tell from the best.
 
-    With too few data to hold any out: the memory `context` and the tolerance DELTA.
+    With too few data to hold any out: the memory `context` and the tolerance DELTA. What was not tried to the end is in
+    the table, with the reason.
     """
-    if settings.memory == "word" and not teacher.words.whole:
-        raise LearningError(
-            f"the memory 'word' tells all words apart, which is done for up to {MOST_EVENTS} events in all; the traces "
-            "have more: choose another memory, or fewer traces"
-        )
-    if settings.memory is not None:
-        memories: tuple[Memory, ...] = (settings.memory,)
-    else:
-        memories = tuple(memory for memory in MEMORIES if memory != "word" or teacher.words.whole)
+    memories = MEMORIES if settings.memory is None else (settings.memory,)
     deltas = DELTAS if settings.delta is None else (settings.delta,)
     first = DELTA if settings.delta is None else settings.delta
+    tried: dict[Hypothesis, _Tried] = {}
+    given_up: dict[Hypothesis, str] = {}
+
+    def attempt(memory: Memory, delta: float) -> None:
+        why = why_not_word_by_word(teacher, sample) if memory == "word" and settings.memory is None else ""
+        if not why:
+            try:
+                tried[memory, delta] = _tried(teacher, sample, settings, memory, delta)
+            except TooManyQueriesError:
+                why = "given up: single words do not fall into few locations"
+        if why:
+            given_up[memory, delta] = why
+
     # One after the other, not the whole grid: seven structures are learned and held out instead of sixteen.
-    coarser = {(memory, first): _tried(teacher, sample, settings, memory, first) for memory in memories}
-    memory = _best(coarser)[0]
-    finer = {(memory, first): coarser[memory, first]} | {
-        (memory, delta): _tried(teacher, sample, settings, memory, delta) for delta in deltas if delta != first
-    }
-    best = _best(finer)
-    table = tuple(
-        replace(row(f"memory {key[0]}, delta {key[1]:g}", tried.partition.laws, tried.held), chosen=key == best)
-        for key, tried in (coarser | finer).items()
-    )
-    chosen = finer[best]
-    return Structure(chosen.classes, chosen.partition, best[1]), table
+    for each in memories:
+        attempt(each, first)
+    memory = _best(tried)[0]
+    for delta in deltas:
+        if delta != first:
+            attempt(memory, delta)
+    best = _best({key: found for key, found in tried.items() if key[0] == memory})
+    table = [
+        replace(row(_label(key), found.partition.laws, found.held), chosen=key == best) for key, found in tried.items()
+    ]
+    table += [replace(row(_label(key), 0, None), note=why) for key, why in given_up.items()]
+    return Structure(tried[best].classes, tried[best].partition, best[1]), tuple(table)
 
 
-Hypothesis = tuple[Memory, float]
+def _label(hypothesis: Hypothesis) -> str:
+    return f"memory {hypothesis[0]}, delta {hypothesis[1]:g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,14 +89,21 @@ def _tried(teacher: Teacher, sample: SegmentSample, settings: LshaSettings, memo
 
     def learned(use: Mask | None = None) -> Partition:
         return merged(
-            classes, sample, teacher, delta=delta * sample.spread, alpha=settings.alpha, n_min=settings.n_min, use=use
+            classes,
+            sample,
+            teacher,
+            delta=delta * sample.spread,
+            alpha=settings.alpha,
+            n_min=settings.n_min,
+            use=use,
+            patient=settings.memory is not None,
         )
 
     partition = learned()
     groups, order = np.unique(sample.segments.group, return_inverse=True)
     if groups.size < 2 or sample.value.size < LEAST:
         return _Tried(classes, partition, None)
-    part = order % settings.split
+    part = order % held_out_parts(teacher, groups.size, settings.split)
     classed = classes.of_state[sample.segments.place]
     error = np.empty(sample.value.size)
     for held in np.unique(part):

@@ -15,6 +15,7 @@ from sim.learning import (
     first_switch,
     free_runs,
     level_signals,
+    machines_of,
     pieces,
 )
 from sim.learning.lsha.words import TraceWords, classes_of, words_of
@@ -22,6 +23,8 @@ from sim.sha import Alphabet, Array, Mask, Trace
 
 CYCLE = 3600.0
 """Seconds that a free run lasts at least before the next start-up begins a new one."""
+LAST = 4
+"""Moves that words have in common at most for their segments to count as alike."""
 SPREAD = 40.0
 """Spread of the prior of targets, in degC, and what an input moves a target by over one standard deviation of it."""
 
@@ -32,7 +35,9 @@ class Teacher:
 
     `runs` have a place in the finest automaton (`words`); `modelled` (S,) says which of its states may have a law of
     their own. `group` (n,) is the part of the data that a knot is held out with: a trace, or a part of one where there
-    are fewer traces than `split`. `signals` are the inputs of the runs, `centre` (q,) their means over time.
+    are fewer traces than `split`. `signals` are the inputs of the runs, `centre` (q,) their means over time. `alike`
+    (each (S,)) are classes of states that are believed to resemble each other, the finest first. `machines` (T,) are
+    the traces' machines, by the numbers that the runs give them.
     """
 
     words: TraceWords
@@ -42,6 +47,8 @@ class Teacher:
     signals: tuple[str, ...]
     centre: Array
     prior: Prior
+    alike: tuple[Indices, ...]
+    machines: tuple[str, ...]
 
     @property
     def alphabet(self) -> Alphabet:
@@ -100,6 +107,27 @@ def teacher_of(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_
         signals=signals,
         centre=centre,
         prior=prior,
+        alike=_alike(words),
+        machines=machines_of(traces, temperature),
+    )
+
+
+def beginnings(traces: Sequence[Trace], most: int, split: int) -> tuple[Trace, ...]:
+    """A sample of the encoded traces with about `most` events in all; all of them if they have no more.
+
+    Whole traces, spread evenly over all; where they are so long that fewer than `split` of them would be left, so many
+    of their beginnings. A word begins where its trace does, so that a part of a trace is of use from its beginning on.
+    """
+    events = [len(trace.events) for trace in traces]
+    if sum(events) <= most:
+        return tuple(traces)
+    count = min(max(most // max(events), split), len(traces))
+    chosen = [traces[number] for number in np.linspace(0, len(traces) - 1, count).astype(int).tolist()]
+    each = most // count
+    # The event after the last one ends the last segment.
+    return tuple(
+        trace.between(trace.times[0], trace.events[each].time) if len(trace.events) > each else trace
+        for trace in chosen
     )
 
 
@@ -113,9 +141,18 @@ def _moments(runs: FreeRuns) -> tuple[Array, Array]:
     return mean, np.sqrt((weight * (values - mean) ** 2).sum(axis=0) / mass)
 
 
-def alike(teacher: Teacher) -> Indices:
-    """(S,) the class of each state of the finest automaton by the memory `previous`."""
-    return classes_of(teacher.words, "previous").of_state
+def _alike(words: TraceWords) -> tuple[Indices, ...]:
+    """The finest states joined ever more: as they are, then by their last LAST moves, ..., by their last one."""
+    last = classes_of(words, "previous").of_state
+    before = np.zeros(last.size, dtype=np.intp)
+    for (source, _), (target, _) in words.edges.items():
+        before[target] = source
+    joined = [last]
+    for _ in range(LAST - 1):
+        # The last k + 1 moves are those k of the word before, and the last one.
+        pair = joined[-1][before] * last.size + last
+        joined.append(np.unique(pair, return_inverse=True)[1])
+    return (np.arange(last.size), *reversed(joined))
 
 
 def placed(runs: FreeRuns, place: Indices) -> FreeRuns:

@@ -12,7 +12,6 @@ little evidence, so they fall back on the default hypothesis: words with the sam
 Each memory is computed from itself and the next symbol, so every automaton of such classes is deterministic.
 """
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -24,16 +23,13 @@ from sim.sha import SHA, UNKNOWN, Alphabet, Array, Edge, Flow, Location, Switch,
 
 Word = tuple[str, ...]
 
-MOST_EVENTS = 1500
-"""Events in all up to which every word is told apart: the queries about them grow with their square."""
-
 
 @dataclass(frozen=True, slots=True)
 class WordHistory:
     """What is remembered at most: the context, the direction of the last level that moved (-1, 0, 1), the last move.
 
     `moved` is (channel, value before it), None before anything moved. `node` is the number of the word itself where
-    enough stretches begin with it, else -1; `word` is that number where all words are told apart, else -1.
+    enough stretches begin with it, else -1; `word` is that number for every word, -1 where classes of words are meant.
     """
 
     context: Context
@@ -80,7 +76,7 @@ class TraceWords:
 
     `edges` counts how often each (state, symbol) was taken and says where it led. `first` is where each state was seen
     first: trace and number of its events. `tree` is the tree of words, its nodes numbered from 1 on: (node before,
-    symbol) of each; `whole` says that every word has a node, not only those that many stretches begin with.
+    symbol) of each.
     """
 
     meaning: Meaning
@@ -88,7 +84,6 @@ class TraceWords:
     edges: Mapping[tuple[int, str], tuple[int, int]]
     first: tuple[tuple[str, int], ...]
     tree: tuple[tuple[int, str], ...]
-    whole: bool
 
     def spelled(self, node: int) -> Word:
         """The word of a node of the tree; 0 is the empty one."""
@@ -97,6 +92,11 @@ class TraceWords:
             node, symbol = self.tree[node - 1]
             word.append(symbol)
         return tuple(reversed(word))
+
+    @property
+    def events(self) -> int:
+        """How many events all words have in all."""
+        return sum(count for _, count in self.edges.values())
 
     @property
     def sha(self) -> SHA:
@@ -108,15 +108,14 @@ class TraceWords:
 
 
 def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> TraceWords:
-    """The finest automaton that follows the encoded traces; words that `n_min` stretches begin with are states.
+    """The finest automaton that follows the encoded traces: every word is a state.
 
-    With MOST_EVENTS events or fewer every word is a state. Raises LearningError, naming trace and event, for a symbol
-    that the alphabet does not have.
+    Words that `n_min` stretches begin with are rows of their own under every memory. Raises LearningError, naming trace
+    and event, for a symbol that the alphabet does not have.
     """
     table = meaning(alphabet)
     stretches = [stretch for trace in traces for stretch in _stretches(trace, table)]
-    whole = sum(len(word) for _, _, word in stretches) <= MOST_EVENTS
-    nodes, counts = _tree([word for _, _, word in stretches], 1 if whole else n_min)
+    nodes, counts = _tree([word for _, _, word in stretches])
     start = WordHistory((None,) * len(alphabet.channels))
     number: dict[WordHistory, int] = {start: 0}
     first = [(traces[0].name, 0)]
@@ -124,20 +123,17 @@ def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> TraceWo
     for name, offset, word in stretches:
         here, history, node = 0, start, 0
         for length, symbol in enumerate(word, 1):
-            node = nodes.get((node, symbol), -1)
-            often = node > 0 and counts[node - 1] >= n_min
+            node = nodes[node, symbol]
             # What is remembered follows from what was remembered before and the symbol alone, or the automaton would
-            # not be deterministic; a word that is too rare for a node of its own (-1) never gets one again.
-            history = table.after(history, symbol, node if often else -1, node if whole else -1)
+            # not be deterministic: what goes on from a rare word is rare as well.
+            history = table.after(history, symbol, node if counts[node - 1] >= n_min else -1, node)
             target = number.setdefault(history, len(number))
             if target == len(first):
                 first.append((name, offset + length))
             _, count = edges.get((here, symbol), (target, 0))
             edges[here, symbol] = (target, count + 1)
             here = target
-    return TraceWords(
-        meaning=table, states=tuple(number), edges=edges, first=tuple(first), tree=tuple(nodes), whole=whole
-    )
+    return TraceWords(meaning=table, states=tuple(number), edges=edges, first=tuple(first), tree=tuple(nodes))
 
 
 def _stretches(trace: Trace, table: Meaning) -> list[tuple[str, int, Word]]:
@@ -158,10 +154,10 @@ def _stretches(trace: Trace, table: Meaning) -> list[tuple[str, int, Word]]:
     return stretches
 
 
-def _tree(words: Sequence[Word], least: int) -> tuple[dict[tuple[int, str], int], list[int]]:
-    """((node, symbol) -> node of the tree of the words that at least `least` stretches begin with, how many do).
+def _tree(words: Sequence[Word]) -> tuple[dict[tuple[int, str], int], list[int]]:
+    """((node, symbol) -> node of the tree of all words, how many stretches begin with each); 0 is the empty word.
 
-    0 is the empty word, shorter words come first. -1 has no successors: what is rare stays rare.
+    Nodes are numbered by the length of their words, and by what the words are, whoever says them.
     """
     nodes: dict[tuple[int, str], int] = {}
     often: list[int] = []
@@ -170,13 +166,31 @@ def _tree(words: Sequence[Word], least: int) -> tuple[dict[tuple[int, str], int]
     while front:
         grown: dict[int, list[Word]] = {}
         for node, through in front.items():
-            counts = Counter(word[depth] for word in through if len(word) > depth)
-            for symbol in sorted(symbol for symbol, count in counts.items() if count >= least):
+            following: dict[str, list[Word]] = {}
+            for word in through:
+                if len(word) > depth:
+                    following.setdefault(word[depth], []).append(word)
+            for symbol in sorted(following):
                 nodes[node, symbol] = len(nodes) + 1
-                often.append(counts[symbol])
-                grown[nodes[node, symbol]] = [w for w in through if len(w) > depth and w[depth] == symbol]
+                often.append(len(following[symbol]))
+                grown[len(nodes)] = following[symbol]
         front, depth = grown, depth + 1
     return nodes, often
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinates:
+    """Where classes of words lie: `context` (C, q), NaN for a channel that is not known, and `direction` (C,)."""
+
+    context: Array
+    direction: Array
+
+
+def coordinates(keys: Sequence[WordHistory]) -> Coordinates:
+    """The coordinates of some classes."""
+    nan = float("nan")
+    context = [[nan if value is None else value for value in key.context] for key in keys]
+    return Coordinates(np.array(context, dtype=float), np.array([key.direction for key in keys], dtype=float))
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,15 +198,15 @@ class Classes:
     """The words seen through one memory: C classes with observed edges, deterministic.
 
     `of_state` (S,) is the class of each state of the finest automaton, `keys` (C,) what its words share (`node` or
-    `word` only where a class is one word), `edges` (C,) symbol -> class. `apart` (C, C) is how far two classes are from
-    each other: bins apart, a switch or another direction counting for ten, not knowing for one.
+    `word` only where a class is one word), `edges` (C,) symbol -> class.
     """
 
     memory: Memory
     of_state: Indices
     keys: tuple[WordHistory, ...]
     edges: tuple[Mapping[str, int], ...]
-    apart: Array
+    meaning: Meaning
+    coordinates: Coordinates
     _near: dict[int, list[int]] = field(default_factory=dict, compare=False, repr=False)
 
     def __len__(self) -> int:
@@ -201,7 +215,9 @@ class Classes:
     def near(self, row: int) -> list[int]:
         """All classes by how near they are to one of them; kept, since it is asked often."""
         if row not in self._near:
-            self._near[row] = np.argsort(self.apart[row], kind="stable").tolist()
+            where = self.coordinates
+            here = Coordinates(where.context[row : row + 1], where.direction[row : row + 1])
+            self._near[row] = np.argsort(apart(here, where, self.meaning)[0], kind="stable").tolist()
         return self._near[row]
 
 
@@ -213,23 +229,25 @@ def classes_of(words: TraceWords, memory: Memory) -> Classes:
     for (source, symbol), (target, _) in words.edges.items():
         edges[of_state[source]][symbol] = of_state[target]
     keys = tuple(number)
-    return Classes(memory, np.array(of_state, dtype=np.intp), keys, tuple(edges), apart(keys, keys, words.meaning))
-
-
-def apart(ones: Sequence[WordHistory], others: Sequence[WordHistory], table: Meaning) -> Array:
-    """(C, D) how far classes are from each other, as `structure.distance` counts, another direction like a switch."""
-    nan = float("nan")  # a channel that is not known
-    one, other = (
-        np.array([[nan if value is None else value for value in key.context] for key in keys], dtype=float)
-        for keys in (ones, others)
+    return Classes(
+        memory=memory,
+        of_state=np.array(of_state, dtype=np.intp),
+        keys=keys,
+        edges=tuple(edges),
+        meaning=words.meaning,
+        coordinates=coordinates(keys),
     )
-    total = np.zeros((len(ones), len(others)))
+
+
+def apart(ones: Coordinates, others: Coordinates, table: Meaning) -> Array:
+    """(C, D) how far classes are from each other, as `structure.distance` counts, another direction like a switch."""
+    total = np.zeros((ones.direction.size, others.direction.size))
     for channel, level in enumerate(table.levels):
-        a, b = one[:, channel, None], other[None, :, channel]
+        a, b = ones.context[:, channel, None], others.context[None, :, channel]
         away = np.abs(a - b) if level else SWITCH_STEPS * (a != b)
         both = np.isnan(a) & np.isnan(b)
         total += np.where(np.isnan(a) | np.isnan(b), np.where(both, 0.0, 1.0), away)
-    turn, other_turn = np.array([key.direction for key in ones])[:, None], np.array([key.direction for key in others])
+    turn, other_turn = ones.direction[:, None], others.direction[None, :]
     unknown = (turn == 0) | (other_turn == 0)
     return np.asarray(total + np.where(turn == other_turn, 0.0, np.where(unknown, 1.0, SWITCH_STEPS)))
 

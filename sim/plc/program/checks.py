@@ -9,6 +9,7 @@ from typing import Any, TypeVar, get_type_hints
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from drivers.device_file import DeviceFile, read_device_file
+from drivers.named_files import endless_number, parse_toml, regular
 from drivers.settings import ConfigError, reason_of, sentences
 
 
@@ -28,19 +29,22 @@ E = TypeVar("E", bound=FileTable)
 def read_text(path: Path, what: str) -> str:
     """The file as UTF-8 text (a byte order mark is dropped). Raises InputError."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        text = regular(path).read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file; give the path of {what}") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); make it a file that this user can read") from None
+    if problem := endless_number(text):
+        raise InputError(f"{path}: {problem}")
+    return text
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
     """The TOML file's content. Raises InputError, with the line where TOML has one."""
     try:
-        return tomllib.loads(read_text(path, what))
+        return parse_toml(read_text(path, what))
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: is not TOML: {error}; correct that place") from None
 

@@ -1,8 +1,9 @@
 """What is noted of runs while they go by."""
 
 from sim.checking.smc.monitors.formula import CompiledFormulas, affine, exists, linear_in_temperature
-from sim.checking.smc.monitors.monitor import ExtremeMonitor, ResponseMonitor, Totals, TrajectoryMonitor, follow, inside
+from sim.checking.smc.monitors.monitor import ExtremeMonitor, Totals, TrajectoryMonitor, follow, inside
 from sim.checking.smc.monitors.path import PreparedPath, approximations, cuts, prepare_path
+from sim.checking.smc.monitors.response import ResponseMonitor
 
 __all__ = [
     "CompiledFormulas",

@@ -34,6 +34,9 @@ from sim.checking.smc.paths import Indices, Piece
 from sim.sha import Array, Mask
 
 Value = float | Array
+WatchedLines = tuple[list[tuple[Value, Value]], list[tuple[Value, Value]]]
+"""Lines looked at from below and from above, each at both ends of a piece."""
+
 ZERO = Number(0.0)
 TINY = 1e-9
 """Two clocks that differ by less, relative to their size, are equal: sums of floats are not exact."""
@@ -291,6 +294,11 @@ def table(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask:
     return compiled.tables[key]
 
 
+def table_at_begin(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask:
+    """The `table` of the piece's first instant: clocks may compare otherwise there (`time > 5` from 5 s on)."""
+    return table(compiled, which, piece.opening() if compiled.clocks else piece)
+
+
 def _table(compiled: CompiledFormulas, which: int, piece: Piece, clocks: tuple[bool | Mask, ...]) -> Mask:
     k = len(compiled.lines)
     regions = np.arange(2 * k + 1)
@@ -339,7 +347,7 @@ def reached(line: ThresholdLine, piece: Piece, *, up: bool, strict: bool) -> Mas
         # A Brownian bridge from x0 to x1 of variance V crosses a line at distances a, b with probability exp(-2ab/V):
         # it does where an exponential number e is above 2ab/V (`paths.plan`).
         product = (low - piece.start[rows]) * (high - piece.end[rows])
-        touched[rows] |= product < 0.5 * bridge * e
+        touched[rows[product < 0.5 * bridge * e]] = True
     return np.asarray(touched)
 
 
@@ -401,3 +409,25 @@ def region(compiled: CompiledFormulas, piece: Piece, *, at_end: bool) -> Indices
         position = line.ends(piece)[int(at_end)]
         index += (x > position).astype(np.intp) + (x >= position)
     return index
+
+
+def begins_true(compiled: CompiledFormulas, which: int, piece: Piece, rows: Indices) -> Mask:
+    """(rows,) whether formula `which` is true where the piece begins, for some of its runs."""
+    truth, x = table(compiled, which, piece), piece.start[rows]
+    index = np.zeros(rows.size, dtype=np.intp)
+    for line in compiled.lines:
+        position, _ = line.ends(piece)
+        position = position[rows] if isinstance(position, np.ndarray) else position
+        index += (x > position).astype(np.intp) + (x >= position)
+    return np.asarray(truth[index] if truth.ndim == 1 else truth[index, rows])
+
+
+def true_in(truth: Mask, where: Indices) -> Mask:
+    """(n,) a formula's truth, by its table (`table`), in the region in which each run is."""
+    return np.asarray(truth[where] if truth.ndim == 1 else truth[where, np.arange(where.size)])
+
+
+def watched_lines(compiled: CompiledFormulas, piece: Piece) -> WatchedLines:
+    """Where the lines that make some formula true are at both ends of a piece: those reached from below, from above."""
+    ups = [compiled.lines[index].ends(piece) for index, up in compiled.watched if up]
+    return ups, [compiled.lines[index].ends(piece) for index, up in compiled.watched if not up]

@@ -16,18 +16,22 @@ from sim.checking.smc.monitors.formula import (
     TINY,
     CompiledFormulas,
     Value,
+    WatchedLines,
+    begins_true,
     combined,
     exists,
     holds_at,
     region,
     table,
+    table_at_begin,
+    true_in,
     value,
     visited,
+    watched_lines,
 )
 from sim.checking.smc.paths import Engine, Indices, Piece, State, with_extremes
 from sim.sha import MOST_STAYS, Array, Mask
 
-WatchedLines = tuple[list[tuple[Value, Value]], list[tuple[Value, Value]]]
 KEEP, EVERY = 0.75, 8
 """Decided runs are left out when fewer than KEEP of them are undecided, which is looked at after EVERY rows."""
 
@@ -108,11 +112,6 @@ def inside(piece: Piece, low: float, high: float) -> bool:
     return low - 1e-9 <= middle <= high + 1e-9
 
 
-def _watched(compiled: CompiledFormulas, piece: Piece) -> WatchedLines:
-    ups = [compiled.lines[index].ends(piece) for index, up in compiled.watched if up]
-    return ups, [compiled.lines[index].ends(piece) for index, up in compiled.watched if not up]
-
-
 @dataclass(slots=True)
 class EventuallyMonitor:
     """Whether a formula comes true within low..high (s), and by when (s; inf where not): the end of that piece, or its
@@ -130,7 +129,7 @@ class EventuallyMonitor:
 
     def watch(self, piece: Piece, who: Indices) -> WatchedLines:
         """The formula's lines, within the span."""
-        return _watched(self.compiled, piece) if inside(piece, self.low, self.high) else ([], [])
+        return watched_lines(self.compiled, piece) if inside(piece, self.low, self.high) else ([], [])
 
     def see(self, piece: Piece, who: Indices) -> None:
         """Note the runs in which the formula is true somewhere."""
@@ -143,19 +142,8 @@ class EventuallyMonitor:
         new = rows[~self.satisfied[who[rows]]]
         self.satisfied[who[new]] = True
         if new.size:
-            # The same piece for the runs that are new, without its extremes, which this does not ask for.
-            part = Piece(
-                rows=None,
-                begin=_of_rows(piece.begin, new),
-                dt=_of_rows(piece.dt, new),
-                age=_of_rows(piece.age, new),
-                location=piece.location if isinstance(piece.location, int) else piece.location[new],
-                start=piece.start[new],
-                end=piece.end[new],
-                bridge=_of_rows(piece.bridge, new),
-            )
-            at_start = _true_in(table(self.compiled, 0, part), region(self.compiled, part, at_end=False))
-            self.when[who[new]] = np.where(at_start, part.begin, part.begin + part.dt)
+            begin, dt = _of_rows(piece.begin, new), _of_rows(piece.dt, new)
+            self.when[who[new]] = np.where(begins_true(self.compiled, 0, piece, new), begin, begin + dt)
 
     def open(self) -> Mask | None:
         """The runs in which it has not been true."""
@@ -185,7 +173,7 @@ class UntilMonitor:
 
     def watch(self, piece: Piece, who: Indices) -> WatchedLines:
         """The lines of both formulas, up to the span's end."""
-        return _watched(self.compiled, piece) if inside(piece, 0.0, self.high) else ([], [])
+        return watched_lines(self.compiled, piece) if inside(piece, 0.0, self.high) else ([], [])
 
     def see(self, piece: Piece, who: Indices) -> None:
         """Note where the goal is reached and where hold has ended."""
@@ -197,9 +185,12 @@ class UntilMonitor:
         ends, goal = (_nearest(table(self.compiled, which, piece), start_region, n) for which in (0, 1))
         up, down = ends[0] <= high, ends[1] >= low
         late = inside(piece, self.low, self.high)
-        rise = (goal[0] <= high) & (goal[0] <= ends[0]) & late
-        fall = (goal[1] >= low) & (goal[1] >= ends[1]) & late
-        at_once = (goal[0] == start_region) & late
+        # A goal at the first instant needs no hold there; one that is true right after it (`time > 5` at 5 s) does.
+        at_begin = true_in(table_at_begin(self.compiled, 1, piece), start_region)
+        ended = (ends[0] == start_region) & ~at_begin
+        rise = (goal[0] <= high) & (goal[0] <= ends[0]) & ~ended & late
+        fall = (goal[1] >= low) & (goal[1] >= ends[1]) & ~ended & late
+        at_once = (at_begin | (goal[0] == start_region)) & ~ended & late
         # Goal on one side, end of hold on the other, both reached: the bridge does not say which came first.
         torn = ~at_once & ((rise & down & ~fall) | (fall & up & ~rise))
         alive = ~self.satisfied[who] & ~self.broken[who]
@@ -229,81 +220,8 @@ def _nearest(truth: Mask, own: Indices, runs: int) -> tuple[Indices, Indices]:
     return above[own, columns], below[own, columns]
 
 
-@dataclass(slots=True)
-class ResponseMonitor:
-    """Whether each instant of `cause` (formula 0) is followed by `effect` (formula 1) low..high s later.
-
-    Kept piece by piece and judged at the end (`failed`). An instant inside a piece is known to within the piece.
-    """
-
-    compiled: CompiledFormulas
-    low: float
-    high: float
-    bound: float
-    runs: int
-    first: list[Array] = field(default_factory=list)
-    last: list[Array] = field(default_factory=list)
-    causes: list[Array] = field(default_factory=list)
-
-    def watch(self, piece: Piece, who: Indices) -> WatchedLines:
-        """The lines of both formulas."""
-        return _watched(self.compiled, piece)
-
-    def see(self, piece: Piece, who: Indices) -> None:
-        """Note the piece's earliest and latest instant of the effect and an instant of the cause."""
-        n = who.size
-        begin, middle = (np.broadcast_to(np.asarray(time, dtype=float), (n,)) for time in (piece.begin, piece.middle))
-        stop = np.broadcast_to(np.asarray(piece.begin + piece.dt), (n,))
-        first_region, last_region = (region(self.compiled, piece, at_end=at_end) for at_end in (False, True))
-        spans = []
-        for which in (0, 1):
-            met = np.broadcast_to(exists(self.compiled, which, piece), (n,))
-            at_start, at_end = (
-                _true_in(table(self.compiled, which, piece), where) for where in (first_region, last_region)
-            )
-            first = np.where(at_start, begin, np.where(met, middle, inf))
-            last = np.where(at_end, stop, np.where(at_start & ~met, begin, np.where(met, middle, -inf)))
-            spans.append((first, last))
-        self.causes.append(self._spread(spans[0][0], who, inf))
-        self.first.append(self._spread(spans[1][0], who, inf))
-        self.last.append(self._spread(spans[1][1], who, -inf))
-
-    def _spread(self, values: Array, who: Indices, missing: float) -> Array:
-        whole = np.full(self.runs, missing)
-        whole[who] = values
-        return whole
-
-    def open(self) -> Mask | None:
-        """All: what comes last may be a cause without effect."""
-        return None
-
-    def failed(self) -> Mask:
-        """(n,) the runs in which some cause had no effect in time; causes too late to tell count as answered."""
-        failed = np.zeros(self.runs, dtype=np.bool_)
-        pointer = np.zeros(self.runs, dtype=np.intp)
-        first, last = (
-            np.vstack([*self.first, np.full(self.runs, inf)]),
-            np.vstack([*self.last, np.full(self.runs, inf)]),
-        )
-        columns = np.arange(self.runs)
-        # One sweep over the pieces for all runs: causes come in the order of time, so each run's pointer to the first
-        # piece whose effect is late enough only moves on. The row of inf below the last piece stops it.
-        for cause in self.causes:
-            due = (cause + self.high <= self.bound + 1e-9) & ~failed
-            target = np.where(due, cause + self.low, -inf)
-            while np.any(behind := last[pointer, columns] < target - 1e-9):
-                pointer += behind
-            answer = np.maximum(first[pointer, columns], target)
-            failed |= due & (answer > cause + self.high + 1e-9)
-        return failed
-
-
 def _of_rows(column: Value, rows: Indices) -> Value:
     return column[rows] if isinstance(column, np.ndarray) else column
-
-
-def _true_in(truth: Mask, where: Indices) -> Mask:
-    return np.asarray(truth[where] if truth.ndim == 1 else truth[where, np.arange(where.size)])
 
 
 @dataclass(slots=True)

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import inf
 
 import numpy as np
 
 from sim.checking.query import Always, BoundedResponse, Not, Operation, Path, Until
 from sim.checking.smc.monitors.formula import CompiledFormulas, affine, compile_formulas
-from sim.checking.smc.monitors.monitor import EventuallyMonitor, Monitor, ResponseMonitor, UntilMonitor
+from sim.checking.smc.monitors.monitor import EventuallyMonitor, Monitor, UntilMonitor
+from sim.checking.smc.monitors.response import ResponseMonitor
 from sim.checking.smc.paths import LONGEST, Affine, Cuts
 from sim.sha import Array, Mask
 
@@ -21,11 +22,25 @@ class PreparedPath:
     compiled: CompiledFormulas
     bound: float
 
+    @property
+    def horizon(self) -> float:
+        """How far runs must go (s): to the bound, or until the effect of a cause at the bound is due."""
+        if isinstance(self.path, BoundedResponse) and not self.path.weak:
+            return self.bound + self.path.span.high
+        return self.bound
+
     def start(self, runs: int) -> EventuallyMonitor | UntilMonitor | ResponseMonitor:
         """A monitor of `runs` new runs."""
         span = self.path.span
         if isinstance(self.path, BoundedResponse):
-            return ResponseMonitor(self.compiled, span.low, span.high, self.bound, runs)
+            return ResponseMonitor(
+                compiled=self.compiled,
+                low=span.low,
+                high=span.high,
+                until=self.horizon - span.high,
+                bound=self.bound,
+                runs=runs,
+            )
         make = UntilMonitor if isinstance(self.path, Until) else EventuallyMonitor
         return make(self.compiled, span.low, min(span.high, self.bound), runs)
 
@@ -52,15 +67,21 @@ def prepare_path(path: Path, names: tuple[str, ...], bound: float) -> PreparedPa
     return PreparedPath(path, compile_formulas((inner,), names), bound)
 
 
-def cuts(paths: Sequence[PreparedPath], bound: float) -> Cuts:
+def cuts(paths: Sequence[PreparedPath]) -> Cuts:
     """Where the runs' steps must end for these paths: at the ends of spans, and where a condition on clocks changes."""
+    bound = max(path.horizon for path in paths)
     instants: set[float] = set()
     clocks: set[Affine] = set()
     looked = []
     for prepared in paths:
         path, compiled = prepared.path, prepared.compiled
-        low, high = (0.0, bound) if isinstance(path, BoundedResponse) else (path.span.low, min(path.span.high, bound))
-        instants |= {time for time in (low, high) if isfinite(time) and 0.0 < time <= bound}
+        # Each path ends at its own bound, which for a comparison's one side may lie before the end of the runs.
+        if isinstance(path, BoundedResponse):
+            low, high = 0.0, prepared.horizon
+            instants |= {prepared.horizon - path.span.high, prepared.bound}
+        else:
+            low, high = path.span.low, min(path.span.high, prepared.bound)
+        instants |= {low, high}
         if compiled.lines or _is_bent(prepared):
             # What must hold before the goal, and a cause, count from the start on, whatever the span says.
             looked.append((0.0 if isinstance(path, Until | BoundedResponse) else min(low, bound), high))
@@ -83,7 +104,7 @@ def _is_bent(prepared: PreparedPath) -> bool:
 
 
 def approximations(prepared: PreparedPath) -> tuple[str, ...]:
-    """What is not exact in following this path, one sentence each."""
+    """What is not exact in following this path, and how far beyond the bound it is followed, one sentence each."""
     sentences = []
     if _is_bent(prepared):
         sentences.append(
@@ -91,6 +112,10 @@ def approximations(prepared: PreparedPath) -> tuple[str, ...]:
         )
     if len({up for _, up in prepared.compiled.watched}) == 2:
         sentences.append("a rise and a fall of the temperature within one step are drawn as if independent")
+    if isinstance(prepared.path, BoundedResponse) and not prepared.path.weak:
+        sentences.append(
+            f"each cause up to {prepared.bound:g} s is judged: runs are followed to {prepared.horizon:g} s for it"
+        )
     if isinstance(prepared.path, BoundedResponse) and prepared.compiled.lines:
         sentences.append("the moment at which a temperature is crossed is known to within a step of at most 4 s")
     return tuple(sentences)

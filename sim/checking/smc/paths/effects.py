@@ -22,10 +22,10 @@ from sim.engine import (
     augmented_plan,
     compile_plant,
     draw_states,
+    drawn_start,
     fastest,
     move,
     schedule,
-    start_state,
 )
 from sim.sha import SHA, UNKNOWN, Array, Event, distributions
 
@@ -55,7 +55,7 @@ class KnownUnderEffects:
         plant, belief = self.plan.plant, self.world.belief
         opened = np.zeros(runs)
         if belief is None:
-            s = start_state(plant, distributions.draw(self.world.first, runs, rng), float(self.before[0]))
+            s = drawn_start(plant, distributions.draw(self.world.first, runs, rng), float(self.before[0]), rng)
             mode = draw_mode(self.plan.schedule.sha, self.world.location, runs, rng)
         else:
             hidden = belief.hidden or Hidden((), ())
@@ -180,6 +180,8 @@ def _outputs(coarse: Schedule, cuts: Cuts, sha: SHA) -> Array:
         speed = np.maximum(speed, plant.lag_rate)
     if isfinite(plant.housing_tau):
         speed = np.maximum(speed, 1.0 / plant.housing_tau)
+    if plant.disturbance is not None:
+        speed = np.maximum(speed, 1.0 / plant.disturbance.params["memory"])
     part = FINE / np.maximum(speed, 1e-12)
     points = [np.array([cuts.bound])]
     instants = {time for time in cuts.instants if 0.0 <= time <= cuts.bound}

@@ -12,14 +12,14 @@ is drawn apart: the joint law of a rise and a fall within one piece is that of i
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import exp
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.engine import Belief, Tracker, draw_belief
+from sim.engine import Belief, Plant, Tracker, draw_belief, draw_states, drawn_start
 from sim.sha import (
     RELAXING,
     SHA,
@@ -169,6 +169,10 @@ class Piece:
         """The moment half-way, s since the start."""
         return self.begin + 0.5 * self.dt
 
+    def opening(self) -> "Piece":
+        """The piece's first instant alone."""
+        return replace(self, dt=0.0 * self.dt, end=self.start, bridge=0.0 * self.bridge, rise=None, fall=None)
+
 
 class Engine(Protocol):
     """Moves runs through common rows of time: `rows` many, row k from `clock[k]` to `clock[k + 1]` (s)."""
@@ -215,6 +219,15 @@ def draw_start(world: World, runs: int, rng: np.random.Generator) -> tuple[Array
         x = distributions.draw(world.first, runs, rng)
         return x, draw_mode(world.sha, world.location, runs, rng)
     return draw_belief(belief, runs, rng)
+
+
+def draw_hidden(world: World, plant: Plant, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """(states (N, d), m (N,)) at the start of runs of a plant that is random beyond its flows."""
+    belief = world.belief
+    if belief is not None and belief.hidden is not None:
+        return draw_states(belief.hidden, runs, rng)
+    x = distributions.draw(world.first, runs, rng)
+    return drawn_start(plant, x, 0.0, rng), draw_mode(world.sha, world.location, runs, rng)
 
 
 def draw_mode(sha: SHA, location: int, runs: int, rng: np.random.Generator) -> Array:

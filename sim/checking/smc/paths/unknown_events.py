@@ -1,12 +1,13 @@
 """Runs whose events are not known: each on its own clock, from stay to stay by the model's semi-Markov law.
 
 All runs share a grid of rows; inside a row a run stops at its own jumps, at conditions on its own clocks and where its
-flow demands shorter pieces. Only the runs that still have a part of the row before them go round again.
+flow demands shorter pieces. Only the runs that still have a part of the row before them go round again. As long as all
+runs are in one and the same stay, its pieces are the same for all and are worked out once (`SemiMarkov._together`).
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import isfinite, sqrt
 
 import numpy as np
 
@@ -18,11 +19,13 @@ from sim.checking.smc.paths.plan import (
     State,
     World,
     clamp,
+    draw_hidden,
     draw_mode,
     draw_start,
     limit,
 )
 from sim.checking.smc.paths.tilting import Tilts, start_at, start_tiltable
+from sim.effects import disturbance_step
 from sim.sha import (
     MOST_STAYS,
     Array,
@@ -35,8 +38,13 @@ from sim.sha import (
     input_moments,
 )
 
+STILL = 0.1
+"""Longest piece in units of a disturbance's memory: the mean of its ends is then right to a thousandth."""
 ROWS = 64
 """Rows of the common grid at least: runs that are decided are left out from row to row."""
+
+SAME_CLOCK = 1e-9
+"""Relative to its constant, what a condition on clocks may be off and still change at this instant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +69,11 @@ class SemiMarkov:
         """`runs` runs at the start, each with the time at which it leaves its first stay."""
         world, current = self.world, self.world.location
         drawn = np.empty(0) if self.tilts is None else np.full((runs, self.columns), np.nan)
-        if self.tilts is None or not self.columns:
+        hidden = np.empty(0)
+        if (plant := world.tracker.plant) is not None:
+            hidden, mode = draw_hidden(world, plant, runs, rng)
+            x = hidden[:, 0].copy()
+        elif self.tilts is None or not self.columns:
             x, mode = draw_start(world, runs, rng)
         else:
             drawn[:, 0] = self.tilts.scores(0, runs, rng)
@@ -82,11 +94,17 @@ class SemiMarkov:
             leaves=leaves,
             stays=none.copy(),
             drawn=drawn,
+            hidden=hidden,
         )
 
     def advance(self, row: int, state: State, rng: np.random.Generator) -> Iterator[Piece]:
         """The pieces of one row; each run takes part in as many as its jumps and cuts ask for."""
         begin, end = float(self.clock[row]), float(self.clock[row + 1])
+        # A plant that is random beyond its flows has states of its own in each run, which are moved run by run.
+        alike = self.world.tracker.plant is None and not self.cuts.clocks
+        if alike and state.x.size and _in_one_stay(state) and float(state.leaves.min()) > end:
+            yield from self._together(state, begin, end, looked=bool(self.looked[row]), rng=rng)
+            return
         rows: Indices | None = None
         now: Array = np.full(state.x.size, begin)
         while now.size:
@@ -95,13 +113,68 @@ class SemiMarkov:
             yield self._moved(state, rows, who, now=now, dt=stop - now, rng=rng)
             if instant.any():
                 yield self._instant(state, who[instant], stop[instant])
-            self._jump(state, who[state.leaves[who] <= stop], rng)
+            jumping = state.leaves[who] <= stop
+            self._jump(state, who[jumping], rng)
+            # The clock of a stay begins at 0, where a condition such as `age > 0` changes: an instant by itself.
+            entered = np.zeros(who.size, dtype=np.bool_)
+            for c, t, _ in self.cuts.clocks:
+                entered |= jumping & (np.abs(c + t * stop) <= SAME_CLOCK * (1.0 + abs(c)))
+            if entered.any():
+                yield self._instant(state, who[entered], stop[entered])
             left = stop < end
             rows, now = who[left], stop[left]
+
+    def _together(
+        self, state: State, begin: float, end: float, *, looked: bool, rng: np.random.Generator
+    ) -> Iterator[Piece]:
+        """The pieces of a row in which all runs are in one stay that none leaves: times and coefficients are numbers.
+
+        The same arithmetic in the same order as `_stop` and `_moved` do for runs apart, so that a seed's runs do not
+        depend on which way they came.
+        """
+        sha = self.world.sha
+        place, entered = int(state.location[0]), float(state.entered[0])
+        flow = sha.locations[place].flow
+        mode = float(state.mode[0]) if (state.mode == state.mode[0]).all() else state.mode
+        begins, ends = [begin], [end]
+        while looked and (stop := begins[-1] + float(limit(flow, begins[-1] - entered))) < end:
+            ends.insert(-1, stop)
+            begins.append(stop)
+        times = np.array(begins)
+        ages, steps = times - entered, np.array(ends) - times
+        columns = (begins, steps, ages, *flows.coefficients(flow, ages, steps))
+        for now, dt, age, decay, pull, variance in zip(*(np.asarray(each).tolist() for each in columns), strict=True):
+            start = state.x
+            if isfinite(sha.max_rate):
+                state.limited += (np.abs(flows.drift(flow, start, mode, age)) > sha.max_rate) & (dt > 0)
+                mean = flows.mean_step(flow, start, mode, age=age, dt=dt, max_rate=sha.max_rate)
+            else:
+                mean = decay * start
+                mean += pull * mode
+            x = rng.standard_normal(start.size)
+            x *= sqrt(variance)
+            x += mean
+            state.x, outside = clamp(sha, x)
+            if outside is not None:
+                state.clamps += outside
+            yield Piece(
+                rows=None,
+                begin=now,
+                dt=dt,
+                age=age,
+                location=place,
+                start=start,
+                end=state.x,
+                bridge=variance / max(decay, LEAST_DECAY),
+            )
 
     def _stop(self, state: State, who: Indices, now: Array, end: float, *, looked: bool) -> tuple[Array, Mask]:
         """Where each run stops next, and whether a condition on its clocks changes there."""
         stop = np.minimum(state.leaves[who], end)
+        plant = self.world.tracker.plant
+        if plant is not None and plant.disturbance is not None:
+            # Inside a piece the disturbance is the mean of its ends'.
+            stop = np.minimum(stop, now + STILL * plant.disturbance.params["memory"])
         entered = state.entered[who]
         if looked:
             location = state.location[who]
@@ -123,6 +196,8 @@ class SemiMarkov:
     ) -> Piece:
         start, mode, age = state.x[who], state.mode[who], now - state.entered[who]
         location = state.location[who]
+        if (plant := self.world.tracker.plant) is not None and plant.machine is not None:
+            mode = mode + (plant.rate > 0)[location] * state.hidden[who, plant.offset_state]
         decay, pull, variance = np.empty((3, who.size))
         fast = np.zeros(who.size, dtype=np.bool_)
         mean = np.empty(who.size)
@@ -138,7 +213,16 @@ class SemiMarkov:
                 )
         if not isfinite(rate):
             mean = decay * start + pull * mode
-        end, outside = clamp(self.world.sha, mean + np.sqrt(variance) * rng.standard_normal(who.size))
+        noise = np.sqrt(variance) * rng.standard_normal(who.size)
+        if (plant := self.world.tracker.plant) is not None and plant.disturbance is not None:
+            # Beside the limit on the rate, which is that of the flow: a disturbance is noise with a memory.
+            k, p = plant.rate[location], plant.disturbance.params
+            step = disturbance_step(p["memory"], dt, np.divide(pull, k, out=dt.copy(), where=k > 0))
+            fresh = p["sigma"] * np.sqrt(step.fresh) * rng.standard_normal(who.size)
+            heat = state.hidden[who, plant.heat_state]
+            noise += step.carried * heat + step.into * fresh
+            state.hidden[who, plant.heat_state] = step.keep * heat + fresh
+        end, outside = clamp(self.world.sha, mean + noise)
         state.limited[who] += fast & (dt > 0)
         if outside is not None:
             state.clamps[who] += outside
@@ -191,6 +275,11 @@ class SemiMarkov:
         return np.asarray(mean + sigma * rng.standard_normal(runs)) if sigma else float(mean)
 
 
+def _in_one_stay(state: State) -> bool:
+    """Whether all runs are in the same location and entered it at the same time."""
+    return bool((state.location == state.location[0]).all() and (state.entered == state.entered[0]).all())
+
+
 def _visited(location: Indices) -> list[int]:
     """The locations in which some run is, ascending; counted, which for a few small numbers is far cheaper than a hash
     of all runs."""
@@ -216,7 +305,8 @@ def semi_markov(world: World, cuts: Cuts) -> SemiMarkov:
     notes: tuple[str, ...] = ()
     if chain.laws[current] is None:
         notes = (f"the runs start in {chain.names[current]!r}, for which the model has no semi-Markov law: never left",)
-    columns = int(start_tiltable(world))
+    # The states of a plant that is random beyond its flows are drawn together; none of them is drawn elsewhere.
+    columns = int(world.tracker.plant is None and start_tiltable(world))
     return SemiMarkov(
         world=world,
         clock=clock,

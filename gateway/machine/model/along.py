@@ -1,0 +1,122 @@
+"""The gateway's forecasts along a recorded trace, as it would have made them: for whoever wants to score them.
+
+Predictor, bands and ensemble are the running gateway's own; only clock and device are the trace's. Nothing is known of
+the events to come, and nothing that lies after the scan at hand is looked at.
+"""
+
+import asyncio
+from collections.abc import Callable, Iterator, Sequence
+from math import inf
+
+import numpy as np
+
+from drivers.tag import Quality, Sample
+from gateway.machine.model.ensemble import Ensemble
+from gateway.machine.model.outlook import Outlook
+from gateway.machine.model.predict import Predictor
+from gateway.machine.reading import Scan
+from gateway.settings import EnsembleSection, ForecastSection
+from sim.artefacts import model_hash
+from sim.forecast import DENSE, Forecast
+from sim.sha import Alphabet, Model, Trace
+
+
+def recorded_scans(trace: Trace, period: float, alphabet: Alphabet) -> Iterator[Scan]:
+    """Scans every `period` seconds, as of a device that shows the trace: each signal's newest reading, held.
+
+    A tick without a new row brings no scan. Nothing is held over a step between rows longer than the alphabet's gap,
+    nor for longer than that, unless the signal's channel is only sent on change.
+    """
+    if not trace.times.size:
+        return
+    times = trace.times
+    # The tick that shows a row is the first one at or after it; the tolerance is for clocks in decimal fractions.
+    ticks = np.ceil((times - times[0]) / period - 1e-6)
+    rows = np.flatnonzero(np.diff(ticks, append=inf) > 0)
+    moments = times[0] + period * ticks[rows]
+    step = np.diff(times, prepend=times[0])
+    begins = np.maximum.accumulate(np.where(step > alphabet.gap, np.arange(times.size), 0))[rows]
+    lasting = {channel.signal for channel in alphabet.channels if channel.on_change}
+    columns = []
+    for name, values in trace.signals.items():
+        places = np.arange(times.size)
+        bad = trace.bad.get(name, np.zeros(times.shape, dtype=bool))
+        news = np.maximum.accumulate(np.where(np.isfinite(values) | bad, places, -1))[rows]
+        held = (news >= begins) & ((moments - times[news] <= alphabet.gap) | (name in lasting))
+        good = held & ~bad[news]
+        columns.append((name, times[news].tolist(), values[news].tolist(), good.tolist(), held.tolist()))
+    for number, moment in enumerate(moments.tolist()):
+        samples = {}
+        for name, read_at, values, good, held in columns:
+            if good[number]:
+                samples[name] = Sample(name, values[number], Quality.GOOD, read_at[number])
+            else:
+                samples[name] = Sample(name, None, Quality.BAD if held[number] else Quality.NO_DATA, read_at[number])
+        # Early in the sense of a scan: what it shows again of the scan before it must not correct the model twice.
+        yield Scan(number, moment, samples, 0, 0.0, early=True)
+
+
+def forecasts_along(
+    models: Sequence[Model],
+    trace: Trace,
+    forecasts: ForecastSection,
+    *,
+    ensemble: EnsembleSection | None = None,
+    scan_period: float = 1.0,
+    levels: tuple[float, ...] = DENSE,
+    progress: Callable[[float], None] | None = None,
+) -> list[Forecast]:
+    """Every forecast that the gateway would have made along `trace` with the first of `models`, the others its members.
+
+    The fans are at `levels`, which hold LEVELS. Raises ValueError for a trace without a signal that a model reads, and
+    what a model raises.
+    """
+    first = models[0]
+    predictor = Predictor(first, first.temperature)
+    lacking = sorted({name for model in models for name in Predictor(model, first.temperature).missing(trace.signals)})
+    if lacking:
+        names = ", ".join(sorted(trace.signals))
+        raise ValueError(f"trace {trace.name!r}: the model reads {', '.join(lacking)}; the trace has {names}")
+    members = None
+    section = ensemble or EnsembleSection()
+    if len(models) > 1 or (section.plain and first.plain):
+        members = Ensemble(
+            predictor,
+            [model_hash(model) for model in models],
+            models[1:],
+            section=section,
+            forecasts=forecasts,
+            scan_period=scan_period,
+        )
+    outlook = Outlook(predictor, forecasts, inf, scan_period, members, levels=levels)
+    made: list[Forecast] = []
+
+    async def follow() -> None:
+        for scan in recorded_scans(trace, scan_period, first.alphabet):
+            # The order of `ModelUnit`'s stages, without what the forecast has no part in.
+            prediction = predictor.step(scan)
+            outlook.settle(prediction.time, prediction.measured)
+            if prediction.reset:
+                outlook.void()
+            outlook.follow(scan, prediction.measured)
+            outlook.begin(scan.time, known=prediction.known and prediction.inputs_good, measured=prediction.measured)
+            # The trace's clock stands still meanwhile: a forecast is done before the next scan, on any machine.
+            await outlook.finished()
+            if (finished := outlook.collect()) is not None:
+                made.append(finished.forecast)
+                if progress is not None:
+                    progress((scan.time - trace.times[0]) / max(trace.times[-1] - trace.times[0], 1e-9))
+
+    asyncio.run(follow())
+    return made
+
+
+def machine_offset_along(model: Model, trace: Trace, *, scan_period: float = 1.0) -> tuple[float, float] | None:
+    """What the gateway knows at the end of `trace` of its machine: (mean, standard deviation) in degC of its offset.
+
+    None where the model has no offset of machines, and for a trace without rows.
+    """
+    predictor = Predictor(model, model.temperature)
+    for scan in recorded_scans(trace, scan_period, model.alphabet):
+        predictor.step(scan)
+    return predictor.machine_offset

@@ -1,0 +1,136 @@
+"""How much machines differ: the spread of their targets about the model's, from runs of several of them.
+
+Every run tells by how much its machine's targets lie off the model's, with an error. The variance between machines is
+what their means scatter beyond those errors (DerSimonian & Laird 1986, the method of moments of a random-effects
+meta-analysis). Few machines tell little of the next one: the standard deviation is multiplied by what makes the 90 %
+band of a normal law as wide as the prediction interval of Student's t.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from sim.engine import linear_recursion
+from sim.learning.free_run import FitShape, FreeRunFit, steps
+from sim.learning.noise import NoiseLevels
+from sim.learning.runs import FreeRuns, Indices
+from sim.sha import RELAXING, Array, Effect, Trace
+
+FIRST_SCATTER = 3.0
+"""degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""
+LEAST_TOLD = 100.0
+"""degC: a run whose offset is not known better than this says nothing of its machine."""
+_Z95 = 1.6448536269514722
+
+
+@dataclass(frozen=True, slots=True)
+class MachineSpread:
+    """`offsets` (degC) of the machines in the training by name, `between` their standard deviation beyond errors.
+
+    `sigma` (degC) is that of the next machine's offset as far as so few tell it; 0 where there is only one.
+    """
+
+    offsets: dict[str, float]
+    between: float
+    sigma: float
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The offset as an automaton has it; nothing where machines are alike, or only one was seen."""
+        return (Effect("machine-offset", {"sigma": self.sigma}),) if self.sigma > 0 else ()
+
+
+def machines_of(traces: Sequence[Trace], temperature: str) -> tuple[str, ...]:
+    """The machine of each trace that has readings of `temperature`: as `free_runs` numbers them."""
+    return tuple(trace.machine for trace in traces if np.isfinite(trace.signals.get(temperature, np.empty(0))).any())
+
+
+def next_stay(scatter: float, stays: int) -> float:
+    """The sigma (degC) of the next stay's m, where `stays` of them scatter by `scatter`.
+
+    Drawn towards FIRST_SCATTER as if one stay had shown that, and as wide as so few allow (`small_sample`).
+    """
+    drawn = np.sqrt((stays * scatter**2 + FIRST_SCATTER**2) / (stays + 1))
+    return float(drawn) * small_sample(stays)
+
+
+def small_sample(count: int) -> float:
+    """By how much the sigma of `count` values is widened so that a normal band holds the next value nine times in ten.
+
+    Student's t with `count` degrees of freedom (one of them is that of the prior), and the error of the mean.
+    """
+    if count < 1:
+        return small_sample(1)
+    return float(student.ppf(0.95, count)) / _Z95 * float(np.sqrt(1.0 + 1.0 / count))
+
+
+def machine_spread(
+    runs: FreeRuns,
+    shape: FitShape,
+    fit: FreeRunFit,
+    *,
+    noise: NoiseLevels,
+    groups: Indices,
+    machines: Sequence[str],
+) -> MachineSpread:
+    """The spread of targets between the `machines`, one a trace of the runs (by `FreeRuns.trace`).
+
+    `groups` (L,) numbers the locations that share a process noise.
+    """
+    if len(set(machines)) < 2:
+        return MachineSpread({}, 0.0, 0.0)
+    names = sorted(set(machines))
+    numbers = np.array([names.index(each) for each in machines], dtype=np.intp)
+    value, variance = _offsets(runs, shape, fit, noise=noise, groups=groups, machine=numbers)
+    told = np.isfinite(variance) & (variance < LEAST_TOLD**2)
+    offset = {name: float(value[number]) for number, name in enumerate(names) if told[number]}
+    count = len(offset)
+    if count < 2:
+        return MachineSpread(offset, 0.0, 0.0)
+    error = variance[told]
+    means, weight = np.array(list(offset.values())), 1.0 / np.array(error)
+    heterogeneity = float(weight @ (means - np.average(means, weights=weight)) ** 2)
+    spread = (heterogeneity - (count - 1)) / (weight.sum() - float(weight @ weight) / weight.sum())
+    between = float(np.sqrt(max(spread, 0.0)))
+    return MachineSpread(offset, between, between * small_sample(count - 1))
+
+
+def _offsets(
+    runs: FreeRuns, shape: FitShape, fit: FreeRunFit, *, noise: NoiseLevels, groups: Indices, machine: Indices
+) -> tuple[Array, Array]:
+    """(J,) the offset of each machine, and the variance of its error; `machine` (T,) numbers that of each trace.
+
+    Least squares on what the fit leaves, together with corrections of all targets and of each run's start: a machine
+    that was often in one location would else have drawn that location's target to itself. Offsets and targets may move
+    together, so offsets are drawn to 0 by a hair.
+    """
+    decay, pull = steps(runs, shape, np.log(fit.rates))
+    relaxing = np.array([kind in RELAXING for kind in shape.kinds])[runs.place]
+    pull = np.where(relaxing, pull, 0.0)
+    first, known = runs.first, np.isfinite(runs.reading)
+    run, of_machine = np.cumsum(first) - 1, machine[runs.trace]
+    size, machines = int(first.sum()), int(machine.max()) + 1
+    seen = np.unique(runs.place[relaxing])
+    masks = [runs.place == place for place in seen] + [of_machine == number for number in range(machines)]
+    columns = np.column_stack([linear_recursion(decay, np.where(mask, pull, 0.0), 0.0)[known] for mask in masks])
+    start, rest, run = (
+        linear_recursion(decay, first.astype(float), 0.0)[known],
+        (runs.reading - fit.mean)[known],
+        run[known],
+    )
+    # Each run's start is eliminated from everything: what is left of a column is what no start could have made.
+    norm = np.maximum(np.bincount(run, start * start, size), 1e-12)
+    for column in (*columns.T, rest):
+        column -= start * (np.bincount(run, start * column, size) / norm)[run]
+    gram, offsets = columns.T @ columns, slice(seen.size, None)
+    hair = np.zeros(len(gram))
+    hair[offsets] = 1e-4 * np.trace(gram) / len(gram)
+    solved = np.linalg.lstsq(gram + np.diag(hair), columns.T @ rest, rcond=None)[0]
+    # Readings err together, by the noise of the process gathered in between: all of it counts as one error, run by run.
+    walked = np.bincount(np.cumsum(first) - 1, runs.dt * (noise.process[groups[runs.place]] ** 2 + noise.white), size)
+    with np.errstate(divide="ignore"):
+        own = np.array([np.bincount(run, column * column, size) for column in columns.T[offsets]])
+        precision = (own / (noise.sensor**2 + walked)).sum(axis=1)
+        return np.asarray(solved[offsets], dtype=float), np.asarray(1.0 / precision, dtype=float)

@@ -1,0 +1,58 @@
+"""Plain members of an ensemble: what the last minutes say by themselves, without events, inputs or targets.
+
+Persistence is a random walk; a damped trend is one under heat with a memory. Both are automata of one location, so that
+they are filtered, drawn and mixed like any model. A learned model carries them (`Model.plain`), since their noise is
+learned from the same traces.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim.learning.free_run import FitShape, FreeRunFit
+from sim.learning.noise import MEMORIES, fit_noise
+from sim.learning.runs import free_runs, sampled
+from sim.sha import SHA, Flow, Location, PlainMember, Trace
+
+PERSISTENCE, TREND = "persistence", "damped trend"
+BUDGET = 2500
+"""Knots to which the readings are sampled."""
+
+
+def learn_plain(traces: Sequence[Trace], temperature: str) -> tuple[PlainMember, ...]:
+    """The plain members for `temperature`, by the composite likelihood that learns a model's noise (`fit_noise`).
+
+    The trend is left out where no memory of heat is worth it on data held out.
+    """
+    anywhere = SHA("plain", (Location("any", Flow("constant", {"noise": 0.0}), entry="none"),), (), "any")
+    runs = sampled(free_runs([replace(trace, events=()) for trace in traces], anywhere, temperature), BUDGET)
+    none, nothing = np.full(1, -1, dtype=np.intp), np.zeros(0)
+    shape = FitShape(
+        kinds=("constant",),
+        rate=none,
+        target=none,
+        gain=np.zeros((1, 0), dtype=np.intp),
+        reference=np.zeros((1, 0)),
+        centre=nothing,
+        spread=nothing,
+        rate_centre=nothing,
+        rate_spread=nothing,
+    )
+    fit = FreeRunFit(
+        linear=nothing,
+        rates=nothing,
+        covariance=np.zeros((0, 0)),
+        sigma=1.0,
+        correlation=1.0,
+        mean=runs.reading,
+        start=nothing,
+    )
+    group = np.zeros(1, dtype=np.intp)
+    members = []
+    for name, memories in ((PERSISTENCE, ()), (TREND, MEMORIES)):
+        noise = fit_noise(runs, shape, fit, group, budget=BUDGET, memories=memories)
+        if name == PERSISTENCE or noise.heat:
+            walk = float(noise.process[0])
+            members.append(PlainMember(name, sensor=noise.sensor, walk=walk, heat=noise.heat, memory=noise.memory))
+    return tuple(members)

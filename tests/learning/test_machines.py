@@ -1,0 +1,163 @@
+"""What differs between machines, what the last minutes say, and what no data have shown: learned from known plants."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.artefacts.model_json import model_text, parse_model
+from sim.engine.belief import advance, compile_model, machine_offset, observe, on_event, start
+from sim.learning.bins import learn as bins
+from sim.learning.bins.candidates import CANDIDATES
+from sim.learning.bins.learn import Learned, learn_bins
+from sim.learning.calibrate import HeldOutForecasts, Scored
+from sim.learning.machines import next_stay, small_sample
+from sim.learning.plain import PERSISTENCE, TREND, learn_plain
+from sim.learning.preparation import splits
+from sim.sha.events import DECANTER, Alphabet, Switch, encode
+from sim.sha.model import PlainMember, plain_model
+from sim.sha.trace import Event, Trace
+from tests.learning.plants import Truth, simulate
+
+OFFSETS = {"one": -6.0, "two": 0.0, "three": 5.0, "four": 2.0}
+
+
+def of_machine(name: str, offset: float, seed: int, cycles: int = 2) -> list[Trace]:
+    low, *others = (target + offset for target in Truth().targets)
+    truth = Truth(targets=(low, others[0], others[1], others[2], others[3]), scatter=0.2)
+    traces = simulate(truth, seed, cycles=cycles)
+    return [replace(trace, name=f"{name}-{trace.name}", machine=name) for trace in traces]
+
+
+def learned(traces: list[Trace], monkeypatch: pytest.MonkeyPatch) -> Learned:
+    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+    return learn_bins(traces, DECANTER, "T", seed=0, candidates=CANDIDATES[:1])
+
+
+def test_the_spread_between_machines_is_found_and_its_offsets_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    traces = [trace for n, (name, offset) in enumerate(OFFSETS.items()) for trace in of_machine(name, offset, n)]
+    spread = learned(traces, monkeypatch).spread
+    mean = np.mean(list(OFFSETS.values()))
+    for name, offset in OFFSETS.items():
+        assert spread.offsets[name] == pytest.approx(offset - mean, abs=1.5)
+    assert spread.between == pytest.approx(np.std(list(OFFSETS.values()), ddof=1), rel=0.3)
+    assert spread.sigma > 1.4 * spread.between, "four machines tell little of the fifth"
+
+
+def test_machines_that_are_alike_and_a_single_one_have_no_offset(monkeypatch: pytest.MonkeyPatch) -> None:
+    alike = [trace for n in range(4) for trace in of_machine(f"m{n}", 0.0, n)]
+    assert learned(alike, monkeypatch).spread.between < 0.6
+    alone = learned(of_machine("m", 0.0, 1, cycles=4), monkeypatch)
+    assert alone.spread.sigma == 0.0
+    assert not [effect for effect in alone.model.sha.effects if effect.kind == "machine-offset"]
+
+
+def test_the_belief_of_a_new_machine_begins_wide_and_finds_its_offset(monkeypatch: pytest.MonkeyPatch) -> None:
+    traces = [trace for n, (name, offset) in enumerate(OFFSETS.items()) for trace in of_machine(name, offset, n)]
+    tracker = compile_model(learned(traces, monkeypatch).model)
+    (new,) = of_machine("new", 9.0, 11, cycles=1)
+    belief, events = start(tracker, float(new.times[0])), list(new.events)
+    before = machine_offset(tracker, belief)
+    for time, value in zip(new.times.tolist(), new.signals["T"].tolist(), strict=True):
+        while events and events[0].time <= time:
+            belief = on_event(tracker, belief, events.pop(0))
+        belief = observe(tracker, belief, time, value)
+    after = machine_offset(tracker, belief)
+    assert before is not None and after is not None
+    mean = float(np.mean(list(OFFSETS.values())))
+    # A disturbance with a long memory may be the reason for a part of it: one cycle does not tell the two apart.
+    assert after[1] < 0.8 * before[1] and 3.0 < after[0] < 9.0 - mean + 2.5
+
+
+def test_few_values_are_widened_as_students_t_and_many_are_left_alone() -> None:
+    assert small_sample(1) > 5.0 > small_sample(2) > 1.5 > small_sample(8) > 1.1 > small_sample(100) > 1.0
+    assert next_stay(0.5, 1000) == pytest.approx(0.5, rel=0.05)
+    assert next_stay(0.5, 1) > 5.0
+
+
+def test_parts_hold_machines_out_where_there_are_several() -> None:
+    traces = [trace for n, name in enumerate(OFFSETS) for trace in of_machine(name, 0.0, n)]
+    parts = splits(traces)
+    assert len(parts) == 3
+    for part in parts:
+        assert not {trace.machine for trace in part.known} & {trace.machine for trace in part.ahead}
+        assert part.held is not None and len(part.held) == len(part.ahead)
+    assert sorted(trace.name for part in parts for trace in part.ahead) == sorted(trace.name for trace in traces)
+
+
+# ------------------------------------------------------------------ what was never seen
+
+
+def test_a_standstill_that_no_data_have_shown_cools(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine that is never seen to stop warms from 25 to 90 degC; stopped, it does not go on so."""
+    monkeypatch.setattr(bins, "_held_out_forecasts", lambda *_, **__: HeldOutForecasts([], 0))
+    times, rng = np.arange(0.0, 6000.0, 5.0), np.random.default_rng(0)
+    readings = 90.0 - 65.0 * np.exp(-times / 900.0) + 0.05 * rng.standard_normal(times.size)
+    alphabet = Alphabet((Switch("MarciaDecanter", "W_ON", "W_OFF", on_change=False),))
+    warm = Trace("warm", times, {"MarciaDecanter": np.ones(times.size), "T": readings})
+    warm = replace(warm, events=encode(warm, alphabet))
+    model = learn_bins([warm], alphabet, "T", seed=0, candidates=CANDIDATES[:1]).model
+    assert model.borrowed == {"OFF"}
+    tracker = compile_model(model)
+    belief = on_event(tracker, start(tracker, 0.0, 88.0), Event(0.0, "W_OFF"))
+    later = advance(tracker, belief, 4.0 * 900.0)
+    assert later.x < 35.0 and later.sigma > 5.0, "towards the lowest temperature, with a wide band"
+    assert parse_model(model_text(model)).borrowed == {"OFF"}
+
+
+# ------------------------------------------------------------------ plain members
+
+
+def wandering(seed: int, memory: float, sigma: float) -> Trace:
+    """A temperature that drifts at an Ornstein-Uhlenbeck rate, read to 0.02 degC."""
+    rng, times = np.random.default_rng(seed), np.arange(0.0, 12_000.0, 5.0)
+    keep, rate, x, readings = float(np.exp(-5.0 / memory)), 0.0, 50.0, []
+    for _ in times:
+        rate = keep * rate + sigma * float(np.sqrt(1 - keep**2) * rng.standard_normal())
+        x += 5.0 * rate
+        readings.append(x + 0.02 * float(rng.standard_normal()))
+    return Trace(f"w{seed}", times, {"T": np.array(readings)})
+
+
+def test_a_trend_is_learned_where_there_is_one_and_left_out_where_there_is_none() -> None:
+    members = {member.name: member for member in learn_plain([wandering(1, 400.0, 0.01)], "T")}
+    assert set(members) == {PERSISTENCE, TREND}
+    assert members[TREND].heat == pytest.approx(0.01, rel=0.6) and members[TREND].memory in (100.0, 400.0, 1600.0)
+    rng, times = np.random.default_rng(3), np.arange(0.0, 12_000.0, 5.0)
+    walk = Trace("walk", times, {"T": 50.0 + np.cumsum(0.1 * rng.standard_normal(times.size))})
+    assert [member.name for member in learn_plain([walk], "T")] == [PERSISTENCE]
+
+
+def test_a_trend_member_goes_on_with_the_trend(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = learned(of_machine("m", 0.0, 1, cycles=3), monkeypatch).model
+    trend = compile_model(plain_model(model, PlainMember(TREND, 0.05, 0.001, heat=0.01, memory=1600.0)))
+    still = compile_model(plain_model(model, PlainMember(PERSISTENCE, 0.05, 0.05)))
+    ends = []
+    for tracker in (trend, still):
+        belief = start(tracker, 0.0, 40.0)
+        for second in range(1, 301):
+            belief = observe(tracker, belief, float(second), 40.0 + 0.01 * second)
+        ends.append(advance(tracker, belief, 360.0).x)
+    assert ends[0] == pytest.approx(43.6, abs=0.1) and ends[1] == pytest.approx(43.0, abs=0.1)
+
+
+def test_odds_are_for_who_was_better_on_data_held_out_and_go_through_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    good, bad = PlainMember("good", 0.1, 0.1), PlainMember("bad", 0.1, 0.1, heat=0.01, memory=100.0)
+    forecasts = HeldOutForecasts((good, bad), 0)
+    dues = [100.0 * number for number in range(20)]
+    forecasts.scored = [Scored(60.0, due, 1.0, 1.0) for due in dues]
+    forecasts.of_plain = {
+        "good": [Scored(60.0, due, 1.0, 0.5) for due in dues],
+        "bad": [Scored(60.0, due, 1.0, 3.0) for due in dues],
+    }
+    better, worse = forecasts.members
+    assert better.odds[60.0] > 10.0 and worse.odds[60.0] < 0.01
+    model = replace(learned(of_machine("m", 0.0, 1, cycles=3), monkeypatch).model, plain=forecasts.members)
+    assert parse_model(model_text(model)).plain == forecasts.members
+
+
+def test_plain_members_that_cannot_be_run_are_refused() -> None:
+    with pytest.raises(ValueError, match="plain member"):
+        PlainMember("odd", 0.1, 0.1, heat=0.1)
+    with pytest.raises(ValueError, match="plain member"):
+        PlainMember("odd", -0.1, 0.1)

@@ -1,0 +1,1 @@
+"""How good forecasts were: figures whose answer is known, and the gateway's forecasts along recorded traces."""

@@ -1,0 +1,106 @@
+"""Figures of forecasts against laws whose answer is known, and the comparison of methods at the same moments."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+from sim.forecast.ensemble import DENSE
+from sim.scores import crps_gaussian
+from sim.sha.trace import Array
+from sim.skill.last_reading import persistence
+from sim.skill.picture import draw_skill
+from sim.skill.report import tables
+from sim.skill.rows import NO_SKILL, SkillRow, common, difference, skill, stretch
+
+NORMAL = ndtri(np.array(DENSE))
+
+
+def row(outcome: float, law: Array = NORMAL, **changes: object) -> SkillRow:
+    made = SkillRow(
+        machine="A", trace="A", method="ours", horizon=60.0, origin=0.0, outcome=outcome, quantiles=np.asarray(law)
+    )
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+def test_a_right_law_has_its_closed_crps_and_covers_ninety_per_cent() -> None:
+    outcomes = 3.0 * np.random.default_rng(1).standard_normal(4000) + 50.0
+    found = skill([row(float(outcome), 3.0 * NORMAL + 50.0) for outcome in outcomes])
+    assert found.crps == pytest.approx(float(crps_gaussian(50.0, 3.0, outcomes).mean()), rel=0.005)
+    assert found.coverage == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / outcomes.size))
+    assert found.half_width == pytest.approx(3.0 * 1.6449, rel=1e-3)
+    assert found.mae == pytest.approx(3.0 * np.sqrt(2 / np.pi), rel=0.05)
+
+
+def test_every_machine_counts_the_same_however_long_its_trace() -> None:
+    point = np.zeros(len(DENSE))
+    found = skill([row(1.0, point)] * 3 + [row(5.0, point, machine="B")])
+    assert (found.machines, found.forecasts) == (2, 4)
+    assert (found.bias, found.mae, found.crps) == pytest.approx((-3.0, 3.0, 3.0))
+    assert found.coverage == 0.0
+    assert skill([]) is NO_SKILL
+
+
+def test_methods_are_compared_only_at_the_moments_that_all_have() -> None:
+    both, alone = row(0.0), row(0.0, origin=30.0)
+    other = replace(both, method="other")
+    assert common([both, alone, other]) == [both, other]
+    assert common([]) == []
+    apart = difference([row(1.0, np.zeros(len(DENSE))), alone], [replace(other, outcome=1.0)], np.random.default_rng(0))
+    assert apart.n == 1
+    assert apart.mean == pytest.approx(1.0 - float(crps_gaussian(0.0, 1.0, 1.0)), rel=0.01)
+
+
+def test_the_tables_speak_by_horizon_machine_and_time_and_name_the_best_other_method() -> None:
+    good, bad = np.zeros(len(DENSE)), np.full(len(DENSE), 4.0)
+    rows = [
+        row(1.0, law, method=method, machine=machine, origin=origin)
+        for method, law in (("ours", good), ("near", good - 1.0), ("far", bad))
+        for machine in ("A", "B")
+        for origin in (0.0, 1800.0, 4000.0)
+    ]
+    found = tables(rows, ["ours"])
+    assert [line["method"] for line in found["by horizon"]] == ["ours", "near", "far"]
+    assert {(line["machine"], line["method"]) for line in found["by machine"]} == {
+        (machine, method) for machine in "AB" for method in ("ours", "near", "far")
+    }
+    assert [line["since start"] for line in found["by time"] if line["method"] == "far"] == [
+        "0-30 min",
+        "30-60 min",
+        "later",
+    ]
+    (line,) = found["differences"]
+    assert (line["best other"], line["machines"]) == ("near", 2)
+    assert (line["ratio"], line["difference"]) == pytest.approx((0.5, -1.0))
+    assert stretch(row(0.0, origin=1799.9)) == "0-30 min"
+
+
+def test_persistence_is_the_last_reading_with_the_changes_so_far() -> None:
+    times = np.arange(0.0, 1000.0, 10.0)
+    ramp = 20.0 + 0.01 * times
+    fan = persistence(times, ramp, [60.0, 5000.0], DENSE)
+    assert fan is not None
+    middle = DENSE.index(0.5)
+    np.testing.assert_allclose(fan[middle], ramp[-1])
+    np.testing.assert_allclose(fan[:middle, 0], ramp[-1] - 0.6, atol=1e-9)
+    np.testing.assert_allclose(fan[middle + 1 :, 0], ramp[-1] + 0.6, atol=1e-9)
+    # Half of the past is 495 s; the change over it grows with the root of the time, as a random walk's does.
+    half = persistence(times, ramp, [495.0], DENSE)
+    assert half is not None
+    assert fan[-1, 1] - ramp[-1] == pytest.approx((half[-1, 0] - ramp[-1]) * np.sqrt(5000 / 495), rel=1e-6)
+    assert persistence(times, np.full(times.shape, np.nan), [60.0], DENSE) is None
+    single = persistence(times[:1], ramp[:1], [60.0], DENSE)
+    assert single is not None and np.all(single == ramp[0])
+
+
+def test_a_picture_is_drawn_also_of_a_trace_that_does_not_move(tmp_path: Path) -> None:
+    still = np.zeros(len(DENSE))
+    rows = [row(0.0, still, method=method) for method in ("ours", "persistence")]
+    picture = draw_skill(
+        {"still": rows, "moving": [row(1.0), row(1.0, method="persistence")]}, tmp_path / "a" / "s.png"
+    )
+    assert picture.stat().st_size > 10_000
+    with pytest.raises(ValueError, match=r"s\.txt: cannot be a picture; give a name that ends in \.png"):
+        draw_skill({}, tmp_path / "s.txt")

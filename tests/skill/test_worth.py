@@ -1,0 +1,63 @@
+"""Where a model is worth its trouble and where persistence is better, said plainly from forecasts that are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+from sim.forecast.ensemble import DENSE
+from sim.skill.rows import SkillRow
+from sim.skill.worth import forecast_skill
+
+NORMAL = ndtri(np.array(DENSE))
+
+
+def rows(horizon: float, machine: str = "A", **errors: float) -> list[SkillRow]:
+    """Forecasts of each method that miss every outcome by its error (degC), all at the same ten moments."""
+    return [
+        SkillRow(
+            machine=machine,
+            trace="A",
+            method=method,
+            horizon=horizon,
+            origin=60.0 * moment,
+            outcome=40.0,
+            quantiles=40.0 + error + 0.1 * NORMAL,
+        )
+        for method, error in errors.items()
+        for moment in range(10)
+    ]
+
+
+def test_it_is_said_at_which_horizons_the_model_is_not_worth_its_trouble() -> None:
+    made = rows(900.0, ours=0.5, persistence=5.0) + rows(60.0, ours=1.0, persistence=0.5)
+    found = forecast_skill(made + rows(300.0, ours=1.0, persistence=1.0), ["ours"])
+    assert [each.verdict for each in found.worth] == ["worse", "as good", "better"]
+    assert found.sentences == [
+        "at 60 s persistence is better (CRPS 0.444 against 0.944 °C): the model is not worth its trouble there",
+        "at 300 s persistence is as good (CRPS 0.944 against 0.944 °C): the model is not worth its trouble there",
+        "at 900 s the model is better than persistence (CRPS 0.444 against 4.94 °C)",
+    ]
+    plain = found.as_plain()
+    assert plain["sentences"] == found.sentences and plain["worth"][0]["verdict"] == "worse"
+    by_horizon = {(row["horizon"], row["method"]): row for row in plain["by horizon"]}
+    assert by_horizon[60.0, "ours"]["mae"] == pytest.approx(1.0)
+
+
+def test_a_machine_is_named_where_it_says_otherwise_and_the_best_other_method_is() -> None:
+    made = rows(60.0, "A", ours=0.5, persistence=5.0, trees=2.0) + rows(60.0, "B", ours=1.0, persistence=0.3, trees=2.0)
+    found = forecast_skill(made, ["ours"], unit="kW")
+    assert len(found.sentences) == 2
+    assert found.sentences[0].startswith("at 60 s the model is better than trees (CRPS ")
+    assert found.sentences[1].startswith("on B at 60 s persistence is better (CRPS 0.24")
+    assert found.sentences[1].endswith(" kW): the model is not worth its trouble there")
+
+
+def test_several_models_are_named_and_methods_without_a_common_moment_are_not_compared() -> None:
+    two = forecast_skill(rows(60.0, one=0.5, two=9.0, persistence=2.0), ["one", "two"])
+    assert [sentence.partition(":")[0] for sentence in two.sentences] == ["one", "two"]
+    apart = rows(60.0, ours=1.0) + [replace(row, origin=row.origin + 1.0) for row in rows(60.0, persistence=1.0)]
+    found = forecast_skill(apart, ["ours"], notes=["first"])
+    assert found.worth == () and found.sentences == []
+    assert found.notes == ("first", "the methods have no forecast for the same moment, so they cannot be compared")
