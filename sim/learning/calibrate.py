@@ -20,6 +20,8 @@ MOST_ROWS = 10_000
 """Rows filtered in all; more are thinned evenly, the forecasts' outcomes are not."""
 SURE, UNSURE = 4.0, 1.25
 """A factor of 1.25 counts for four independent forecasts: the model does not know how wrong its own flows may be."""
+PLAIN_ROWS = 4_000
+"""The same of a plain member: what it was worth at training is only where its weight begins."""
 PRIOR = 3.0
 """Independent forecasts at most that a plain member's odds at training count for: another machine is not this one."""
 LEAST_ODDS = 1e-3
@@ -51,7 +53,13 @@ class Scored:
 
 
 def score_forecasts(
-    model: Model, traces: Sequence[Trace], since: Sequence[float], rng: np.random.Generator, *, origins: int = ORIGINS
+    model: Model,
+    traces: Sequence[Trace],
+    since: Sequence[float],
+    rng: np.random.Generator,
+    *,
+    origins: int = ORIGINS,
+    most_rows: int = MOST_ROWS,
 ) -> list[Scored]:
     """`origins` forecasts with unknown events from moments at or after `since` (one per trace, absolute s), scored.
 
@@ -61,7 +69,7 @@ def score_forecasts(
     tracker = compiled(replace(model, calibration={}))
     usable = [max(float(trace.times[-1]) - first, 0.0) for trace, first in zip(traces, since, strict=True)]
     every = max(sum(usable) / origins, 1e-9)
-    stride = max(sum(trace.times.size for trace in traces) // MOST_ROWS, 1)
+    stride = max(sum(trace.times.size for trace in traces) // most_rows, 1)
     scored: list[Scored] = []
     for trace, first in zip(traces, since, strict=True):
         raw = trace.signals[tracker.model.temperature]
@@ -131,7 +139,7 @@ class HeldOutForecasts:
             own = np.random.default_rng((self.seed, number + 1, len(self.scored)))
             beside = replace(plain_model(model, member), calibration={})
             self.of_plain.setdefault(member.name, []).extend(
-                score_forecasts(beside, traces, since, own, origins=origins)
+                score_forecasts(beside, traces, since, own, origins=origins, most_rows=PLAIN_ROWS)
             )
 
     @property

@@ -439,6 +439,20 @@ def fit_noise(
     sensor's own rounding, step/sqrt(12), is taken where that is more. Rows are sampled to about `budget` knots. Of
     disturbances with one of the `memories` (s) the likeliest is taken, if it is worth it on data held out.
     """
+    return fit_noises(runs, shape, fit, groups, budget=budget, floor=floor, memories=memories)[-1]
+
+
+def fit_noises(
+    runs: FreeRuns,
+    shape: FitShape,
+    fit: FreeRunFit,
+    groups: Indices,
+    *,
+    budget: int,
+    floor: float = 1e-3,
+    memories: Sequence[float],
+) -> list[NoiseLevels]:
+    """The noise without a disturbance and, where one is worth it, the noise with it (`fit_noise`)."""
     few = sampled(runs, budget)
     steps = _steps(few, shape, fit, groups)
     floor = max(floor, resolution(runs.reading) / sqrt(12.0))
@@ -446,6 +460,9 @@ def fit_noise(
     # As many independent looks as the data have stretches of 300 s, spread over one step and the horizons.
     weight = max(float(few.dt.sum()) / 300.0, 10.0)
     best = task.fitted(weight)
+    levels = [_levels(task, best)]
+    if task.table.shape[1] < 2 or not memories:
+        return levels  # nothing could be held out
     # What a disturbance explains was taken for noise of the process or of the sensor: those move with it, while the
     # scatter of the stays is left for the last fit.
     begin = np.append(best, log(FIRST_HEAT))
@@ -454,16 +471,22 @@ def fit_noise(
     trials = []
     for memory in memories:
         trial = _task(steps, groups, shape, floor, memory)
-        theta = trial.fitted(weight, begin, iterations=SCAN, free=free)
-        trials.append((float(trial.loss(theta[:, None], weight)[0]), trial, theta))
-    if trials:
-        _, trial, theta = min(trials, key=lambda each: each[0])
-        gain = _held_out(trial, theta, free, weight) - _held_out(task, best, free[:-1], weight)
-        if weight * gain > WORTH:
-            task, best = trial, trial.fitted(weight, theta)
-    sensor, process, scatter, heat = task.unpack(best[:, None])
+        half = trial.half(0)
+        theta = half.fitted(weight / 2.0, begin, iterations=SCAN, free=free)
+        trials.append((float(half.loss(theta[:, None], weight / 2.0)[0]), trial, theta))
+    _, trial, theta = min(trials, key=lambda each: each[0])
+    plain = task.half(0).fitted(weight / 2.0, best, iterations=SCAN, free=free[:-1])
+    gain = _held_out(trial, theta, begin, free, weight) - _held_out(task, plain, best, free[:-1], weight)
+    if weight * gain > WORTH:
+        levels.append(_levels(trial, trial.fitted(weight, theta)))
+    return levels
+
+
+def _levels(task: _Task, theta: Array) -> NoiseLevels:
+    """The noise at theta (P,)."""
+    sensor, process, scatter, heat = task.unpack(theta[:, None])
     horizons = [0.0, *(ahead.horizon for ahead in task.aheads)]
-    score = {horizon: float(value[0]) for horizon, value in zip(horizons, task.scores(best[:, None]), strict=True)}
+    score = {horizon: float(value[0]) for horizon, value in zip(horizons, task.scores(theta[:, None]), strict=True)}
     return NoiseLevels(
         sensor=float(sensor[0]),
         process=process[:, 0],
@@ -491,16 +514,15 @@ def _task(steps: _AffineSteps, groups: Indices, shape: FitShape, floor: float, m
     )
 
 
-def _held_out(task: _Task, begin: Array, free: Mask, weight: float) -> float:
-    """The composite score, per look, of each half of the chunks under the noise fitted to the other, from `begin`."""
-    halves = task.half(0), task.half(1)
-    if any(half.table.shape[1] == 0 for half in halves):
-        return 0.0
-    scores = [
-        float(np.sum(judged.scores(taught.fitted(weight / 2.0, begin, iterations=SCAN, free=free)[:, None]), axis=0)[0])
-        for taught, judged in (halves, halves[::-1])
-    ]
-    return 0.5 * sum(scores)
+def _held_out(task: _Task, first: Array, begin: Array, free: Mask, weight: float) -> float:
+    """The composite score, per look, of each half of the chunks under the noise fitted to the other.
+
+    `first` is the one fitted to the first half; that of the second is searched from `begin`.
+    """
+    other = task.half(1)
+    second = other.fitted(weight / 2.0, begin, iterations=SCAN, free=free)
+    judged = ((other, first), (task.half(0), second))
+    return 0.5 * sum(float(np.sum(half.scores(theta[:, None]), axis=0)[0]) for half, theta in judged)
 
 
 def _value_and_slope(point: Array, task: _Task, weight: float, theta: Array, free: Mask) -> tuple[float, Array]:

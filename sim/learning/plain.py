@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.learning.free_run import FitShape, FreeRunFit
-from sim.learning.noise import MEMORIES, fit_noise
+from sim.learning.noise import MEMORIES, fit_noises
 from sim.learning.runs import free_runs, sampled
 from sim.sha import SHA, Flow, Location, PlainMember, Trace
 
@@ -21,7 +21,7 @@ BUDGET = 2500
 
 
 def learn_plain(traces: Sequence[Trace], temperature: str) -> tuple[PlainMember, ...]:
-    """The plain members for `temperature`, by the composite likelihood that learns a model's noise (`fit_noise`).
+    """The plain members for `temperature`, by the composite likelihood that learns a model's noise (`fit_noises`).
 
     The trend is left out where no memory of heat is worth it on data held out.
     """
@@ -49,10 +49,8 @@ def learn_plain(traces: Sequence[Trace], temperature: str) -> tuple[PlainMember,
         start=nothing,
     )
     group = np.zeros(1, dtype=np.intp)
-    members = []
-    for name, memories in ((PERSISTENCE, ()), (TREND, MEMORIES)):
-        noise = fit_noise(runs, shape, fit, group, budget=BUDGET, memories=memories)
-        if name == PERSISTENCE or noise.heat:
-            walk = float(noise.process[0])
-            members.append(PlainMember(name, sensor=noise.sensor, walk=walk, heat=noise.heat, memory=noise.memory))
-    return tuple(members)
+    noises = fit_noises(runs, shape, fit, group, budget=BUDGET, memories=MEMORIES)
+    return tuple(
+        PlainMember(name, noise.sensor, float(noise.process[0]), heat=noise.heat, memory=noise.memory)
+        for name, noise in zip((PERSISTENCE, TREND), noises, strict=False)
+    )

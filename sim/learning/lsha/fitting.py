@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.learning import (
+    MEMORIES,
     RATES,
     FitShape,
     FreeRuns,
@@ -169,6 +170,7 @@ def fit_motion(
     words: Sequence[Sequence[str]],
     kinds: Sequence[str],
     budget: int,
+    memories: Sequence[float],
 ) -> FittedHypothesis:
     """A `parameter` automaton: all targets, rates and gains together by the likelihood of the free runs."""
     size = len(hypothesis.names)
@@ -182,7 +184,7 @@ def fit_motion(
     fit = fit_free_run(runs, shape, begin=begin)
     order = sorted(set(where))
     groups = np.array([order.index(each) for each in where], dtype=np.intp)
-    noise = fit_noise(runs, shape, fit, groups)
+    noise = fit_noise(runs, shape, fit, groups, memories=memories)
     spread = machine_spread(runs, shape, fit, noise=noise, groups=groups, machines=teacher.machines)
     bare = _bare(
         name, teacher, shape=shape, hypothesis=hypothesis, modelled=modelled, unknown=drift_noise(teacher.runs)
@@ -296,6 +298,7 @@ class FitPlan:
     modelled: Sequence[bool]
     kinds: tuple[str, ...]
     words: tuple[tuple[str, ...], ...]
+    memories: tuple[float, ...] = MEMORIES
     identified: tuple[Identified, ...]
 
 
@@ -390,6 +393,7 @@ def fit(plan: FitPlan, teacher: Teacher, budget: int) -> FittedHypothesis:
         words=plan.words,
         kinds=plan.kinds,
         budget=budget,
+        memories=plan.memories,
     )
 
 

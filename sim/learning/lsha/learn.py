@@ -172,9 +172,13 @@ def learn_lsha(
         raise LearningError(f"the learned automaton does not accept {accepted.failure}; this is a defect, report it")
 
     def refitted(part: Teacher) -> Model:
-        """The whole model with the parameters of a part of the readings."""
-        fewer = fit(plan, part, PART_BUDGET)
-        return replace(model, sha=with_range(fewer.sha, part.runs, fewer.margin), sensor_sigma=fewer.sensor)
+        """The whole model with the parameters of a part of the readings, and as random as the whole one."""
+        memories = tuple(e.params["memory"] for e in model.sha.effects if e.kind == "heat-disturbance")
+        fewer = fit(replace(plan, memories=memories), part, PART_BUDGET)
+        kept = [effect for effect in fewer.sha.effects if effect.kind == "heat-disturbance"]
+        kept += [effect for effect in model.sha.effects if effect.kind == "machine-offset"]
+        sha = with_range(replace(fewer.sha, effects=tuple(kept)), part.runs, fewer.margin)
+        return replace(model, sha=sha, sensor_sigma=fewer.sensor)
 
     report_progress("calibrating the bands", 0.8)
     forecasts = bands(teacher, ordered, temperature=temperature, fitted=refitted, seed=seed, origins=ORIGINS)
