@@ -179,15 +179,16 @@ def deviation(matured: PendingForecast, temperature: float) -> float:
     return 0.0 if error == 0 else inf
 
 
-def factor(state: Calibration, horizon: float) -> float:
-    """The factor for one of the state's horizons (s), between 0.2 and 10."""
+def factor(state: Calibration, horizon: float, *, integral: bool = True) -> float:
+    """The factor for one of the state's horizons (s), between 0.2 and 10; without its `integral` part if so wished."""
     learned = state.horizons[horizon]
     if learned.worth <= 0:
         return learned.prior
     seen = _bounded(_quantile(learned) / _Z90)
     # Weighed on the scale of logarithms: twice too wide and twice too narrow are equally wrong.
     share = learned.worth / (learned.worth + state.weight)
-    return _bounded(exp(share * log(seen) + (1.0 - share) * log(learned.prior) + learned.shift))
+    shift = learned.shift if integral else 0.0
+    return _bounded(exp(share * log(seen) + (1.0 - share) * log(learned.prior) + shift))
 
 
 def recent_coverage(state: Calibration, horizon: float) -> float | None:
@@ -196,9 +197,12 @@ def recent_coverage(state: Calibration, horizon: float) -> float | None:
     return learned.held / learned.worth if learned.worth > 0 else None
 
 
-def factors(state: Calibration) -> dict[float, float]:
-    """The factor of each horizon (s): what `forecast(..., calibration=...)` takes."""
-    return {horizon: factor(state, horizon) for horizon in state.horizons}
+def factors(state: Calibration, *, integral: bool = True) -> dict[float, float]:
+    """The factor of each horizon (s): what `forecast(..., calibration=...)` takes.
+
+    Of a member of an ensemble without its `integral` part: that answers to what was published, which is the mixture.
+    """
+    return {horizon: factor(state, horizon, integral=integral) for horizon in state.horizons}
 
 
 def _quantile(horizon: Horizon) -> float:

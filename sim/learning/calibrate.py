@@ -22,7 +22,7 @@ SURE, UNSURE = 4.0, 1.25
 """A factor of 1.25 counts for four independent forecasts: the model does not know how wrong its own flows may be."""
 PLAIN_ROWS = 4_000
 """The same of a plain member: what it was worth at training is only where its weight begins."""
-PRIOR = 3.0
+PRIOR = 6.0
 """Independent forecasts at most that a plain member's odds at training count for: another machine is not this one."""
 LEAST_ODDS = 1e-3
 LEAST, MOST = 0.5, 5.0

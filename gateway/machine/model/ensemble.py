@@ -9,6 +9,7 @@ member that fails is left out, said so, and begun anew.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -181,7 +182,9 @@ class Ensemble:
             return Pool(count, half_life=section.half_life, floor=section.floor, prior=prior)
 
         self.evidence = {horizon: PoolEvidence(pool(horizon)) for horizon in forecasts.horizons}
-        self.joint = calibrate(dict.fromkeys(forecasts.horizons, 1.0), tolerance=max(5.0, 3.0 * scan_period))
+        # Only the integral part: what the members' own bands learn from a miss, these must not learn once more.
+        tolerance = max(5.0, 3.0 * scan_period)
+        self.joint = calibrate(dict.fromkeys(forecasts.horizons, 1.0), weight=inf, tolerance=tolerance)
         # A reading may come some scans after the moment that a forecast spoke of, and still counts as of that moment.
         self.tolerance = max(5.0, 3.0 * scan_period)
         self.complaints: list[tuple[str, str]] = []
@@ -247,7 +250,7 @@ class Ensemble:
             # The place, counted from 1, is part of the seed, or its errors would be like the first model's. Not from 0:
             # numpy's SeedSequence takes a 0 at the end for nothing, and the draws would be the first model's again.
             seed = (self.forecasts.seed, int(belief.time * 1000.0), place)
-            widening, plain = self.widened(factors(member.calibration)), place >= self.given
+            widening, plain = self.widened(factors(member.calibration, integral=False)), place >= self.given
             jobs.append(ForecastJob(member.predictor.tracker, belief, widening, seed, plain))
         return jobs
 

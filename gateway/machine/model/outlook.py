@@ -107,7 +107,7 @@ class Outlook:
         # Counted from its beginning, however long it takes: a slow machine makes fewer forecasts and never a queue.
         self._due, self._measured = now + self.section.period, measured
         seed = (self.section.seed, int(belief.time * 1000.0))
-        own = factors(self.calibration)
+        own = factors(self.calibration, integral=self.ensemble is None)
         widening = own if self.ensemble is None else self.ensemble.widened(own)
         job = ForecastJob(self.predictor.tracker, belief, widening, seed)
         # What the thread computes with is bound here, in the loop: beliefs and weights move on with the next scan.
