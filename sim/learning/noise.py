@@ -10,7 +10,7 @@ was not fitted to: one half of the chunks is fitted, the other scored, and the o
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import inf, log, sqrt
 
 import numpy as np
@@ -419,7 +419,7 @@ class _Task:
 def _of_origins(ahead: _Ahead, inside: Mask) -> _Ahead:
     rows = inside[ahead.origin]
     return replace(
-        ahead, **{name: getattr(ahead, name)[rows] for name in _Ahead.__dataclass_fields__ if name != "horizon"}
+        ahead, **{each.name: getattr(ahead, each.name)[rows] for each in fields(ahead) if each.name != "horizon"}
     )
 
 

@@ -161,7 +161,7 @@ def _probability(query: q.Probability, start: Start, settings: QuerySettings, re
     never = estimate.probability == (0.0 if isinstance(query.path, q.Eventually) else 1.0)
     what = "the event came" if isinstance(query.path, q.Eventually) else "a violation came"
     advice: tuple[str, ...] = ()
-    if never and not refusal(path) and not _effects_refused(start):
+    if never and not refusal(path) and not start.world.under_effects:
         if estimate.runs >= RARE_AFTER:
             try:
                 rarer = _rare(query, path, start, settings, report)
@@ -231,15 +231,9 @@ def _comparison(query: q.PairedComparison, start: Start, settings: QuerySettings
     )
 
 
-def _effects_refused(start: Start) -> bool:
-    """Whether the runs have effects that importance splitting does not follow."""
-    plant = start.world.tracker.plant
-    return plant is not None and (start.world.trace is not None or not plant.random_only)
-
-
 def _rare(query: q.Probability, path: PreparedPath, start: Start, settings: QuerySettings, report: Progress) -> Answer:
     """A probability by importance splitting; for `[]` that of the contrary is estimated."""
-    if _effects_refused(start):
+    if start.world.under_effects:
         raise ValueError(
             f"importance splitting does not follow effects, and model {start.world.sha.name!r} has some; leave out "
             "--rare and ask for more runs"

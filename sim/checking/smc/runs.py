@@ -32,8 +32,7 @@ MOST_MOMENTS = 1_000_000
 
 def engine(world: World, where: Cuts) -> Engine:
     """The engine for a world: along its trace's events, or by the semi-Markov law."""
-    plant = world.tracker.plant
-    if plant is not None and (world.trace is not None or not plant.random_only):
+    if world.under_effects:
         return augmented(world, where)
     return known(world, where) if world.trace is not None else semi_markov(world, where)
 

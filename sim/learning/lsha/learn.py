@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim.effects import of_feature
 from sim.learning import Coverage, LearningError, check_data, encoded, in_order, with_range
 from sim.learning.lsha.fitting import LshaLocationFit, bands, fit, fitted_model, plan_of
 from sim.learning.lsha.flow_hypotheses import Contender, choose_flow, flowing_over
@@ -173,11 +174,10 @@ def learn_lsha(
 
     def refitted(part: Teacher) -> Model:
         """The whole model with the parameters of a part of the readings, and as random as the whole one."""
-        memories = tuple(e.params["memory"] for e in model.sha.effects if e.kind == "heat-disturbance")
+        memories = tuple(effect.params["memory"] for effect in of_feature(model.sha, "disturbance"))
         fewer = fit(replace(plan, memories=memories), part, PART_BUDGET)
-        kept = [effect for effect in fewer.sha.effects if effect.kind == "heat-disturbance"]
-        kept += [effect for effect in model.sha.effects if effect.kind == "machine-offset"]
-        sha = with_range(replace(fewer.sha, effects=tuple(kept)), part.runs, fewer.margin)
+        kept = (*of_feature(fewer.sha, "disturbance"), *of_feature(model.sha, "machine offset"))
+        sha = with_range(replace(fewer.sha, effects=kept), part.runs, fewer.margin)
         return replace(model, sha=sha, sensor_sigma=fewer.sensor)
 
     report_progress("calibrating the bands", 0.8)

@@ -72,6 +72,12 @@ class World:
         return self.tracker.model.sha
 
     @property
+    def under_effects(self) -> bool:
+        """Whether the runs need the engine of effects: without a trace what is only random is drawn stay by stay."""
+        plant = self.tracker.plant
+        return plant is not None and (self.trace is not None or not plant.random_only)
+
+    @property
     def age(self) -> float:
         """Seconds since the present location was entered, at the start."""
         return 0.0 if self.belief is None else self.belief.age
