@@ -50,6 +50,12 @@ UNITS: Mapping[str, str] = {
     "gain": "degC per unit of the signal",
     "m": "degC (exponential, driven, logarithmic), degC/s (linear)",
 }
+TRANSIENT_UNITS: Mapping[str, str] = {
+    **UNITS,
+    "tau": "s",
+    "m": "degC (exponential, driven, logarithmic, transient), degC/s (linear)",
+}
+"""Those of a model with a transient flow, whose own constant no other model has to explain."""
 ENTRIES: dict[str, Entry] = {"parameter": "parameter", "resample": "resample", "none": "none"}
 KEYS = (
     "format",
@@ -74,9 +80,14 @@ KEYS = (
 )
 
 
-def _units(unit: str) -> dict[str, str]:
+def _units(unit: str, units: Mapping[str, str] = UNITS) -> dict[str, str]:
     """The unit of every kind of number, for a model that follows a variable in `unit`."""
-    return {key: text.replace(DEGREES, unit) for key, text in UNITS.items()}
+    return {key: text.replace(DEGREES, unit) for key, text in units.items()}
+
+
+def _units_of(sha: SHA) -> Mapping[str, str]:
+    """The table for the flows that a model has: one without a transient keeps its text and its hash."""
+    return TRANSIENT_UNITS if any(location.flow.kind == "transient" for location in sha.locations) else UNITS
 
 
 def model_text(model: Model) -> str:
@@ -98,7 +109,7 @@ def model_document(model: Model) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "version": EFFECTS_VERSION if sha.effects else VERSION,
-        "units": _units(model.unit),
+        "units": _units(model.unit, _units_of(sha)),
         "name": sha.name,
         "temperature": model.temperature,
         "sensor_sigma": written_number(model.sensor_sigma),
@@ -137,7 +148,8 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
         raise root.get("effects").error(f"a model with effects has version {EFFECTS_VERSION}, here it is {version}")
     units = root.get("units").table(JsonNode.text)
     unit = units.get("temperature", DEGREES)
-    if units != _units(unit) and units != {key: text for key, text in _units(unit).items() if key != "temperature"}:
+    stated = {**units, "temperature": unit}
+    if stated not in (_units(unit), _units(unit, TRANSIENT_UNITS)):
         raise root.get("units").error(f"the units must be {_units(unit)}; convert the model's numbers and say so here")
     # The automaton first: what the other parts name (locations, signals) is checked against it.
     limits = root.get("limits").only(("low", "high", "max_rate"))

@@ -35,14 +35,14 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
     if number < len(targets):
         name = targets[number]
         kind = by_name[name].flow.kind
-        unit = {"linear": "degC/s", "logarithmic": "degC"}.get(kind, "degC")
+        unit = {"linear": "degC/s"}.get(kind, "degC")
         size = before
         if RATES.get(kind) == "k":
             # A target stands for the heat that holds it above rest, so its change is told as a share of that height:
             # of the zero of degC it would say nothing. Within a degree of the lowest there is no height to speak of.
             height = before - float(np.min(frame.shape.centre[: len(targets)]))
             size = height if height > 1.0 else before
-        what = {"linear": "drift", "logarithmic": "factor"}.get(kind, "target")
+        what = {"linear": "drift", "logarithmic": "factor", "transient": "amplitude"}.get(kind, "target")
         return Shift(
             location=name,
             parameter=what,

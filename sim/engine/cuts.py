@@ -1,8 +1,9 @@
 """Where stays must be cut into segments, besides events, outputs and changed signals, for the stated accuracy.
 
-A heat that varies by itself is cut at the knots of its law, a logarithmic drive where it has fallen by a fifth: between
-two cuts each is close to a parabola (`terms`). Where thermostat or radiation act no segment is longer than a part of
-the fastest time constant of X there (`longest`), which bounds what a tangent or a missed excursion can be wrong by.
+A heat that varies by itself is cut at the knots of its law, a drive that fades with the age where it has fallen by a
+fifth: between two cuts each is close to a parabola (`terms`). Where thermostat or radiation act no segment is longer
+than a part of the fastest time constant of X there (`longest`), which bounds what a tangent or a missed excursion can
+be wrong by.
 """
 
 from dataclasses import dataclass
@@ -12,10 +13,11 @@ import numpy as np
 from sim.effects import ABSOLUTE_ZERO, VaryingLaw, kind_of, parameter, unknown
 from sim.engine.plant import Acting, Indices, Plant
 from sim.engine.terms import held
-from sim.sha import Array, Effect
+from sim.sha import Array, Effect, flows
 
-_FALL = 1.25
-"""By how much t0 + age grows from one cut of a logarithmic drive to the next."""
+_FALL, _FALLS = 1.25, 160
+"""By how much a drive that fades has fallen from one cut to the next, and after how many there is nothing left of it: a
+share of 1e-15."""
 _SWITCHED, _RADIATING = 0.2, 0.1
 """Parts of X's fastest time constant that a segment is long at most, under a thermostat and under radiation."""
 _WARM = 100.0 - ABSOLUTE_ZERO
@@ -43,16 +45,16 @@ def cuts(plant: Plant, stays: Stays) -> Array:
         times.append(_within(_knots(acting.effect, starts), stays, acting))
     for acting in plant.wears:
         times.append(_within(_knots(acting.effect, np.empty(0)), stays, acting))
-    if np.isfinite(plant.t0).any():
-        # The cuts t0 (fall^n - 1) after entry are the same for all stays in a location, so that equal segments recur
-        # and are worked out once.
-        t0 = plant.t0[stays.location]
-        rows = np.flatnonzero(np.isfinite(t0) & (stays.ends > stays.begins))
-        t0, begin, end = t0[rows], stays.begins[rows] - stays.entered[rows], stays.ends[rows] - stays.entered[rows]
-        first = np.floor(np.log1p(begin / t0) / np.log(_FALL)).astype(int) + 1
-        last = np.ceil(np.log1p(end / t0) / np.log(_FALL)).astype(int)
-        stay, power = _counted(first, last)
-        times.append(stays.entered[rows][stay] + t0[stay] * (_FALL**power - 1.0))
+    for index in plant.fading:
+        flow = plant.sha.locations[index].flow
+        rows = np.flatnonzero((stays.location == index) & (stays.ends > stays.begins))
+        # The ages of the cuts are the same for all stays in a location, so that equal segments recur and are worked out
+        # once.
+        ages = flows.fading(flow, _FALL ** -np.arange(1.0, _FALLS))
+        first = np.searchsorted(ages, stays.begins[rows] - stays.entered[rows], side="right")
+        last = np.searchsorted(ages, stays.ends[rows] - stays.entered[rows], side="left")
+        stay, cut = _counted(first, last)
+        times.append(stays.entered[rows][stay] + ages[cut])
     if not plant.linear:
         # Multiples of the longest segment from each stay's begin on.
         length = longest(plant)[stays.location]

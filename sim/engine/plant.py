@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.effects import FEATURES, Feature, HeldLaw, Structural, VaryingLaw, acts_in, kind_of, unknown
-from sim.sha import RELAXING, SHA, Array, Effect, Mask
+from sim.sha import FLOWS, RELAXING, SHA, Array, Effect, Mask
 
 Indices = NDArray[np.intp]
 
@@ -36,8 +36,8 @@ class Acting:
 class Plant:
     """The tables, each (L,) by location: `rate` (k of the flow, 1/s), `noise`, `drive` (what m is multiplied by).
 
-    `t0` is NaN except for logarithmic flows, whose drive is 1/(t0 + age). `couplings` (L, 2) (1/s) are those of X to
-    the housing and to the machine's offset.
+    `fading` are the locations whose drive falls with the age instead (`FlowKind.fading`). `couplings` (L, 2) (1/s) are
+    those of X to the housing and to the machine's offset.
     `lags` first-order lags of the rate `lag_rate` (1/s) follow X. `steady` are the effects with a held law, `startups`
     those that vary since an event, `wears` those that vary with the time alone.
     """
@@ -46,7 +46,7 @@ class Plant:
     rate: Array
     noise: Array
     drive: Array
-    t0: Array
+    fading: tuple[int, ...]
     couplings: Array
     housing_tau: float
     lags: int
@@ -69,7 +69,7 @@ class Plant:
     @property
     def steady_linear(self) -> bool:
         """Whether all steps are affine with numbers that stay while the signals do."""
-        varying = self.startups or self.wears or np.isfinite(self.t0).any()
+        varying = self.startups or self.wears or self.fading
         return self.linear and not varying
 
     @property
@@ -134,9 +134,9 @@ def compile_plant(sha: SHA) -> Plant:
         sha=sha,
         rate=rate,
         noise=np.array([flow.params["noise"] for flow in flows]),
-        # The constant that multiplies m in the drift; a logarithmic flow's falls with the age, and is not here (`t0`).
+        # The constant that multiplies m in the drift; one that falls with the age is not here (`fading`).
         drive=np.array([flow.params["k"] if flow.kind in RELAXING else float(flow.kind == "linear") for flow in flows]),
-        t0=np.array([flow.params["t0"] if flow.kind == "logarithmic" else np.nan for flow in flows]),
+        fading=tuple(row for row, flow in enumerate(flows) if FLOWS[flow.kind].fading is not None),
         couplings=np.column_stack([coupling, rate if machine else np.zeros(len(flows))]),
         housing_tau=inf if housing is None else housing.effect.params["tau"],
         lags=order,

@@ -1,6 +1,6 @@
 """What flows and effects do in each segment: its loss and its heat, from signals, ages and time.
 
-Inside a segment a varying heat (start-up, wear, the drive of a logarithmic flow) is the parabola through its values at
+Inside a segment a varying heat (start-up, wear, the drive of a flow that fades) is the parabola through its values at
 the three Gauss points, which is exact to the sixth order of the segment's length where the loss is slow, and no worse
 than the parabola's own error where it is fast. `cuts` makes the segments short enough for that.
 """
@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.effects import HeldLaw, VaryingLaw, kind_of, unknown
 from sim.engine.plant import Indices, Plant
-from sim.sha import Array, Effect, Mask
+from sim.sha import Array, Effect, Mask, flows
 
 GAUSS = 0.5 + np.array([-1.0, 0.0, 1.0]) * np.sqrt(0.15)
 """The three Gauss points of a segment, as parts of its length."""
@@ -78,7 +78,7 @@ def terms(plant: Plant, segments: Segments) -> Terms:
         active = acting.mask[place] & np.isfinite(gained) & np.isfinite(lost)
         loss = loss + np.where(active, lost, 0.0)
         heat = heat + np.where(active, gained, 0.0)
-    if not (np.isfinite(plant.t0).any() or plant.startups or plant.wears):
+    if not (plant.fading or plant.startups or plant.wears):
         return Terms(loss, heat[:, None], plant.drive[place][:, None])
     # Each column is a Gauss point; the parabola through the three is found by one small inverse, made once.
     v = segments.dt[:, None] * GAUSS
@@ -88,8 +88,11 @@ def terms(plant: Plant, segments: Segments) -> Terms:
         heats += acting.mask[place][:, None] * varying(acting.effect, time, since[:, None] + v)
     for acting in plant.wears:
         heats += acting.mask[place][:, None] * varying(acting.effect, time, time)
-    t0 = plant.t0[place][:, None]
-    drives = np.where(np.isnan(t0), plant.drive[place][:, None], 1.0 / (t0 + segments.age[:, None] + v))
+    drives = np.repeat(plant.drive[place][:, None], 3, axis=1)
+    for index in plant.fading:
+        rows = place == index
+        # The drift of a unit of m, which does not depend on X.
+        drives[rows] = flows.drift(plant.sha.locations[index].flow, 0.0, 1.0, (segments.age[:, None] + v)[rows])
     return Terms(loss, heats @ _TO_POWERS, drives @ _TO_POWERS)
 
 

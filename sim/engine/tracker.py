@@ -6,7 +6,7 @@ array costs more than the whole of a filter's step.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import expm1, isfinite, log1p
+from math import exp, expm1, isfinite, log1p
 from typing import Literal
 
 from sim.effects import check_sha, in_sensor_scale, signals_of
@@ -163,10 +163,20 @@ def _logarithmic(p: Mapping[str, float]) -> tuple[Step, Speed]:
     return step, lambda x, target, age: abs(target) / (t0 + age)
 
 
+def _transient(p: Mapping[str, float]) -> tuple[Step, Speed]:
+    density, tau = p["noise"] ** 2, p["tau"]
+
+    def step(age: float, dt: float) -> tuple[float, float, float]:
+        return 1.0, exp(-age / tau) * -expm1(-dt / tau), density * dt
+
+    return step, lambda x, target, age: abs(target) / tau * exp(-age / tau)
+
+
 _SCALAR: dict[str, Callable[[Mapping[str, float]], tuple[Step, Speed]]] = {
     "constant": _constant,
     "linear": _linear,
     "exponential": _relaxing,
     "driven": _relaxing,
     "logarithmic": _logarithmic,
+    "transient": _transient,
 }

@@ -34,7 +34,17 @@ from sim.engine import (
 from sim.engine import fastest as relaxation
 from sim.forecast.band_widening import factors_at, widened_fan, widened_runs
 from sim.scores import Estimate, clopper_pearson
-from sim.sha import RELAXING, Array, Event, Model, compile_chain, draw_paths, input_moments, known_paths
+from sim.sha import (
+    RELAXING,
+    Array,
+    Event,
+    Model,
+    compile_chain,
+    draw_paths,
+    flows,
+    input_moments,
+    known_paths,
+)
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """The levels of a fan's quantiles: median, 50 % and 90 % band."""
@@ -164,14 +174,14 @@ def forecast(
 
 
 def _points(tracker: Tracker, horizon: float) -> int:
-    """Points of the common grid: by the fastest relaxation and the shortest t0 of the model's flows."""
+    """Points of the common grid: by the fastest relaxation and the fastest fading drift of the model's flows."""
     fastest = 0.0
     for location in tracker.model.sha.locations:
         params = location.flow.params
         if location.flow.kind in RELAXING:
             fastest = max(fastest, params["k"])
-        elif location.flow.kind == "logarithmic":
-            fastest = max(fastest, 1.0 / params["t0"])
+        else:
+            fastest = max(fastest, 1.0 / float(flows.fading(location.flow, 0.5)))
     if tracker.plant is not None:
         starts = [
             law.speed(acting.effect)

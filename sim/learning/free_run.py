@@ -2,9 +2,9 @@
 
 In a free run the model gets the events, the inputs and a start temperature, and no other reading. Its mean is linear in
 the mode parameters m, in the gains of the inputs and in the start temperatures; only the rates (k of the relaxing
-flows, t0 of the logarithmic one) enter otherwise. So for each trial of the rates the linear part is solved exactly, the
-start temperature of each run in closed form, and only log(rate) is left to scipy's least squares, with Kaufman's
-Jacobian (Golub & Pereyra 1973; Kaufman 1975).
+flows, t0 of the logarithmic one, tau of the transient) enter otherwise. So for each trial of the rates the linear part
+is solved exactly, the start temperature of each run in closed form, and only log(rate) is left to scipy's least
+squares, with Kaufman's Jacobian (Golub & Pereyra 1973; Kaufman 1975).
 
 The loss is Huber's (c = 1.345, 95 % efficient for normal errors) by iterated reweighting. Neighbouring residuals of a
 free run resemble each other, so the likelihood is tempered by their correlation time: it says how strongly the weak
@@ -27,7 +27,7 @@ from sim.sha import FLOWS, Array, Flow, Mask, coefficients
 HUBER = 1.345
 ROUNDS, SETTLED = 12, 0.02
 """Rounds of fitting, reweighting and measuring the noise, at most: it ends when sigma changes by less than 2 %."""
-RATES = {"exponential": "k", "driven": "k", "logarithmic": "t0"}
+RATES = {"exponential": "k", "driven": "k", "logarithmic": "t0", "transient": "tau"}
 """The constant that enters a flow's mean otherwise than linearly."""
 LEAST_RUNS = 8
 """Runs from which standard errors by run are to be had."""

@@ -14,9 +14,9 @@ from sim.sha import SHA, Distribution, Flow, Input, Location, distributions
 class Prior:
     """Weak beliefs before the data: normal laws of m, of the gains and of log(rate).
 
-    `temperature` (centre, spread) in degC for targets; drifts (degC/s) and logarithmic factors (degC) are centred at 0
-    with `drift` and `factor`. `gain` is the spread of a gain by its signal, degC per unit. `tau` is the central time
-    constant in seconds (1/k, or t0) and `tau_spread` the spread of its logarithm.
+    `temperature` (centre, spread) in degC for targets; drifts (degC/s), logarithmic factors and transients (degC) are
+    centred at 0 with `drift` and `factor`. `gain` is the spread of a gain by its signal, degC per unit. `tau` is the
+    central time constant in seconds (1/k, t0 or tau) and `tau_spread` the spread of its logarithm.
     """
 
     temperature: tuple[float, float]
@@ -77,14 +77,14 @@ def shape_of(
                 reference[place, number] = driver.reference
     # The priors: a target is a temperature unless the flow's m is a drift or a factor, and nothing is known of a
     # gain's sign. A group's rate is 1/tau or tau, as the flow of its first location wants it.
-    laws = {"linear": (0.0, prior.drift), "logarithmic": (0.0, prior.factor)}
+    laws = {"linear": (0.0, prior.drift), "logarithmic": (0.0, prior.factor), "transient": (0.0, prior.factor)}
     by_name = sha.by_name
     priors = [laws.get(by_name[name].flow.kind, prior.temperature) for name in names.targets]
     priors += [(0.0, prior.gain.get(signal, 1.0)) for _, signal in names.gains]
     constant_of_group = {
         group_of_rate[each.name]: RATES[each.flow.kind] for each in reversed(chosen) if each.flow.kind in RATES
     }
-    taus = [prior.tau if constant_of_group[group] == "t0" else 1.0 / prior.tau for group in names.rates]
+    taus = [1.0 / prior.tau if constant_of_group[group] == "k" else prior.tau for group in names.rates]
     shape = FitShape(
         kinds=tuple(each.flow.kind if each in chosen else "constant" for each in sha.locations),
         rate=_places(sha, group_of_rate, names.rates),

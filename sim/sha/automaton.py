@@ -31,8 +31,8 @@ class Input:
 class Flow:
     """How the temperature moves inside a location: `kind` is a key of `flows.FLOWS`, `params` its constants by name.
 
-    `k` in 1/s, `t0` in s, `noise` in degC/sqrt(s). `inputs` only for `driven`. Any flow may fix its mode parameter by
-    a constant `m` (in m's unit, see Location), where the location's entry does not draw it.
+    `k` in 1/s, `t0` and `tau` in s, `noise` in degC/sqrt(s). `inputs` only for `driven`. Any flow may fix its
+    mode parameter by a constant `m` (in m's unit, see Location), where the location's entry does not draw it.
     """
 
     kind: str
@@ -45,7 +45,8 @@ class Location:
     """One mode of the plant. `distribution` is the law of the mode parameter m (or of X on entry, for `resample`).
 
     What m means depends on the flow: the target temperature (exponential, driven; degC), the drift (linear; degC/s),
-    the factor of 1/(t0+u) (logarithmic; degC); nothing for constant.
+    the factor of 1/(t0+u) (logarithmic; degC), how far X moves after entry in all (transient; degC); nothing for
+    constant.
     """
 
     name: str

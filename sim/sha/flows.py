@@ -42,13 +42,15 @@ class FlowKind:
     `drift(params, x, target, age)` -> degC/s at one instant; it never grows in size while the target stays.
     `coefficients(params, age, dt)` -> (decay, pull, variance), all broadcast over `age` (s since entry) and `dt` (s).
     `saturated(params, x, target, age=, dt=, rate=)` -> the mean after `dt` with |drift| limited to `rate` (degC/s);
-    `target` is m + offset.
+    `target` is m + offset. `fading(params, part)` -> the ages (s) at which the drift per unit of m has fallen to `part`
+    of what it is on entry, for a flow whose drift falls with the age; None where it does not.
     """
 
     params: tuple[str, ...]
     drift: Callable[[Mapping[str, float], Array, Array, Array], Array]
     coefficients: Callable[[Mapping[str, float], Array, Array], Coefficients]
     saturated: SaturatedStep
+    fading: Callable[[Mapping[str, float], Array], Array] | None = None
 
 
 def _drift_free(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
@@ -102,13 +104,44 @@ def _logarithmic_saturated(
     return x + np.sign(target) * rate * ramp + target * np.log1p((dt - ramp) / (start + ramp))
 
 
+def _transient(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
+    # exp(-u/tau) at the step's start less that at its end; as a product, which loses no digits when dt is small.
+    tau = params["tau"]
+    left = np.exp(-age / tau)
+    return np.ones_like(dt), left * -np.expm1(-dt / tau), params["noise"] ** 2 * dt
+
+
+def _transient_saturated(
+    params: Mapping[str, float], x: Array, target: Array, *, age: Array, dt: Array, rate: float
+) -> Array:
+    """The drift (a/tau) exp(-u/tau) falls with u: at the limit first, transient once it is below it."""
+    tau = params["tau"]
+    # Below the limit from the age tau ln(|a| / (tau R)) on, at once where that is negative. The floor keeps the
+    # logarithm finite at a = 0.
+    free = tau * np.log(np.maximum(np.abs(target) / (tau * rate), 1.0))
+    ramp = np.minimum(dt, np.maximum(free - age, 0.0))
+    rest = np.exp(-(age + ramp) / tau) * -np.expm1(-(dt - ramp) / tau)
+    return np.asarray(x + np.sign(target) * rate * ramp + target * rest)
+
+
 FLOWS: dict[str, FlowKind] = {
     "constant": FlowKind(("noise",), lambda p, x, m, u: np.zeros_like(x), _drift_free, _unmoved),
     "linear": FlowKind(("noise",), lambda p, x, m, u: m, _linear, _linear_saturated),
     "exponential": FlowKind(("k", "noise"), lambda p, x, m, u: p["k"] * (m - x), _relaxing, _relaxing_saturated),
     "driven": FlowKind(("k", "noise"), lambda p, x, m, u: p["k"] * (m - x), _relaxing, _relaxing_saturated),
     "logarithmic": FlowKind(
-        ("t0", "noise"), lambda p, x, m, u: m / (p["t0"] + u), _logarithmic, _logarithmic_saturated
+        ("t0", "noise"),
+        lambda p, x, m, u: m / (p["t0"] + u),
+        _logarithmic,
+        _logarithmic_saturated,
+        lambda p, part: p["t0"] * (1.0 / part - 1.0),
+    ),
+    "transient": FlowKind(
+        ("tau", "noise"),
+        lambda p, x, m, u: m / p["tau"] * np.exp(-u / p["tau"]),
+        _transient,
+        _transient_saturated,
+        lambda p, part: np.asarray(-p["tau"] * np.log(part)),
     ),
 }
 
@@ -167,6 +200,13 @@ def drift(flow: Flow, x: ArrayLike, target: ArrayLike, age: ArrayLike) -> Array:
         np.asarray(x, dtype=float), np.asarray(target, dtype=float), np.asarray(age, dtype=float)
     )
     return np.asarray(FLOWS[flow.kind].drift(flow.params, xs, targets, ages))
+
+
+def fading(flow: Flow, part: ArrayLike) -> Array:
+    """The ages (s) at which the drift has fallen to `part` (0 to 1) of that on entry; inf where it never does."""
+    parts = np.asarray(part, dtype=float)
+    law = FLOWS[flow.kind].fading
+    return np.full(parts.shape, inf) if law is None else np.asarray(law(flow.params, parts))
 
 
 def free_distance(flow: Flow, max_rate: float) -> float:

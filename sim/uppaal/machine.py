@@ -77,7 +77,7 @@ def part(location: Location, names: FreshNames, known: Variables, max_rate: floa
         return name
 
     flow = location.flow
-    own = {kind: constant(kind.upper(), flow.params[kind]) for kind in ("k", "t0") if kind in flow.params}
+    own = {kind: constant(kind.upper(), flow.params[kind]) for kind in ("k", "t0", "tau") if kind in flow.params}
     # The flow's own part of the rate of X, then what the effects add, then the limit on both together.
     rate = "0.0"
     if flow.kind in RELAXING:
@@ -89,6 +89,8 @@ def part(location: Location, names: FreshNames, known: Variables, max_rate: floa
         rate = f"{own['k']} * ({target} - {more.x})"
     elif flow.kind == "logarithmic":
         rate = f"{known.mode} / ({own['t0']} + age)"
+    elif flow.kind == "transient":
+        rate = f"{known.mode} * exp(-age / {own['tau']}) / {own['tau']}"
     elif flow.kind == "linear":
         rate = known.mode
     rate = more.rate(location.name, rate)

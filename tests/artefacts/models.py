@@ -83,6 +83,7 @@ def flows(fixed: st.SearchStrategy[float | None]) -> st.SearchStrategy[Flow]:
             lambda k, n, m, i: Flow("driven", with_fixed({"k": k, "noise": n}, m), i), sizes, noises, fixed, inputs
         ),
         st.builds(lambda t, n, m: Flow("logarithmic", with_fixed({"t0": t, "noise": n}, m)), sizes, noises, fixed),
+        st.builds(lambda t, n, m: Flow("transient", with_fixed({"tau": t, "noise": n}, m)), sizes, noises, fixed),
     )
 
 

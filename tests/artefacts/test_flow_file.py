@@ -28,6 +28,8 @@ def exponential(k: float, m: float) -> Flow:
         ("(x0)' = 0.000", Flow("constant", {"noise": 0.0})),
         ("(x0)' = 0.002 1", Flow("linear", {"m": 0.002, "noise": 0.0})),
         ("(x0)' = m", Flow("linear", {"noise": 0.0})),
+        ("(x0)' = m exp(-u / 8.0) / 8.0", Flow("transient", {"tau": 8.0, "noise": 0.0})),
+        ("x0' == -0.25*exp(-0.5*u)", Flow("transient", {"tau": 2.0, "m": -0.5, "noise": 0.0})),
         ("(x0)' = 2 / (3 + 4 u)", Flow("logarithmic", {"t0": 0.75, "m": 0.5, "noise": 0.0})),
         (
             "(T)' = 1.0 1 - 0.5 T + 0.25 S",
@@ -56,6 +58,12 @@ def test_an_equation_is_the_flow_of_the_library_that_it_describes(text: str, flo
         ("(P)' = 0.1 m - 0.2 P", "here the target is 0.5 m + 0"),
         ("(P)' = 1 / (3 + P)", "only t0 + u"),
         ("(P)' = 1 / u", "t0 must be positive"),
+        ("(P)' = exp(u / 5)", "exp is known of -u / tau alone"),
+        ("(P)' = exp(-u^2)", "exp is known of -u / tau alone"),
+        ("(P)' = exp", "exp is known of -u / tau alone"),
+        ("(P)' = 2 m exp(-u / 5)", "times exp(-u / tau) / tau, and no more"),
+        ("(P)' = 1 + exp(-u / 5)", "times exp(-u / tau) / tau, and no more"),
+        ("(P)' = P exp(-u / 5)", "times exp(-u / tau) / tau, and no more"),
         ("(P)' = u / (3 + u)", "over t0 + u stands 1 u"),
     ],
 )
@@ -83,7 +91,7 @@ def test_every_flow_kind_is_written_and_read_again(flow: Flow) -> None:
     read = flow_of(equation, flow.params["noise"])
     seen = tuple(sorted((given for given in flow.inputs if given.gain), key=lambda given: given.signal))
     kind = flow.kind if seen or flow.kind != "driven" else "exponential"
-    if flow.kind == "linear" and flow.params.get("m") == 0:
+    if flow.kind in ("linear", "transient") and flow.params.get("m") == 0:
         assert read == Flow("constant", {"noise": flow.params["noise"]})
     else:
         assert read == Flow(kind, flow.params, seen)

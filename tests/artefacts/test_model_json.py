@@ -10,7 +10,7 @@ from hypothesis import given, settings
 
 from sim.artefacts.model_json import model_document, model_hash, model_text, parse_model
 from sim.files import ArtefactError
-from sim.sha.automaton import Flow
+from sim.sha.automaton import Distribution, Flow, Location
 from sim.sha.model import Model
 from tests.artefacts.models import decanter_model, models
 
@@ -23,6 +23,24 @@ def test_written_and_read_again_a_model_is_the_same(model: Model) -> None:
     assert read == model
     assert model_text(read) == text
     assert model_hash(read) == model_hash(model)
+
+
+def test_a_model_with_a_transient_says_its_units_and_is_read_again() -> None:
+    """The units of all other models stay as they are, or their hashes would change."""
+    plain = decanter_model()
+    flow = Flow("transient", {"tau": 8.0, "m": -1.5, "noise": 0.1})
+    peak = Location("peak", flow, Distribution("normal", {"mu": 42.0, "sigma": 1.0}), "resample")
+    model = replace(plain, sha=replace(plain.sha, locations=(*plain.sha.locations, peak)))
+    document = json.loads(model_text(model))
+    assert document["units"]["tau"] == "s" and "transient" in document["units"]["m"]
+    assert "tau" not in json.loads(model_text(plain))["units"]
+    assert parse_model(model_text(model)) == model
+    document["locations"][-1]["flow"]["params"]["tau"] = -8.0
+    with pytest.raises(ArtefactError, match=r"tau must be positive and finite, got -8"):
+        parse_model(json.dumps(document))
+    document["units"]["tau"] = "min"
+    with pytest.raises(ArtefactError, match="the units must be"):
+        parse_model(json.dumps(document))
 
 
 def test_settings_keep_their_types() -> None:

@@ -9,6 +9,7 @@ from sim.checking.smc.answers import QuerySettings, Start, answer, initial, prep
 from sim.checking.smc.paths import known_events as paths_known
 from sim.checking.smc.paths import plan as paths
 from sim.checking.smc.runs import sampler
+from sim.sha.automaton import Flow
 from tests.checking.worlds import TEMP, along, compare, eventually, flow, model, normal
 from tests.rig.quadrature import Stretch, brownian, first_passage
 
@@ -90,12 +91,17 @@ def test_walds_test_on_runs_is_wrong_about_as_seldom_as_it_says(shift: float) ->
     assert sum(verdict is not (shift < 0.0) for verdict in verdicts) <= 6
 
 
-def test_unknown_events_agree_with_known_ones_where_the_law_has_no_choice() -> None:
+@pytest.mark.parametrize(
+    ("ageing", "m"),
+    [(flow("logarithmic", t0=20.0), 1.0), (flow("transient", tau=15.0), 1.8)],
+    ids=["logarithmic", "transient"],
+)
+def test_unknown_events_agree_with_known_ones_where_the_law_has_no_choice(ageing: Flow, m: float) -> None:
     """All stays last 100 s within a millisecond: the semi-Markov runs are those along events at 100, 200 ... s."""
-    flows = [flow("exponential", k=0.01), flow("logarithmic", t0=20.0)]
-    made = model(flows, [normal(42.0, 0.5), normal(1.0, 0.2)], first=normal(40.0), stay=normal(100.0, 1e-4))
+    flows = [flow("exponential", k=0.01), ageing]
+    made = model(flows, [normal(42.0, 0.5), normal(m, 0.2)], first=normal(40.0), stay=normal(100.0, 1e-4))
     exact = first_passage(
-        [Stretch(flows[0], 42.0, 100.0, 0.5), Stretch(flows[1], 1.0, 100.0, 0.2)], 40.0, 43.5, points=300, nodes=8
+        [Stretch(flows[0], 42.0, 100.0, 0.5), Stretch(flows[1], m, 100.0, 0.2)], 40.0, 43.5, points=300, nodes=8
     )
     settings = QuerySettings(rule="fixed", runs=10_000)
     query = eventually(compare(">=", 43.5), 200.0)

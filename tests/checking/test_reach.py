@@ -215,6 +215,21 @@ def test_a_temperature_that_is_drawn_anew_does_not_add_up() -> None:
     assert found.intervals["warm"] == pytest.approx((23.5 - 3.6, 23.5 + 3.6 + 30.0))
 
 
+@pytest.mark.parametrize("rate", [inf, 0.1])
+def test_a_transient_is_bounded_where_the_temperature_is_drawn_and_adds_up_where_it_goes_on(rate: float) -> None:
+    """An endless stay moves by m in all, with a limit on the rate too: 0.1 degC/s for 4.6 s, then what is left."""
+    flow = Flow("transient", {"tau": 20.0, "m": 3.0, "noise": 0.0})
+    drawn = of(relaxing("rest", 20.0), Location("peak", flow, normal(40.0, 1.0), "resample"), max_rate=rate)
+    found = bounds(drawn, (0.0, inf))
+    ramp = 0.0 if isinf(rate) else 20.0 * np.log(3.0 / (20.0 * rate))
+    whole = 3.0 if isinf(rate) else rate * ramp + 3.0 * exp(-ramp / 20.0)
+    assert found.verdict == "proven"
+    assert found.intervals["peak"] == pytest.approx((37.0, 43.0 + whole))
+    carried = of(Location("peak", Flow("transient", {"tau": 20.0, "noise": 0.0}), normal(3.0, 0.0)))
+    (up,) = bounds(carried, (0.0, inf)).escapes
+    assert up.grows and up.word is not None
+
+
 def test_a_logarithmic_flow_grows_slowly_but_without_bound_when_it_is_entered_again_and_again() -> None:
     slow = Location("slow", Flow("logarithmic", {"t0": 10.0, "noise": 0.0}), normal(3.0, 0.0))
     found = bounds(of(slow), (0.0, 90.0))

@@ -107,17 +107,17 @@ def test_a_model_with_effects_is_refused_without_a_trace_that_drives_it_not_half
             answer(query, start, FIXED)
 
 
-@pytest.mark.parametrize("kind", ["linear", "exponential", "logarithmic"])
+@pytest.mark.parametrize("kind", ["linear", "exponential", "logarithmic", "transient"])
 @pytest.mark.parametrize("max_rate", [float("inf"), 0.05])
 def test_runs_in_one_stay_are_the_same_runs_worked_out_together_or_apart(
     kind: str, max_rate: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Together until the first run leaves the first stay; to the last bit, so that a seed's answer is one answer."""
-    constants = {"exponential": {"k": 0.02}, "logarithmic": {"t0": 20.0}}.get(kind, {})
+    constants = {"exponential": {"k": 0.02}, "logarithmic": {"t0": 20.0}, "transient": {"tau": 20.0}}.get(kind, {})
     law = normal(44.0, 0.5) if kind == "exponential" else normal(0.02, 0.01)
     flows = [flow(kind, **constants), flow("exponential", k=0.05)]
     made = model(flows, [law, normal(43.0)], first=normal(40.0, 0.2), stay=normal(300.0, 60.0), max_rate=max_rate)
-    asked = eventually(compare(">=", {"linear": 46.0, "exponential": 45.0, "logarithmic": 42.0}[kind]), 400.0)
+    asked = eventually(compare(">=", {"linear": 46.0, "exponential": 45.0}.get(kind, 42.0)), 400.0)
     together = answer(asked, initial(made), replace(FIXED, runs=1000))
     monkeypatch.setattr(unknown_events, "_in_one_stay", lambda state: False)
     apart = answer(asked, initial(made), replace(FIXED, runs=1000))

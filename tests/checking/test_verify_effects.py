@@ -58,7 +58,7 @@ def random_run(model: Model, rng: np.random.Generator, shortest: float, longest:
 
 
 @pytest.mark.parametrize("sojourn", ["any", (0.0, 900.0)])
-@pytest.mark.parametrize("kind", ["exponential", "driven", "logarithmic", "linear", "constant"])
+@pytest.mark.parametrize("kind", ["exponential", "driven", "logarithmic", "transient", "linear", "constant"])
 def test_no_random_run_with_random_signals_leaves_the_proven_interval(kind: str, sojourn: object) -> None:
     """Runs of each effect, with jumping signals; every segment's end is looked at, also with a rate limit."""
     rng = np.random.default_rng(3)

@@ -47,7 +47,7 @@ sigmas = st.sampled_from([0.0, 0.0, 0.5, 10.0])
 
 @st.composite
 def locations(draw: st.DrawFn, name: str) -> Location:
-    kind = draw(st.sampled_from(["constant", "linear", "exponential", "driven", "logarithmic"]))
+    kind = draw(st.sampled_from(["constant", "linear", "exponential", "driven", "logarithmic", "transient"]))
     constants = {"noise": draw(st.sampled_from([0.0, 0.1]))}
     inputs: tuple[Input, ...] = ()
     if kind in ("exponential", "driven"):
@@ -56,7 +56,9 @@ def locations(draw: st.DrawFn, name: str) -> Location:
         inputs = (Input("Load", draw(st.floats(-3.0, 3.0)), draw(st.floats(0.0, 20.0))),)
     if kind == "logarithmic":
         constants["t0"] = draw(st.floats(1.0, 100.0))
-    scale = {"linear": 0.001, "logarithmic": 0.05}.get(kind, 1.0)
+    if kind == "transient":
+        constants["tau"] = draw(st.floats(1.0, 100.0))
+    scale = {"linear": 0.001, "logarithmic": 0.05, "transient": 0.05}.get(kind, 1.0)
     law = normal(draw(numbers) * scale, draw(sigmas) * scale)
     entry: Entry = draw(st.sampled_from(["parameter", "parameter", "none", "resample"]))
     return Location(

@@ -58,6 +58,8 @@ def drift(flow: Flow, x: float, m: float, age: float, signals: dict[str, float])
         return flow.params["k"] * (m + moved - x)
     if flow.kind == "linear":
         return m
+    if flow.kind == "transient":
+        return m / flow.params["tau"] * exp(-age / flow.params["tau"])
     return m / (flow.params["t0"] + age) if flow.kind == "logarithmic" else 0.0
 
 
@@ -147,6 +149,7 @@ FLOWS = {
     "exponential": (Flow("exponential", {"k": 0.004, "noise": 0.03}), normal(55.0, 2.0)),
     "driven": (Flow("driven", {"k": 0.006, "noise": 0.03}, (Input("I", 0.05, 100.0),)), normal(50.0, 2.0)),
     "logarithmic": (Flow("logarithmic", {"t0": 20.0, "noise": 0.02}), normal(6.0, 1.0)),
+    "transient": (Flow("transient", {"tau": 40.0, "noise": 0.02}), normal(-6.0, 1.0)),
 }
 
 EFFECTS: dict[str, tuple[Effect, ...]] = {

@@ -17,9 +17,11 @@ LOAD = Location("load", Flow("linear", {"noise": 0.02}), normal(0.04, 0.01))
 PEAK = Location("peak", Flow("logarithmic", {"t0": 10.0, "noise": 0.03}), normal(4.0, 0.5))
 HOLD = Location("hold", Flow("constant", {"noise": 0.08}))
 FRESH = Location("fresh", Flow("exponential", {"k": 0.03, "noise": 0.2}), normal(45.0, 1.5), "resample")
+SPIKE = Location("spike", Flow("transient", {"tau": 6.0, "noise": 0.05, "m": -5.0}), normal(48.0, 1.5), "resample")
+SETTLE = Location("settle", Flow("transient", {"tau": 9.0, "noise": 0.05}), normal(3.0, 0.5))
 PLAIN = Location("plain", Flow("exponential", {"k": 0.03, "noise": 0.2}), normal(30.0, 1.5), "none")
 
-ALL = (OFF, IDLE, LOAD, PEAK, HOLD, FRESH, PLAIN)
+ALL = (OFF, IDLE, LOAD, PEAK, HOLD, FRESH, PLAIN, SPIKE, SETTLE)
 """Symbol X leads to location X from everywhere."""
 EVERYWHERE = SHA(
     "everywhere",

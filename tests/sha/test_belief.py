@@ -24,6 +24,7 @@ KINDS = {
     "exponential": {"k": 0.01, "noise": 0.05},
     "driven": {"k": 0.01, "noise": 0.05},
     "logarithmic": {"t0": 3.0, "noise": 0.05},
+    "transient": {"tau": 3.0, "noise": 0.05},
 }
 
 

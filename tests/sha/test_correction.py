@@ -28,8 +28,8 @@ from tests.sha.plants import exponential_stays, relaxing, simulate_two, single, 
 WORD = [
     Event(40.0 * (place + 1), each.name) for place, each in enumerate((*EVERYWHERE.locations, *EVERYWHERE.locations))
 ]
-OUTPUTS = np.arange(0.0, 640.0, 20.0)
-CURRENT = Trace("current", np.arange(0.0, 640.0, 10.0), {"Assorbimento": 50.0 + 40.0 * np.sin(np.arange(64.0))})
+OUTPUTS = np.arange(0.0, 800.0, 20.0)
+CURRENT = Trace("current", np.arange(0.0, 800.0, 10.0), {"Assorbimento": 50.0 + 40.0 * np.sin(np.arange(80.0))})
 
 corrections = st.builds(Correction, st.floats(0.5, 2.0), st.floats(-20.0, 20.0))
 

@@ -1,6 +1,6 @@
 """Every closed form against the differential equation that it claims to solve."""
 
-from math import inf
+from math import exp, inf, log
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ CONSTANTS = {
     "exponential": {"k": 0.02},
     "driven": {"k": 0.02},
     "logarithmic": {"t0": 5.0},
+    "transient": {"tau": 5.0},
 }
 DRIVEN_BY = (Input("Assorbimento", gain=0.1, reference=150.0),)
 
@@ -29,6 +30,8 @@ def drift(kind: str, x: float, target: float, age: float) -> float:
     """Written anew from the table of the method, not taken from the code under test."""
     if kind in ("exponential", "driven"):
         return 0.02 * (target - x)
+    if kind == "transient":
+        return target / 5.0 * exp(-age / 5.0)
     return {"constant": 0.0, "linear": target, "logarithmic": target / (5.0 + age)}[kind]
 
 
@@ -42,7 +45,7 @@ def solved(kind: str, x: float, target: float, age: float, dt: float, rate: floa
 
 
 def target_of(kind: str, sign: int) -> float:
-    return {"linear": sign * 0.08, "logarithmic": sign * 3.0}.get(kind, 40.0 + sign * 25.0)
+    return {"linear": sign * 0.08, "logarithmic": sign * 3.0, "transient": sign * 3.0}.get(kind, 40.0 + sign * 25.0)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -74,6 +77,29 @@ def test_logarithmic_leaves_the_limit_when_its_drift_has_fallen_to_it(dt: float)
     assert step == pytest.approx(solved("logarithmic", 40.0, 3.0, 2.0, dt, 0.1), abs=2e-5)
     if dt <= 23.0:
         assert step == pytest.approx(40.0 + 0.1 * dt)
+
+
+@pytest.mark.parametrize("dt", [2.0, 6.9, 7.0, 400.0])
+def test_transient_leaves_the_limit_when_its_drift_has_fallen_to_it(dt: float) -> None:
+    # 3 / 5 exp(-u / 5) = 0.1 at u = 5 ln 6 = 8.96, so 6.96 s after an age of 2 s
+    step = float(flows.mean_step(flow("transient"), 40.0, 3.0, age=2.0, dt=dt, max_rate=0.1))
+    assert step == pytest.approx(solved("transient", 40.0, 3.0, 2.0, dt, 0.1), abs=2e-5)
+    if dt <= 5.0 * log(6.0) - 2.0:
+        assert step == pytest.approx(40.0 + 0.1 * dt)
+
+
+def test_a_transient_moves_by_its_amplitude_in_all_and_is_then_over() -> None:
+    entered = flows.mean_step(flow("transient"), 40.0, -3.0, age=0.0, dt=np.array([0.0, 5.0, 1e6]), max_rate=inf)
+    assert entered == pytest.approx([40.0, 40.0 - 3.0 * (1.0 - exp(-1.0)), 37.0])
+    assert float(flows.mean_step(flow("transient"), 40.0, 3.0, age=1e6, dt=100.0, max_rate=inf)) == 40.0
+
+
+@pytest.mark.parametrize(("kind", "half"), [("logarithmic", 5.0), ("transient", 5.0 * log(2.0)), ("linear", inf)])
+def test_fading_says_when_the_drift_has_fallen_to_a_part(kind: str, half: float) -> None:
+    age = float(flows.fading(flow(kind), 0.5))
+    assert age == pytest.approx(half)
+    if age < inf:
+        assert drift(kind, 40.0, 3.0, age) == pytest.approx(0.5 * drift(kind, 40.0, 3.0, 0.0))
 
 
 @pytest.mark.parametrize("kind", flows.FLOWS)
@@ -146,6 +172,8 @@ def test_offset_adds_what_each_input_says() -> None:
         (Flow("linear", {"noise": 0.1, "k": 1.0}), "takes the constants noise"),
         (Flow("exponential", {"k": 0.0, "noise": 0.1}), "k must be positive and finite"),
         (Flow("exponential", {"k": inf, "noise": 0.1}), "k must be positive and finite"),
+        (Flow("transient", {"tau": 0.0, "noise": 0.1}), "tau must be positive and finite"),
+        (Flow("transient", {"t0": 1.0, "noise": 0.1}), "takes the constants tau, noise"),
         (Flow("constant", {"noise": -0.1}), "noise must be at least 0 and finite"),
         (Flow("linear", {"noise": 0.1, "m": inf}), "m must be finite"),
         (Flow("driven", {"k": 1.0, "noise": 0.1}), "needs inputs"),

@@ -1,7 +1,7 @@
 """Mean and variance in closed form against integration of their equations, step by step and with every entry mode."""
 
 from dataclasses import replace
-from math import inf
+from math import exp, inf
 
 import numpy as np
 import pytest
@@ -16,9 +16,9 @@ from sim.sha.trace import Event, Trace
 from tests.sha.models import ALL, EVERYWHERE, limited, normal
 
 INPUTS = Trace("in", np.arange(0.0, 400.0, 7.0), {"Assorbimento": 50.0 + 40.0 * np.sin(np.arange(0.0, 400.0, 7.0))})
-WORD = ("idle", "load", "load", "peak", "hold", "fresh", "idle", "plain", "off", "fresh", "peak")
+WORD = ("idle", "load", "load", "peak", "hold", "fresh", "idle", "plain", "off", "fresh", "peak", "settle", "spike")
 EVENTS = [Event(20.0 + 30.0 * i, symbol) for i, symbol in enumerate(WORD)]
-OUTPUTS = np.arange(0.0, 361.0, 4.0)
+OUTPUTS = np.arange(0.0, 421.0, 4.0)
 
 
 def integrated(steps: Schedule, x0: float, v0: float) -> tuple[np.ndarray, np.ndarray]:
@@ -32,13 +32,17 @@ def integrated(steps: Schedule, x0: float, v0: float) -> tuple[np.ndarray, np.nd
         law = drawn_temperature(location)
         if steps.entry[k] and k > 0 and law is not None:
             mean, variance = law.params["mu"], law.params["sigma"] ** 2
-        k_rate = location.flow.params.get("k", 0.0)
+        k_rate, tau = location.flow.params.get("k", 0.0), location.flow.params.get("tau")
         target, s2 = m + steps.offset[k], location.flow.params["noise"] ** 2
 
-        def slope(t, y, age=steps.age[k], kind=location.flow.kind, k_rate=k_rate, target=target, s2=s2, spread=spread):
+        def slope(
+            t, y, age=steps.age[k], kind=location.flow.kind, k_rate=k_rate, target=target, s2=s2, spread=spread, tau=tau
+        ):
             gain = {"constant": 0.0, "linear": 1.0}.get(kind, k_rate)
             if kind == "logarithmic":
                 gain = 1.0 / (10.0 + age + t)
+            if kind == "transient":
+                gain = exp(-(age + t) / tau) / tau
             return [
                 gain * target - k_rate * y[0],
                 2.0 * gain * y[2] - 2.0 * k_rate * y[1] + s2,

@@ -24,6 +24,7 @@ FLOWS = {
     "exponential": Flow("exponential", {"k": 0.03, "noise": 0.05}),
     "driven": Flow("driven", {"k": 0.03, "noise": 0.05}, (Input("load", 0.2, 100.0),)),
     "logarithmic": Flow("logarithmic", {"t0": 4.0, "noise": 0.05}),
+    "transient": Flow("transient", {"tau": 6.0, "noise": 0.05}),
 }
 MODES = {
     "constant": (0.0, 0.0),
@@ -31,6 +32,7 @@ MODES = {
     "exponential": (45.0, 4.0),
     "driven": (45.0, 4.0),
     "logarithmic": (3.0, 0.8),
+    "transient": (-4.0, 0.8),
 }
 
 
@@ -42,7 +44,7 @@ def two_locations(kind: str, entry: Entry = "parameter", max_rate: float = inf, 
     if kind == "constant" and entry == "parameter":
         law = None
     flow = FLOWS[kind]
-    if entry == "resample" and kind in ("linear", "logarithmic"):
+    if entry == "resample" and kind in ("linear", "logarithmic", "transient"):
         flow = replace(flow, params={**flow.params, "m": MODES[kind][0]})
     cold = Distribution("normal", {"mu": 25.0, "sigma": 1.0})
     sha = SHA(

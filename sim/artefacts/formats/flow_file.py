@@ -5,18 +5,21 @@ Read are the forms of the public learner (`(x0)' = 0.004 1 + -0.004 x0`: a blank
 the terms, as a quotient of two polynomials with exact rational coefficients.
 
 Two names have a meaning of their own in what this project writes: `m` is the location's mode parameter, drawn from its
-distribution, and `u`, where it stands in a denominator, the seconds since the location was entered. The five flows:
+distribution, and `u`, where it stands in a denominator or in `exp(-u / tau)`, the seconds since the location was
+entered. The six flows:
 
     constant     (T)' = 0
     linear       (T)' = m
     exponential  (T)' = 0.004 (m - T)
     driven       (T)' = 0.004 (m + 0.05 (Assorbimento - 150.0) - T)
     logarithmic  (T)' = m / (12.0 + u)
+    transient    (T)' = m exp(-u / 8.0) / 8.0
 
 A number in place of m is a parameter that is fixed. A name with blanks or signs stands in backquotes. Noise has no
 place in this file; the report's locations carry it.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -32,6 +35,7 @@ from sim.files import at, read_text
 FLOW_FILE = "flow_conditions.txt"
 MAX_DEGREE = 6
 MAX_TERMS = 500
+PARAMETER, AGE = "m", "u"
 FUNCTIONS = ("sin", "cos", "tan", "tanh", "exp", "log", "ln", "sqrt", "abs", "min", "max")
 
 GRAMMAR = r"""
@@ -172,16 +176,39 @@ def _sum(tree: Tree[Token], reading: _Reading) -> _Quotient:
 
 def _product(tree: Tree[Token], reading: _Reading) -> _Quotient:
     total, divide = _Quotient(ONE, ONE), False
-    for part in tree.children:
+    parts = iter(tree.children)
+    for part in parts:
         if isinstance(part, Token):
             divide = part.type == "OVER"
             continue
-        factor = _factor(part, reading)
+        factor = _exponential(next(parts, None), reading) if _is_name(part, "exp") else _factor(part, reading)
         if divide and not factor.top:
             raise at(reading.file, reading.line, "the equation divides by zero; correct the denominator")
         total = _bounded(_times(total, _Quotient(factor.bottom, factor.top) if divide else factor), reading)
         divide = False
     return total
+
+
+def _is_name(tree: Tree[Token], name: str) -> bool:
+    """Whether a factor is this word alone."""
+    inner = trees(tree)
+    return tree.data == "power" and len(tree.children) == 1 and inner[0].children == [name]
+
+
+def _exponential(argument: Tree[Token] | Token | None, reading: _Reading) -> _Quotient:
+    """exp(-u / tau) as a variable of its own, by the name that `decay_rate` reads; what fades is all that is known."""
+    value = _factor(argument, reading) if isinstance(argument, Tree) else _Quotient({}, ONE)
+    rate = -value.top.get(((AGE, 1),), Fraction(0))
+    if rate <= 0 or len(value.top) != 1 or value.bottom != ONE:
+        wanted = f"exp is known of -{AGE} / tau alone, {AGE} being the seconds since entry and tau a positive number"
+        raise at(reading.file, reading.line, wanted)
+    return _Quotient(variable(f"`exp(-{rate} {AGE})`"), ONE)
+
+
+def decay_rate(name: str) -> Fraction | None:
+    """The rate (1/s) if a variable stands for exp(-rate u), else None: no name of a file keeps its backquotes."""
+    found = re.fullmatch(rf"`exp\(-(\S+) {AGE}\)`", name)
+    return Fraction(found[1]) if found else None
 
 
 def _factor(tree: Tree[Token], reading: _Reading) -> _Quotient:

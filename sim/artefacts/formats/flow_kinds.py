@@ -3,12 +3,11 @@
 import re
 from fractions import Fraction
 
-from sim.artefacts.formats.flow_file import FUNCTIONS, Equation, parse_equation
+from sim.artefacts.formats.flow_file import AGE, FUNCTIONS, PARAMETER, Equation, decay_rate, parse_equation
 from sim.artefacts.formats.polynomial import Monomial, Polynomial, scale, term_text
 from sim.files import ArtefactError
 from sim.sha import FLOWS, Flow, Input
 
-PARAMETER, AGE = "m", "u"
 LIBRARY = f"the flow library has {', '.join(FLOWS)}"
 
 
@@ -20,6 +19,8 @@ def flow_of(equation: Equation, noise: float = 0.0) -> Flow:
     """
     if not _is_constant(equation.denominator):
         return _logarithmic(equation, noise)
+    if any(decay_rate(name) for monomial in equation.numerator for name, _ in monomial):
+        return _transient(equation, noise)
     # Every term above the first degree is refused by what it is.
     for monomial in equation.numerator:
         powers = dict(monomial)
@@ -108,6 +109,24 @@ def _logarithmic(equation: Equation, noise: float) -> Flow:
     raise ArtefactError(f"over t0 + {AGE} stands {shape}; a logarithmic flow has {PARAMETER} or a number there")
 
 
+def _transient(equation: Equation, noise: float) -> Flow:
+    """a / tau exp(-u / tau), the drift that is over some tau after entry: X moves by a in all."""
+    shape = " + ".join(f"{float(value):g} {term_text(monomial)}" for monomial, value in equation.numerator.items())
+    if len(equation.numerator) == 1:
+        (monomial, value), *_ = equation.numerator.items()
+        powers = dict(monomial)
+        fades = next(name for name in powers if decay_rate(name))
+        rate = decay_rate(fades)
+        if rate and powers == {fades: 1}:
+            return Flow("transient", {"tau": float(1 / rate), "m": float(value / rate), "noise": noise})
+        if rate and powers == {fades: 1, PARAMETER: 1} and value == rate:
+            return Flow("transient", {"tau": float(1 / rate), "noise": noise})
+    raise ArtefactError(
+        f"the terms are {shape}; a transient flow has {PARAMETER} or a number, "
+        f"times exp(-{AGE} / tau) / tau, and no more"
+    )
+
+
 def equation_text(flow: Flow, state: str) -> str:
     """The flow's equation for the state variable, in the form that `flow_of` gives back. Raises ArtefactError."""
     parameter, x = number_text(flow.params["m"]) if "m" in flow.params else PARAMETER, quoted(state)
@@ -117,6 +136,9 @@ def equation_text(flow: Flow, state: str) -> str:
         right = parameter
     elif flow.kind == "logarithmic":
         right = f"{parameter} / ({number_text(flow.params['t0'])} + {AGE})"
+    elif flow.kind == "transient":
+        tau = number_text(flow.params["tau"])
+        right = f"{parameter} exp(-{AGE} / {tau}) / {tau}"
     elif flow.kind in ("exponential", "driven"):
         signals = "".join(
             f" + {number_text(driving.gain)} ({quoted(driving.signal)} - {number_text(driving.reference)})"

@@ -24,7 +24,7 @@ from sim.effects import (
     unknown,
 )
 from sim.engine import held
-from sim.sha import RELAXING, SHA, Effect, Flow, Location
+from sim.sha import FLOWS, RELAXING, SHA, Effect, Flow, Location, flows
 
 Range = tuple[float, float]
 
@@ -176,8 +176,8 @@ def _alone(flow: Flow, m: Range, heat: Range, side: int) -> DriftBound:
     if flow.kind in RELAXING:
         return DriftBound((), ((flow.params["k"] * m[side] + heat[side], flow.params["k"]),))
     drive = m[side] if flow.kind == "linear" else 0.0
-    if flow.kind == "logarithmic":  # it fades from this to 0
-        entered = m[side] / flow.params["t0"]
+    if FLOWS[flow.kind].fading is not None:  # it fades from this to 0
+        entered = float(flows.drift(flow, 0.0, m[side], 0.0))
         drive = max(entered, 0.0) if side else min(entered, 0.0)
     return DriftBound((), ((drive + heat[side], 0.0),))
 

@@ -73,7 +73,10 @@ class Side:
         relaxing = envelope.flow.kind in RELAXING
         if dt == 0 or envelope.flow.kind == "constant" or (not relaxing and target == 0):
             return x
-        # The simulator's step has no end of time: the limit is the target, or, for a drift, no bound at all.
+        # The simulator's step has no end of time: the limit is the target, or, for a drift, no bound at all. A
+        # transient is over after a thousand times its tau: nothing is left of it in floats, nor of a limit on its rate.
+        if isinf(dt) and envelope.flow.kind == "transient":
+            dt = 1e3 * envelope.flow.params["tau"]
         if isinf(dt):
             return target if relaxing else target * inf
         return x if isinf(x) else float(mean_step(envelope.flow, x, target, age=0.0, dt=dt, max_rate=self.graph.rate))

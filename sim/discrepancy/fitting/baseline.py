@@ -68,7 +68,7 @@ def _centred(model: Model, shape: FitShape, names: ParameterNames) -> FitShape:
     """The shape with the given model's values as the belief's centre."""
     by_name = model.sha.by_name
     centre, spread = shape.centre.copy(), shape.spread.copy()
-    spreads = {"linear": DRIFT_SPREAD, "logarithmic": FACTOR_SPREAD}
+    spreads = {"linear": DRIFT_SPREAD, "logarithmic": FACTOR_SPREAD, "transient": FACTOR_SPREAD}
     for number, name in enumerate(names.targets):
         centre[number] = mode_parameter(by_name[name])[0]
         spread[number] = spreads.get(by_name[name].flow.kind, TARGET_SPREAD)

@@ -82,7 +82,7 @@ def identify(
 
 
 def rate_alone(runs: FreeRuns, kind: str) -> float:
-    """The rate (k in 1/s, t0 in s) under which the segments fit best, each with a start and a parameter of its own.
+    """The rate (k in 1/s, t0, tau in s) by which the segments fit best, each with a start and a parameter of its own.
 
     Nothing is assumed of which segments belong together; slow flows hardly show their rate inside a segment.
     """
@@ -103,7 +103,7 @@ def rate_alone(runs: FreeRuns, kind: str) -> float:
 
 
 def _rate(kind: str, tau: float) -> float:
-    return tau if RATES[kind] == "t0" else 1.0 / tau
+    return 1.0 / tau if RATES[kind] == "k" else tau
 
 
 def _compared(gain: Array, kind: str) -> tuple[float, float, str]:

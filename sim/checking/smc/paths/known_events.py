@@ -7,7 +7,7 @@ from math import ceil, inf, isfinite, log1p, nextafter, sqrt
 
 import numpy as np
 
-from sim.checking.smc.paths.plan import LEAST_DECAY, Indices, Piece, State, World, clamp, draw_start, limit
+from sim.checking.smc.paths.plan import FINE, LEAST_DECAY, Indices, Piece, State, World, clamp, draw_start, limit
 from sim.checking.smc.paths.tilting import Tilts, chosen, scored, start_at, start_tiltable, tiltable
 from sim.engine import Schedule, schedule, step_coefficients
 from sim.sha import (
@@ -231,6 +231,11 @@ def _fine(flow: Flow, age: float, length: float, *, longest: float) -> Array:
         ratio = log1p(length / begin)
         count = ceil(ratio / log1p(own / begin))
         points = begin * np.expm1(ratio * np.arange(count + 1) / count)
+    elif flow.kind == "transient" and own < length:  # equal steps of exp(-u / 2 tau), as those of `limit`
+        twice = 2.0 * flow.params["tau"]
+        first, last = np.exp(-np.array([age, age + length]) / twice)
+        inner = np.linspace(first, last, ceil((first - last) / (0.5 * FINE)) + 1)[1:-1]
+        points = np.array([0.0, *(-twice * np.log(inner) - age), length])
     else:
         points = np.linspace(0.0, length, ceil(length / own) + 1 if isfinite(own) else 2)
     if np.diff(points).max() > longest:

@@ -215,6 +215,12 @@ def limit(flow: Flow, age: float | Array) -> float | Array:
     """The longest piece (s) of a flow whose path is looked at, `age` s after entry."""
     if flow.kind in RELAXING:
         return FINE / flow.params["k"]
+    if flow.kind == "transient":
+        # Pieces of FINE tau exp(u / 2 tau): in each the course is as far from its chord. They are equal steps of
+        # exp(-u / 2 tau), so that there are 2 / FINE of them at most, and the last one has no end.
+        twice = 2.0 * flow.params["tau"]
+        step = 0.5 * FINE * np.exp(np.minimum(age / twice, 50.0))
+        return np.where(step < 1.0, -twice * np.log1p(-np.minimum(step, 1.0 - 1e-12)), np.inf)
     return FINE * (flow.params["t0"] + age) if flow.kind == "logarithmic" else np.inf
 
 
