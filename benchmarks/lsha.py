@@ -3,9 +3,10 @@
 The public learner's time (99 to 199 s on these 15 CNC files, 2 cores) was measured elsewhere, by the wall clock. Wall
 times hold for a machine that does nothing else, so the CPU time stands beside. Held-out: every trace is left out once
 (five folds by trace), the model learned on the others runs freely from its first reading on (events without an edge:
-resync), and all its readings count. `bins` and persistence (it stays as at the first reading) see the same; `bins` on
-the CNC traces takes minutes for that: `--bins-on-cnc`. The CNC traces are looked for in `../shared/data`. What known
-automata are says `benchmarks/known_automata.py`; `--trials 200 --automata 20` for figures that tell.
+resync), and all its readings count. `bins`, a table by level and direction, and persistence (it stays as at the first
+reading) see the same; `bins` on the CNC traces takes minutes for that: `--bins-on-cnc`. The CNC traces are looked for
+in `../shared/data`. What known automata are says `benchmarks/known_automata.py`; `--trials 200 --automata 20` for
+figures that tell.
 """
 
 import subprocess
@@ -26,7 +27,7 @@ from sim.engine.open_loop_run import measured, open_loop
 from sim.learning.bins.learn import learn_bins
 from sim.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.plant.scenarios import SCENARIOS, scenario
-from sim.sha.events import DECANTER, Alphabet, encode
+from sim.sha.events import DECANTER, Alphabet, Bins, encode
 from sim.sha.model import Model
 from sim.sha.trace import Trace
 from sim.traces.column_map import load_map
@@ -71,6 +72,39 @@ def persistence(traces: Sequence[Trace], temperature: str) -> tuple[float, float
     return _figures(np.concatenate([column - column[0] for column in values]))
 
 
+def table(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tuple[float, float]:
+    """(MAE, RMSE) of a table: the mean of the other folds' readings by the last level and whether it rose or fell.
+
+    Where they have none, that by the level alone; and where they have not even that, the mean of all.
+    """
+    levels = {
+        symbol: float(level)
+        for channel in alphabet.channels
+        if isinstance(channel, Bins)
+        for level, symbol in enumerate(channel.symbols)
+    }
+    keys: list[np.ndarray] = []
+    for trace in traces:
+        begins = [(event.time, levels[event.symbol]) for event in trace.events if event.symbol in levels]
+        since, level = np.array(begins).T
+        turn = np.sign(np.diff(level, prepend=level[:1]))
+        row = np.maximum(np.searchsorted(since, measured(trace, temperature)[0], side="right") - 1, 0)
+        keys.append(np.column_stack([level[row], turn[row]]))
+    values = [measured(trace, temperature)[1] for trace in traces]
+    errors: list[np.ndarray] = []
+    for number, own in enumerate(keys):
+        others = [each for each in range(len(traces)) if each % FOLDS != number % FOLDS]
+        key, value = np.concatenate([keys[each] for each in others]), np.concatenate([values[each] for each in others])
+        foretold = np.full(len(own), value.mean())
+        for columns in (1, 2):
+            for cell in np.unique(own[:, :columns], axis=0):
+                known = (key[:, :columns] == cell).all(axis=1)
+                if known.any():
+                    foretold[(own[:, :columns] == cell).all(axis=1)] = value[known].mean()
+        errors.append(foretold - values[number])
+    return _figures(np.concatenate(errors))
+
+
 def _figures(error: np.ndarray) -> tuple[float, float]:
     return float(np.mean(np.abs(error))), float(np.sqrt(np.mean(error**2)))
 
@@ -109,8 +143,10 @@ def size(label: str, learned: LearnedLsha) -> list[Figure]:
     """Locations, edges and acceptance of one model."""
     report = learned.report
     laws = sum(one.mu == one.mu for one in report.locations)
+    transients = sum(one.flow == "transient" for one in report.locations)
     return [
         Figure(f"{label}, locations with a law", laws, "", "all locations", len(report.locations)),
+        Figure(f"{label}, locations with a transient", transients, "", "all locations", len(report.locations)),
         Figure(f"{label}, observed edges", report.observed_edges, "", "default edges", report.default_edges),
         Figure(
             f"{label}, training traces accepted", report.acceptance.accepted, "", "traces", report.acceptance.traces
@@ -119,11 +155,17 @@ def size(label: str, learned: LearnedLsha) -> list[Figure]:
 
 
 def errors(
-    label: str, traces: Sequence[Trace], learner: Learner, rivals: dict[str, Learner], signal: str
+    label: str,
+    traces: Sequence[Trace],
+    learner: Learner,
+    rivals: dict[str, Learner],
+    signal: str,
+    known: dict[str, tuple[float, float]] | None = None,
 ) -> list[Figure]:
-    """Held-out MAE and RMSE, against those of each rival and against persistence."""
+    """Held-out MAE and RMSE, against those of each rival, those that are `known` already, and persistence."""
     mine = held_out(traces, learner, signal)
     against = {name: held_out(traces, rival, signal) for name, rival in rivals.items()}
+    against |= known or {}
     against["persistence"] = persistence(traces, signal)
     unit = "kW" if signal == "SpindlePower" else "degC"
     return [
@@ -160,7 +202,8 @@ def cnc(repeats: int, *, quick: bool, with_bins: bool) -> list[Figure]:
     rivals: dict[str, Learner] = {}
     if with_bins:
         rivals["bins"] = lambda part: learn_bins(part, alphabet, signal, seed=0).model
-    return found + errors("CNC", traces, learner, rivals, signal)
+    known = {"table by level and direction": table(traces, alphabet, signal)}
+    return found + errors("CNC", traces, learner, rivals, signal, known)
 
 
 def decanter(repeats: int, *, quick: bool, seed: int) -> list[Figure]:

@@ -13,12 +13,11 @@ from gateway.lab.show import show_model, spread_sentence, summary
 from gateway.lab.traces.load import load
 from sim.artefacts.formats import write_model_directory
 from sim.learning.bins import Learned, learn_bins
-from sim.learning.lsha import LearnedLsha, LshaSettings, learn_lsha, report_document, report_text
+from sim.learning.lsha import FLOW_KINDS, LearnedLsha, LshaSettings, learn_lsha, report_document, report_text
 from sim.sha import Trace, shown_unit
 from sim.strict_json import json_text
 from sim.traces import ColumnMap
 
-FLOWS = ("constant", "linear", "logarithmic", "exponential", "driven")
 REPORT = "learning_report"
 
 
@@ -30,7 +29,7 @@ REPORT = "learning_report"
 @click.option("--name", default="decanter", show_default=True, help="The model's name, and the artefacts' base name.")
 @seed_option
 @click.option("--delta", type=click.FloatRange(0.0), help="lsha: merge tolerance, share of the parameters' spread.")
-@click.option("--default-flow", type=click.Choice(FLOWS), help="lsha: the flow of all locations to begin with.")
+@click.option("--default-flow", type=click.Choice(FLOW_KINDS), help="lsha: the flow of all locations to begin with.")
 @click.option(
     "--memory", type=click.Choice(["context", "direction", "previous", "word"]), help="lsha: what rare words share."
 )

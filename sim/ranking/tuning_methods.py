@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 from sim.learning.bins import CANDIDATES, learn_bins
-from sim.learning.lsha import LshaSettings, learn_lsha
+from sim.learning.lsha import FLOW_KINDS, LshaSettings, learn_lsha
 from sim.sha import Alphabet, Bins, Model, Switch, Trace
 
 Value = str | float | int | bool
@@ -139,7 +139,7 @@ METHODS: Mapping[str, Method] = {
             Real("delta", 0.0, 0.6),
             Whole("n_min", 2, 20),
             Real("alpha", 0.001, 0.3, log=True),
-            Choice("default_flow", (ANY, "constant", "linear", "logarithmic", "exponential", "driven")),
+            Choice("default_flow", (ANY, *FLOW_KINDS)),
             Choice("memory", (ANY, "context", "direction", "previous", "word")),
             *ENCODING,
         ),

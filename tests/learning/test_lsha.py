@@ -132,7 +132,7 @@ def test_what_is_left_out_is_said(known: LearnedLsha) -> None:
     teacher = teacher_of(traces, PLANT, "T", 5, 5)
     assert teacher.words.events > 1500
     hypothesis = FlowHypothesis("exponential", alone=True)
-    _, rivals = choose_structure(teacher, flowing_over(hypothesis, teacher).sample, LshaSettings(delta=0.05))
+    _, rivals = choose_structure(teacher, flowing_over(hypothesis, teacher, 0.05, 5).sample, LshaSettings(delta=0.05))
     word = next(rival for rival in rivals if "memory word" in rival.label)
     assert word.note.startswith("not tried: more of a word than its last move explains")
     report = replace(known.report, structures=(*known.report.structures, word), flow_traces=3, flow_events=70)
@@ -230,7 +230,7 @@ def test_a_level_that_is_jumped_to_is_learned_as_a_resampled_one() -> None:
 
 
 @pytest.mark.usefixtures("_no_bands")
-@pytest.mark.parametrize("kind", ["linear", "logarithmic", "driven"])
+@pytest.mark.parametrize("kind", ["linear", "logarithmic", "driven", "transient"])
 def test_a_default_flow_that_is_given_is_taken(kind: str) -> None:
     traces = random_traces(by_context, 6, count=4, stays=12)
     result = learned(traces, default_flow=kind, delta=0.1, memory="context")

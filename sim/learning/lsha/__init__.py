@@ -3,9 +3,10 @@
 from sim.learning.lsha.hypothesis import ObservationTable, TableRow
 from sim.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.learning.lsha.report import report_document, report_text
-from sim.learning.lsha.settings import LshaSettings
+from sim.learning.lsha.settings import FLOW_KINDS, LshaSettings
 
 __all__ = [
+    "FLOW_KINDS",
     "LearnedLsha",
     "LshaSettings",
     "ObservationTable",

@@ -33,7 +33,7 @@ from sim.learning import (
     with_parameters,
     with_range,
 )
-from sim.learning.lsha.evidence import SegmentSample, between, sample_of
+from sim.learning.lsha.evidence import between, sample_of
 from sim.learning.lsha.flow_hypotheses import BUDGET, Flowing, flow_of, flow_shape, flows_of, positions
 from sim.learning.lsha.hypothesis import HypothesisAutomaton
 from sim.learning.lsha.identify import Identified, identify
@@ -41,8 +41,9 @@ from sim.learning.lsha.segments import levels, stays_after
 from sim.learning.lsha.settings import LshaSettings
 from sim.learning.lsha.structures import Structure
 from sim.learning.lsha.teacher import Teacher, placed
+from sim.learning.lsha.transients import TransientLaw
 from sim.learning.lsha.words import described
-from sim.sha import SHA, Distribution, Entry, Flow, Input, Location, Model, Trace, unit_of
+from sim.sha import FIXED, SHA, Distribution, Entry, Flow, Input, Location, Model, Trace, unit_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +92,24 @@ def fit_levels(
     name: str,
     teacher: Teacher,
     *,
-    sample: SegmentSample,
+    transient: TransientLaw | None,
     hypothesis: HypothesisAutomaton,
     modelled: Sequence[bool],
     words: Sequence[Sequence[str]],
 ) -> FittedHypothesis:
-    """A `resample` automaton under constant flows: every location draws its level anew on entry."""
-    sensor, drift = _inside(teacher.runs)
+    """A `resample` automaton: every location draws its level anew on entry, and X stays there.
+
+    Where the location's stays show a `transient` X begins off its level, and settles.
+    """
+    size = len(hypothesis.names)
+    runs, amplitude, doubt = placed(teacher.runs, hypothesis.place), np.zeros(size), np.zeros(size)
+    if transient is not None:
+        amplitude, doubt = transient.estimates(runs, size)
+        runs = transient.settled(runs, amplitude)
+    # The words' own places again: what is alike is known of them.
+    runs = replace(runs, place=teacher.runs.place)
+    sample = sample_of(levels(runs, teacher.group), teacher.alike)
+    sensor, drift = _inside(runs)
     unknown = drift_noise(teacher.runs)
     place = hypothesis.place[sample.segments.place]
     _, after = stays_after(teacher.runs)
@@ -109,11 +121,16 @@ def fit_levels(
             locations.append(Location(title, Flow("constant", {"noise": unknown}), entry="none"))
             law = (np.nan, np.nan, np.nan)
         else:
-            law = between(sample, of_location)
-            sigma = float(np.hypot(law[1], law[2]))
-            distribution = Distribution("normal", {"mu": law[0], "sigma": sigma})
-            locations.append(Location(title, Flow("constant", {"noise": drift}), distribution, "resample"))
-            values[title] = tuple(sample.segments.value[of_location].tolist())
+            mean, error, scatter = between(sample, of_location)
+            # The law is that of X on entry: the level, and what it is off there.
+            off = float(amplitude[number])
+            law = (mean + off, float(np.hypot(error, doubt[number])), scatter)
+            distribution = Distribution("normal", {"mu": law[0], "sigma": float(np.hypot(law[1], law[2]))})
+            flow = Flow("constant", {"noise": drift})
+            if transient is not None and off:
+                flow = Flow("transient", {"tau": transient.tau, FIXED: -off, "noise": drift})
+            locations.append(Location(title, flow, distribution, "resample"))
+            values[title] = tuple((sample.segments.value[of_location] + off).tolist())
         table.append(
             _row(
                 teacher,
@@ -380,9 +397,13 @@ def fitted_model(
 def fit(plan: FitPlan, teacher: Teacher, budget: int) -> FittedHypothesis:
     """All parameters of the automaton by the readings of `teacher`."""
     if plan.flowing.fit is None:
-        sample = sample_of(levels(teacher.runs, teacher.group), teacher.alike)
         return fit_levels(
-            plan.name, teacher, sample=sample, hypothesis=plan.hypothesis, modelled=plan.modelled, words=plan.words
+            plan.name,
+            teacher,
+            transient=plan.flowing.transient,
+            hypothesis=plan.hypothesis,
+            modelled=plan.modelled,
+            words=plan.words,
         )
     return fit_motion(
         plan.name,

@@ -31,6 +31,7 @@ from sim.learning.lsha.identify import rate_alone
 from sim.learning.lsha.merging import Partition, TooManyQueriesError, learn_partition
 from sim.learning.lsha.segments import Motion, levels, parameters, stays_after
 from sim.learning.lsha.teacher import Teacher, placed
+from sim.learning.lsha.transients import TransientLaw, transient_law
 from sim.learning.lsha.words import Classes, WordHistory, classes_of
 from sim.sha import SHA, Array, Entry, Flow, Input, Location, Mask, Switch
 
@@ -76,6 +77,7 @@ class FlowHypothesis:
 
 FLOW_HYPOTHESES: tuple[FlowHypothesis, ...] = (
     FlowHypothesis("constant", "resample"),
+    FlowHypothesis("transient", "resample"),
     FlowHypothesis("linear"),
     FlowHypothesis("logarithmic"),
     FlowHypothesis("exponential"),
@@ -108,7 +110,7 @@ class Flowing:
     """A flow hypothesis with its rates and gains, and what the segments say under it.
 
     `shape`, `fit` and `rates` belong to the coarse structure whose location of each state `groups` (S,) tells; they
-    are None under `resample`, which has no rates.
+    are None under `resample`, which has no rates. `transient` is what readings have besides their stay's level.
     """
 
     hypothesis: FlowHypothesis
@@ -117,6 +119,7 @@ class Flowing:
     fit: LinearFit | None
     rates: Mapping[str, float]
     sample: SegmentSample
+    transient: TransientLaw | None = None
 
     def rates_of(self, groups: Sequence[str]) -> Array:
         """(r,) the rates of the given groups; one that the coarse structure did not have gets the geometric mean."""
@@ -147,7 +150,10 @@ def choose_flow(teacher: Teacher, kind: str | None, alpha: float, n_min: int) ->
             f"the flow {kind!r} needs a level signal of the alphabet that moves, and there is none; "
             "choose another default flow"
         )
-    candidates = [flowing(rival, teacher, groups, names, few) for rival in rivals]
+    candidates = [flowing(rival, teacher, groups, names, few, alpha=alpha, n_min=n_min) for rival in rivals]
+    if kind is None:
+        # Without an amplitude it is the constant flow itself, and not a rival.
+        candidates = [each for each in candidates if each.hypothesis.kind != "transient" or each.transient is not None]
     direction, word = classes_of(teacher.words, "direction"), classes_of(teacher.words, "word")
     scored: list[tuple[HeldOutErrors | None, int]] = []
     for candidate in candidates:
@@ -160,28 +166,45 @@ def choose_flow(teacher: Teacher, kind: str | None, alpha: float, n_min: int) ->
     sizes = [size for _, size in scored]
     known = [held for held, _ in scored if held is not None]
     best = choose(known, sizes) if len(known) == len(scored) else sizes.index(min(sizes))
-    table = (row(rival.label, size, held) for rival, (held, size) in zip(rivals, scored, strict=True))
+    table = (row(each.hypothesis.label, size, held) for each, (held, size) in zip(candidates, scored, strict=True))
     return candidates[best], tuple(replace(each, chosen=number == best) for number, each in enumerate(table))
 
 
-def flowing_over(hypothesis: FlowHypothesis, teacher: Teacher) -> Flowing:
+def flowing_over(hypothesis: FlowHypothesis, teacher: Teacher, alpha: float, n_min: int) -> Flowing:
     """The hypothesis over other traces than those that chose it."""
     groups, names = coarse(teacher)
-    return flowing(hypothesis, teacher, groups, names, sampled(teacher.runs, BUDGET))
+    return flowing(hypothesis, teacher, groups, names, sampled(teacher.runs, BUDGET), alpha=alpha, n_min=n_min)
 
 
 def flowing(
-    hypothesis: FlowHypothesis, teacher: Teacher, groups: Indices, names: Sequence[WordHistory], few: FreeRuns
+    hypothesis: FlowHypothesis,
+    teacher: Teacher,
+    groups: Indices,
+    names: Sequence[WordHistory],
+    few: FreeRuns,
+    *,
+    alpha: float,
+    n_min: int,
 ) -> Flowing:
     """The hypothesis fitted to the coarse structure, and every segment's parameter under it."""
     if hypothesis.entry == "resample":
+        law, runs = None, teacher.runs
+        if hypothesis.kind == "transient":
+            # What follows a rise is another transient than what follows a fall.
+            classes = classes_of(teacher.words, "direction")
+            known = placed(runs, classes.of_state)
+            law = transient_law(known, len(classes), alpha, n_min)
+            amplitude = np.zeros(len(classes)) if law is None else law.amplitudes(known, len(classes))
+            law = law if amplitude.any() else None
+            runs = runs if law is None else law.settled(known, amplitude)
         return Flowing(
             hypothesis=hypothesis,
             groups=groups,
             shape=None,
             fit=None,
             rates={},
-            sample=sample_of(levels(teacher.runs, teacher.group), teacher.alike),
+            sample=sample_of(levels(replace(runs, place=teacher.runs.place), teacher.group), teacher.alike),
+            transient=law,
         )
     # One more location stands for all states without a law: runs begin where one of those ends.
     where = [*(_position(key, teacher) for key in names), ""]
@@ -250,13 +273,16 @@ def _over(
     if candidate.shape is not None:
         shape, rated = flow_shape(hypothesis, teacher, positions(teacher, place, partition.size), partition.modelled)
         size += int((shape.gain >= 0).any()) * shape.gain.shape[1] + shape.rate_centre.size
+    if candidate.transient is not None:
+        amplitude = candidate.transient.amplitudes(placed(teacher.runs, place), partition.size)
+        size += 1 + int(np.count_nonzero(amplitude))
     if cut is None:
         return None, size
     traces = np.unique(cut.trace)
     anew = classes.memory == "word" or teacher.words.events <= ALWAYS
     if not (anew and traces.size >= FOLDS and np.array_equal(teacher.group, teacher.runs.trace)):
         if candidate.shape is None:
-            return hold_out_levels(placed(cut, place)), size
+            return hold_out_levels(placed(cut, place), candidate.transient), size
         return cross_validate(placed(cut, place), shape, candidate.rates_of(rated), fixed=True), size
     parts = held_out_parts(teacher, traces.size, FOLDS)
     fold, part = (np.searchsorted(traces, each) % parts for each in (cut.trace, sample.segments.group))
@@ -266,7 +292,7 @@ def _over(
         place, in_fold = fewer.location[classes.of_state], fold == held
         runs = placed(cut, place)
         if candidate.shape is None:
-            error[in_fold] = _level_errors(runs, in_fold)
+            error[in_fold] = _level_errors(runs, in_fold, candidate.transient)
             continue
         # Targets are those of the other runs; rates stay, as one fold hardly changes what all runs share.
         shape, rated = flow_shape(hypothesis, teacher, positions(teacher, place, fewer.size), fewer.modelled)
@@ -406,22 +432,25 @@ def flow_of(kind: str, tau: float, inputs: tuple[Input, ...] = ()) -> Flow:
     return Flow(kind, {**rate, "noise": 0.0}, inputs)
 
 
-def hold_out_levels(runs: FreeRuns) -> HeldOutErrors:
+def hold_out_levels(runs: FreeRuns, transient: TransientLaw | None = None) -> HeldOutErrors:
     """The held-out errors of a level for each place, entered anew at each event: the free run of `resample`.
 
-    Folds are those of `cross_validate`. A place that the other folds do not have gets the level of all.
+    With a `transient` each place has its amplitude besides, if the other folds show one. Folds are those of
+    `cross_validate`. A place that the other folds do not have gets the level of all.
     """
     order = np.cumsum(runs.first) - 1
     error = np.empty(len(runs))
     for held in range(min(FOLDS, int(order[-1]) + 1)):
-        error[order % FOLDS == held] = _level_errors(runs, order % FOLDS == held)
+        error[order % FOLDS == held] = _level_errors(runs, order % FOLDS == held, transient)
     finite = np.isfinite(runs.reading)
     return HeldOutErrors(error[finite], np.unique(order[finite], return_inverse=True)[1])
 
 
-def _level_errors(runs: FreeRuns, held: Mask) -> Array:
+def _level_errors(runs: FreeRuns, held: Mask, transient: TransientLaw | None) -> Array:
     """(m,) the readings of `held` (n,), less the mean of the others' in the same place (of all others without any)."""
     _, place = stays_after(runs)
+    if transient is not None:
+        runs = transient.settled(runs, transient.amplitudes(runs.where(~held), int(place.max()) + 1))
     rest = ~held & np.isfinite(runs.reading)
     count = np.bincount(place[rest], minlength=int(place.max()) + 1)
     total = np.bincount(place[rest], runs.reading[rest], minlength=count.size)

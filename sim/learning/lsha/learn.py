@@ -140,7 +140,7 @@ def learn_lsha(
         sample = beginnings(ordered, FLOW_EVENTS, chosen.split)
         few = teacher_of(sample, alphabet, temperature, n_min=chosen.n_min, split=chosen.split)
         best, flows = choose_flow(few, chosen.default_flow, chosen.alpha, chosen.n_min)
-        flowing = flowing_over(best.hypothesis, teacher)
+        flowing = flowing_over(best.hypothesis, teacher, chosen.alpha, chosen.n_min)
     else:
         sample = ordered
         flowing, flows = choose_flow(teacher, chosen.default_flow, chosen.alpha, chosen.n_min)

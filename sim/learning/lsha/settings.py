@@ -8,8 +8,8 @@ Memory = Literal["context", "direction", "previous", "word"]
 """What of a word is remembered where its own evidence does not suffice: see `words`."""
 
 MEMORIES: tuple[Memory, ...] = ("context", "direction", "previous", "word")
-FLOW_KINDS = ("constant", "linear", "logarithmic", "exponential", "driven")
-"""The flow library. `constant` comes with `resample` entry: a level that is jumped to."""
+FLOW_KINDS = ("constant", "linear", "logarithmic", "exponential", "driven", "transient")
+"""The flow library. `constant` and `transient` come with `resample` entry: a level that is jumped to."""
 DELTAS = (0.0, 0.05, 0.15, 0.4)
 """The merge tolerances that are tried where none is given."""
 

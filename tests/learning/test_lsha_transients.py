@@ -1,0 +1,131 @@
+"""A transient after each event is learned where the readings show one, and nowhere else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.artefacts.formats.bundle import read_artefacts
+from sim.artefacts.formats.convert import to_sha
+from sim.artefacts.formats.write_model import write_model_directory
+from sim.artefacts.model_directory import read_model_directory
+from sim.engine.open_loop_run import open_loop
+from sim.learning.calibrate import HeldOutForecasts
+from sim.learning.lsha import learn
+from sim.learning.lsha.learn import LearnedLsha, learn_lsha
+from sim.learning.lsha.segments import stays_after
+from sim.learning.lsha.teacher import Teacher, placed, teacher_of
+from sim.learning.lsha.transients import TransientLaw, transient_law
+from sim.learning.lsha.words import classes_of
+from sim.sha.trace import Array, Trace
+from tests.learning.lsha_plants import PLANT, by_context, random_traces
+
+TAU, AMPLITUDE = 9.0, 6.0
+"""Of the transient with which the plant enters its locations at a high load."""
+
+
+def ages(trace: Trace) -> Array:
+    """Seconds since the last event, from the trace alone."""
+    happened = np.array([event.time for event in trace.events])
+    return trace.times - happened[np.searchsorted(happened, trace.times, side="right") - 1]
+
+
+def with_transient(trace: Trace, amplitude: float = AMPLITUDE) -> Trace:
+    off = np.where(trace.signals["Load"] > 2.0, amplitude, 0.0) * np.exp(-ages(trace) / TAU)
+    return replace(trace, signals={**trace.signals, "T": trace.signals["T"] + off})
+
+
+def plants(seed: int, count: int, amplitude: float = AMPLITUDE) -> list[Trace]:
+    return [with_transient(trace, amplitude) for trace in random_traces(by_context, seed, count=count, jumps=True)]
+
+
+@pytest.fixture(scope="module")
+def known() -> LearnedLsha:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(learn, "bands", lambda *_, **__: HeldOutForecasts([], 0))
+        return learn_lsha(plants(5, 8), PLANT, "T", seed=0)
+
+
+def test_a_known_transient_comes_back_where_it_is_and_nowhere_else(known: LearnedLsha) -> None:
+    assert known.model.provenance.settings["flow"] == "transient, resampled on entry"
+    high = {name for name in known.model.sha.by_name if "/2+" in name}
+    for location in known.model.sha.locations:
+        assert location.flow.kind == ("transient" if location.name in high else "constant"), location.name
+        if location.name in high:
+            level = 80.0 if location.name.startswith("ON") else 20.0
+            assert location.flow.params["tau"] == pytest.approx(TAU, rel=0.05)
+            assert location.flow.params["m"] == pytest.approx(-AMPLITUDE, rel=0.05)
+            assert location.distribution is not None
+            assert location.distribution.params["mu"] == pytest.approx(level + AMPLITUDE, abs=0.5)
+    # What is left is the sensor's noise: the transient is no part of it.
+    assert known.model.sensor_sigma == pytest.approx(0.1, rel=0.2)
+
+
+def test_a_plant_without_a_transient_gets_none_and_no_rival() -> None:
+    """No location shows an amplitude, so that nothing is compared that was not compared before."""
+    for seed in range(5, 9):
+        teacher = teacher_of(random_traces(by_context, seed, count=8, jumps=True), PLANT, "T", 5, 5)
+        law, amplitude = amplitudes(teacher)
+        assert law is not None and not amplitude.any(), seed
+
+
+def test_new_traces_are_foretold_by_the_transient(known: LearnedLsha) -> None:
+    """A run of the model from the events alone is off by the levels' scatter, from the first second of a stay on."""
+    errors, early = [], []
+    for trace in plants(105, 4):
+        run = open_loop(replace(known.model, calibration={}), trace, "resync")
+        row = np.searchsorted(run.times, trace.times, side="right") - 1
+        begun = trace.times >= trace.events[1].time
+        errors.append((run.mean[row] - trace.signals["T"])[begun])
+        early.append((ages(trace) < TAU)[begun])
+    error, first = np.concatenate(errors), np.concatenate(early)
+    # The levels scatter by 1 degC from stay to stay: E|N(0, 1)| = 0.8. Six degrees more at entry would show.
+    assert np.mean(np.abs(error[first])) == pytest.approx(0.8, abs=0.15)
+    assert np.mean(np.abs(error[~first])) == pytest.approx(0.8, abs=0.15)
+
+
+def test_the_model_is_written_and_read_again_as_json_and_as_artefacts(known: LearnedLsha, tmp_path) -> None:
+    write_model_directory(tmp_path / "model", known.model, known.values)
+    assert read_model_directory(tmp_path / "model").sha == known.model.sha
+    name = known.model.sha.name
+    public = to_sha(read_artefacts(tmp_path / "model", name)).sha
+    assert {each.name: each.flow for each in public.locations} == {
+        each.name: each.flow for each in known.model.sha.locations
+    }
+
+
+def test_the_amplitude_does_not_depend_on_which_levels_belong_together() -> None:
+    """Levels that differ from stay to stay by far more than the transient: within stays nothing of that is seen."""
+    teacher = teacher_of([with_transient(trace) for trace in wild_levels()], PLANT, "T", 5, 5)
+    law, amplitude = amplitudes(teacher)
+    assert law is not None and law.tau == pytest.approx(TAU, rel=0.1)
+    shown = amplitude[amplitude != 0.0]
+    assert shown.size and shown == pytest.approx(AMPLITUDE, rel=0.1)
+
+
+def wild_levels() -> list[Trace]:
+    return random_traces(by_context, 11, count=8, jumps=True, scatter=30.0)
+
+
+def amplitudes(teacher: Teacher) -> tuple[TransientLaw | None, Array]:
+    classes = classes_of(teacher.words, "context")
+    runs = placed(teacher.runs, classes.of_state)
+    law = transient_law(runs, len(classes), 0.05, 5)
+    return law, np.zeros(0) if law is None else law.amplitudes(runs, len(classes))
+
+
+@pytest.mark.parametrize("tau", [3.0, 40.0])
+def test_settling_takes_off_what_the_law_says(tau: float) -> None:
+    teacher = teacher_of(plants(5, 2, amplitude=0.0), PLANT, "T", 5, 5)
+    law, size = TransientLaw(tau, 0.05, 5), len(teacher.words.states)
+    amplitude = np.arange(float(size))
+    settled = law.settled(teacher.runs, amplitude)
+    back = law.settled(settled, -amplitude)
+    np.testing.assert_allclose(back.reading, teacher.runs.reading)
+    _, place = stays_after(teacher.runs)
+    # Readings at an event belong to the stay that it begins: they are off by the whole amplitude.
+    runs = teacher.runs
+    entered = np.append((np.diff(runs.stay) != 0) & (np.diff(runs.run) == 0), False) & np.isfinite(runs.reading)
+    assert entered.any()
+    off = (teacher.runs.reading - settled.reading)[entered]
+    assert off == pytest.approx(amplitude[place[entered]])
