@@ -61,6 +61,8 @@ def locations(draw: st.DrawFn, name: str) -> Location:
     scale = {"linear": 0.001, "logarithmic": 0.05, "transient": 0.05}.get(kind, 1.0)
     law = normal(draw(numbers) * scale, draw(sigmas) * scale)
     entry: Entry = draw(st.sampled_from(["parameter", "parameter", "none", "resample"]))
+    if kind == "transient" and entry == "resample":
+        constants["m"] = draw(numbers) * scale
     return Location(
         name, Flow(kind, constants, inputs), normal(draw(numbers), 1.0) if entry == "resample" else law, entry
     )

@@ -10,6 +10,7 @@ from sim.discrepancy.fitting.named import named_of
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 from sim.engine.open_loop_run import open_loop
 from sim.learning.structure import LearningError
+from sim.sha.automaton import Flow
 from tests.discrepancy.plants import model, plant
 
 
@@ -106,3 +107,13 @@ def test_traces_without_the_temperature_get_a_sentence() -> None:
     bare = replace(trace, signals={name: column for name, column in trace.signals.items() if name != "T"})
     with pytest.raises(LearningError, match="no trace has a reading of 'T'"):
         diagnose(model(), [bare], seed=0)
+
+
+def test_a_transient_about_a_drawn_temperature_is_refused_by_name() -> None:
+    """What such a location adds on entry would be taken for heat, and its amplitude for the law of X."""
+    plain = model()
+    flow = Flow("transient", {"tau": 60.0, "m": -2.0, "noise": 0.0})
+    places = tuple(replace(place, flow=flow, entry="resample") for place in plain.sha.locations)
+    odd = replace(plain, sha=replace(plain.sha, locations=places))
+    with pytest.raises(LearningError, match=f"location '{places[0].name}' has a transient flow about a temperature"):
+        diagnose(odd, [plant(9, days=1)], seed=0)

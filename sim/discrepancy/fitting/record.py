@@ -148,8 +148,16 @@ def record_of(
 ) -> Record:
     """The encoded `traces` under the locations of `model`; a trace without a reading of the temperature is left out.
 
-    Raises LearningError (a ValueError) when an event has no edge or nothing can be followed.
+    Raises LearningError (a ValueError) when an event has no edge or nothing can be followed, and for a transient about
+    a temperature that is drawn on entry.
     """
+    for location in model.sha.locations:
+        if location.flow.kind == "transient" and location.entry == "resample":
+            raise LearningError(
+                f"location {location.name!r} has a transient flow about a temperature that is drawn on entry; heat is "
+                "looked for in a temperature that goes on over events, so give a model that was learned with "
+                "--default-flow exponential"
+            )
     having = [
         trace
         for trace in traces
