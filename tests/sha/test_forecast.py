@@ -241,7 +241,14 @@ def test_resampling_on_entry_is_in_the_runs() -> None:
     assert told.exceedance[0].probability == pytest.approx(ndtr(1.0), abs=0.03)
 
 
-@pytest.mark.parametrize("flow", [Flow("logarithmic", {"t0": 5.0, "noise": 0.02}), Flow("constant", {"noise": 0.02})])
+@pytest.mark.parametrize(
+    "flow",
+    [
+        Flow("logarithmic", {"t0": 5.0, "noise": 0.02}),
+        Flow("transient", {"tau": 60.0, "noise": 0.02}),
+        Flow("constant", {"noise": 0.02}),
+    ],
+)
 def test_flows_that_depend_on_the_age_continue_at_the_present_one(flow: Flow) -> None:
     model = single(flow, normal(2.0, 0.1), sensor=0.05)
     belief = advance(model, start(model, 0.0, 30.0), 40.0)
