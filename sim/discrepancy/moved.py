@@ -4,7 +4,9 @@ import numpy as np
 
 from sim.discrepancy.diagnosis import Shift
 from sim.discrepancy.fitting import Fitted
+from sim.effects import of_feature
 from sim.learning import RATES
+from sim.sha import RELAXING
 
 SIGMAS, LEAST_CHANGE = 4.0, 0.01
 """A move is told from so many standard errors on, and from so large a change."""
@@ -13,10 +15,15 @@ BOTH = 2.0
 
 
 def shifts(fitted: Fitted) -> tuple[Shift, ...]:
-    """The moved parameters of a fit, the surest first."""
+    """The moved parameters of a fit, the surest first; a target that lies off as machines do has not moved."""
     frame = fitted.frame
+    sha = frame.record.model.sha
     p, r = frame.count
-    errors = np.sqrt(np.maximum(np.diag(fitted.covariance)[: p + r], 1e-300) * BOTH)
+    variance = np.maximum(np.diag(fitted.covariance)[: p + r], 1e-300) * BOTH
+    targets = [n for n, name in enumerate(frame.names.targets) if sha.by_name[name].flow.kind in RELAXING]
+    for machine in of_feature(sha, "machine offset"):
+        variance[targets] += machine.params["sigma"] ** 2
+    errors = np.sqrt(variance)
     off = fitted.off[: p + r]
     moved = [
         _shift(fitted, number, float(off[number]), float(off[number] / errors[number]))

@@ -213,12 +213,15 @@ class SemiMarkov:
                 )
         if not isfinite(rate):
             mean = decay * start + pull * mode
-        noise = np.sqrt(variance) * rng.standard_normal(who.size)
+        white = rng.standard_normal(who.size)
+        noise = np.sqrt(variance) * white
         if (plant := self.world.tracker.plant) is not None and plant.disturbance is not None:
             # Beside the limit on the rate, which is that of the flow: a disturbance is noise with a memory.
-            k, p = plant.rate[location], plant.disturbance.params
-            step = disturbance_step(p["memory"], dt, np.divide(pull, k, out=dt.copy(), where=k > 0))
-            fresh = p["sigma"] * np.sqrt(step.fresh) * rng.standard_normal(who.size)
+            p = plant.disturbance.params
+            step = disturbance_step(p["memory"], plant.rate[location], dt)
+            # What of the disturbance's doing in X its own news do not tell is drawn with the white noise.
+            noise = np.sqrt(variance + p["sigma"] ** 2 * step.own) * white
+            fresh = p["sigma"] * np.sqrt(step.dd) * rng.standard_normal(who.size)
             heat = state.hidden[who, plant.heat_state]
             noise += step.carried * heat + step.into * fresh
             state.hidden[who, plant.heat_state] = step.keep * heat + fresh
