@@ -69,6 +69,7 @@ def summary(shown: Model) -> dict[str, Any]:
         "hash": model_hash(shown),
         "temperature": shown.temperature,
         "sensor_sigma": shown.sensor_sigma,
+        "sensor_memory": shown.sensor_memory,
         "correction": {"gain": shown.correction.gain, "offset": shown.correction.offset},
         "locations": _location_rows(shown.sha, shown.semi_markov),
         "edges": len(shown.sha.edges),
@@ -141,7 +142,10 @@ def show_model(shown: Model) -> None:
             f"plain member {member.name}: {f'odds against the model {odds}' if odds else 'no odds were learned'}"
         )
     origin = shown.provenance
-    click.echo(f"temperature {shown.temperature}, sensor sigma {shown.sensor_sigma:.3g} {unit}, method {origin.method}")
+    lasts = f" (errors last {shown.sensor_memory:g} s)" if shown.sensor_memory else ""
+    click.echo(
+        f"temperature {shown.temperature}, sensor sigma {shown.sensor_sigma:.3g} {unit}{lasts}, method {origin.method}"
+    )
     if shown.calibration:
         click.echo("calibration " + ", ".join(f"{h:g} s x {f:.2f}" for h, f in sorted(shown.calibration.items())))
     if not shown.correction.identity:

@@ -58,6 +58,7 @@ KEYS = (
     "name",
     "temperature",
     "sensor_sigma",
+    "sensor_memory",
     "limits",
     "initial_location",
     "locations",
@@ -102,6 +103,8 @@ def model_document(model: Model) -> dict[str, Any]:
         "name": sha.name,
         "temperature": model.temperature,
         "sensor_sigma": written_number(model.sensor_sigma),
+        # Left out where there is none, as are effects and correction: such a model keeps its text and its hash.
+        **({"sensor_memory": written_number(model.sensor_memory)} if model.sensor_memory else {}),
         "limits": _numbers_part({"low": sha.low, "high": sha.high, "max_rate": sha.max_rate}),
         "initial_location": sha.initial,
         "locations": [_location_part(location) for location in sha.locations],
@@ -115,7 +118,6 @@ def model_document(model: Model) -> dict[str, Any]:
             for horizon, factor in sorted(model.calibration.items())
         ],
         **_correction_part(model.correction),
-        # Left out where there is none, as are effects and correction: such a model keeps its text and its hash.
         **({"borrowed": sorted(model.borrowed)} if model.borrowed else {}),
         **({"plain": [_plain_part(member) for member in model.plain]} if model.plain else {}),
         "provenance": _provenance_part(model.provenance),
@@ -155,6 +157,7 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
         alphabet=_alphabet_of(root.get("alphabet")),
         temperature=root.get("temperature").text(),
         sensor_sigma=root.get("sensor_sigma").number(),
+        sensor_memory=root.get("sensor_memory").number() if "sensor_memory" in root.value else 0.0,
         initial=root.get("initial_temperature").optional(_law_of),
         semi_markov=root.get("semi_markov").table(_stay_of),
         calibration=_calibration_of(root.get("calibration")),
@@ -384,6 +387,8 @@ def _plain_part(member: PlainMember) -> dict[str, Any]:
     numbers = {"sensor": member.sensor, "walk": member.walk}
     if member.heat:
         numbers |= {"heat": member.heat, "memory": member.memory}
+    if member.sensor_memory:
+        numbers |= {"sensor_memory": member.sensor_memory}
     horizons = [
         {
             "horizon": written_number(horizon),
@@ -397,17 +402,20 @@ def _plain_part(member: PlainMember) -> dict[str, Any]:
 
 def _plain_of(node: JsonNode) -> PlainMember:
     """The plain member that `_plain_part` wrote."""
-    node.only(("name", "sensor", "walk", "heat", "memory", "horizons"))
+    node.only(("name", "sensor", "walk", "heat", "memory", "sensor_memory", "horizons"))
     name, sensor, walk = node.get("name").text(), node.get("sensor").number(), node.get("walk").number()
     heat = node.get("heat").number() if "heat" in node.value else 0.0
     memory = node.get("memory").number() if "memory" in node.value else inf
+    sensor_memory = node.get("sensor_memory").number() if "sensor_memory" in node.value else 0.0
     factors, odds = {}, {}
     for row in node.get("horizons").each():
         row.only(("horizon", "factor", "odds"))
         horizon = row.get("horizon").number()
         factors[horizon], odds[horizon] = row.get("factor").number(), row.get("odds").number()
     try:
-        return PlainMember(name, sensor, walk, heat=heat, memory=memory, calibration=factors, odds=odds)
+        return PlainMember(
+            name, sensor, walk, heat=heat, memory=memory, sensor_memory=sensor_memory, calibration=factors, odds=odds
+        )
     except ValueError as error:
         raise node.error(str(error)) from None
 

@@ -26,7 +26,7 @@ from sim.engine.schedules import Indices, Policy, Schedule, resync_targets, sche
 from sim.engine.simulation import SimulatedRuns, simulate
 from sim.engine.simulation_augmented import SamplingPlan, augmented_plan
 from sim.engine.terms import held
-from sim.engine.tracker import Tracker, compile_model, compiled, next_location
+from sim.engine.tracker import Tracker, compile_model, compiled, next_location, repeat_factor
 
 __all__ = [
     "Belief",
@@ -74,6 +74,7 @@ __all__ = [
     "open_loop",
     "open_loop_schedule",
     "real_age",
+    "repeat_factor",
     "restarted",
     "resync_targets",
     "run",

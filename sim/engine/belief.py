@@ -152,19 +152,26 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
         return advance(tracker, belief, time)
     sensor = tracker.sensor
     if not belief.seen:
-        moved = replace(advance(tracker, belief, time), x=temperature, xx=sensor, xm=0.0, samples=1, seen=True)
+        moved = replace(
+            advance(tracker, belief, time), x=temperature, xx=sensor, xm=0.0, samples=1, seen=True, read_at=time
+        )
         return moved if tracker.plant is None else state_estimate.at_reading(tracker.plant, moved)
     if tracker.plant is None:
         x, xx, xm, clamped = _prior(tracker, belief, time)
     else:
         belief = advance(tracker, belief, time)
         x, xx, xm, clamped = belief.x, belief.xx, belief.xm, 0
+    # What the reading was expected to be has the sensor's own variance, however long its error lasts; what the reading
+    # corrects counts that memory.
+    expected = xx + sensor
+    value = temperature - x
+    square = value * value / expected
+    recent = (*belief.recent, square)
+    if tracker.sensor_memory and belief.read_at is not None:
+        sensor = tracker.reading_variance(time - belief.read_at)
     # The Kalman update with H = (1, 0), written out. xx R / (xx + R) is xx - xx^2 / (xx + R) without its cancellation,
     # so xx stays positive after a reading far better than the prediction; mm has no such form and is held at 0.
     variance = xx + sensor
-    value = temperature - x
-    square = value * value / variance
-    recent = (*belief.recent, square)
     # By position, in the order of the fields: this is the filter's inner step. A type called by nineteen keywords
     # collects them in a dict first (CPython), which takes a fifth of the whole step.
     posterior = Belief(
@@ -178,15 +185,16 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
         max(belief.mm - xm * xm / variance, 0.0),
         belief.offset,
         belief.signals,
-        Innovation(value, variance, square),
+        Innovation(value, expected, square),
         recent[-tracker.window :],
-        belief.evidence - 0.5 * (log(2.0 * pi * variance) + square),
+        belief.evidence - 0.5 * (log(2.0 * pi * expected) + square),
         belief.samples + 1,
         belief.unmatched,
         belief.late,
         True,
         belief.clamps + clamped,
         belief.hidden,
+        time,
     )
     return posterior if tracker.plant is None else state_estimate.corrected(tracker.plant, posterior, value, variance)
 
@@ -279,7 +287,7 @@ def restarted(model: Model | Tracker, belief: Belief, temperature: float) -> Bel
     Of hidden states the housing's temperature stays as it is, and lags and X move with the reading.
     """
     tracker = compiled(model)
-    reading = replace(belief, x=temperature, xx=tracker.sensor, xm=0.0, seen=True, clamps=0)
+    reading = replace(belief, x=temperature, xx=tracker.sensor, xm=0.0, seen=True, clamps=0, read_at=belief.time)
     return reading if tracker.plant is None else state_estimate.moved_to(tracker.plant, belief, reading)
 
 

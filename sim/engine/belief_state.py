@@ -52,7 +52,8 @@ class Belief:
     the newest innovation, `recent` the squares of the newest ones (as many as the tracker's window), `evidence` the
     log-likelihood of all readings so far. `samples` counts the readings used, `unmatched` the events that had no edge,
     `late` the readings and events that came with a time before the belief's, `clamps` the steps that ended beyond the
-    automaton's range and were put back to its border. Until `seen`, no temperature was read.
+    automaton's range and were put back to its border. Until `seen`, no temperature was read; `read_at` (s) is when the
+    newest one was.
 
     With effects `x` and `xx` are those of what the sensor would read, its noise apart, and `hidden` has all the states;
     under a dead time `location` and `signals` are those that act already.
@@ -77,6 +78,7 @@ class Belief:
     seen: bool = False
     clamps: int = 0
     hidden: Hidden | None = None
+    read_at: float | None = None
 
     @property
     def age(self) -> float:

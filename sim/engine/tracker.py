@@ -6,7 +6,7 @@ array costs more than the whole of a filter's step.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import expm1, isfinite, log1p
+from math import expm1, isfinite, log1p, tanh
 from typing import Literal
 
 from sim.effects import check_sha, in_sensor_scale, signals_of
@@ -63,9 +63,9 @@ class Tracker:
 
     `model` is the one that was given, in the sensor's scale (`correction.in_sensor_scale`).
     `moves` are the edges, `fallback` where a symbol leads under `resync`, `inputs` the signals that drive some flow,
-    `window` the number of innovations in the anomaly test, `sensor` the variance of a reading (degC^2). `inputs` are
-    also those that effects read. `plant` is there where the automaton has effects; the modes' steps know nothing of
-    those.
+    `window` the number of innovations in the anomaly test, `sensor` the variance of a reading (degC^2), `sensor_memory`
+    how long its error lasts (s). `inputs` are also those that effects read. `plant` is there where the automaton has
+    effects; the modes' steps know nothing of those.
     """
 
     model: Model
@@ -77,17 +77,38 @@ class Tracker:
     window: int
     sensor: float
     plant: Plant | None = None
+    sensor_memory: float = 0.0
+
+    def reading_variance(self, since: float) -> float:
+        """The variance (degC^2) with which a reading corrects the state, `since` s after the one before it.
+
+        An error with a memory is not averaged out by reading often: the readings count as those whose errors are
+        independent and whose mean over a long time is as uncertain (`repeat_factor`).
+        """
+        return self.sensor * repeat_factor(self.sensor_memory, since) if self.sensor_memory else self.sensor
+
+
+def repeat_factor(memory: float, since: float) -> float:
+    """By how much the variance of a reading is multiplied whose error is correlated as exp(-t / memory) with others.
+
+    `memory` > 0 and `since` (the time between readings) in s. The mean of many such readings has the variance of one,
+    times (1 + r) / (1 - r) for the correlation r of neighbours, over their number (Bartlett 1946).
+    """
+    # Two readings of one instant say nothing new; a thousandth of the memory keeps that finite.
+    return 1.0 / tanh(0.5 * max(since / memory, 1e-3))
 
 
 def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 30) -> Tracker:
     """The model made ready to be followed; `window` is the number of innovations that the anomaly test looks at.
 
-    Raises ValueError for a non-deterministic or guarded automaton, an unusable flow or law, a `sensor_sigma` that is
-    negative or no number, an unknown policy, and a window below 1.
+    Raises ValueError for a non-deterministic or guarded automaton, an unusable flow or law, a `sensor_sigma` or
+    `sensor_memory` that is negative or no number, an unknown policy, and a window below 1.
     """
     check_sha(model.sha)
     if not isfinite(model.sensor_sigma) or model.sensor_sigma < 0:
         raise ValueError(f"model {model.sha.name!r}: sensor_sigma must be at least 0 degC, got {model.sensor_sigma}")
+    if not isfinite(model.sensor_memory) or model.sensor_memory < 0:
+        raise ValueError(f"model {model.sha.name!r}: sensor_memory must be at least 0 s, got {model.sensor_memory}")
     if policy not in ("ignore", "resync"):
         raise ValueError(f"unknown policy {policy!r}: online the known ones are ignore and resync")
     if window < 1:
@@ -110,6 +131,7 @@ def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 3
         window=window,
         sensor=max(model.sensor_sigma**2, SENSOR_FLOOR),
         plant=compile_plant(model.sha) if model.sha.effects else None,
+        sensor_memory=model.sensor_memory,
     )
 
 

@@ -21,6 +21,7 @@ from sim.forecast.ensemble import (
     thinned,
     weighted,
     weights,
+    weights_by_horizon,
 )
 from sim.forecast.fan import LEVELS, Forecast, forecast
 from sim.forecast.review import FORECASTS, ONE_STEP, Review, beyond, follow, follow_forecasts, share, standardised
@@ -55,4 +56,5 @@ __all__ = [
     "thinned",
     "weighted",
     "weights",
+    "weights_by_horizon",
 ]

@@ -25,7 +25,7 @@ HALF_LIFE = 30.0
 """Independent forecasts (time over horizon) after which a loss counts half: 30 minutes at 60 s ahead."""
 FLOOR = 0.02
 STRENGTH = 4.0
-"""Independent forecasts that the overall losses count for in a context, and the prior's beside a pool's own."""
+"""Independent forecasts that the overall losses count for in a context, and those of a shorter horizon in the next."""
 RATE = 2.0
 """The learning rate: a member that is worse by the best one's whole loss falls behind by e^2 for each independent
 forecast."""
@@ -80,22 +80,47 @@ def check_weights(weights: Sequence[float], members: int) -> None:
 
 
 def weights(pool: Pool, context: str = "") -> tuple[float, ...]:
-    """The members' weights in a context; they sum to 1."""
-    if pool.fixed is not None:
-        return pool.fixed
-    prior = np.full(pool.members, 1.0 / pool.members) if pool.prior is None else np.array(pool.prior)
-    plain = prior
-    if pool.overall is not None and pool.overall.evidence > 0:
-        mean, evidence = np.array(pool.overall.total) / pool.overall.evidence, pool.overall.evidence
-        own = pool.contexts.get(context)
-        if own is not None:
-            # The overall losses stand in for `strength` forecasts of the context's own.
-            borrowed = min(pool.strength, evidence)
-            mean = (np.array(own.total) + borrowed * mean) / (own.evidence + borrowed)
-            evidence = own.evidence + borrowed
-        best = max(float(mean.min()), LEAST_WIDTH)
-        plain = weighted(prior, mean / best, evidence)
-    return tuple((pool.floor + (1.0 - pool.floor * pool.members) * plain).tolist())
+    """The members' weights in a context, by what was seen at this horizon alone; they sum to 1."""
+    return weights_by_horizon([pool], context)[0]
+
+
+def weights_by_horizon(pools: Sequence[Pool], context: str = "") -> list[tuple[float, ...]]:
+    """The members' weights in a context for each of the `pools`, which are in the order of their horizons.
+
+    Who is wrong at five minutes is so before anybody can know it at fifteen: the losses at the horizon before stand in
+    for `strength` forecasts, and count less the more were seen at a horizon itself.
+    """
+    made: list[tuple[float, ...]] = []
+    before: tuple[Array, float] | None = None
+    for pool in pools:
+        if pool.fixed is not None:
+            made.append(pool.fixed)
+            continue
+        prior = np.full(pool.members, 1.0 / pool.members) if pool.prior is None else np.array(pool.prior)
+        seen = _relative(pool, context)
+        if before is not None:
+            losses, evidence = before
+            lent = min(pool.strength, evidence)
+            own, counted = seen or (losses, 0.0)
+            seen = (counted * own + lent * losses) / (counted + lent), counted + lent
+        plain = prior if seen is None else weighted(prior, *seen)
+        made.append(tuple((pool.floor + (1.0 - pool.floor * pool.members) * plain).tolist()))
+        before = seen
+    return made
+
+
+def _relative(pool: Pool, context: str) -> tuple[Array, float] | None:
+    """((members,) mean losses in units of the best one's, over how many independent forecasts); None before any."""
+    if pool.overall is None or not pool.overall.evidence > 0:
+        return None
+    mean, evidence = np.array(pool.overall.total) / pool.overall.evidence, pool.overall.evidence
+    own = pool.contexts.get(context)
+    if own is not None:
+        # The overall losses stand in for `strength` forecasts of the context's own.
+        borrowed = min(pool.strength, evidence)
+        mean = (np.array(own.total) + borrowed * mean) / (own.evidence + borrowed)
+        evidence = own.evidence + borrowed
+    return mean / max(float(mean.min()), LEAST_WIDTH), evidence
 
 
 def weighted(prior: Array, losses: Array, evidence: float) -> Array:

@@ -26,7 +26,7 @@ from sim.learning.held_out import (
 )
 from sim.learning.machines import MachineSpread, machine_spread, machines_of, next_stay
 from sim.learning.max_rate import Bite, MaxRate, bite, learn_max_rate, with_max_rate
-from sim.learning.noise import MEMORIES, NoiseLevels, drift_noise, fit_noise
+from sim.learning.noise import Memories, NoiseLevels, drift_noise, fit_noise
 from sim.learning.outcomes import Outcomes, outcomes_of
 from sim.learning.plain import PERSISTENCE, TREND, learn_plain
 from sim.learning.preparation import LEAST_READINGS, LEAST_SHARE, check_data, encoded, initial_law, splits, with_range
@@ -55,7 +55,6 @@ __all__ = [
     "LEAST",
     "LEAST_READINGS",
     "LEAST_SHARE",
-    "MEMORIES",
     "PERSISTENCE",
     "RATES",
     "SWITCH_STEPS",
@@ -74,6 +73,7 @@ __all__ = [
     "LinearFit",
     "MachineSpread",
     "MaxRate",
+    "Memories",
     "NoiseLevels",
     "Outcomes",
     "ParameterNames",

@@ -5,8 +5,9 @@ scored one step ahead and at 60, 300 and 900 s (events and inputs known): a comp
 (Varin, Reid & Firth 2011). One-step likelihood alone would choose the noise by what happens between two readings, and
 the bands at 15 minutes would be whatever comes out of it. Errors beyond three standard deviations count linearly.
 
-Heat may have a memory (`sim.effects`, heat-disturbance). Whether it has, and which, is decided on data that the noise
-was not fitted to: one half of the chunks is fitted, the other scored, and the other way round.
+Heat may have a memory (`sim.effects`, heat-disturbance), and so may the sensor's error (`Model.sensor_memory`). Whether
+they have, and which, is decided on data that the noise was not fitted to: one half of the chunks is fitted, the other
+scored, and the other way round.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,6 +18,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from sim.effects import DisturbanceStep, disturbance_step
+from sim.engine import repeat_factor
 from sim.learning.data import resolution
 from sim.learning.free_run import RATES, FitShape, FreeRunFit, loads
 from sim.learning.runs import FreeRuns, Indices, sampled
@@ -29,16 +31,26 @@ ORIGINS = 400
 """Pairs of readings by which each horizon is judged, at most."""
 STEP = 1e-4
 """Of the logarithms, for the gradient by forward differences."""
-MEMORIES = (100.0, 400.0, 1600.0, 6400.0)
-"""The memories (s) of the disturbance that are tried."""
 WORTH = 2.0
-"""Nats of held-out log-likelihood, in all independent looks, that a disturbance must gain: it costs two numbers."""
+"""Nats of held-out log-likelihood, in all independent looks, that a memory must gain."""
+STRANGE = 10.0
+"""degC by which m is taken to be unknown while memories of the sensor's error are compared. In the training each m is
+known from all the rest; a gateway on another machine learns it from minutes of readings, and there it counts whether
+these err together."""
 FIRST_HEAT = 1e-3
 """degC/s with which the search for a disturbance begins."""
 SCAN = 12
-"""Steps of the searches that only compare disturbances."""
+"""Steps of the searches that only compare memories."""
 DRIFT_SPAN = 300.0
 """The changes over so many seconds set the noise of locations in which nothing is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Memories:
+    """The memories (s) that are tried, of the disturbance of heat and of the sensor's error; none is always tried."""
+
+    heat: tuple[float, ...] = (100.0, 400.0, 1600.0, 6400.0)
+    sensor: tuple[float, ...] = (5.0, 15.0, 45.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +58,8 @@ class NoiseLevels:
     """`sensor` (degC); `process` (G,), degC/sqrt(s), by group of locations; `scatter` (L,), the sigma of each m.
 
     `score` is the mean log-likelihood per reading of the one-step predictions and of those at each of HORIZONS.
-    `heat` (degC/s) is the disturbance's standard deviation, 0 without one, and `memory` (s) how long it lasts.
+    `heat` (degC/s) is the disturbance's standard deviation, 0 without one, and `memory` (s) how long it lasts;
+    `sensor_memory` (s) is how long the sensor's error lasts, 0 where each reading errs by itself.
     """
 
     sensor: float
@@ -55,6 +68,14 @@ class NoiseLevels:
     score: Mapping[float, float]
     heat: float = 0.0
     memory: float = inf
+    sensor_memory: float = 0.0
+
+    @property
+    def memories(self) -> Memories:
+        """The memories that were found, for noise that is fitted anew to a part of the data."""
+        return Memories(
+            heat=(self.memory,) if self.heat else (), sensor=(self.sensor_memory,) if self.sensor_memory else ()
+        )
 
     @property
     def white(self) -> float:
@@ -71,7 +92,8 @@ class NoiseLevels:
 class _AffineSteps:
     """Every knot's affine step: X' = decay X + pull (m - mu) + drift, variance = density * process^2.
 
-    `k` (1/s) is the rate at which X forgets, 0 where it does not; `heat` the disturbance's step (None without one).
+    `k` (1/s) is the rate at which X forgets, 0 where it does not; `heat` the disturbance's step (None without one);
+    `repeats` by how much a reading's variance counts that errs like the one before it (`repeat_factor`).
     """
 
     decay: Array
@@ -86,6 +108,7 @@ class _AffineSteps:
     run: Indices
     dt: Array
     k: Array
+    repeats: Array
     heat: DisturbanceStep | None = None
 
 
@@ -132,6 +155,7 @@ def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) ->
         run=runs.run,
         dt=runs.dt,
         k=rate,
+        repeats=np.ones(n),
     )
 
 
@@ -180,6 +204,7 @@ def _filtered(
     drift, reading = steps.drift[knots][:, None], steps.reading[knots][:, None]
     added = steps.density[knots][:, None] * process[steps.group[knots]] ** 2
     drawn, noise = scatter[steps.place[knots]] ** 2, sensor**2
+    counted = steps.repeats[knots][:, None] * noise
     # A new stay draws its m anew, and so does a chunk's first step: what the stay before it knew is given up.
     fresh = (steps.stay[knots] != steps.stay[knots - 1])[:, None]
     fresh[: ends[0]] = True
@@ -221,7 +246,9 @@ def _filtered(
             xd = keep * (moved + carry * dd) + new_xd[at]
             md, dd = keep * md, keep * keep * dd + new_dd[at]
         error = innovation[at] = reading[at] - x
-        total = variance[at] = xx + noise
+        # Scored is what the reading was expected to be; what it corrects counts the memory of the sensor's error.
+        variance[at] = xx + noise
+        total = xx + counted[at]
         # The scalar update needs no inverse.
         gain, turn = xx / total, xm / total
         if not all_known:
@@ -324,7 +351,7 @@ def _mean_known(scores: Array) -> Array:
 class _Task:
     """What the likelihood needs, and the floors and counts of its parameters; the last one is the disturbance's sigma.
 
-    `memory` (s) is that of the disturbance, None without one.
+    `memory` (s) is that of the disturbance, None without one; `sensor_memory` (s) is in the steps' `repeats`.
     """
 
     steps: _AffineSteps
@@ -335,12 +362,18 @@ class _Task:
     places: int
     floor: float
     memory: float | None = None
+    sensor_memory: float = 0.0
+
+    @property
+    def scatters(self) -> slice:
+        """Where theta has the scatters."""
+        return slice(1 + self.groups, 1 + self.groups + self.seen.size)
 
     def unpack(self, theta: Array) -> tuple[Array, Array, Array, Array]:
         """(sensor (Q,), process (G, Q), scatter (L, Q), rough (Q,)) from theta (P, Q) of logarithms."""
         values = np.exp(theta)
         scatter = np.zeros((self.places, theta.shape[1]))
-        scatter[self.seen] = values[1 + self.groups : 1 + self.groups + self.seen.size]
+        scatter[self.seen] = values[self.scatters]
         rough = np.zeros(theta.shape[1]) if self.memory is None else values[-1]
         return values[0], values[1 : 1 + self.groups], scatter, rough
 
@@ -368,7 +401,7 @@ class _Task:
         The scatters are shrunk towards their common geometric mean (factor 1.6): a location that was entered three
         times says little about its own.
         """
-        logs = theta[1 + self.groups : 1 + self.groups + self.seen.size]
+        logs = theta[self.scatters]
         shrink = np.sum((logs - logs.mean(axis=0)) ** 2, axis=0) / (2 * 0.5**2) if logs.size else 0.0
         vague = np.sum((theta - self.start()[:, None]) ** 2, axis=0) / (2 * 3.0**2)
         return np.asarray(shrink + vague - weight * np.sum(self.scores(theta), axis=0))
@@ -431,13 +464,14 @@ def fit_noise(
     *,
     budget: int = 2500,
     floor: float = 1e-3,
-    memories: Sequence[float] = MEMORIES,
+    memories: Memories | None = None,
 ) -> NoiseLevels:
     """The noise of greatest composite likelihood, the means given by `fit`.
 
     `groups` (L,) numbers the locations that share one process noise. `floor` is the least sensor sigma (degC); the
     sensor's own rounding, step/sqrt(12), is taken where that is more. Rows are sampled to about `budget` knots. Of
-    disturbances with one of the `memories` (s) the likeliest is taken, if it is worth it on data held out.
+    disturbances and errors of the sensor with one of the `memories` the likeliest is taken, if it is worth it on data
+    held out.
     """
     return fit_noises(runs, shape, fit, groups, budget=budget, floor=floor, memories=memories)[-1]
 
@@ -450,36 +484,70 @@ def fit_noises(
     *,
     budget: int,
     floor: float = 1e-3,
-    memories: Sequence[float],
+    memories: Memories | None = None,
 ) -> list[NoiseLevels]:
     """The noise without a disturbance and, where one is worth it, the noise with it (`fit_noise`)."""
+    memories = memories or Memories()
     few = sampled(runs, budget)
     steps = _steps(few, shape, fit, groups)
     floor = max(floor, resolution(runs.reading) / sqrt(12.0))
-    task = _task(steps, groups, shape, floor, None)
+    task = _task(steps, groups, shape, floor)
     # As many independent looks as the data have stretches of 300 s, spread over one step and the horizons.
     weight = max(float(few.dt.sum()) / 300.0, 10.0)
     best = task.fitted(weight)
+    if task.table.shape[1] < 2:
+        return [_levels(task, best)]  # nothing could be held out
+    # The sensor's error first: one that lasts looks like heat with a short memory.
+    strange = best.copy()
+    strange[task.scatters] = log(STRANGE)
+    lasting = [
+        replace(task, steps=replace(steps, repeats=_repeats(steps, memory)), sensor_memory=memory)
+        for memory in memories.sensor
+    ]
+    if (found := _worth_it(task, strange, lasting, strange, weight)) is not None:
+        task = found[0]
+        best = task.fitted(weight, best)
     levels = [_levels(task, best)]
-    if task.table.shape[1] < 2 or not memories:
-        return levels  # nothing could be held out
-    # What a disturbance explains was taken for noise of the process or of the sensor: those move with it, while the
-    # scatter of the stays is left for the last fit.
-    begin = np.append(best, log(FIRST_HEAT))
-    free = np.ones(begin.size, dtype=np.bool_)
-    free[1 + task.groups : -1] = False
-    trials = []
-    for memory in memories:
-        trial = _task(steps, groups, shape, floor, memory)
-        half = trial.half(0)
-        theta = half.fitted(weight / 2.0, begin, iterations=SCAN, free=free)
-        trials.append((float(half.loss(theta[:, None], weight / 2.0)[0]), trial, theta))
-    _, trial, theta = min(trials, key=lambda each: each[0])
-    plain = task.half(0).fitted(weight / 2.0, best, iterations=SCAN, free=free[:-1])
-    gain = _held_out(trial, theta, begin, free, weight) - _held_out(task, plain, best, free[:-1], weight)
-    if weight * gain > WORTH:
+    heated = [
+        _task(task.steps, groups, shape, floor, memory=memory, sensor_memory=task.sensor_memory)
+        for memory in memories.heat
+    ]
+    if (found := _worth_it(task, best, heated, np.append(best, log(FIRST_HEAT)), weight)) is not None:
+        trial, theta = found
         levels.append(_levels(trial, trial.fitted(weight, theta)))
     return levels
+
+
+def _worth_it(
+    task: "_Task", best: Array, trials: Sequence["_Task"], begin: Array, weight: float
+) -> tuple["_Task", Array] | None:
+    """The likeliest of the `trials` and its theta, sought from `begin`; None where `task`, from `best`, is as good."""
+    if not trials:
+        return None
+    # What a memory explains was taken for noise of the process or of the sensor: those move with it, while the
+    # scatter of the stays is left for the last fit.
+    free = np.ones(begin.size, dtype=np.bool_)
+    free[task.scatters] = False
+    scored = []
+    for trial in trials:
+        half = trial.half(0)
+        theta = half.fitted(weight / 2.0, begin, iterations=SCAN, free=free)
+        scored.append((float(half.loss(theta[:, None], weight / 2.0)[0]), trial, theta))
+    _, trial, theta = min(scored, key=lambda each: each[0])
+    own = free[: best.size]
+    plain = task.half(0).fitted(weight / 2.0, best, iterations=SCAN, free=own)
+    gain = _held_out(trial, theta, begin, free, weight) - _held_out(task, plain, best, own, weight)
+    return (trial, theta) if weight * gain > WORTH else None
+
+
+def _repeats(steps: _AffineSteps, memory: float) -> Array:
+    """(n,) `repeat_factor` of each knot's reading, by the time since the one before it in its run; 1 for the first."""
+    known = np.flatnonzero(np.isfinite(steps.reading))
+    repeats = np.ones(steps.time.size)
+    same = steps.run[known[1:]] == steps.run[known[:-1]]
+    since = np.diff(steps.time[known])[same]
+    repeats[known[1:][same]] = [repeat_factor(memory, each) for each in since.tolist()]
+    return repeats
 
 
 def _levels(task: _Task, theta: Array) -> NoiseLevels:
@@ -494,10 +562,18 @@ def _levels(task: _Task, theta: Array) -> NoiseLevels:
         score=score,
         heat=float(heat[0]),
         memory=inf if task.memory is None else task.memory,
+        sensor_memory=task.sensor_memory,
     )
 
 
-def _task(steps: _AffineSteps, groups: Indices, shape: FitShape, floor: float, memory: float | None) -> _Task:
+def _task(
+    steps: _AffineSteps,
+    groups: Indices,
+    shape: FitShape,
+    floor: float,
+    memory: float | None = None,
+    sensor_memory: float = 0.0,
+) -> _Task:
     if memory is not None:
         steps = replace(steps, heat=disturbance_step(memory, steps.k, steps.dt))
     count = int(groups.max()) + 1
@@ -511,6 +587,7 @@ def _task(steps: _AffineSteps, groups: Indices, shape: FitShape, floor: float, m
         places=groups.size,
         floor=floor,
         memory=memory,
+        sensor_memory=sensor_memory,
     )
 
 

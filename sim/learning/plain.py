@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.learning.free_run import FitShape, FreeRunFit
-from sim.learning.noise import MEMORIES, fit_noises
+from sim.learning.noise import fit_noises
 from sim.learning.runs import free_runs, sampled
 from sim.sha import SHA, Flow, Location, PlainMember, Trace
 
@@ -50,8 +50,15 @@ def learn_plain(traces: Sequence[Trace], temperature: str) -> tuple[PlainMember,
         start=nothing,
     )
     group = np.zeros(1, dtype=np.intp)
-    noises = fit_noises(runs, shape, fit, group, budget=BUDGET, memories=MEMORIES)
+    noises = fit_noises(runs, shape, fit, group, budget=BUDGET)
     return tuple(
-        PlainMember(name, noise.sensor, float(noise.process[0]), heat=noise.heat, memory=noise.memory)
+        PlainMember(
+            name,
+            noise.sensor,
+            float(noise.process[0]),
+            heat=noise.heat,
+            memory=noise.memory,
+            sensor_memory=noise.sensor_memory,
+        )
         for name, noise in zip((PERSISTENCE, TREND), noises, strict=False)
     )

@@ -63,8 +63,8 @@ class PlainMember:
     """A forecaster that knows only the last readings: a random walk, perhaps under heat with a memory.
 
     `sensor` (degC), `walk` (degC/sqrt(s)) and `heat` (degC/s) are standard deviations; `memory` (s) is finite where
-    there is heat. `calibration` is as a model's; `odds` (horizon in s -> its weight over the model's) say how the two
-    compared on data held out. Raises ValueError for what cannot be run.
+    there is heat; `sensor_memory` (s) and `calibration` are as a model's; `odds` (horizon in s -> its weight over the
+    model's) say how the two compared on data held out. Raises ValueError for what cannot be run.
     """
 
     name: str
@@ -72,11 +72,13 @@ class PlainMember:
     walk: float
     heat: float = 0.0
     memory: float = inf
+    sensor_memory: float = 0.0
     calibration: Mapping[float, float] = field(default_factory=dict)
     odds: Mapping[float, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        usable = all(isfinite(value) and value >= 0 for value in (self.sensor, self.walk, self.heat))
+        noises = (self.sensor, self.walk, self.heat, self.sensor_memory)
+        usable = all(isfinite(value) and value >= 0 for value in noises)
         if not usable or not self.memory > 0 or (self.heat > 0 and not isfinite(self.memory)):
             raise ValueError(f"the plain member {self.name!r} needs noises of at least 0 and, with heat, a memory")
 
@@ -87,7 +89,8 @@ class Model:
 
     What is called a temperature is in `unit`: a model may follow another variable, such as a spindle's power in kW; all
     that is said here and elsewhere to be in degC is then in that unit.
-    `sensor_sigma` is the sensor's standard deviation (degC), `initial` the law of a trace's first temperature as read,
+    `sensor_sigma` is the sensor's standard deviation (degC), `sensor_memory` how long its error lasts (s; 0: each
+    reading errs by itself), `initial` the law of a trace's first temperature as read,
     `semi_markov` the stay of each location by its name, `calibration` the factor by which the forecast's standard
     deviation at each horizon (s) must be multiplied to cover what it says (learned on held-out cycles). `correction`
     leads from the automaton's temperature to the sensor's; whoever runs a model speaks of the sensor's
@@ -107,6 +110,7 @@ class Model:
     borrowed: frozenset[str] = frozenset()
     plain: tuple[PlainMember, ...] = ()
     unit: str = DEGREES
+    sensor_memory: float = 0.0
 
 
 def plain_model(model: Model, member: PlainMember) -> Model:
@@ -118,4 +122,12 @@ def plain_model(model: Model, member: PlainMember) -> Model:
     edges = tuple(Edge("any", symbol, "any") for symbol in alphabet_symbols(model.alphabet))
     effects = (Effect("heat-disturbance", {"sigma": member.heat, "memory": member.memory}),) if member.heat else ()
     sha = SHA(member.name, (place,), edges, "any", low=model.sha.low, high=model.sha.high, effects=effects)
-    return Model(sha, model.alphabet, model.temperature, member.sensor, calibration=member.calibration, unit=model.unit)
+    return Model(
+        sha,
+        model.alphabet,
+        model.temperature,
+        member.sensor,
+        sensor_memory=member.sensor_memory,
+        calibration=member.calibration,
+        unit=model.unit,
+    )

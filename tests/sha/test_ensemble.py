@@ -20,6 +20,7 @@ from sim.forecast.ensemble import (
     settle_pool,
     thinned,
     weights,
+    weights_by_horizon,
 )
 from sim.forecast.fan import LEVELS, Forecast
 from sim.scores import Estimate
@@ -149,6 +150,17 @@ def test_prior_weights_hold_until_there_is_evidence() -> None:
     pool = Pool(2, prior=(0.9, 0.1), floor=0.0)
     assert weights(pool) == pytest.approx((0.9, 0.1))
     assert weights(taught(pool, [("", (2.0, 1.0))] * 5))[1] > 0.95
+
+
+def test_a_longer_horizon_goes_by_the_shorter_one_until_it_has_evidence_of_its_own() -> None:
+    short = taught(Pool(2), [("", (3.0, 1.0))] * 5)
+    assert weights_by_horizon([short, Pool(2)])[1][1] > 0.95
+    little = taught(Pool(2), [("", (1.0, 2.0))])
+    much = taught(Pool(2), [("", (1.0, 2.0))] * 20)
+    first, later = (weights_by_horizon([short, pool])[1][0] for pool in (little, much))
+    assert first < 0.5 < later, "four forecasts of the shorter horizon outweigh one, and not twenty"
+    assert weights_by_horizon([short])[0] == weights(short)
+    assert weights_by_horizon([Pool(2, fixed=(0.7, 0.3)), little])[1] == weights(little)
 
 
 def test_contexts_have_weights_of_their_own_and_one_without_evidence_has_the_overall_ones() -> None:

@@ -34,7 +34,7 @@ from sim.forecast import (
     recent_coverage,
     settle_pool,
     thinned,
-    weights,
+    weights_by_horizon,
 )
 from sim.forecast import issue as issue_bands
 from sim.forecast import settle as settle_bands
@@ -209,7 +209,14 @@ class Ensemble:
 
     def shares(self, context: str) -> Array:
         """(H, members) the weights in a context, the first model's first."""
-        return np.array([weights(state.pool, context) for state in self.evidence.values()])
+        return np.array(list(self._weights(context).values()))
+
+    def _weights(self, context: str) -> dict[float, tuple[float, ...]]:
+        """horizon (s) -> the members' weights, in the order of the settings."""
+        ascending = sorted(self.evidence)
+        made = weights_by_horizon([self.evidence[horizon].pool for horizon in ascending], context)
+        by_horizon = dict(zip(ascending, made, strict=True))
+        return {horizon: by_horizon[horizon] for horizon in self.evidence}
 
     def follow(self, scan: Scan, measured: float | None) -> None:
         """Move all members on by a scan, and learn from its reading what the forecasts that were due are worth."""
@@ -274,7 +281,7 @@ class Ensemble:
         return {
             "members": self.names,
             "context": context,
-            "weights": {f"{h:g}": list(weights(state.pool, context)) for h, state in self.evidence.items()},
+            "weights": {f"{h:g}": list(each) for h, each in self._weights(context).items()},
             "evidence": {f"{h:g}": _evidence(state.pool) for h, state in self.evidence.items()},
             "held": {f"{h:g}": recent_coverage(self.joint, h) for h in self.evidence},
             "failures": {member.name: member.failure for member in self.members if member.failure},

@@ -13,7 +13,6 @@ import numpy as np
 
 from sim.learning import (
     LEAST_READINGS,
-    MEMORIES,
     Coverage,
     FreeRunFit,
     FreeRuns,
@@ -21,6 +20,7 @@ from sim.learning import (
     HeldOutForecasts,
     LearningError,
     MachineSpread,
+    Memories,
     NoiseLevels,
     bare_sha,
     check_data,
@@ -254,7 +254,7 @@ def _fit(
     begin: Array | None,
     temperature: str,
     budget: int,
-    memories: Sequence[float] = MEMORIES,
+    memories: Memories | None = None,
     spread: MachineSpread | None = None,
 ) -> _Fitted:
     sha, shape, _ = build(candidate, base)
@@ -272,6 +272,7 @@ def _fit(
         alphabet=base.alphabet,
         temperature=temperature,
         sensor_sigma=noise.sensor,
+        sensor_memory=noise.sensor_memory,
         initial=initial_law(traces, temperature),
         borrowed=frozenset(
             each.name for each in learned.locations if source_of(each.name, measured).startswith("borrowed")
@@ -319,7 +320,7 @@ def _held_out_forecasts(
             begin=None,
             temperature=temperature,
             budget=PART_BUDGET,
-            memories=(whole.noise.memory,) if whole.noise.heat else (),
+            memories=whole.noise.memories,
             spread=whole.spread,
         ).model
         forecasts.add(model, part.ahead, part.since, rng)

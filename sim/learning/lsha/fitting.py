@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.learning import (
-    MEMORIES,
     RATES,
     FitShape,
     FreeRuns,
     HeldOutForecasts,
     Indices,
+    Memories,
     choose,
     cross_validate,
     drift_noise,
@@ -70,12 +70,19 @@ class LshaLocationFit:
 
 @dataclass(frozen=True, slots=True)
 class FittedHypothesis:
-    """The automaton with all parameters, the sensor's standard deviation, raw values of each law, and the table."""
+    """The automaton with all parameters, the sensor's standard deviation, raw values of each law, the table, and the
+    memories of heat and of the sensor's error that were found."""
 
     sha: SHA
     sensor: float
     values: Mapping[str, tuple[float, ...]]
     locations: tuple[LshaLocationFit, ...]
+    memories: Memories | None = None
+
+    @property
+    def sensor_memory(self) -> float:
+        """How long the sensor's error lasts, s; 0 where each reading errs by itself."""
+        return max(self.memories.sensor, default=0.0) if self.memories is not None else 0.0
 
     @property
     def margin(self) -> float:
@@ -170,7 +177,7 @@ def fit_motion(
     words: Sequence[Sequence[str]],
     kinds: Sequence[str],
     budget: int,
-    memories: Sequence[float],
+    memories: Memories | None,
 ) -> FittedHypothesis:
     """A `parameter` automaton: all targets, rates and gains together by the likelihood of the free runs."""
     size = len(hypothesis.names)
@@ -226,7 +233,7 @@ def fit_motion(
             )
         )
     sha = replace(_sha(name, locations, hypothesis), effects=(*noise.effects, *spread.effects))
-    return FittedHypothesis(sha, noise.sensor, values, tuple(table))
+    return FittedHypothesis(sha, noise.sensor, values, tuple(table), noise.memories)
 
 
 def _bare(
@@ -298,7 +305,7 @@ class FitPlan:
     modelled: Sequence[bool]
     kinds: tuple[str, ...]
     words: tuple[tuple[str, ...], ...]
-    memories: tuple[float, ...] = MEMORIES
+    memories: Memories | None = None
     identified: tuple[Identified, ...]
 
 
@@ -371,6 +378,7 @@ def fitted_model(
         alphabet=teacher.alphabet,
         temperature=plan.temperature,
         sensor_sigma=fitted.sensor,
+        sensor_memory=fitted.sensor_memory,
         initial=initial_law(traces, plan.temperature),
         unit=unit_of(traces, plan.temperature),
     )

@@ -174,11 +174,10 @@ def learn_lsha(
 
     def refitted(part: Teacher) -> Model:
         """The whole model with the parameters of a part of the readings, and as random as the whole one."""
-        memories = tuple(effect.params["memory"] for effect in of_feature(model.sha, "disturbance"))
-        fewer = fit(replace(plan, memories=memories), part, PART_BUDGET)
+        fewer = fit(replace(plan, memories=fitted.memories), part, PART_BUDGET)
         kept = (*of_feature(fewer.sha, "disturbance"), *of_feature(model.sha, "machine offset"))
         sha = with_range(replace(fewer.sha, effects=kept), part.runs, fewer.margin)
-        return replace(model, sha=sha, sensor_sigma=fewer.sensor)
+        return replace(model, sha=sha, sensor_sigma=fewer.sensor, sensor_memory=fewer.sensor_memory)
 
     report_progress("calibrating the bands", 0.8)
     forecasts = bands(teacher, ordered, temperature=temperature, fitted=refitted, seed=seed, origins=ORIGINS)
