@@ -37,12 +37,13 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
     """The parameter of this number, counted through targets, gains and rates as the fit lays them out, as moved."""
     frame = fitted.frame
     targets, gains, rates = frame.names.targets, frame.names.gains, frame.names.rates
-    by_name = frame.record.model.sha.by_name
+    model = frame.record.model
+    by_name = model.sha.by_name
     before = float(frame.centre[number])
     if number < len(targets):
         name = targets[number]
         kind = by_name[name].flow.kind
-        unit = {"linear": "degC/s", "logarithmic": "degC"}.get(kind, "degC")
+        unit = f"{model.unit}/s" if kind == "linear" else model.unit
         size = before
         if RATES.get(kind) == "k":
             # A target stands for the heat that holds it above rest, so its change is told as a share of that height:
@@ -66,7 +67,7 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
             parameter=f"gain of {signal}",
             before=before,
             after=before + off,
-            unit="degC per unit",
+            unit=f"{model.unit} per unit",
             change=off / abs(before) if abs(before) > 1e-9 else float(np.sign(off)),
             sigma=sigma,
         )

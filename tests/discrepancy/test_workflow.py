@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from sim.discrepancy.augment import augmented
+from sim.discrepancy.fitting.baseline import frame_of
+from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import named_of
+from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 from sim.engine.open_loop_run import open_loop
+from sim.engine.recursion import linear_recursion
 from sim.learning.structure import LearningError
 from sim.sha.automaton import Effect
-from tests.discrepancy.plants import model, plant, random_model, simulated
+from tests.discrepancy.plants import PERIOD, model, plant, random_model, simulated
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +115,21 @@ def test_a_hidden_effect_is_named_beside_what_is_random_and_the_new_model_keeps_
     assert heat.params["sigma"] == pytest.approx(1e-3, rel=0.3)
     # The heat is an effect of the new model, and so not in the noise of its flows as well.
     assert all(place.flow.params["noise"] < 0.006 for place in new.locations)
+
+
+def test_a_sensors_error_that_lasts_is_not_counted_twice() -> None:
+    """The new model keeps the error's memory, so its size must be that of one reading and not of what lasts."""
+    made, trace, rng = (
+        replace(model(), sensor_sigma=0.5, sensor_memory=20.0),
+        plant(1, days=2),
+        np.random.default_rng(2),
+    )
+    keep = np.exp(-PERIOD / 20.0)
+    fresh = 0.5 * np.sqrt(1.0 - keep**2) * rng.standard_normal(trace.times.size)
+    trace = replace(trace, signals={**trace.signals, "T": trace.signals["T"] + linear_recursion(keep, fresh, 0.0)})
+    fitted = fit(frame_of(record_of(made, [trace], ())))
+    assert augmented(fitted).sensor_memory == 20.0
+    assert fitted.sensor_sigma == pytest.approx(0.5, rel=0.1)
 
 
 def test_heat_that_is_rougher_than_the_model_has_learned_is_a_gap() -> None:

@@ -18,6 +18,7 @@ from sim.discrepancy.fitting.named import Named
 from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
 from sim.effects import of_feature
+from sim.engine import repeat_factor
 from sim.sha import Array, Model
 
 ROUNDS, NEWTON = 4, 8
@@ -61,9 +62,15 @@ class Fitted:
     @property
     def sensor_sigma(self) -> float:
         """degC the standard deviation of a single reading."""
-        record = self.frame.record
-        counts = np.diff(np.append(record.begins, record.rows.size))
-        return float(self.noise.sensor * np.sqrt(np.median(counts)))
+        return float(self.noise.sensor * np.sqrt(looks(self.frame.record)))
+
+
+def looks(record: Record) -> float:
+    """How many readings that err by themselves a window's mean is worth: fewer where the sensor's error lasts."""
+    count = float(np.median(np.diff(np.append(record.begins, record.rows.size))))
+    memory = record.model.sensor_memory
+    between = float(np.median(np.diff(record.runs.time[record.rows]))) if memory else 0.0
+    return count / repeat_factor(memory, between) if memory else count
 
 
 def first_noise(model: Model, record: Record) -> NoiseModel:
@@ -73,8 +80,7 @@ def first_noise(model: Model, record: Record) -> NoiseModel:
     """
     process = [location.flow.params.get("noise", 0.0) for location in model.sha.locations]
     seen = [value for value in process if value > 0]
-    counts = np.diff(np.append(record.begins, record.rows.size))
-    sensor = max(model.sensor_sigma, 0.02) / np.sqrt(float(np.median(counts)))
+    sensor = max(model.sensor_sigma, 0.02) / np.sqrt(looks(record))
     sensor = max(float(sensor), rounding(model, record))
     white = float(np.median(seen)) if seen else 0.006
     heats = of_feature(model.sha, "disturbance")
