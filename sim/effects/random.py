@@ -15,6 +15,8 @@ from sim.sha import Array
 
 DIGITS = 1e-11
 """What the Taylor series may leave out, of what it begins with: far less than a memory is ever known to."""
+BLOCK = 4096
+"""Steps that are worked out at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +45,22 @@ class DisturbanceStep:
 
 
 def disturbance_step(memory: float, k: Array, dt: Array) -> DisturbanceStep:
-    """The exact law of dX = (D - k X) dt, dD = -D / memory dt + sqrt(2 / memory) dW over steps of `dt` s, each (n,).
+    """The exact law of dX = (D - k X) dt, dD = -D / memory dt + sqrt(2 / memory) dW over steps of `dt` s.
 
-    `k` (1/s) is the rate at which X forgets, 0 where it does not. White heat comes to it by the flow's own variance.
+    `k` (1/s), of the shape of `dt`, is the rate at which X forgets, 0 where it does not. White heat comes to it by the
+    flow's own variance.
     """
+    rates, spans = np.ravel(k), np.ravel(dt)
+    # The many passes over the same numbers are made block by block, while these lie in the processor's cache.
+    blocks = [
+        _exact_step(memory, rates[at : at + BLOCK], spans[at : at + BLOCK])
+        for at in range(0, max(rates.size, 1), BLOCK)
+    ]
+    return DisturbanceStep(*(np.concatenate(parts).reshape(dt.shape) for parts in zip(*blocks, strict=True)))
+
+
+def _exact_step(memory: float, k: Array, dt: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """The fields of a DisturbanceStep, each (n,)."""
     # The covariance obeys Lyapunov's equation. Its closed form subtracts numbers that are nearly equal where k is near
     # 1 / memory or the step is short; so it is taken by Taylor's series over a piece of the step, short enough for all
     # steps, and doubled until the piece is the step (C(2h) = C(h) + F C(h) F', as in `sim.engine.response`). Nothing is
@@ -79,7 +93,7 @@ def disturbance_step(memory: float, k: Array, dt: Array) -> DisturbanceStep:
         xd = (xd + keep * (decay * xd + carried * dd)) / 2.0
         dd = dd + keep**2 * dd
         decay, carried, keep = decay**2, carried * (decay + keep) / 2.0, keep**2
-    return DisturbanceStep(keep, dt * carried, dt**2 * xx, dt * xd, dd)
+    return keep, dt * carried, dt**2 * xx, dt * xd, dd
 
 
 RANDOM = (
