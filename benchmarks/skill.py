@@ -24,11 +24,12 @@ from benchmarks.figures import Figure, give
 from gateway.console import table
 from gateway.lab.skill import PastForecaster, persist, rivals_room, scanned, skill_rows, train
 from gateway.settings import ForecastSection
+from sim.learning import PERSISTENCE
 from sim.learning.bins import learn_bins
 from sim.learning.lsha import learn_lsha
 from sim.pictures import check_picture
 from sim.sha import Model, Trace
-from sim.skill import AHEAD, PERSISTENCE, Skill, SkillRow, common, draw_skill, grouped, skill, tables
+from sim.skill import AHEAD, Skill, SkillRow, common, draw_skill, grouped, skill, tables
 from sim.traces import ColumnMap, load_map, load_traces
 
 ROOT = Path(__file__).parents[1]

@@ -5,8 +5,8 @@ The table of parameter sets (`--table --seeds 5`) is the proof of agreement: for
 47 events in 444 s, looked at when the run ends, and on 400 bridged steps; and of one relaxing location that is never
 left (an Ornstein-Uhlenbeck first passage in 5 s steps), once with known and once with unknown events, of which there
 are none. The C program (`smc.c`) walks the same steps and is compiled here; without a compiler the method's own figures
-stand in its place, and the row says so. Every run of ours draws its normals by numpy's generator: what those alone
-take is a figure of its own, the bound of whatever numpy does.
+stand in its place, and the row says so. Ours draws normals by numpy's generator: what one for each step would take,
+without anything else, is a figure of its own.
 """
 
 import shutil
@@ -182,7 +182,7 @@ def passage_speeds(program: Path | None, runs: int, repeats: int) -> list[Figure
     steps, rng = _moving(samplers["known events"]), np.random.Generator(np.random.SFC64(1))
     block = np.empty(LARGEST)
     normals = min(processor_time(partial(rng.standard_normal, out=block)) for _ in range(50 * repeats))
-    figures = [Figure("relaxing: normals of one run alone", LARGEST / (normals * steps), "runs/s")]
+    figures = [Figure("relaxing: a normal for each step alone", LARGEST / (normals * steps), "runs/s")]
     for name, drawn in samplers.items():
         speed, hits = np.inf, np.nan
         if program is not None:

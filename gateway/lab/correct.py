@@ -21,7 +21,7 @@ from sim.learning import (
     learn_max_rate,
     with_max_rate,
 )
-from sim.sha import encode, joint_hash
+from sim.sha import encode, joint_hash, shown_unit, unit_of
 
 
 @click.command(short_help="Learn T' = k T + b from traces and write the corrected model.")
@@ -50,6 +50,9 @@ def correct(
     with sentences(), progress("correcting") as report:
         traces, column_map = load(paths, map_name)
         model = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature).runnable()
+        parent = model_hash(model)
+        # Artefacts of the public learner know no unit: then that of the traces is the model's.
+        model = replace(model, unit=unit_of(traces, model.temperature, model.unit))
         if model.alphabet.channels:  # the model's own alphabet, where it has one, and not the map's
             traces = [replace(trace, events=encode(trace, model.alphabet)) for trace in traces]
         wanted = [candidate for candidate in FORMS if form in ("best", candidate)]
@@ -61,7 +64,7 @@ def correct(
         accepted = learned.chosen is not None or (bites is not None and bites.accepted)
         written = None
         if accepted:
-            new = corrected_model(model, learned, joint_hash(traces), model_hash(model))
+            new = corrected_model(model, learned, joint_hash(traces), parent)
             if rate is not None and bites is not None and bites.accepted:
                 new = with_max_rate(new, rate)
             is_store = (out / STORE_FILE).is_file()
@@ -74,6 +77,7 @@ def correct(
         "chosen": learned.chosen,
         "correction": asdict(learned.correction),
         "fits": fits,
+        "unit": model.unit,
         "skipped": list(learned.skipped),
         "max_rate": None if rate is None or bites is None else asdict(rate) | asdict(bites),
         # Of the very traces that the model was learned from, the held-out error is none.
@@ -87,9 +91,10 @@ def correct(
 
 
 def _show(data: dict[str, Any]) -> None:
+    unit = shown_unit(data["unit"])
     columns = ("form", "gain", "gain_error", "offset", "offset_error", "before", "after", "improvement_error", "runs")
     table(
-        "T' = gain T + offset; mean absolute error of held-out runs (°C)",
+        f"T' = gain T + offset; mean absolute error of held-out runs ({unit})",
         columns,
         [[fit[key] for key in columns] for fit in data["fits"]],
     )
@@ -99,8 +104,8 @@ def _show(data: dict[str, Any]) -> None:
         limit = data["max_rate"]
         verdict = "accepted" if limit["accepted"] else "not accepted, as it makes the model worse"
         click.echo(
-            f"max rate: {limit['rate']:.3g} °C/s, {limit['margin']:g} times what was seen; {limit['limited']} steps "
-            f"meet it, error {limit['before']:.3g} without and {limit['after']:.3g} °C with it: {verdict}"
+            f"max rate: {limit['rate']:.3g} {unit}/s, {limit['margin']:g} times what was seen; {limit['limited']} "
+            f"steps meet it, error {limit['before']:.3g} without and {limit['after']:.3g} {unit} with it: {verdict}"
         )
     if data["training traces"]:
         click.echo("these are the traces that the model was learned from: held out here, but not for the model")

@@ -22,7 +22,7 @@ from sim.discrepancy import diagnose as diagnose_model
 from sim.discrepancy.fitting import overlapping
 from sim.discrepancy.output import MODEL, Occasion, check_folder, document, write_diagnosis
 from sim.effects import ROLES
-from sim.sha import Model, Trace, joint_hash
+from sim.sha import Model, Trace, joint_hash, shown_unit
 from sim.traces import ColumnMap, load_map
 
 Progress = Callable[[str, float], None]
@@ -214,6 +214,7 @@ def diagnose(
 def show(result: DiagnosisResult, out: Path) -> None:
     """Print the verdict with its evidence."""
     diagnosis = result.diagnosis
+    unit = shown_unit(diagnosis.unit)
     click.echo(f"{diagnosis.verdict}: {diagnosis.sentence}")
     for reason in diagnosis.reasons:
         click.echo(f"  {reason}")
@@ -231,7 +232,7 @@ def show(result: DiagnosisResult, out: Path) -> None:
             ]
             for place in diagnosis.places[:5]
         ]
-        columns = ("location", "after", "seconds", "share", "heat (°C/h)", "cycles", "p", "goes with")
+        columns = ("location", "after", "seconds", "share", f"heat ({unit}/h)", "cycles", "p", "goes with")
         table("where the unexplained heat is", columns, rows)
     if diagnosis.effects:
         rows = [
@@ -242,16 +243,21 @@ def show(result: DiagnosisResult, out: Path) -> None:
         for effect in diagnosis.effects:
             click.echo(f"to tell {effect.name} from its twins: {effect.experiment}")
     if diagnosis.shifts:
-        rows = [[s.location, s.parameter, s.before, s.after, s.unit, s.change, s.sigma] for s in diagnosis.shifts]
+        rows = [
+            [s.location, s.parameter, s.before, s.after, shown_unit(s.unit), s.change, s.sigma]
+            for s in diagnosis.shifts
+        ]
         table("parameters that moved", ("location", "parameter", "before", "after", "unit", "change", "sigma"), rows)
     held = diagnosis.held_out
     if held is not None:
-        errors = f"{held.rmse_before:.3f} °C"
+        errors = f"{held.rmse_before:.3f} {unit}"
         if diagnosis.effects:
             low, high = held.ci95
-            errors += f" before, {held.rmse_after:.3f} °C after"
+            errors += f" before, {held.rmse_after:.3f} {unit} after"
             errors += f"; {held.excess_removed:.0%} of the excess removed ({low:.0%} to {high:.0%})"
-        click.echo(f"held out: {held.cycles} cycles, free-run error {errors}; noise floor {held.noise_floor:.3f} °C")
+        click.echo(
+            f"held out: {held.cycles} cycles, free-run error {errors}; noise floor {held.noise_floor:.3f} {unit}"
+        )
     if diagnosis.untested:
         click.echo(f"not tested: {', '.join(diagnosis.untested)} (the report says why)")
     if (out / "report.html").exists():

@@ -9,8 +9,9 @@ import click
 
 from gateway.lab.skill import PastForecaster, fitted_rivals, lacking, persist, skill_rows
 from gateway.settings import ForecastSection
+from sim.learning import PERSISTENCE
 from sim.sha import DEGREES, Model, Trace
-from sim.skill import PERSISTENCE, ForecastSkill, SkillRow, forecast_skill
+from sim.skill import ForecastSkill, SkillRow, forecast_skill
 from sim.validation import Prepared
 
 SCAN = 1.0

@@ -18,10 +18,10 @@ from gateway.machine.model import forecasts_along, machine_offset_along, recorde
 from gateway.settings import ForecastSection
 from sim.artefacts.formats import find_model
 from sim.forecast import DENSE
-from sim.learning import outcomes_of
+from sim.learning import PERSISTENCE, outcomes_of
 from sim.pictures import check_picture
 from sim.sha import Alphabet, Array, Model, Trace, shown_unit
-from sim.skill import PERSISTENCE, ForecastSkill, SkillRow, common, draw_skill, forecast_skill, persistence
+from sim.skill import ForecastSkill, SkillRow, common, draw_skill, forecast_skill, persistence
 from sim.traces import load_map, load_traces
 
 OURS = "decanter"

@@ -13,6 +13,7 @@ from gateway.lab.traces.load import load
 from sim.artefacts.formats import write_model_directory
 from sim.ranking import Objective, StudyPlan, Tuning, final_model
 from sim.ranking import tune as searched
+from sim.sha import shown_unit, unit_of
 from sim.traces import split_cycles
 
 SHOWN = 10
@@ -37,7 +38,7 @@ SHOWN = 10
     type=click.Choice(["crps", "likelihood"]),
     default="crps",
     show_default=True,
-    help="Of held-out traces, open loop: CRPS in °C, or minus the log-likelihood per reading.",
+    help="Of held-out traces, open loop: CRPS (in what is followed), or minus the log-likelihood per reading.",
 )
 @click.option("--prune", is_flag=True, help="Give a trial up when its first folds are worse than the median's.")
 @click.option("--out", type=click.Path(path_type=Path), help="Learn with the best settings from all traces; write it.")
@@ -70,6 +71,7 @@ def tune(
         traces, column_map = load(paths, map_name)
         if cycles:
             traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
+        unit = unit_of(traces, column_map.temperature)
         plan = StudyPlan(method, objective, folds, seed)
         tuning = searched(
             traces,
@@ -94,18 +96,19 @@ def tune(
     data = {
         "method": method,
         "objective": objective,
+        "unit": unit,
         "study": str(study),
         **asdict(tuning),
         "model": written and str(written),
     }
-    emit(data, lambda: _show(tuning, plan, study, written), as_json_line=as_json)
+    emit(data, lambda: _show(tuning, plan, study, written, shown_unit(unit)), as_json_line=as_json)
     if tuning.stopped:
         click.secho(f"stopped after {len(tuning.trials)} trials; the same command goes on with {study}", err=True)
         raise SystemExit(Exit.INTERRUPTED)
 
 
-def _show(tuning: Tuning, plan: StudyPlan, study: Path, written: Path | None) -> None:
-    unit = "CRPS (°C)" if plan.objective == "crps" else "minus log-likelihood per reading"
+def _show(tuning: Tuning, plan: StudyPlan, study: Path, written: Path | None, unit: str) -> None:
+    figure = f"CRPS ({unit})" if plan.objective == "crps" else "minus log-likelihood per reading"
     complete = sorted((trial for trial in tuning.trials if trial.state == "complete"), key=lambda trial: trial.value)
     rows = [[trial.number, trial.value, trial.error, trial.settings or "defaults"] for trial in complete[:SHOWN]]
     if tuning.default is not None and tuning.default not in complete[:SHOWN]:
@@ -115,7 +118,7 @@ def _show(tuning: Tuning, plan: StudyPlan, study: Path, written: Path | None) ->
         if trial.state != "complete":
             others[trial.state] = others.get(trial.state, 0) + 1
     more = "".join(f", {count} {state}" for state, count in others.items())
-    title = f"{plan.method}: {len(tuning.trials)} trials{more}; the best by held-out {unit}"
+    title = f"{plan.method}: {len(tuning.trials)} trials{more}; the best by held-out {figure}"
     if rows:
         table(title, ("trial", "value", "standard error", "settings"), rows)
     click.echo(tuning.sentence)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.discrepancy.fitting import Fitted, effects_of
+from sim.effects import of_feature
 from sim.learning import RATES, with_inputs
 from sim.sha import Distribution, Flow, Input, Location, Model, Provenance, Trace, distributions
 
@@ -20,16 +21,24 @@ def augmented(
 ) -> Model:
     """The fit as a model: its parameters in the flows, its effects in the automaton, its noise, and its lineage.
 
-    The forecast bands' calibration is not carried over: it belonged to the model before. Each location's own scatter is
-    that of the cycles in the fit. `readings` are encoded traces from which the stays learn what the effects' signals
-    are like; without them a forecast holds the last readings, and verification must be told their ranges.
+    The forecast bands' calibration is not carried over: it belonged to the model before. What is random in the model
+    stays so, heat with a memory as the fit found it; where there was none, the fit's is in the noise of the flows.
+    `readings` are encoded traces from which the stays learn what the effects' signals are like; without them a forecast
+    holds the last readings, and verification must be told their ranges.
     """
     model = fitted.frame.record.model
     sha = replace(
         model.sha,
         locations=tuple(_fitted(fitted, location, place) for place, location in enumerate(model.sha.locations)),
         name=name or model.sha.name,
-        effects=tuple(effect for named in fitted.state.named for effect in effects_of(named, model)),
+        effects=(
+            *(effect for named in fitted.state.named for effect in effects_of(named, model)),
+            *(
+                replace(heat, params={"sigma": fitted.noise.rough, "memory": fitted.noise.memory})
+                for heat in of_feature(model.sha, "disturbance")
+            ),
+            *of_feature(model.sha, "machine offset"),
+        ),
     )
     strengths = {f"{named.entry.name}.{named.entry.strength}": named.strength for named in fitted.state.named}
     new = replace(
@@ -59,7 +68,8 @@ def _fitted(fitted: Fitted, location: Location, place: int) -> Location:
     if shape.rate[place] >= 0:
         params[RATES[flow.kind]] = float(np.exp(fitted.state.log_rates[shape.rate[place]]))
     if "noise" in params:
-        params["noise"] = process_noise(fitted, params.get("k", 0.0))
+        own = bool(of_feature(fitted.frame.record.model.sha, "disturbance"))
+        params["noise"] = fitted.noise.process if own else process_noise(fitted, params.get("k", 0.0))
     columns = [column for column in shape.gain[place] if column >= 0]
     inputs = tuple(
         Input(driver.signal, float(fitted.state.linear[column]), driver.reference)
@@ -77,8 +87,11 @@ def _fitted(fitted: Fitted, location: Location, place: int) -> Location:
 
 def process_noise(fitted: Fitted, k: float) -> float:
     """degC/sqrt(s): the fit's process noise, and the rough heat as what it amounts to over its memory."""
-    noise = fitted.noise
-    # Slowly seen, an Ornstein-Uhlenbeck heat of memory M is white noise of intensity rough sqrt(2 M). The longer M is
+    return float(np.hypot(fitted.noise.process, as_white(fitted.noise.rough, fitted.noise.memory, k)))
+
+
+def as_white(sigma: float, memory: float, k: float) -> float:
+    """degC/sqrt(s): white noise for heat of `sigma` (degC/s) with a `memory` (s), under the plant's rate `k` (1/s)."""
+    # Slowly seen, an Ornstein-Uhlenbeck heat of memory M is white noise of intensity sigma sqrt(2 M). The longer M is
     # beside the plant's own time constant 1/k, the less of it the relaxation turns into scatter.
-    heat = noise.rough * np.sqrt(2.0 * noise.memory) / (1.0 + k * noise.memory)
-    return float(np.hypot(noise.process, heat))
+    return float(sigma * np.sqrt(2.0 * memory) / (1.0 + k * memory))

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from sim.sha import Array
+from sim.sha import DEGREES, Array
 
 Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 
@@ -150,8 +150,8 @@ class Diagnosis:
     """All that a diagnosis found.
 
     `sentence` is the verdict in words, `reasons` why it is none better, `untested` the effects that were off the table,
-    by name with the reason. `gap_sigma` is the rms of the refitted model's residual on the fitted cycles over the
-    sensor's sigma. `settings` holds seed, thresholds and noise, by name.
+    by name with the reason. `settings` holds seed, thresholds and noise, by name. `unit` is that of the followed
+    variable: what is said to be in degC anywhere in a diagnosis is in it.
     """
 
     verdict: Verdict
@@ -170,3 +170,4 @@ class Diagnosis:
     settings: Mapping[str, float]
     model_before: str
     model_after: str | None
+    unit: str = DEGREES

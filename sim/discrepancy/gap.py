@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.discrepancy.augment import process_noise
+from sim.discrepancy.augment import as_white, process_noise
 from sim.discrepancy.fitting import Fitted, Record
 from sim.discrepancy.held_out import by_cycles, let_run
+from sim.effects import of_feature, without
 from sim.engine import open_loop
 from sim.sha import Model, Trace
 
@@ -60,8 +61,10 @@ def excess(fitted: Fitted, spread: float) -> Excess | None:
 
 
 def rougher(fitted: Fitted) -> float:
-    """The fit's process noise, rough heat included, over the given model's own; 0 where it hardly moves the sensor."""
-    flows = [location.flow for location in fitted.frame.record.model.sha.locations if location.flow.kind != "constant"]
+    """The fit's process noise over the given model's own, heat with a memory in both; 0 where it hardly moves the
+    sensor."""
+    sha = fitted.frame.record.model.sha
+    flows = [location.flow for location in sha.locations if location.flow.kind != "constant"]
     own = [flow.params["noise"] for flow in flows if flow.params.get("noise", 0.0) > 0]
     rates = [flow.params["k"] for flow in flows if flow.params.get("k", 0.0) > 0]
     if not own or not rates:
@@ -69,11 +72,15 @@ def rougher(fitted: Fitted) -> float:
     rate = float(np.median(rates))
     noise = process_noise(fitted, rate)
     moves = noise / np.sqrt(2.0 * rate)
-    return noise / float(np.median(own)) if moves >= FELT * fitted.sensor_sigma else 0.0
+    heats = [as_white(heat.params["sigma"], heat.params["memory"], rate) for heat in of_feature(sha, "disturbance")]
+    learned = float(np.hypot(np.median(own), sum(heats)))
+    return noise / learned if moves >= FELT * fitted.sensor_sigma else 0.0
 
 
 def spread_of(model: Model, traces: Sequence[Trace], fitted: Fitted) -> float:
     """degC of the given model's own spread on a fit's cycles, the median; 0 where it says nothing of it."""
+    # The fit's targets are those of this machine: what the model allows one machine to lie off is no allowance beside.
+    model = replace(model, sha=without(model.sha, "machine offset"))
     spreads = []
     for cycle in _cycles(fitted.frame.record, traces):
         readings = cycle.signals.get(model.temperature, np.empty(0))

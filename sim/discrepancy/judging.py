@@ -10,6 +10,7 @@ from sim.discrepancy.fitting import Fitted, catalogue
 from sim.discrepancy.gap import Excess
 from sim.discrepancy.held_out import HeldOutRun
 from sim.discrepancy.naming import MARGIN, NEAR, NamingStep
+from sim.sha import shown_unit
 
 ROBUST, SPREAD, OVERWHELMING = 1.0, 3.0, 20.0
 """The z by cycles that a name needs where its information is spread over at least so many cycles, unless its gain is
@@ -63,7 +64,8 @@ def insignificant(candidate: NamingStep, earlier: Sequence[NamingStep] = ()) -> 
     least = (MATERIAL_FURTHER if small else MATERIAL) * candidate.before.sensor_sigma
     least = max(least, BESIDE * max(others)) if small else least
     if best.amplitude < least and (small or best.gain < BEYOND_DOUBT):
-        return f"is there but moves the temperature by {best.amplitude:.3f} degC only, less than {least:.3f}"
+        unit = shown_unit(candidate.before.frame.record.model.unit)
+        return f"is there but moves the temperature by {best.amplitude:.3f} {unit} only, less than {least:.3f}"
     needed = 0.0
     for step in earlier:
         if step.best is not None:

@@ -4,7 +4,9 @@ import numpy as np
 
 from sim.discrepancy.diagnosis import Shift
 from sim.discrepancy.fitting import Fitted
+from sim.effects import of_feature
 from sim.learning import RATES
+from sim.sha import RELAXING
 
 SIGMAS, LEAST_CHANGE = 4.0, 0.01
 """A move is told from so many standard errors on, and from so large a change."""
@@ -13,10 +15,15 @@ BOTH = 2.0
 
 
 def shifts(fitted: Fitted) -> tuple[Shift, ...]:
-    """The moved parameters of a fit, the surest first."""
+    """The moved parameters of a fit, the surest first; a target that lies off as machines do has not moved."""
     frame = fitted.frame
+    sha = frame.record.model.sha
     p, r = frame.count
-    errors = np.sqrt(np.maximum(np.diag(fitted.covariance)[: p + r], 1e-300) * BOTH)
+    variance = np.maximum(np.diag(fitted.covariance)[: p + r], 1e-300) * BOTH
+    targets = [n for n, name in enumerate(frame.names.targets) if sha.by_name[name].flow.kind in RELAXING]
+    for machine in of_feature(sha, "machine offset"):
+        variance[targets] += machine.params["sigma"] ** 2
+    errors = np.sqrt(variance)
     off = fitted.off[: p + r]
     moved = [
         _shift(fitted, number, float(off[number]), float(off[number] / errors[number]))
@@ -30,12 +37,13 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
     """The parameter of this number, counted through targets, gains and rates as the fit lays them out, as moved."""
     frame = fitted.frame
     targets, gains, rates = frame.names.targets, frame.names.gains, frame.names.rates
-    by_name = frame.record.model.sha.by_name
+    model = frame.record.model
+    by_name = model.sha.by_name
     before = float(frame.centre[number])
     if number < len(targets):
         name = targets[number]
         kind = by_name[name].flow.kind
-        unit = {"linear": "degC/s"}.get(kind, "degC")
+        unit = f"{model.unit}/s" if kind == "linear" else model.unit
         size = before
         if RATES.get(kind) == "k":
             # A target stands for the heat that holds it above rest, so its change is told as a share of that height:
@@ -59,7 +67,7 @@ def _shift(fitted: Fitted, number: int, off: float, sigma: float) -> Shift:
             parameter=f"gain of {signal}",
             before=before,
             after=before + off,
-            unit="degC per unit",
+            unit=f"{model.unit} per unit",
             change=off / abs(before) if abs(before) > 1e-9 else float(np.sign(off)),
             sigma=sigma,
         )

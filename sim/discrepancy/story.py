@@ -19,8 +19,9 @@ def sentence_of(
     shifts: Sequence[Shift],
     held: HeldOutProof | None,
     cycles: int,
+    unit: str,
 ) -> str:
-    """The verdict in one or two sentences."""
+    """The verdict in one or two sentences; errors are in `unit`, as people read it."""
     if verdict == "too-little-data":
         return f"Too little data: {cycles} cycle{'s' if cycles != 1 else ''} cannot tell an effect from chance."
     moved = ""
@@ -36,7 +37,7 @@ def sentence_of(
     if held is not None and effects:
         gain = (
             f" On {held.cycles} cycles that were never fitted the error goes from {held.rmse_before:.2f} to "
-            f"{held.rmse_after:.2f} degC (noise alone: {held.noise_floor:.2f})."
+            f"{held.rmse_after:.2f} {unit} (noise alone: {held.noise_floor:.2f})."
         )
     if verdict == "named":
         names = " and ".join(f"{effect.name} ({effect.plain})" for effect in effects)

@@ -5,7 +5,7 @@ and the held-out cycles agree; what is not named is described.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from sim.discrepancy.moved import shifts
 from sim.discrepancy.path import name
 from sim.discrepancy.story import course_of, sentence_of
 from sim.effects import ROLES, in_sensor_scale
-from sim.sha import Model, Trace
+from sim.sha import Model, Trace, shown_unit, unit_of
 
 HELD_OUT = 0.3
 LEAST_CYCLES = 4
@@ -55,7 +55,8 @@ def diagnose(
     in one sentence, when the traces cannot be followed at all.
     """
     report = progress or (lambda _stage, _share: None)
-    model = in_sensor_scale(model)
+    # Artefacts of the public learner know no unit: then that of the traces is the model's.
+    model = replace(in_sensor_scale(model), unit=unit_of(traces, model.temperature, model.unit))
     report("laying out the traces", 0.0)
     laid_out = [patiently(trace, model.alphabet) for trace in in_order(traces)]
     present = present_roles(laid_out, roles)
@@ -105,7 +106,15 @@ def diagnose(
     pairs = zip(("excess_before", "excess_after"), beyond, strict=True)
     diagnosis = Diagnosis(
         verdict=verdict,
-        sentence=sentence_of(verdict, effects, unexplained=unexplained, shifts=moved, held=held, cycles=fitted_cycles),
+        sentence=sentence_of(
+            verdict,
+            effects,
+            unexplained=unexplained,
+            shifts=moved,
+            held=held,
+            cycles=fitted_cycles,
+            unit=shown_unit(model.unit),
+        ),
         reasons=reasons,
         effects=effects,
         shifts=moved,
@@ -129,6 +138,7 @@ def diagnose(
         },
         model_before=model.sha.name,
         model_after=None,
+        unit=model.unit,
     )
     return DiagnosisOutcome(diagnosis, after.state.named if kept else (), after)
 
@@ -153,7 +163,7 @@ def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
 def _too_little(model: Model, cycles: int) -> Diagnosis:
     return Diagnosis(
         verdict="too-little-data",
-        sentence=sentence_of("too-little-data", (), unexplained=(), shifts=(), held=None, cycles=cycles),
+        sentence=sentence_of("too-little-data", (), unexplained=(), shifts=(), held=None, cycles=cycles, unit=""),
         reasons=(f"{cycles} cycle{'' if cycles == 1 else 's'} in all; at least {LEAST_CYCLES} are needed, better ten",),
         effects=(),
         shifts=(),
@@ -168,4 +178,5 @@ def _too_little(model: Model, cycles: int) -> Diagnosis:
         settings={},
         model_before=model.sha.name,
         model_after=None,
+        unit=model.unit,
     )

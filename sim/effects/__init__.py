@@ -35,7 +35,7 @@ from sim.effects.kinds import (
     sensor_offset,
     sensor_offsets,
     signals_of,
-    without_random,
+    without,
 )
 from sim.effects.random import DisturbanceStep, disturbance_step
 
@@ -79,5 +79,5 @@ __all__ = [
     "sensor_offsets",
     "signals_of",
     "unknown",
-    "without_random",
+    "without",
 ]

@@ -63,10 +63,10 @@ def of_feature(sha: SHA, feature: Feature) -> tuple[Effect, ...]:
     return tuple(effect for effect in sha.effects if kind_of(effect).law == Structural(feature))
 
 
-def without_random(sha: SHA) -> SHA:
-    """The automaton without a disturbance and without an offset of the machine's own, whose means are 0."""
-    random = (*of_feature(sha, "disturbance"), *of_feature(sha, "machine offset"))
-    return replace(sha, effects=tuple(effect for effect in sha.effects if effect not in random))
+def without(sha: SHA, *features: Feature) -> SHA:
+    """The automaton without the effects that engines execute by their code of these features."""
+    gone = [effect for feature in features for effect in of_feature(sha, feature)]
+    return replace(sha, effects=tuple(effect for effect in sha.effects if effect not in gone))
 
 
 def dead_time(sha: SHA) -> float:

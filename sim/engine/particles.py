@@ -88,14 +88,17 @@ def lay_out(
     location = np.take(paths.location, cell)
     age = np.maximum(begin - np.take(paths.entered, cell), 0.0) + np.where(stay == 0, paths.age, 0.0)
     decay, pull, variance = _coefficients(tracker.model.sha, location, age, dt)
-    noise = np.sqrt(variance) * rng.standard_normal(dt.shape)
+    white = rng.standard_normal(dt.shape)
+    noise = np.sqrt(variance) * white
     if tracker.plant is not None and own is not None and tracker.plant.disturbance is not None:
-        k, p = tracker.plant.rate[location], tracker.plant.disturbance.params
-        step = disturbance_step(p["memory"], dt, np.divide(pull, k, out=dt.copy(), where=k > 0))
-        fresh = p["sigma"] * np.sqrt(step.fresh) * rng.standard_normal(dt.shape)
+        p = tracker.plant.disturbance.params
+        step = disturbance_step(p["memory"], tracker.plant.rate[location], dt)
+        # What of the disturbance's doing in X its own news do not tell is drawn with the white noise.
+        noise = np.sqrt(variance + p["sigma"] ** 2 * step.own) * white
+        into, fresh = step.into, p["sigma"] * np.sqrt(step.dd) * rng.standard_normal(dt.shape)
         heat = own[:, tracker.plant.heat_state]
         for row in range(len(dt)):
-            noise[row] += step.carried[row] * heat + step.into[row] * fresh[row]
+            noise[row] += step.carried[row] * heat + into[row] * fresh[row]
             heat = step.keep[row] * heat + fresh[row]
     steps = Steps(
         location=location,

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import exp, inf, log
+from math import exp, inf, log, nan
 
 import numpy as np
 
 from sim.engine import Belief, Tracker, compiled, observe, on_event, start, with_inputs
 from sim.forecast import LEVELS, forecast, weighted
 from sim.learning.outcomes import Outcomes, outcomes_of
+from sim.learning.plain import PERSISTENCE
 from sim.scores import crps_quantiles
 from sim.sha import UNKNOWN, Event, Model, PlainMember, Trace, plain_model
 
@@ -33,13 +34,16 @@ _Z90 = 1.6448536269514722
 @dataclass(frozen=True, slots=True)
 class Coverage:
     """What was seen at one `horizon` (s): `forecasts`, worth so many `independent` ones (they overlap), the share
-    `covered` by the 90 % band as the model gave it, and the `factor` that comes of it."""
+    `covered` by the 90 % band as the model gave it, the `factor` that comes of it, their mean CRPS (degC), and that of
+    `persistence` at the same moments (NaN where none stood beside the model)."""
 
     horizon: float
     forecasts: int
     independent: float
     covered: float
     factor: float
+    crps: float
+    persistence: float = nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,8 +148,9 @@ class HeldOutForecasts:
 
     @property
     def coverage(self) -> tuple[Coverage, ...]:
-        """The model's own coverage and factors."""
-        return coverage_of(self.scored)
+        """The model's own coverage and factors, and its CRPS beside persistence's."""
+        beside = _mean_crps(self.of_plain.get(PERSISTENCE, []))
+        return tuple(replace(row, persistence=beside.get(row.horizon, nan)) for row in coverage_of(self.scored))
 
     @property
     def members(self) -> tuple[PlainMember, ...]:
@@ -194,7 +199,17 @@ def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
         level = min(0.9 * (1.0 + 1.0 / independent), 0.97)
         seen = min(max(float(np.quantile(z, level)) / _Z90, LEAST), MOST)
         factor = exp((independent * log(seen) + SURE * log(UNSURE)) / (independent + SURE))
-        table.append(Coverage(horizon, len(forecasts), independent, float(np.mean(z <= _Z90)), factor))
+        covered, crps = float(np.mean(z <= _Z90)), float(np.mean([each.crps for each in forecasts]))
+        table.append(
+            Coverage(
+                horizon=horizon,
+                forecasts=len(forecasts),
+                independent=independent,
+                covered=covered,
+                factor=factor,
+                crps=crps,
+            )
+        )
     return tuple(table)
 
 

@@ -22,7 +22,7 @@ from sim.learning.data import resolution, without_spikes
 from sim.learning.free_run import HUBER
 from sim.learning.held_out import huber_scale
 from sim.learning.structure import LearningError
-from sim.sha import Array, Correction, Model, Trace
+from sim.sha import Array, Correction, Model, Trace, shown_unit
 
 Form = Literal["gain", "affine"]
 FORMS: tuple[Form, ...] = ("gain", "affine")
@@ -226,7 +226,7 @@ def _fit(
     after = np.array([_error(replace(bare, correction=each), run) for each, run in zip(held_in, runs, strict=True)])
     gain, error = _mean_and_error(before - after)
     accepted = gain > error
-    better = f"the held-out error falls by {gain:.3g} +- {error:.2g} degC"
+    better = f"the held-out error falls by {gain:.3g} +- {error:.2g} {shown_unit(bare.unit)}"
     fit = CorrectionFit(
         form=form,
         correction=Correction(*whole),

@@ -92,8 +92,8 @@ class NoiseLevels:
 class _AffineSteps:
     """Every knot's affine step: X' = decay X + pull (m - mu) + drift, variance = density * process^2.
 
-    `lasting` is what a heat of 1 degC/s leaves in X, `heat` the disturbance's step (None without one), `repeats` by how
-    much a reading's variance counts that errs like the one before it (`repeat_factor`).
+    `k` (1/s) is the rate at which X forgets, 0 where it does not; `heat` the disturbance's step (None without one);
+    `repeats` by how much a reading's variance counts that errs like the one before it (`repeat_factor`).
     """
 
     decay: Array
@@ -107,7 +107,7 @@ class _AffineSteps:
     reading: Array
     run: Indices
     dt: Array
-    lasting: Array
+    k: Array
     repeats: Array
     heat: DisturbanceStep | None = None
 
@@ -133,7 +133,7 @@ class _Ahead:
 
 def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) -> _AffineSteps:
     n = len(runs)
-    decay, pull, density, lasting = np.ones(n), np.zeros(n), np.zeros(n), runs.dt.copy()
+    decay, pull, density, rate = np.ones(n), np.zeros(n), np.zeros(n), np.zeros(n)
     for place in np.unique(runs.place):
         kind, rows = shape.kinds[place], runs.place == place
         params = dict.fromkeys(FLOWS[kind].params, 1.0)
@@ -141,7 +141,7 @@ def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) ->
             params[RATES[kind]] = float(fit.rates[shape.rate[place]])
         decay[rows], pull[rows], density[rows] = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
         if kind in RELAXING:
-            lasting[rows] = pull[rows] / params["k"]
+            rate[rows] = params["k"]
     return _AffineSteps(
         decay=decay,
         pull=pull,
@@ -154,7 +154,7 @@ def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) ->
         reading=runs.reading,
         run=runs.run,
         dt=runs.dt,
-        lasting=lasting,
+        k=rate,
         repeats=np.ones(n),
     )
 
@@ -216,7 +216,7 @@ def _filtered(
     heat = steps.heat
     if heat is not None:
         keeps, carries = heat.keep[knots][:, None], heat.carried[knots][:, None]
-        intos, news = heat.into[knots][:, None], heat.fresh[knots][:, None] * rough**2
+        new_xx, new_xd, new_dd = (part[knots][:, None] * rough**2 for part in (heat.xx, heat.xd, heat.dd))
     innovation, variance = np.empty((knots.size, width)), np.empty((knots.size, width))
     after, begins = np.zeros((9, knots.size, width)), np.append(0, ends[:-1])
     anew = np.logical_or.reduceat(fresh[:, 0], begins).tolist()
@@ -237,14 +237,14 @@ def _filtered(
         xx = aa[at] * xx + ap[at] * xm + pp[at] * mm + added[at]
         xm = carried * xm + pulled * mm
         if heat is not None:
-            carry, keep, new_heat = carries[at], keeps[at], news[at]
+            carry, keep = carries[at], keeps[at]
             x, d = x + carry * d, keep * d
             # D's covariances with X and m come before the step here: `moved` is that of D with the rest of X'.
             moved = carried * xd + pulled * md
-            xx = xx + 2.0 * carry * moved + carry * carry * dd + intos[at] ** 2 * new_heat
+            xx = xx + 2.0 * carry * moved + carry * carry * dd + new_xx[at]
             xm = xm + carry * md
-            xd = keep * (moved + carry * dd) + intos[at] * new_heat
-            md, dd = keep * md, keep * keep * dd + new_heat
+            xd = keep * (moved + carry * dd) + new_xd[at]
+            md, dd = keep * md, keep * keep * dd + new_dd[at]
         error = innovation[at] = reading[at] - x
         # Scored is what the reading was expected to be; what it corrects counts the memory of the sensor's error.
         variance[at] = xx + noise
@@ -319,13 +319,13 @@ def _ahead(steps: _AffineSteps, horizon: float, groups: int, places: int) -> _Ah
         process[go, steps.group[knots]] += steps.density[knots]
         scatter[go] *= a[:, None] ** 2
         if steps.heat is not None:
-            keep, carry = steps.heat.keep[knots], steps.heat.carried[knots]
-            into, new = steps.heat.into[knots], steps.heat.fresh[knots]
+            heat = steps.heat
+            keep, carry = heat.keep[knots], heat.carried[knots]
             heated[go] = a * heated[go] + carry * kept[go]
             kept[go] *= keep
-            vx[go] = a * a * vx[go] + 2.0 * a * carry * vxd[go] + carry * carry * vd[go] + into * into * new
-            vxd[go] = keep * (a * vxd[go] + carry * vd[go]) + into * new
-            vd[go] = keep * keep * vd[go] + new
+            vx[go] = a * a * vx[go] + 2.0 * a * carry * vxd[go] + carry * carry * vd[go] + heat.xx[knots]
+            vxd[go] = keep * (a * vxd[go] + carry * vd[go]) + heat.xd[knots]
+            vd[go] = keep * keep * vd[go] + heat.dd[knots]
         at[go] = knots
     scatter[np.arange(size), steps.place[end]] += fresh**2
     return _Ahead(
@@ -575,7 +575,7 @@ def _task(
     sensor_memory: float = 0.0,
 ) -> _Task:
     if memory is not None:
-        steps = replace(steps, heat=disturbance_step(memory, steps.dt, steps.lasting))
+        steps = replace(steps, heat=disturbance_step(memory, steps.k, steps.dt))
     count = int(groups.max()) + 1
     aheads = [_ahead(steps, horizon, count, groups.size) for horizon in HORIZONS]
     return _Task(

@@ -16,6 +16,7 @@ from sim.learning.runs import free_runs, sampled
 from sim.sha import SHA, Flow, Location, PlainMember, Trace
 
 PERSISTENCE, TREND = "persistence", "damped trend"
+"""What a member is called, and so whatever else forecasts by the last reading."""
 BUDGET = 2500
 """Knots to which the readings are sampled."""
 

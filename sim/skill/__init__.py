@@ -1,6 +1,6 @@
 """How good forecasts were: rows of forecasts and outcomes, their figures, and what the differences of methods tell."""
 
-from sim.skill.last_reading import PERSISTENCE, persistence
+from sim.skill.last_reading import persistence
 from sim.skill.picture import draw_skill
 from sim.skill.report import AHEAD, tables
 from sim.skill.rows import NOMINAL, STRETCHES, Skill, SkillRow, common, difference, grouped, skill, stretch
@@ -9,7 +9,6 @@ from sim.skill.worth import ForecastSkill, Worth, forecast_skill
 __all__ = [
     "AHEAD",
     "NOMINAL",
-    "PERSISTENCE",
     "STRETCHES",
     "ForecastSkill",
     "Skill",

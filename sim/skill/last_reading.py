@@ -6,9 +6,6 @@ import numpy as np
 
 from sim.sha import Array
 
-PERSISTENCE = "persistence"
-"""What its rows are called."""
-
 
 def persistence(times: Array, temperature: Array, horizons: Sequence[float], levels: tuple[float, ...]) -> Array | None:
     """(L, H) quantiles in degC: the last of the readings `temperature` (n,) at `times` (n,); None without a reading.

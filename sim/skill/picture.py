@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from sim.learning import PERSISTENCE
 from sim.pictures import check_picture, save_picture
-from sim.skill.last_reading import PERSISTENCE
 from sim.skill.rows import NO_SKILL, NOMINAL, STRETCHES, SkillRow, grouped, skill, stretch
 
 COLOURS = (

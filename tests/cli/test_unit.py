@@ -1,13 +1,19 @@
 """A model that follows power and not temperature: whatever is printed, drawn or written says kW, as the column map."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from gateway.lab.diagnose import DiagnosisRequest, run, show
 from sim.sha.trace import Trace, unit_of
 from tests.cli.support import decanter
+from tests.discrepancy.plants import model as model_of
+from tests.discrepancy.plants import plant as plant_of
 
 MAP = """
 format = "wide"
@@ -63,6 +69,38 @@ def test_every_command_says_kw_and_none_says_degrees(plant: tuple[Path, Path, Pa
         assert done.exit_code in (0, 1), done.output
         assert "kW" in done.output, command
         assert "°C" not in done.output and "degC" not in done.output, command
+
+
+def test_tuning_and_correcting_say_kw(plant: tuple[Path, Path, Path], tmp_path: Path) -> None:
+    column_map, traces, model = plant
+    read = ("--traces", traces, "--map", column_map)
+    study = ("--study", tmp_path / "study.db", "--trials", "1", "--folds", "2")
+    for command in (
+        ("tune", *read, *study),
+        ("correct", model, *read, "--out", tmp_path / "corrected", "--max-rate"),
+    ):
+        done = decanter("model", *command)
+        assert done.exit_code in (0, 1), done.output
+        assert "kW" in done.output, command
+        assert "°C" not in done.output and "degC" not in done.output, command
+
+
+def test_a_diagnosis_says_kw_and_so_does_its_report(tmp_path: Path) -> None:
+    """Of a plant whose hidden churning is named and whose targets have moved, its readings called kW."""
+    trace = replace(plant_of(7, days=2, churning=0.006), units={"T": "kW"})
+    given = model_of(shift=0.06)  # says degC: the trace's unit counts
+    request = DiagnosisRequest(
+        where="plant", out=tmp_path / "out", source="a test", seed=0, most=1, created=0.0, report=True
+    )
+    result = run(request, given, [trace], {}, lambda _stage, _share: None)
+    assert result.diagnosis.effects and result.diagnosis.shifts
+    printed = CliRunner().invoke(click.command()(lambda: show(result, request.out))).output
+    files = [(request.out / name).read_text(encoding="utf-8") for name in ("diagnosis.json", "report.html")]
+    for text in (printed, *files):
+        assert "kW" in text and "°C" not in text and "degC" not in text
+    assert (
+        json.loads((request.out / "model" / "model.json").read_text(encoding="utf-8"))["units"]["temperature"] == "kW"
+    )
 
 
 def test_a_validation_says_kw_in_its_records_and_its_report(plant: tuple[Path, Path, Path], tmp_path: Path) -> None:

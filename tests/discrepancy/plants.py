@@ -1,10 +1,12 @@
-"""A small plant with one hidden effect at will: one mass, two levels of heat, rough as plants are."""
+"""A small plant with one hidden effect at will (one mass, two levels of heat, rough as plants are), and model runs."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
+from sim.engine.schedules import schedule
+from sim.engine.simulation import simulate
+from sim.sha.automaton import SHA, Distribution, Edge, Effect, Flow, Location
 from sim.sha.events import Alphabet, Bins, Switch, encode
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Array, Trace
@@ -68,6 +70,34 @@ def plant(seed: int, days: int = 4, *, pump: float = 0.0, churning: float = 0.0,
     }
     trace = Trace(f"plant{seed}", 1.7e9 + PERIOD * np.arange(size), signals, origin="a test's plant", synthetic=True)
     return replace(trace, events=encode(trace, ALPHABET))
+
+
+def random_model(sigma: float, memory: float, machine: float, *more: Effect) -> Model:
+    """The plant's model with heat (`sigma` degC/s) that has a `memory` (s); machines differ by `machine` degC."""
+    made = model()
+    places = tuple(
+        replace(place, distribution=Distribution("normal", {"mu": TARGETS[place.name][0], "sigma": 0.2}))
+        for place in made.sha.locations
+    )
+    effects = (
+        Effect("heat-disturbance", {"sigma": sigma, "memory": memory}),
+        Effect("machine-offset", {"sigma": machine}),
+        *more,
+    )
+    return replace(made, sha=replace(made.sha, locations=places, effects=effects))
+
+
+def simulated(source: Model, seed: int, days: int = 4) -> Trace:
+    """`days` days of three cycles of the very automaton, everything that is random in it drawn, read to 0.1 degC."""
+    rng = np.random.default_rng(seed)
+    size = int(days * 86400 / PERIOD)
+    on, current, pumping = _operation(rng, size)
+    signals = {"MarciaDecanter": on, "Assorbimento": current, "MarciaPmpFango": pumping}
+    trace = Trace(f"drawn{seed}", 1.7e9 + PERIOD * np.arange(size), signals, synthetic=True)
+    trace = replace(trace, events=encode(trace, ALPHABET))
+    course = simulate(schedule(source.sha, trace.events, trace.times, inputs=trace, policy="resync"), 17.0, 1, rng)
+    read = course.temperatures[0] + source.sensor_sigma * rng.standard_normal(size)
+    return replace(trace, signals={**signals, "T": np.round(read, 1)})
 
 
 def _operation(rng: np.random.Generator, size: int) -> tuple[Array, Array, Array]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from sim.discrepancy.fitting.noise import DIFFUSE, Grid, NoiseModel, Whitener, WindowBelief, decay_and_pull, fit_noise
 from sim.engine.recursion import linear_recursion
@@ -33,7 +34,7 @@ def grid_of(dt: Array, k: Array, running: Array, weight: Array, first: Mask, cyc
 
 
 def dense(grid: Grid, noise: NoiseModel) -> Array:
-    """V as the product of the steps that the model states, without any of the tricks."""
+    """V as the product of the steps of the stated equation, each by a matrix exponential (Van Loan 1978)."""
     size = grid.dt.size
     state = np.zeros((2 * size, 2 * size))
     for row in range(size):
@@ -41,20 +42,15 @@ def dense(grid: Grid, noise: NoiseModel) -> Array:
         if grid.first[row]:
             state[here, here] = np.diag([DIFFUSE, noise.rough**2])
             continue
-        dt, k = grid.dt[row], grid.k[row]
-        decay = np.exp(-k * dt)
-        pull = (1 - decay) / k if k else dt
         share = noise.rest + (1 - noise.rest) * grid.running[row]
-        keep = np.exp(-dt / noise.memory)
-        move = np.array([[decay, pull * share * (1 + keep) / 2], [0.0, keep]])
-        fresh = noise.rough**2 * (1 - keep**2)
-        variance = noise.process**2 * ((1 - decay**2) / (2 * k) if k else dt)
-        jump = np.array([pull * share / 2, 1.0])
+        drift = np.array([[-grid.k[row], share], [0.0, -1.0 / noise.memory]])
+        white = np.diag([noise.process**2, 2.0 * noise.rough**2 / noise.memory])
+        both = expm(np.block([[-drift, white], [np.zeros((2, 2)), drift.T]]) * grid.dt[row])
+        move = both[2:, 2:].T
         before = slice(2 * row - 2, 2 * row)
         state[here, :] = move @ state[before, :]
         state[:, here] = state[here, :].T
-        state[here, here] = move @ state[before, before] @ move.T + fresh * np.outer(jump, jump)
-        state[2 * row, 2 * row] += variance
+        state[here, here] = move @ state[before, before] @ move.T + move @ both[:2, 2:]
     heats = grid.heats * noise.cycle
     return np.asarray(state[::2, ::2] + heats @ heats.T + noise.sensor**2 * np.eye(size))
 

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from sim.discrepancy.augment import augmented
+from sim.discrepancy.fitting.baseline import frame_of
+from sim.discrepancy.fitting.free_run_fit import fit
 from sim.discrepancy.fitting.named import named_of
+from sim.discrepancy.fitting.record import record_of
 from sim.discrepancy.workflow import DiagnosisOutcome, diagnose
 from sim.engine.open_loop_run import open_loop
+from sim.engine.recursion import linear_recursion
 from sim.learning.structure import LearningError
-from sim.sha.automaton import Flow
-from tests.discrepancy.plants import model, plant
+from sim.sha.automaton import Effect, Flow
+from tests.discrepancy.plants import PERIOD, model, plant, random_model, simulated
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +87,56 @@ def test_an_offset_of_the_sensor_is_told_from_wear() -> None:
 
 def test_churning_of_another_shape_than_the_catalogues_is_recognised(churned: DiagnosisOutcome) -> None:
     assert [effect.name for effect in churned.diagnosis.effects] == ["startup-churning"]
+
+
+@pytest.mark.parametrize("seed", [10, 11])
+def test_what_is_random_in_the_model_is_no_finding(seed: int) -> None:
+    """A model with heat that has a memory and with an offset of the machine's own, diagnosed on runs of itself."""
+    made = random_model(1e-3, 1600.0, 5.0)
+    found = diagnose(made, [simulated(made, seed)], seed=0).diagnosis
+    assert found.verdict == "agree", found.reasons
+    assert (found.effects, found.shifts) == ((), ())
+    assert found.settings["rough_sigma"] == pytest.approx(1e-3, rel=0.3)
+    assert found.settings["rough_memory_s"] == pytest.approx(1600.0, rel=0.4)
+    # The model's own spread is that of a machine whose targets are known: neither more nor less than its error.
+    assert found.settings["excess_before"] == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_hidden_effect_is_named_beside_what_is_random_and_the_new_model_keeps_both() -> None:
+    made = random_model(1e-3, 1600.0, 5.0)
+    pump = Effect("pump-cooling", {"loss": 2e-4, "sink": 19.0}, {"pump": "MarciaPmpFango"}, locations=("LOW", "HIGH"))
+    outcome = diagnose(made, [simulated(random_model(1e-3, 1600.0, 5.0, pump), 10)], seed=0)
+    assert [one.name for one in outcome.diagnosis.effects] == ["pump-cooling"]
+    assert outcome.diagnosis.effects[0].params["loss"] == pytest.approx(2e-4, rel=0.25)
+    assert outcome.fitted is not None
+    new = augmented(outcome.fitted).sha
+    cooling, heat, machine = new.effects
+    assert (cooling.kind, heat.kind, machine) == ("pump-cooling", "heat-disturbance", made.sha.effects[1])
+    assert heat.params["sigma"] == pytest.approx(1e-3, rel=0.3)
+    # The heat is an effect of the new model, and so not in the noise of its flows as well.
+    assert all(place.flow.params["noise"] < 0.006 for place in new.locations)
+
+
+def test_a_sensors_error_that_lasts_is_not_counted_twice() -> None:
+    """The new model keeps the error's memory, so its size must be that of one reading and not of what lasts."""
+    made, trace, rng = (
+        replace(model(), sensor_sigma=0.5, sensor_memory=20.0),
+        plant(1, days=2),
+        np.random.default_rng(2),
+    )
+    keep = np.exp(-PERIOD / 20.0)
+    fresh = 0.5 * np.sqrt(1.0 - keep**2) * rng.standard_normal(trace.times.size)
+    trace = replace(trace, signals={**trace.signals, "T": trace.signals["T"] + linear_recursion(keep, fresh, 0.0)})
+    fitted = fit(frame_of(record_of(made, [trace], ())))
+    assert augmented(fitted).sensor_memory == 20.0
+    assert fitted.sensor_sigma == pytest.approx(0.5, rel=0.1)
+
+
+def test_heat_that_is_rougher_than_the_model_has_learned_is_a_gap() -> None:
+    made = random_model(3e-4, 400.0, 0.5)
+    found = diagnose(made, [simulated(random_model(2.5e-3, 400.0, 0.5), 10)], seed=0).diagnosis
+    assert found.verdict == "unexplained"
+    assert found.effects == ()
 
 
 def test_a_cycle_or_two_are_too_little() -> None:

@@ -220,7 +220,7 @@ def test_pictures_are_drawn_of_what_there_is(drawn: dict[Verdict, dict[str, Path
 
 
 def test_a_place_is_told_in_one_sentence() -> None:
-    assert place_sentence(PLACE) == (
+    assert place_sentence(PLACE, "°C") == (
         "62% of the unexplained heat is in ON/200-300, 0–4 min after W_ON: the plant makes 38 °C/h too much for the "
         "model there, in 9 of 11 cycles (p = 0.001); it goes with MarciaPmpFango"
     )

@@ -11,6 +11,7 @@ from sim.checking.proof.envelope import Assumptions
 from sim.checking.smc.paths import Cuts
 from sim.checking.smc.runs import engine
 from sim.checking.smc.start import initial
+from sim.effects import disturbance_step
 from sim.engine.belief import (
     advance,
     compile_model,
@@ -21,6 +22,8 @@ from sim.engine.belief import (
     with_machine_offset,
 )
 from sim.engine.moment_equations import moments
+from sim.engine.plant import compile_plant
+from sim.engine.response import respond
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
 from sim.forecast.fan import forecast
@@ -68,6 +71,30 @@ def variance(effects: tuple[Effect, ...], times: Array) -> Array:
 
     done = solve_ivp(slope, (0.0, float(times[-1])), p.ravel(), t_eval=times, rtol=1e-10, atol=1e-12, method="LSODA")
     return np.asarray(done.y[0])
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-5, 1.0 / 240.0, 0.05], ids=["still", "slow", "as slow", "fast"])
+def test_the_closed_step_is_that_of_the_engines_matrices(rate: float) -> None:
+    """From a thousandth of a second to a day, at rates below, above and at 1 / memory, where a difference vanishes."""
+    memory = RANDOM["heat-disturbance"].params["memory"]
+    dt = np.array([0.0, 1e-3, 1.0, 60.0, 240.0, 7000.0, 86400.0])
+    k = np.full(dt.size, rate)
+    flow = Flow("exponential", {"k": 1.0, "noise": NOISE})
+    plant = compile_plant(SHA("p", (Location("on", flow),), (), "on", effects=(RANDOM["heat-disturbance"],)))
+    engine_law = respond(plant, k, np.zeros((dt.size, 2)), dt, 1)
+    step = disturbance_step(memory, k, dt)
+    assert engine_law.disturbed is not None
+    sigma = RANDOM["heat-disturbance"].params["sigma"]
+    for ours, theirs in (
+        (step.carried, engine_law.phi[:, 0, 1]),
+        (step.keep, engine_law.phi[:, 1, 1]),
+        (step.xx, engine_law.disturbed[:, 0, 0] / sigma**2),
+        (step.xd, engine_law.disturbed[:, 0, 1] / sigma**2),
+        (step.dd, engine_law.disturbed[:, 1, 1] / sigma**2),
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-300)
+    # As it is drawn: what is new in D, and what of X that does not tell.
+    np.testing.assert_allclose(step.into**2 * step.dd + step.own, step.xx, rtol=1e-12)
 
 
 CASES = [pytest.param((effect,), id=name) for name, effect in RANDOM.items()]

@@ -10,10 +10,10 @@ from gateway.lab.skill import machine_of, persist, scanned, skill_rows
 from gateway.machine.model.along import forecasts_along, machine_offset_along, recorded_scans
 from gateway.machine.model.predict import Predictor
 from gateway.settings.config import ForecastSection
+from sim.learning.plain import PERSISTENCE
 from sim.sha.automaton import Distribution, Effect, Flow, Location
 from sim.sha.model import Model
 from sim.sha.trace import Array, Trace
-from sim.skill.last_reading import PERSISTENCE
 from sim.skill.rows import skill
 from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, two_modes
 

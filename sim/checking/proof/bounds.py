@@ -13,7 +13,7 @@ from sim.checking.proof.reach import Bound, Graph, Side, climb, intervals, make_
 from sim.checking.proof.structure import moves
 from sim.checking.proof.word import TimedWord, parse_word, word_text
 from sim.checking.proof.word_replay import offset_range, replay
-from sim.effects import dead_time, in_sensor_scale, of_feature, without_random
+from sim.effects import dead_time, in_sensor_scale, of_feature, without
 from sim.sha import RELAXING, Location, Model, alphabet_symbols, drawn_temperature, mean, mode_parameter
 
 Verdict = Literal["proven", "refuted", "not decided"]
@@ -83,7 +83,7 @@ def find_bounds(
         raise ValueError(f"no temperature lies within {low:g} to {high:g} degC; give LOW below HIGH")
     model = in_sensor_scale(model)
     if doubt is not None:
-        model = replace(model, sha=without_random(model.sha))
+        model = replace(model, sha=without(model.sha, "disturbance", "machine offset"))
     symbols = alphabet_symbols(model.alphabet)
     onward = moves(model.sha, symbols, assumptions.policy, unknown=assumptions.unknown)
     rooms = envelopes(model, assumptions, onward)

@@ -239,7 +239,8 @@ def _rare(query: q.Probability, path: PreparedPath, start: Start, settings: Quer
             "--rare and ask for more runs"
         )
     where = cuts((path,))
-    made = engine(start.world, replace(where, longest=min(where.longest, path.bound / SPLIT_STEPS)))
+    # No step over several pieces (`lines`): a run's way to the levels in between counts, wherever they are.
+    made = engine(start.world, replace(where, longest=min(where.longest, path.bound / SPLIT_STEPS), lines=None))
     # The spawn key lies beyond those of the chunks of plain runs (`runs.generator`): no random number is used twice.
     rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy=settings.seed, spawn_key=(1 << 20,))))
     splitting = split(made, path, rng, confidence=settings.level, report=report)

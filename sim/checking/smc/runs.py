@@ -23,7 +23,7 @@ from sim.checking.smc.paths import LONGEST, Cuts, Engine, Indices, World, augmen
 from sim.checking.smc.rules import Progress
 from sim.sha import Array, Mask
 
-SMALLEST, LARGEST = 64, 16384
+SMALLEST, LARGEST = 64, 32768
 """Runs of the first chunk, and of the large ones: each is twice the one before it. A chunk's rows fit the cache."""
 
 MOST_MOMENTS = 1_000_000

@@ -49,9 +49,6 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
         case VaryingLaw() as law:
             middle = runs.dt / 2.0
             heat, loss = law.heat(effect, runs.time - middle, record.since + middle), nothing
-        case Structural(feature="disturbance" | "machine offset"):
-            # Their mean is 0; a diagnosis has heat with a memory, and the scatter of cycles, in its noise.
-            heat, loss = nothing, nothing
         case Structural(feature="housing"):
             coupling = effect.params["coupling"]
             heat, loss = coupling * lagged(record, course, effect.params["tau"]), nothing + coupling

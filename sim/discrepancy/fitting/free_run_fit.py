@@ -15,14 +15,18 @@ from scipy.linalg import cho_factor, cho_solve
 from sim.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
 from sim.discrepancy.fitting.course import CourseState, at, grid_at, sensitivity
 from sim.discrepancy.fitting.named import Named
-from sim.discrepancy.fitting.noise import Grid, NoiseModel, Whitener, WindowBelief, fit_noise
+from sim.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise
 from sim.discrepancy.fitting.record import Record
+from sim.effects import of_feature
+from sim.engine import repeat_factor
 from sim.sha import Array, Model
 
 ROUNDS, NEWTON = 4, 8
 LARGEST_TARGET, LARGEST_SHARE = 15.0, 0.7
 """A step of Newton's is shortened to this: degC of a target (other parameters in proportion to their belief), and the
 share of itself by which a strength may change."""
+AT_REST = 0.95
+"""The share of a model's own heat with a memory that acts at rest: all of it, as near as a share can be fitted."""
 MOVING = 0.5
 """The share of readings that differ from the one before, up to which a course is a staircase."""
 SETTLED = 0.05
@@ -58,22 +62,38 @@ class Fitted:
     @property
     def sensor_sigma(self) -> float:
         """degC the standard deviation of a single reading."""
-        record = self.frame.record
-        counts = np.diff(np.append(record.begins, record.rows.size))
-        return float(self.noise.sensor * np.sqrt(np.median(counts)))
+        return float(self.noise.sensor * np.sqrt(looks(self.frame.record)))
+
+
+def looks(record: Record) -> float:
+    """How many readings that err by themselves a window's mean is worth: fewer where the sensor's error lasts."""
+    count = float(np.median(np.diff(np.append(record.begins, record.rows.size))))
+    memory = record.model.sensor_memory
+    between = float(np.median(np.diff(record.runs.time[record.rows]))) if memory else 0.0
+    return count / repeat_factor(memory, between) if memory else count
 
 
 def first_noise(model: Model, record: Record) -> NoiseModel:
-    """Where the search for the noise begins: the given model's sensor and process, a slightly rough plant."""
+    """Where the search for the noise begins: the given model's sensor, process and heat with a memory.
+
+    A model without such heat is taken for that of a slightly rough plant, which it holds for white noise.
+    """
     process = [location.flow.params.get("noise", 0.0) for location in model.sha.locations]
     seen = [value for value in process if value > 0]
-    counts = np.diff(np.append(record.begins, record.rows.size))
-    sensor = max(model.sensor_sigma, 0.02) / np.sqrt(float(np.median(counts)))
+    sensor = max(model.sensor_sigma, 0.02) / np.sqrt(looks(record))
+    sensor = max(float(sensor), rounding(model, record))
+    white = float(np.median(seen)) if seen else 0.006
+    heats = of_feature(model.sha, "disturbance")
+    if not heats:
+        return NoiseModel(sensor=sensor, process=white / 2, rough=3e-4, cycle=0.01)
+    learned = heats[0].params  # an automaton has one at most
     return NoiseModel(
-        sensor=max(float(sensor), rounding(model, record)),
-        process=float(np.median(seen)) / 2 if seen else 0.003,
-        rough=3e-4,
+        sensor=sensor,
+        process=white,
+        rough=max(learned["sigma"], LEAST_HEAT),
         cycle=0.01,
+        memory=learned["memory"],
+        rest=AT_REST,
     )
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from sim.discrepancy.fitting.candidates import CatalogueEntry, entry_of
-from sim.effects import kind_of
+from sim.effects import kind_of, without
 from sim.learning import contexts, first_switch
 from sim.sha import UNKNOWN, Effect, Model
 
@@ -32,9 +32,13 @@ class Named:
 
 
 def named_of(model: Model) -> tuple[Named, ...]:
-    """The effects that a model has already. Raises ValueError for a kind that cannot be fitted."""
+    """The effects that a model has already and that have a strength. Raises ValueError for a kind that has none.
+
+    What is random in it is none of them: heat with a memory is the noise that a fit begins from, and a machine's own
+    offset is in the targets, which are fitted to that machine.
+    """
     named = []
-    for effect in model.sha.effects:
+    for effect in without(model.sha, "disturbance", "machine offset").effects:
         defaults = {name: each.default for name, each in kind_of(effect).parameters.items() if each.default is not None}
         params = {**defaults, **effect.params}
         named.append(Named(entry_of(effect.kind), dict(effect.signals), params, effect))

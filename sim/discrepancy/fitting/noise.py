@@ -5,18 +5,20 @@ A residual r (measured - free run) of a model with the right flows obeys, betwee
     dx/dt = -k x + h + s dW,    r = x + c w + v,    h an Ornstein-Uhlenbeck heat,    c a scatter of each cycle
 
 where k is the location's rate (0 where the flow does not relax), w what the cycle's friction heat does to the reading,
-v the sensor's noise; x starts anew with each run. The precision is banded, so that weighing any number of
-columns by the inverse covariance costs one banded Cholesky decomposition (Rue & Held 2005, ch. 2), and the scatter of
-the cycles is a random effect on top (Woodbury).
+v the sensor's noise; x starts anew with each run. What h does over a step is the law of the model's own disturbance
+(`sim.effects.disturbance_step`), and where the given model has one, the fit begins from it. The precision is banded, so
+that weighing any number of columns by the inverse covariance costs one banded Cholesky decomposition (Rue & Held 2005,
+ch. 2), and the scatter of the cycles is a random effect on top (Woodbury).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve, cho_solve_banded, cholesky, cholesky_banded
 from scipy.optimize import minimize
 
+from sim.effects import DisturbanceStep, disturbance_step
 from sim.learning import Indices
 from sim.sha import Array, Mask
 
@@ -25,7 +27,8 @@ DIFFUSE = 1e4
 LEAST_HEAT, LEAST_PROCESS = 1e-7, 1e-5
 """Floors of the heats (degC/s) and of the process noise (degC/sqrt(s)), below anything that a plant has."""
 SHORTEST, LONGEST = float(np.log(60.0)), float(np.log(1800.0))
-"""The rough heat's memory (log s): longer, it would imitate the slow effects that are looked for."""
+"""The rough heat's memory (log s): longer, it would imitate the slow effects that are looked for. Where the model has
+learned a longer one, that is the bound."""
 MOST_SCATTER = float(np.log(0.05))
 """The scatter of a cycle's friction (log): more of it would make up for wrong targets, cycle by cycle."""
 
@@ -113,18 +116,18 @@ class Whitener:
         grid, noise = self.grid, self.noise
         size = (grid.dt.size, count)
         heat, deviation = np.zeros(count), np.zeros(count)
-        keep, decay, pull, variance = _steps(grid, noise)
-        share = noise.rest + (1.0 - noise.rest) * grid.running
+        decay, variance, heat_step = _steps(grid, noise)
+        into, fresh = heat_step.into, np.sqrt(heat_step.dd)
+        variance = variance + noise.rough**2 * heat_step.own
         out = np.empty(size)
         for row in range(size[0]):
             if grid.first[row]:
                 heat, deviation = noise.rough * rng.standard_normal(count), np.zeros(count)
             else:
-                # As in `_precision`: the heat over a step is the mean of both ends'. Draws and weights share one law.
-                fresh = keep[row] * heat + noise.rough * np.sqrt(1 - keep[row] ** 2) * rng.standard_normal(count)
-                deviation = decay[row] * deviation + pull[row] * share[row] * (heat + fresh) / 2.0
+                new = noise.rough * fresh[row] * rng.standard_normal(count)
+                deviation = decay[row] * deviation + heat_step.carried[row] * heat + into[row] * new
                 deviation = deviation + np.sqrt(variance[row]) * rng.standard_normal(count)
-                heat = fresh
+                heat = heat_step.keep[row] * heat + new
             out[row] = deviation
         scatter = self._heats @ rng.standard_normal((self._heats.shape[1], count))
         return out + scatter + noise.sensor * rng.standard_normal(size)
@@ -138,32 +141,29 @@ class Whitener:
         return np.asarray(columns * precision - solved[::2] * precision)
 
 
-def _steps(grid: Grid, noise: NoiseModel) -> tuple[Array, Array, Array, Array]:
-    """(what the rough heat keeps, decay, pull, process variance) of the step to each window."""
-    decay, pull = decay_and_pull(grid.k, grid.dt)
+def _steps(grid: Grid, noise: NoiseModel) -> tuple[Array, Array, DisturbanceStep]:
+    """(decay, process variance, the rough heat) of the step to each window."""
     variance = max(noise.process, LEAST_PROCESS) ** 2 * decay_and_pull(2 * grid.k, grid.dt)[1]
-    return np.exp(-grid.dt / noise.memory), decay, pull, variance
+    step = disturbance_step(noise.memory, grid.k, grid.dt)
+    # Of the heat only a share acts at rest: it is what reaches x, and the heat itself goes on as ever.
+    share = noise.rest + (1.0 - noise.rest) * grid.running
+    step = replace(step, carried=share * step.carried, xx=share**2 * step.xx, xd=share * step.xd)
+    return np.exp(-grid.k * grid.dt), variance, step
 
 
 def _precision(grid: Grid, noise: NoiseModel) -> tuple[Array, float]:
     """(4, 2m) the banded precision of the states (x, h) at the windows, lower form, and its log-determinant."""
     m = grid.dt.size
-    keep, decay, pull, variance = _steps(grid, noise)
+    decay, variance, step = _steps(grid, noise)
     heat = max(noise.rough, LEAST_HEAT) ** 2
-    pull = pull * (noise.rest + (1.0 - noise.rest) * grid.running)
     # A Markov chain's precision has a block of two rows a window and one to its neighbour: with z' = F z + q, cov q =
     # Q, the step to each window adds Q^-1 to its own block, F' Q^-1 F to the block before, -Q^-1 F between them.
-    # Between two windows the heat is its mean of both ends' as seen from the first: half of what it loses, half fresh.
-    move = pull * (1.0 + keep) / 2.0
-    fresh = heat * (1.0 - keep**2)
-    qx, qh = variance + fresh * (pull / 2.0) ** 2, fresh
-    cross = fresh * pull / 2.0
-    qx, qh = np.where(grid.first, DIFFUSE, qx), np.where(grid.first, heat, qh)
-    cross = np.where(grid.first, 0.0, cross)
+    qx, qh = np.where(grid.first, DIFFUSE, variance + heat * step.xx), np.where(grid.first, heat, heat * step.dd)
+    cross = np.where(grid.first, 0.0, heat * step.xd)
     # Q^-1 = (a b; b d), written out: two rows need no solver. In lower form row i of `band` is the i-th subdiagonal.
     determinant = qx * qh - cross**2
     a, b, d = qh / determinant, -cross / determinant, qx / determinant
-    f11, f12, f22 = (np.where(grid.first, 0.0, part) for part in (decay, move, keep))
+    f11, f12, f22 = (np.where(grid.first, 0.0, part) for part in (decay, step.carried, step.keep))
     band = np.zeros((4, 2 * m))
     band[0, 0::2] += a
     band[1, 0::2] += b
@@ -227,7 +227,7 @@ def fit_noise(
     bounds = [(value - 4.0, value + 4.0) for value in centre]
     bounds[0] = max(bounds[0][0], float(np.log(max(belief.least, 1e-12)))), bounds[0][1]
     bounds[3] = bounds[3][0], MOST_SCATTER
-    bounds[4] = SHORTEST, LONGEST
+    bounds[4] = SHORTEST, max(LONGEST, centre[4])
     optimum = minimize(
         cost,
         np.clip(start, [low for low, _ in bounds], [high for _, high in bounds]),

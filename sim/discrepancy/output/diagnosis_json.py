@@ -39,6 +39,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "candidates": [_candidate(candidate) for candidate in diagnosis.candidates],
         "ceiling": {"before": diagnosis.ceiling_before, "after": diagnosis.ceiling_after},
         "settings": diagnosis.settings,
+        "unit": diagnosis.unit,
     }
     return {key: strict(value) for key, value in content.items()}
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Rectangle
 
 from sim.discrepancy import Diagnosis, DiagnosisCourse, HeatMap, HeldOutProof, heat_map
-from sim.sha import Array
+from sim.sha import DEGREES, Array, shown_unit
 
 WHERE, CYCLES, ERRORS, SHEET = "where.png", "held_out_cycles.png", "held_out_errors.png", "diagnosis.png"
 FILES = (WHERE, CYCLES, ERRORS, SHEET)
@@ -35,17 +35,18 @@ def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
     shown = [] if course is None else cycles_to_show(course)
     labels = [] if course is None else held_out_cycles(course)
     jobs: list[tuple[str, Figure]] = []
+    unit = diagnosis.unit
     if heat is not None:
         figure = _figure(11.0 if heat.after is not None else 8.0, _map_height(heat))
-        draw_where(figure, heat)
+        draw_where(figure, heat, unit)
         jobs.append((WHERE, figure))
     if course is not None and shown:
         figure = _figure(11.0, 4.6)
-        draw_cycles(figure, course, shown, held_out)
+        draw_cycles(figure, course, shown, held_out, unit)
         jobs.append((CYCLES, figure))
     if held_out is not None and held_out.per_cycle:
         figure = _figure(8.0, 3.2)
-        draw_errors(figure.subplots(), held_out, labels)
+        draw_errors(figure.subplots(), held_out, labels, unit)
         jobs.append((ERRORS, figure))
     if len(jobs) > 1:
         jobs.append((SHEET, _sheet(diagnosis, title, heat, shown)))
@@ -79,11 +80,12 @@ def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequen
     figure = _figure(11.5, sum(heights) + 0.9)
     parts = iter(figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0])
     if heat is not None:
-        draw_where(next(parts), heat)
+        draw_where(next(parts), heat, diagnosis.unit)
     if course is not None and shown:
-        draw_cycles(next(parts), course, shown, held_out)
+        draw_cycles(next(parts), course, shown, held_out, diagnosis.unit)
     if held_out is not None and errors:
-        draw_errors(next(parts).subplots(), held_out, [] if course is None else held_out_cycles(course))
+        cycles = [] if course is None else held_out_cycles(course)
+        draw_errors(next(parts).subplots(), held_out, cycles, diagnosis.unit)
     sentence = "\n".join(wrap(diagnosis.sentence, 120)[:3])
     figure.suptitle(f"{title}\n{sentence}", fontsize=12, x=0.01, ha="left", parse_math=False)
     return figure
@@ -102,8 +104,8 @@ def _map_height(heat: HeatMap) -> float:
     return 1.7 + 0.34 * len(heat.locations)
 
 
-def draw_where(figure: Figure | SubFigure, heat: HeatMap) -> None:
-    """The map before, and beside it the map after, on one scale of colours."""
+def draw_where(figure: Figure | SubFigure, heat: HeatMap, unit: str) -> None:
+    """The map before, and beside it the map after, on one scale of colours, in `unit`/h."""
     maps = [("before: heat that the refitted model leaves", heat.before)]
     if heat.after is not None:
         maps.append(("after: with what was added", heat.after))
@@ -126,7 +128,7 @@ def draw_where(figure: Figure | SubFigure, heat: HeatMap) -> None:
     if heat.left_out:
         axes[0].set_ylabel(f"{heat.left_out} rarer locations are left out", fontsize=8)
     bar = figure.colorbar(image, ax=list(axes), fraction=0.03, pad=0.01)
-    bar.set_label("mean heat, °C/h", fontsize=9)
+    bar.set_label(f"mean heat, {shown_unit(unit)}/h", fontsize=9)
 
 
 def _numbers(axis: Axes, values: Array, limit: float) -> None:
@@ -162,12 +164,12 @@ def held_out_cycles(course: DiagnosisCourse) -> list[int]:
 
 
 def draw_cycles(
-    figure: Figure | SubFigure, course: DiagnosisCourse, shown: Sequence[int], held_out: HeldOutProof | None
+    figure: Figure | SubFigure, course: DiagnosisCourse, shown: Sequence[int], held_out: HeldOutProof | None, unit: str
 ) -> None:
-    """A column a cycle: measured and free runs above, their errors below, with the noise floor as a band."""
+    """A column a cycle: measured and free runs above, their errors below, with the noise floor as a band, in `unit`."""
     axes = figure.subplots(2, len(shown), squeeze=False, sharex="col", sharey="row", height_ratios=(1.5, 1.0))
     spans = [np.ptp(course.times[course.cycle == cycle]) for cycle in shown]
-    unit, size = ("min", 60.0) if max(spans) < 5400.0 else ("h", 3600.0)
+    clock_unit, size = ("min", 60.0) if max(spans) < 5400.0 else ("h", 3600.0)
     for number, (cycle, (above, below)) in enumerate(zip(shown, axes.T, strict=True)):
         rows = np.asarray(course.cycle == cycle)
         kind = "held out" if course.held_out[rows].max() > 0.5 else "fitted"
@@ -184,13 +186,14 @@ def draw_cycles(
             above.plot(clock, after, color=AFTER, linewidth=1.3, label="free run after")
             below.plot(clock, after - reading, color=AFTER, linewidth=1.1)
         above.set_title(f"cycle {cycle + 1}, {kind}", fontsize=9, loc="left")
-        below.set_xlabel(unit, fontsize=8)
+        below.set_xlabel(clock_unit, fontsize=8)
         for axis in (above, below):
             axis.grid(alpha=0.25)
             axis.tick_params(labelsize=8)
         if not number:
-            above.set_ylabel("temperature (°C)", fontsize=9)
-            below.set_ylabel("free run −\nmeasured (°C)", fontsize=9)
+            quantity = "temperature" if unit == DEGREES else "value"
+            above.set_ylabel(f"{quantity} ({shown_unit(unit)})", fontsize=9)
+            below.set_ylabel(f"free run −\nmeasured ({shown_unit(unit)})", fontsize=9)
             entries = [axis.get_legend_handles_labels() for axis in (above, below)]
     figure.legend(
         entries[0][0] + entries[1][0],
@@ -202,8 +205,8 @@ def draw_cycles(
     )
 
 
-def draw_errors(axis: Axes, held_out: HeldOutProof, cycles: Sequence[int]) -> None:
-    """A pair of bars a held-out cycle, before and after, and a line at the noise floor of each.
+def draw_errors(axis: Axes, held_out: HeldOutProof, cycles: Sequence[int], unit: str) -> None:
+    """A pair of bars a held-out cycle, before and after, and a line at the noise floor of each, in `unit`.
 
     `cycles` are their numbers; another count than there are bars, and they are counted from 1.
     """
@@ -220,7 +223,7 @@ def draw_errors(axis: Axes, held_out: HeldOutProof, cycles: Sequence[int]) -> No
     few = place[:: max(1, place.size // 30)]
     axis.set_xticks(few, [str(names[number]) for number in few], fontsize=8)
     axis.set_xlabel("held-out cycle", fontsize=9)
-    axis.set_ylabel("free-run rms error (°C)", fontsize=9)
+    axis.set_ylabel(f"free-run rms error ({shown_unit(unit)})", fontsize=9)
     axis.set_ylim(bottom=0.0)
     axis.grid(alpha=0.25, axis="y")
     axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=3, fontsize=8, frameon=False)

@@ -10,6 +10,7 @@ from shlex import quote
 from sim.discrepancy import Diagnosis, HeatPlace, NamedEffect, TriedEffect, span
 from sim.discrepancy.output.pictures import CYCLES, ERRORS, SHEET, WHERE
 from sim.pages import page_environment
+from sim.sha import shown_unit
 
 MEANINGS: Mapping[str, str] = {
     "agree": "On these cycles the model, with its parameters fitted anew, is as right as its own noise allows. "
@@ -67,31 +68,38 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
         if name != SHEET
     }
     best = max((tried.gain for tried in diagnosis.candidates if isfinite(tried.gain)), default=0.0)
-    environment = page_environment("sim.discrepancy.output", number=_number, share=_share, span=_span)
+    unit = shown_unit(diagnosis.unit)
+    environment = page_environment(
+        "sim.discrepancy.output", number=_number, share=_share, span=_span, shown_unit=shown_unit
+    )
     return environment.get_template("diagnosis.html").render(
         one=diagnosis,
+        unit=unit,
         occasion=occasion,
         meaning=MEANINGS[diagnosis.verdict],
         colour=COLOURS[diagnosis.verdict],
         where=data.get(WHERE),
         cycles=data.get(CYCLES),
         errors=data.get(ERRORS),
-        places=[place_sentence(place) for place in diagnosis.places[:TOLD]],
-        unexplained=[place_sentence(place) for place in diagnosis.unexplained],
+        places=[place_sentence(place, unit) for place in diagnosis.places[:TOLD]],
+        unexplained=[place_sentence(place, unit) for place in diagnosis.unexplained],
         candidates=diagnosis.candidates,
         best=max(best, 1e-9),
         rivals={effect.name: rivals_of(effect, diagnosis.candidates) for effect in diagnosis.effects},
     )
 
 
-def place_sentence(place: HeatPlace) -> str:
-    """One sentence of where heat is: "62 % of the unexplained heat is in ON/200-300, 0-4 min after W_ON, ..."."""
+def place_sentence(place: HeatPlace, unit: str) -> str:
+    """One sentence of where heat is: "62 % of the unexplained heat is in ON/200-300, 0-4 min after W_ON, ...".
+
+    `unit` is that of the temperature, as people read it.
+    """
     after = f", {span(*place.seconds)} after {place.after}" if place.after else ""
     after += f", with {place.when}" if place.when else ""
     sign = "too little" if place.heat < 0 else "too much"
     sentence = (
         f"{place.share:.0%} of the unexplained heat is in {place.location}{after}: the plant makes "
-        f"{abs(place.heat):.2g} °C/h {sign} for the model there, in {place.cycles[0]} of {place.cycles[1]} cycles "
+        f"{abs(place.heat):.2g} {unit}/h {sign} for the model there, in {place.cycles[0]} of {place.cycles[1]} cycles "
         f"(p = {place.p:.2g})"
     )
     return sentence + (f"; it goes with {place.correlates}" if place.correlates and not place.when else "")

@@ -165,6 +165,7 @@ def learn_bins(
         "residual_sigma": fitted.fit.sigma,
     }
     figures |= {f"coverage90_before_{row.horizon:.0f}s": row.covered for row in coverage}
+    figures |= {f"crps_{row.horizon:.0f}s": row.crps for row in coverage}
     borrowed = [f"{each.name} {each.source}" for each in fitted.locations if each.source.startswith("borrowed")]
     provenance = Provenance(
         method="bins",

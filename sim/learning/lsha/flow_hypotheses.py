@@ -426,7 +426,9 @@ def flow_shape(
 
 def flow_of(kind: str, tau: float, inputs: tuple[Input, ...] = ()) -> Flow:
     """A flow of that kind without noise; a driven one without inputs is exponential."""
-    rate = {"exponential": {"k": 1.0 / tau}, "driven": {"k": 1.0 / tau}, "logarithmic": {"t0": tau}}.get(kind, {})
+    relaxing = {"k": 1.0 / tau}
+    known = {"exponential": relaxing, "driven": relaxing, "logarithmic": {"t0": tau}, "transient": {"tau": tau}}
+    rate = known.get(kind, {})
     if kind == "driven" and not inputs:
         kind = "exponential"
     return Flow(kind, {**rate, "noise": 0.0}, inputs)

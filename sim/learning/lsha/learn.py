@@ -214,6 +214,7 @@ def learn_lsha(
         "held_out_mae": flow.held_out_mae,
     }
     figures |= {f"coverage90_before_{row.horizon:.0f}s": row.covered for row in coverage}
+    figures |= {f"crps_{row.horizon:.0f}s": row.crps for row in coverage}
     provenance = Provenance(
         method="lsha",
         data_hash=data_hash or digest,

@@ -202,8 +202,12 @@ def _result_lines(report: LshaReport) -> Iterator[str]:
         yield ""
         yield "## Bands on held-out data"
         yield ""
-        bands = [(row.horizon, row.forecasts, row.covered, row.factor) for row in report.coverage]
-        yield from _grid(("horizon, s", "forecasts", "covered by the 90 % band", "factor"), bands)
+        bands = [
+            (row.horizon, row.forecasts, row.covered, row.factor, row.crps, row.persistence) for row in report.coverage
+        ]
+        yield from _grid(
+            ("horizon, s", "forecasts", "covered by the 90 % band", "factor", "CRPS", "persistence's CRPS"), bands
+        )
     yield ""
     yield "## Observation table"
     yield ""

@@ -32,7 +32,7 @@ from sim.checking.smc.monitors.formula import (
 from sim.checking.smc.paths import Engine, Indices, Piece, State, with_extremes
 from sim.sha import MOST_STAYS, Array, Mask
 
-KEEP, EVERY = 0.75, 8
+KEEP, EVERY = 0.95, 8
 """Decided runs are left out when fewer than KEEP of them are undecided, which is looked at after EVERY rows."""
 
 

@@ -95,7 +95,17 @@ def cuts(paths: Sequence[PreparedPath]) -> Cuts:
     ordered = any(isinstance(each.path, Until | BoundedResponse) and each.compiled.lines for each in paths)
     longest = LONGEST if ordered or any(map(_is_bent, paths)) else inf
     inside = tuple(sorted(time for time in instants if 0.0 <= time <= bound))
-    return Cuts(bound, inside, mixed, tuple(looked), longest)
+    # A line that moves, or a condition that is looked at once in each piece, is not known from a longer step's ends.
+    fixed = all(each.compiled.still and not _is_bent(each) for each in paths)
+    lines = {line.level for each in paths for line in each.compiled.lines if line.level is not None}
+    return Cuts(
+        bound=bound,
+        instants=inside,
+        clocks=mixed,
+        looked=tuple(looked),
+        longest=longest,
+        lines=tuple(sorted(lines)) if fixed else None,
+    )
 
 
 def _is_bent(prepared: PreparedPath) -> bool:

@@ -7,6 +7,8 @@ from math import ceil, inf, isfinite, log1p, nextafter, sqrt
 
 import numpy as np
 
+from sim.checking.smc.paths import long_steps
+from sim.checking.smc.paths.long_steps import NestedStep
 from sim.checking.smc.paths.plan import FINE, LEAST_DECAY, Indices, Piece, State, World, clamp, draw_start, limit
 from sim.checking.smc.paths.tilting import Tilts, chosen, scored, start_at, start_tiltable, tiltable
 from sim.engine import Schedule, schedule, step_coefficients
@@ -38,7 +40,8 @@ _SAME = 1e-9
 class Cuts:
     """Where the steps of a query over `bound` seconds must end: `instants` (s) and, in each stay, where an affine
     c + t * time + g * age of `clocks` is 0; those are steps of length 0 too. In `looked` ((from, to), s) the
-    temperature counts: steps are as short as their flow demands, and at most `longest` (s).
+    temperature counts: steps are as short as their flow demands, and at most `longest` (s). `lines` (degC) are all
+    that the temperature is compared with: away from them runs may take several steps in one. None: they may not.
     """
 
     bound: float
@@ -46,6 +49,7 @@ class Cuts:
     clocks: tuple[Affine, ...] = ()
     looked: tuple[tuple[float, float], ...] = ()
     longest: float = inf
+    lines: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +80,17 @@ class _Row:
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """The engine (`paths.Engine`) of known events."""
+    """The engine (`paths.Engine`) of known events.
+
+    Row k of the `clock` has the steps `rows[firsts[k]:firsts[k + 1]]`, which are `whole[k]` in one where they may be.
+    """
 
     world: World
     clock: Array
     rows: tuple[_Row, ...]
+    firsts: tuple[int, ...]
+    whole: tuple[NestedStep | None, ...]
+    lines: tuple[float, ...]
     notes: tuple[str, ...]
     columns: int = 0
     tilts: Tilts | None = None
@@ -103,29 +113,38 @@ class Known:
         return State(x, mode, clamps, np.zeros(runs, dtype=np.intp), drawn=drawn)
 
     def advance(self, row: int, state: State, rng: np.random.Generator) -> Iterator[Piece]:
-        """The one piece of a row."""
-        step, start = self.rows[row], state.x
-        if step.fresh is not None:
-            start, outside = clamp(self.world.sha, distributions.draw(step.fresh, start.size, rng))
+        """The pieces of a row: those of its step over several, or one for each step."""
+        steps, runs = self.rows[self.firsts[row] : self.firsts[row + 1]], state.x.size
+        entry = steps[0]
+        if entry.fresh is not None:
+            state.x, outside = clamp(self.world.sha, distributions.draw(entry.fresh, runs, rng))
             _count(state.clamps, outside)
-        if step.drawn is not None:
-            if self.tilts is None or step.column is None:
-                state.mode = distributions.draw(step.drawn, start.size, rng)
+        if entry.drawn is not None:
+            if self.tilts is None or entry.column is None:
+                state.mode = distributions.draw(entry.drawn, runs, rng)
             else:
-                state.drawn[:, step.column] = self.tilts.scores(step.column, start.size, rng)
-                state.mode = scored(step.drawn, state.drawn[:, step.column])
-        end = start if step.dt == 0.0 else self._moved(step, start, state, rng)
-        state.x = end
-        yield Piece(
-            rows=None,
-            begin=step.begin,
-            dt=step.dt,
-            age=step.age,
-            location=step.location,
-            start=start,
-            end=end,
-            bridge=step.bridge,
-        )
+                state.drawn[:, entry.column] = self.tilts.scores(entry.column, runs, rng)
+                state.mode = scored(entry.drawn, state.drawn[:, entry.column])
+        if (whole := self.whole[row]) is not None:
+            mode = state.mode if entry.own else 0.0
+            pieces = whole.taken(state, mode, sha=self.world.sha, lines=self.lines, rng=rng)
+            if pieces is not None:
+                yield from pieces
+                return
+        for step in steps:
+            start = state.x
+            if step.dt > 0.0:
+                state.x = self._moved(step, start, state, rng)
+            yield Piece(
+                rows=None,
+                begin=step.begin,
+                dt=step.dt,
+                age=step.age,
+                location=step.location,
+                start=start,
+                end=state.x,
+                bridge=step.bridge,
+            )
 
     def _moved(self, step: _Row, start: Array, state: State, rng: np.random.Generator) -> Array:
         rate = self.world.sha.max_rate
@@ -185,7 +204,23 @@ def known(world: World, cuts: Cuts) -> Known:
         )
     clock = np.concatenate([[0.0], np.cumsum(steps.dt)])
     rows, columns = _with_columns(world, _rows(world, steps, clock))
-    return Known(world, clock, rows, notes_of(trace, world, cuts.bound, len(steps.unmatched)), columns)
+    most = 1 if cuts.lines is None or isfinite(world.sha.max_rate) else long_steps.MOST_PIECES
+    firsts = [0]
+    for k, (row, after) in enumerate(pairwise(rows), start=1):
+        same = after.age > row.age and after.offset == row.offset  # the stay, and so m, and what the inputs add to it
+        if not (same and row.sigma and after.sigma) or k - firsts[-1] == most:
+            firsts.append(k)
+    firsts.append(len(rows))
+    return Known(
+        world=world,
+        clock=clock[firsts],
+        rows=rows,
+        firsts=tuple(firsts),
+        whole=tuple(_whole(rows[first:last]) for first, last in pairwise(firsts)),
+        lines=cuts.lines or (),
+        notes=notes_of(trace, world, cuts.bound, len(steps.unmatched)),
+        columns=columns,
+    )
 
 
 def notes_of(trace: Trace, world: World, bound: float, unmatched: int) -> tuple[str, ...]:
@@ -297,6 +332,28 @@ def _rows(world: World, steps: Schedule, clock: Array) -> tuple[_Row, ...]:
             )
         )
     return tuple(rows)
+
+
+def _whole(rows: Sequence[_Row]) -> NestedStep | None:
+    """Several rows as one step; None for a single one."""
+    if len(rows) == 1:
+        return None
+    return long_steps.joined(
+        [
+            NestedStep(
+                begin=row.begin,
+                dt=row.dt,
+                age=row.age,
+                location=row.location,
+                decay=row.decay,
+                pull=row.pull if row.own else 0.0,
+                shift=row.shift,
+                variance=row.sigma**2,
+                bridge=row.bridge,
+            )
+            for row in rows
+        ]
+    )
 
 
 def _with_columns(world: World, rows: Sequence[_Row]) -> tuple[tuple[_Row, ...], int]:

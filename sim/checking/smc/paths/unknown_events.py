@@ -7,11 +7,13 @@ runs are in one and the same stay, its pieces are the same for all and are worke
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import isfinite, sqrt
+from math import ceil, isfinite, sqrt
 
 import numpy as np
 
+from sim.checking.smc.paths import long_steps
 from sim.checking.smc.paths.known_events import MOST_ROWS, Cuts
+from sim.checking.smc.paths.long_steps import NestedStep
 from sim.checking.smc.paths.plan import (
     LEAST_DECAY,
     Indices,
@@ -129,8 +131,7 @@ class SemiMarkov:
     ) -> Iterator[Piece]:
         """The pieces of a row in which all runs are in one stay that none leaves: times and coefficients are numbers.
 
-        The same arithmetic in the same order as `_stop` and `_moved` do for runs apart, so that a seed's runs do not
-        depend on which way they came.
+        Piece by piece it is the same arithmetic in the same order as `_stop` and `_moved` do for runs apart.
         """
         sha = self.world.sha
         place, entered = int(state.location[0]), float(state.entered[0])
@@ -142,31 +143,49 @@ class SemiMarkov:
             begins.append(stop)
         times = np.array(begins)
         ages, steps = times - entered, np.array(ends) - times
-        columns = (begins, steps, ages, *flows.coefficients(flow, ages, steps))
-        for now, dt, age, decay, pull, variance in zip(*(np.asarray(each).tolist() for each in columns), strict=True):
-            start = state.x
-            if isfinite(sha.max_rate):
-                state.limited += (np.abs(flows.drift(flow, start, mode, age)) > sha.max_rate) & (dt > 0)
-                mean = flows.mean_step(flow, start, mode, age=age, dt=dt, max_rate=sha.max_rate)
-            else:
-                mean = decay * start
-                mean += pull * mode
-            x = rng.standard_normal(start.size)
-            x *= sqrt(variance)
-            x += mean
-            state.x, outside = clamp(sha, x)
-            if outside is not None:
-                state.clamps += outside
-            yield Piece(
-                rows=None,
+        columns = (times, steps, ages, *flows.coefficients(flow, ages, steps))
+        parts = [
+            NestedStep(
                 begin=now,
                 dt=dt,
                 age=age,
                 location=place,
-                start=start,
-                end=state.x,
+                decay=decay,
+                pull=pull,
+                shift=0.0,
+                variance=variance,
                 bridge=variance / max(decay, LEAST_DECAY),
             )
+            for now, dt, age, decay, pull, variance in zip(*(column.tolist() for column in columns), strict=True)
+        ]
+        most = long_steps.MOST_PIECES if self.cuts.lines is not None and not isfinite(sha.max_rate) else 1
+        each = ceil(len(parts) / ceil(len(parts) / most))  # groups of about the same size
+        for first in range(0, len(parts), each):
+            group = parts[first : first + each]
+            if len(group) > 1 and flow.params["noise"]:
+                whole = long_steps.joined(group).taken(state, mode, sha=sha, lines=self.cuts.lines or (), rng=rng)
+                if whole is not None:
+                    yield from whole
+                    continue
+            for part in group:
+                yield self._taken(part, state, mode, rng)
+
+    def _taken(self, step: NestedStep, state: State, mode: Array | float, rng: np.random.Generator) -> Piece:
+        """A single piece of runs that are in one stay."""
+        sha, start = self.world.sha, state.x
+        if isfinite(sha.max_rate):
+            flow = sha.locations[step.location].flow
+            state.limited += (np.abs(flows.drift(flow, start, mode, step.age)) > sha.max_rate) & (step.dt > 0)
+            mean = flows.mean_step(flow, start, mode, age=step.age, dt=step.dt, max_rate=sha.max_rate)
+        else:
+            mean = step.mean(start, mode)
+        x = rng.standard_normal(start.size)
+        x *= sqrt(step.variance)
+        x += mean
+        state.x, outside = clamp(sha, x)
+        if outside is not None:
+            state.clamps += outside
+        return step.piece(None, start, state.x)
 
     def _stop(self, state: State, who: Indices, now: Array, end: float, *, looked: bool) -> tuple[Array, Mask]:
         """Where each run stops next, and whether a condition on its clocks changes there."""
@@ -213,12 +232,15 @@ class SemiMarkov:
                 )
         if not isfinite(rate):
             mean = decay * start + pull * mode
-        noise = np.sqrt(variance) * rng.standard_normal(who.size)
+        white = rng.standard_normal(who.size)
+        noise = np.sqrt(variance) * white
         if (plant := self.world.tracker.plant) is not None and plant.disturbance is not None:
             # Beside the limit on the rate, which is that of the flow: a disturbance is noise with a memory.
-            k, p = plant.rate[location], plant.disturbance.params
-            step = disturbance_step(p["memory"], dt, np.divide(pull, k, out=dt.copy(), where=k > 0))
-            fresh = p["sigma"] * np.sqrt(step.fresh) * rng.standard_normal(who.size)
+            p = plant.disturbance.params
+            step = disturbance_step(p["memory"], plant.rate[location], dt)
+            # What of the disturbance's doing in X its own news do not tell is drawn with the white noise.
+            noise = np.sqrt(variance + p["sigma"] ** 2 * step.own) * white
+            fresh = p["sigma"] * np.sqrt(step.dd) * rng.standard_normal(who.size)
             heat = state.hidden[who, plant.heat_state]
             noise += step.carried * heat + step.into * fresh
             state.hidden[who, plant.heat_state] = step.keep * heat + fresh
