@@ -116,12 +116,13 @@ class Model:
 def plain_model(model: Model, member: PlainMember) -> Model:
     """A plain member as a model of one location, which every symbol of the alphabet leaves where it is.
 
-    It predicts what `model` predicts, by the same alphabet, in the sensor's own scale.
+    It predicts what `model` predicts, by the same alphabet, in the sensor's own scale. It has no range: where the
+    readings have left the model's, it is the one who still follows them.
     """
     place = Location("any", Flow("constant", {"noise": member.walk}), entry="none")
     edges = tuple(Edge("any", symbol, "any") for symbol in alphabet_symbols(model.alphabet))
     effects = (Effect("heat-disturbance", {"sigma": member.heat, "memory": member.memory}),) if member.heat else ()
-    sha = SHA(member.name, (place,), edges, "any", low=model.sha.low, high=model.sha.high, effects=effects)
+    sha = SHA(member.name, (place,), edges, "any", low=-inf, high=inf, effects=effects)
     return Model(
         sha,
         model.alphabet,

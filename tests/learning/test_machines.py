@@ -7,6 +7,7 @@ import pytest
 
 from sim.artefacts.model_json import model_text, parse_model
 from sim.engine.belief import advance, compile_model, machine_offset, observe, on_event, start
+from sim.forecast import LEVELS, forecast
 from sim.learning.bins import learn as bins
 from sim.learning.bins.candidates import CANDIDATES
 from sim.learning.bins.learn import Learned, learn_bins
@@ -17,7 +18,7 @@ from sim.learning.preparation import splits
 from sim.sha.events import DECANTER, Alphabet, Switch, encode
 from sim.sha.model import PlainMember, plain_model
 from sim.sha.trace import Event, Trace
-from tests.learning.plants import Truth, simulate
+from tests.learning.plants import Truth, simulate, with_signal
 
 OFFSETS = {"one": -6.0, "two": 0.0, "three": 5.0, "four": 2.0}
 
@@ -139,6 +140,19 @@ def test_a_trend_member_goes_on_with_the_trend(monkeypatch: pytest.MonkeyPatch) 
             belief = observe(tracker, belief, float(second), 40.0 + 0.01 * second)
         ends.append(advance(tracker, belief, 360.0).x)
     assert ends[0] == pytest.approx(43.6, abs=0.1) and ends[1] == pytest.approx(43.0, abs=0.1)
+
+
+def test_beyond_the_models_range_the_trend_is_still_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    hot = [with_signal(trace, T=trace.signals["T"] + 60.0) for trace in of_machine("m", 0.0, 1, cycles=3)]
+    model = learned(hot, monkeypatch).model
+    hottest = max(float(trace.signals["T"].max()) for trace in hot)
+    assert model.sha.high >= hottest + 50.0, "the next machine may run hotter than any before"
+    trend = compile_model(plain_model(model, PlainMember(TREND, 0.05, 0.001, heat=0.01, memory=1600.0)))
+    belief = start(trend, 0.0, model.sha.high + 10.0)
+    for second in range(1, 301):
+        belief = observe(trend, belief, float(second), model.sha.high + 10.0 + 0.01 * second)
+    fan = forecast(trend, belief, (60.0,), np.random.default_rng(0), runs=64)
+    assert float(fan.quantiles[LEVELS.index(0.5), 0]) == pytest.approx(model.sha.high + 13.6, abs=0.3)
 
 
 def test_odds_are_for_who_was_better_on_data_held_out_and_go_through_json(monkeypatch: pytest.MonkeyPatch) -> None:

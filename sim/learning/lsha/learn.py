@@ -41,7 +41,7 @@ BUDGET, PART_BUDGET = 20_000, 5_000
 """Knots to which the runs are sampled for the last fit, and for the fits of the bands."""
 FLOW_EVENTS = 2_000
 """Events of the sample of traces on which the flow hypotheses are compared."""
-ORIGINS = 25
+ORIGINS = 60
 """Forecasts by which the bands of each part are judged."""
 
 Progress = Callable[[str, float], None]
