@@ -504,6 +504,10 @@ def fit_noises(
         replace(task, steps=replace(steps, repeats=_repeats(steps, memory)), sensor_memory=memory)
         for memory in memories.sensor
     ]
+    # The search is only worth its time where some memory is likelier already, before anything else has moved with it.
+    losses = [float(trial.loss(strange[:, None], weight)[0]) for trial in (task, *lasting)]
+    if min(losses) == losses[0]:
+        lasting = []
     if (found := _worth_it(task, strange, lasting, strange, weight)) is not None:
         task = found[0]
         best = task.fitted(weight, best)

@@ -55,6 +55,13 @@ def test_the_map_is_exactly_what_the_device_reads_and_the_largest_block_is_its_o
     assert found.too_long in (0, limit + 1)
 
 
+def test_two_addresses_that_are_not_read_together_say_nothing_of_blocks_elsewhere() -> None:
+    found = explored({298, 299}, 2, {299}, 0, 300)
+    assert found.seams == [299] and found.too_long == 0 and found.largest == 1
+    longer = explored({10, 11, 12, 13, 298, 299}, 2, {299}, 0, 300)
+    assert longer.largest == 2 and longer.too_long in (0, 3)
+
+
 @settings(max_examples=30, deadline=None)
 @given(stretches, st.integers(1, 60))
 def test_the_bound_on_requests_holds_and_what_it_leaves_open_is_not_called_refused(

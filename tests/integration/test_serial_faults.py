@@ -26,12 +26,18 @@ FAULTS = (
 SECONDS = 0.7
 
 
+TOLERATED = ("duplicate", "split")
+"""What a driver has to bear without losing a sample."""
+
+
 async def read_under(fault: dict[str, object], plc: Plc, record: list[Sample]) -> None:
     """Poll while the fault lasts. Blocks of four registers: their replies are alike, and could be taken for another."""
     device = load_device(MAP)
     face = plc.ready["faces"]["serial"]
     line = {"transport": "rtu", "serial": face["path"], "baud": 115200, "parity": face["parity"]}
-    settings = {**device.settings, **line, "timeout": 0.1, "attempts": 1, "max_registers": 4, "longest_reply": 0.5}
+    # Where no sample may be lost, a busy machine must not make a reply late.
+    timeout = 2.0 if fault["kind"] in TOLERATED else 0.1
+    settings = {**device.settings, **line, "timeout": timeout, "attempts": 1, "max_registers": 4, "longest_reply": 0.5}
     offset = float(plc.ready["epoch"]) - float(plc.ready["monotonic"])
     driver = open_driver("modbus", settings, clock=lambda: time.monotonic() + offset)
     await driver.open()
@@ -49,8 +55,7 @@ async def test_under_every_fault_of_a_line_no_wrong_value_is_good(tmp_path: Path
             seen: list[Sample] = []
             await read_under(fault, plc, seen)
             bad = sum(sample.quality is not Quality.GOOD for sample in seen)
-            tolerated = fault["kind"] in ("duplicate", "split")
-            assert (bad == 0) if tolerated else (bad > 0), (fault, bad)
+            assert (bad == 0) if fault["kind"] in TOLERATED else (bad > 0), (fault, bad)
             wrong = wrong_good(read_recording(rig.recording), seen)
             assert wrong == [], fault
         plc.order("stop")

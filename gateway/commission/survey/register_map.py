@@ -151,8 +151,9 @@ class _RangeSearch:
         if self.map.largest > length:
             return False
         if length == 1:
-            # A single address crosses nothing, so the test is two of them, where the block has so many.
-            return count < 3 or not (yield from self._ask(start + 1, 2))
+            # A single address crosses nothing, so the test is two of them. Where the block has no more than two, what
+            # was seen is that it is not read across, and nothing about blocks elsewhere.
+            return count > 2 and not (yield from self._ask(start + 1, 2))
         # One address further on the same length crosses a seam that lay just behind it.
         return (yield from self._ask(start + 1, length))
 
