@@ -183,7 +183,7 @@ def test_the_exported_text_draws_them_by_their_law(effects: tuple[Effect, ...]) 
     trace = trace_of()
     native = moments(schedule(made.sha, trace.events, [0.0, 800.0], inputs=trace, policy="resync"), 22.0)
     rng, runs = np.random.default_rng(6), 300
-    document = export(made, trace, tick=5)
+    document = export(made, trace, tick=10)
 
     def draw(function: str, mean: float, sigma: float) -> float:
         assert function == "random_normal"
