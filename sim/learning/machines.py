@@ -47,12 +47,14 @@ def machines_of(traces: Sequence[Trace], temperature: str) -> tuple[str, ...]:
     return tuple(trace.machine for trace in traces if np.isfinite(trace.signals.get(temperature, np.empty(0))).any())
 
 
-def next_stay(scatter: float, stays: int) -> float:
-    """The sigma (degC) of the next stay's m, where `stays` of them scatter by `scatter`.
+def next_stay(scatter: float, stays: int, kind: str) -> float:
+    """The sigma of the next stay's m, in the unit of m, where `stays` of them scatter by `scatter` in a flow of `kind`.
 
-    Drawn towards FIRST_SCATTER as if one stay had shown that, and as wide as so few allow (`small_sample`).
+    As wide as so few allow (`small_sample`). Where m is a temperature it is drawn towards FIRST_SCATTER as if one stay
+    had shown that; of a drift nothing is believed before: three degrees are no drift.
     """
-    drawn = np.sqrt((stays * scatter**2 + FIRST_SCATTER**2) / (stays + 1))
+    first = FIRST_SCATTER if kind in RELAXING else scatter
+    drawn = np.sqrt((stays * scatter**2 + first**2) / (stays + 1))
     return float(drawn) * small_sample(stays)
 
 

@@ -72,8 +72,9 @@ def test_the_belief_of_a_new_machine_begins_wide_and_finds_its_offset(monkeypatc
 
 def test_few_values_are_widened_as_students_t_and_many_are_left_alone() -> None:
     assert small_sample(1) > 5.0 > small_sample(2) > 1.5 > small_sample(8) > 1.1 > small_sample(100) > 1.0
-    assert next_stay(0.5, 1000) == pytest.approx(0.5, rel=0.05)
-    assert next_stay(0.5, 1) > 5.0
+    assert next_stay(0.5, 1000, "exponential") == pytest.approx(0.5, rel=0.05)
+    assert next_stay(0.5, 1, "driven") > 5.0
+    assert next_stay(0.001, 1, "linear") == pytest.approx(0.001 * small_sample(1)), "a drift is no temperature"
 
 
 def test_parts_hold_machines_out_where_there_are_several() -> None:

@@ -224,7 +224,7 @@ def fit_motion(
         if column >= 0:
             # The law of m: what is not known of its mean, and the scatter from stay to stay.
             stays = np.unique(runs.stay[(runs.place == number) & ~runs.first]).size
-            scatter = next_stay(float(noise.scatter[number]), stays)
+            scatter = next_stay(float(noise.scatter[number]), stays, location.flow.kind)
             law = (float(fit.linear[column]), float(errors[column]), scatter)
             sigma = float(np.hypot(law[1], law[2]))
             params = {**location.flow.params, "noise": float(noise.process[groups[number]])}
