@@ -95,12 +95,8 @@ def learned_sha(
             continue
         column = shape.target[place]
         stays = np.unique(runs.stay[(runs.place == place) & ~runs.first]).size
-        sigma = float(
-            np.hypot(
-                next_stay(float(noise.scatter[place]), stays, sha.locations[place].flow.kind),
-                fit.errors_at_rates[column],
-            )
-        )
+        scatter = next_stay(float(noise.scatter[place]), stays, location.flow.kind)
+        sigma = float(np.hypot(scatter, fit.errors_at_rates[column]))
         params = {**location.flow.params, "noise": float(noise.process[groups[place]])}
         law = Distribution("normal", {"mu": float(fit.linear[column]), "sigma": sigma})
         laws[location.name] = law
