@@ -25,7 +25,7 @@ import numpy as np
 from sim.effects import dead_time
 from sim.engine import state_estimate
 from sim.engine.belief_state import Belief, Delayed, Hidden, Innovation, belief_of
-from sim.engine.tracker import Tracker, compile_model, compiled, next_location
+from sim.engine.tracker import Tracker, compile_model, compiled, next_location, repeat_factor
 from sim.scores import surprise
 from sim.sha import UNKNOWN, Array, Event, Model, Trace, distributions
 
@@ -168,7 +168,7 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
     square = value * value / expected
     recent = (*belief.recent, square)
     if tracker.sensor_memory and belief.read_at is not None:
-        sensor = tracker.reading_variance(time - belief.read_at)
+        sensor *= repeat_factor(tracker.sensor_memory, time - belief.read_at)
     # The Kalman update with H = (1, 0), written out. xx R / (xx + R) is xx - xx^2 / (xx + R) without its cancellation,
     # so xx stays positive after a reading far better than the prediction; mm has no such form and is held at 0.
     variance = xx + sensor

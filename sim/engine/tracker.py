@@ -79,18 +79,12 @@ class Tracker:
     plant: Plant | None = None
     sensor_memory: float = 0.0
 
-    def reading_variance(self, since: float) -> float:
-        """The variance (degC^2) with which a reading corrects the state, `since` s after the one before it.
-
-        An error with a memory is not averaged out by reading often: the readings count as those whose errors are
-        independent and whose mean over a long time is as uncertain (`repeat_factor`).
-        """
-        return self.sensor * repeat_factor(self.sensor_memory, since) if self.sensor_memory else self.sensor
-
 
 def repeat_factor(memory: float, since: float) -> float:
     """By how much the variance of a reading is multiplied whose error is correlated as exp(-t / memory) with others.
 
+    Such an error is not averaged out by reading often: readings count as those whose errors are independent and whose
+    mean over a long time is as uncertain.
     `memory` > 0 and `since` (the time between readings) in s. The mean of many such readings has the variance of one,
     times (1 + r) / (1 - r) for the correlation r of neighbours, over their number (Bartlett 1946).
     """

@@ -209,14 +209,8 @@ class Ensemble:
 
     def shares(self, context: str) -> Array:
         """(H, members) the weights in a context, the first model's first."""
-        return np.array(list(self._weights(context).values()))
-
-    def _weights(self, context: str) -> dict[float, tuple[float, ...]]:
-        """horizon (s) -> the members' weights, in the order of the settings."""
-        ascending = sorted(self.evidence)
-        made = weights_by_horizon([self.evidence[horizon].pool for horizon in ascending], context)
-        by_horizon = dict(zip(ascending, made, strict=True))
-        return {horizon: by_horizon[horizon] for horizon in self.evidence}
+        # The settings' horizons ascend, as those are that weights are passed on along.
+        return np.array(weights_by_horizon([state.pool for state in self.evidence.values()], context))
 
     def follow(self, scan: Scan, measured: float | None) -> None:
         """Move all members on by a scan, and learn from its reading what the forecasts that were due are worth."""
@@ -281,7 +275,7 @@ class Ensemble:
         return {
             "members": self.names,
             "context": context,
-            "weights": {f"{h:g}": list(each) for h, each in self._weights(context).items()},
+            "weights": {f"{h:g}": row for h, row in zip(self.evidence, self.shares(context).tolist(), strict=True)},
             "evidence": {f"{h:g}": _evidence(state.pool) for h, state in self.evidence.items()},
             "held": {f"{h:g}": recent_coverage(self.joint, h) for h in self.evidence},
             "failures": {member.name: member.failure for member in self.members if member.failure},
