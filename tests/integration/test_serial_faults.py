@@ -57,8 +57,8 @@ async def test_under_every_fault_of_a_line_no_wrong_value_is_good(tmp_path: Path
             bad = sum(sample.quality is not Quality.GOOD for sample in seen)
             assert (bad == 0) if fault["kind"] in TOLERATED else (bad > 0), (fault, bad)
             if fault["kind"] in TOLERATED:
-                # Waiting out the longer deadline, even once, would leave room for a single round.
-                assert sum(sample.tag == seen[0].tag for sample in seen) > 5, fault
+                # Nor may it take most of that longer deadline: there would be time for a single round.
+                assert sum(sample.tag == seen[0].tag for sample in seen) > 1, fault
             wrong = wrong_good(read_recording(rig.recording), seen)
             assert wrong == [], fault
         plc.order("stop")
