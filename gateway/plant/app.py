@@ -47,7 +47,7 @@ async def run(
     stop = stop or asyncio.Event()
     clock = clock or plant_clock(config.clock.speed)
     with ExitStack() as opened:
-        log = log or opened.enter_context(open_log(config.log.path, config.log.level))
+        log = log or opened.enter_context(open_log(config.log.path, config.log.level, rotation=config.log))
         machine = Machine(config, driver=driver or make_driver(config, clock), clock=clock, log=log)
         reporter = asyncio.create_task(_report(machine, status_path), name="status")
         # The local socket is a convenience: a gateway that cannot have one runs without it, and says so.
@@ -172,5 +172,5 @@ def serve(
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
         return await run(config, clock=clock, stop=stop, status_path=status_path, log=log)
 
-    with open_log(config.log.path, config.log.level, sys.stderr if console else None) as log:
+    with open_log(config.log.path, config.log.level, sys.stderr if console else None, rotation=config.log) as log:
         return asyncio.run(main(log))

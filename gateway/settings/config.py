@@ -89,10 +89,13 @@ class HistorianSection(Section):
 
 
 class LogSection(Section):
-    """Structured log: JSON lines to a file."""
+    """Structured log: JSON lines to a file, which is begun anew by size and age."""
 
     path: FilePath | None = Field(None, description="the path of the log file")
     level: Literal["debug", "info", "warning", "error"] = Field("info", description="debug, info, warning or error")
+    max_mb: float = Field(10.0, ge=0.001, le=10_000, description="the largest size of one file in megabytes")
+    max_days: float = Field(30.0, gt=0, le=3660, description="the days after which a new file is begun")
+    keep: int = Field(9, ge=1, le=999, description="how many older files are kept, 1 to 999")
 
 
 class ForecastSection(Section):
