@@ -4,6 +4,7 @@ Several machines may live in one process: everything is an argument or belongs t
 """
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from structlog.typing import FilteringBoundLogger
@@ -160,12 +161,12 @@ class Machine:
         """What the device itself says is wrong with it, now."""
         return self.driver.complaints() if isinstance(self.driver, Complains) else ()
 
-    async def arm(self, by: str, reason: str, minutes: float) -> Arming:
-        """Let blocks be written from the next scan on. Raises ArmingError."""
+    async def arm(self, by: str, reason: str, minutes: float, acknowledged: Sequence[str] = ()) -> Arming:
+        """Let blocks be written from the next scan on; `acknowledged` are heads of lost rows. Raises ArmingError."""
         unverified = self.model.unverified if self.model else ""
         if self.block is None:
             raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
-        return await self.block.arm(by, reason, minutes, unverified=unverified)
+        return await self.block.arm(by, reason, minutes, unverified=unverified, acknowledged=acknowledged)
 
     async def disarm(self, by: str, reason: str) -> bool:
         """Take everything back at the PLC, if it can be reached, and write no more; False if it was not armed."""
@@ -198,5 +199,5 @@ class Machine:
 
     def close(self) -> bool:
         """Store what waits and close historian and audit log; False if records had to be given up."""
-        accounted = self.block is None or self.block.audit.close()
+        accounted = self.block is None or self.block.close()
         return self.historian.close() and accounted

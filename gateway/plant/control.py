@@ -196,13 +196,16 @@ def plain(sample: Sample) -> dict[str, Any]:
 
 
 async def _arm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
-    """Let blocks be written from the next scan on: `by`, `reason`, `minutes`."""
+    """Let blocks be written from the next scan on: `by`, `reason`, `minutes`; perhaps `acknowledge`, lost heads."""
     by, reason, minutes = (request.get(key) for key in ("by", "reason", "minutes"))
     number = isinstance(minutes, int | float) and not isinstance(minutes, bool)
     if not (isinstance(by, str) and isinstance(reason, str) and number):
         raise ControlError("arming needs by and reason as text and minutes as a number")
+    lost = request.get("acknowledge", [])
+    if not isinstance(lost, list) or not all(isinstance(head, str) for head in lost):
+        raise ControlError("acknowledge is a list of heads as text")
     try:
-        arming = await machine.arm(by, reason, float(minutes or 0.0))
+        arming = await machine.arm(by, reason, float(minutes or 0.0), lost)
     except ArmingError as error:
         raise ControlError(str(error)) from None
     return {"pid": os.getpid(), "by": arming.by, "reason": arming.reason, "until": arming.until}

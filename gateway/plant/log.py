@@ -12,7 +12,7 @@ from typing import Any, TextIO
 import structlog
 from structlog.typing import FilteringBoundLogger, Processor
 
-from gateway.one_line import one_line
+from gateway.one_line import one_line, printable
 from gateway.plant.folding import WINDOW_SECONDS, Folding
 from gateway.plant.log_file import LogFile
 from gateway.settings import LogSection
@@ -74,16 +74,8 @@ class _Tee:
 def _printable(_logger: object, _name: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
     """No text of an event can begin a line of its own or steer a terminal; a traceback keeps its lines."""
     for key, value in event.items():
-        event[key] = "\n".join(map(one_line, value.split("\n"))) if key == "exception" else _clean(value)
+        event[key] = "\n".join(map(one_line, value.split("\n"))) if key == "exception" else printable(value)
     return event
-
-
-def _clean(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {one_line(str(key)): _clean(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_clean(inner) for inner in value]
-    return value if value is None or isinstance(value, int | float) else one_line(str(value))
 
 
 @contextmanager

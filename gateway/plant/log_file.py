@@ -112,14 +112,3 @@ class LogFile:
         with suppress(OSError, ValueError, KeyError, TypeError), self.path.open("rb") as file:
             return datetime.fromisoformat(json.loads(file.readline(_LONGEST))["timestamp"]).timestamp()
         return self._wall()
-
-
-def log_files(path: Path) -> list[Path]:
-    """The log's files that are there, the oldest first."""
-    numbered = {
-        int(suffix): file
-        for file in path.parent.glob(f"{path.name}.*")
-        if (suffix := file.name.removeprefix(f"{path.name}.")).isdecimal()
-    }
-    older = [numbered[number] for number in sorted(numbered, reverse=True)]
-    return [*older, path] if path.exists() else older

@@ -50,6 +50,12 @@ class WritebackSection(Section):
         None, ge=0.1, le=1000, description="the most blocks a real second, 0.1 to 1000, or no key for twice the scans"
     )
     audit: FilePath | None = Field(None, description="the path of the audit log, beside the historian without this key")
+    audit_key: FilePath | None = Field(
+        None, description="the path of the key that signs the audit log's heads, beside the log without this key"
+    )
+    audit_heads: FilePath | None = Field(
+        None, description="the path of the file of signed heads, on another disk or share if there is one"
+    )
 
     @model_validator(mode="after")
     def _armed_is_signed(self) -> "WritebackSection":
@@ -210,6 +216,16 @@ class Config:
         return self.writeback.audit or self.historian.path.with_name("audit.sqlite")
 
     @property
+    def audit_key(self) -> Path:
+        """The key that signs the audit log's heads."""
+        return self.writeback.audit_key or self.audit.with_suffix(".key")
+
+    @property
+    def audit_heads(self) -> Path:
+        """The file of the audit log's signed heads."""
+        return self.writeback.audit_heads or self.audit.with_suffix(".heads.jsonl")
+
+    @property
     def blocks_per_second(self) -> float:
         """The most blocks a real second: as configured, or twice the scans and at least LEAST_BLOCKS."""
         return self.writeback.most_per_second or max(LEAST_BLOCKS, 2.0 * self.clock.speed / self.scan.period)
@@ -256,7 +272,10 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> Confi
         scan=content.scan,
         model=model,
         writeback=content.writeback.model_copy(
-            update={"audit": content.writeback.audit and home / content.writeback.audit}
+            update={
+                key: (given := getattr(content.writeback, key)) and home / given
+                for key in ("audit", "audit_key", "audit_heads")
+            }
         ),
         alarms=content.alarms,
         historian=historian,

@@ -11,12 +11,13 @@ import json
 import sqlite3
 import threading
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gateway.one_line import printable
 from gateway.store.chain import BEGIN, digest
 from sim.strict_json import json_text
 
@@ -57,6 +58,12 @@ class AuditEntry:
     who: str = ""
     reason: str = ""
     detail: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # Names and reasons come from people and from the device: none of them breaks a line or steers a terminal.
+        for name in ("kind", "who", "reason", "detail"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, printable(value))
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,6 +245,17 @@ def head(path: Path) -> str:
     with closing(_reader(path)) as connection:
         row = connection.execute("SELECT hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
     return bytes(row[0]).hex() if row else BEGIN.hex()
+
+
+def hashes(path: Path, rows: Iterable[int] | None = None) -> dict[int, str]:
+    """The hashes at these rows, as far as they are there; None: at the newest. Raises AuditError."""
+    query = "SELECT id, hash FROM audit WHERE id = ?"
+    wanted: list[tuple[int, ...]] = [(row,) for row in rows or ()]
+    if rows is None:
+        query, wanted = "SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1", [()]
+    with closing(_reader(path)) as connection:
+        found = [row for each in wanted for row in connection.execute(query, each)]
+    return {int(number): bytes(digest).hex() for number, digest in found}
 
 
 # ---------------------------------------------------------------- the file

@@ -3,6 +3,7 @@
 from gateway.machine.writing.arming import ArmingError, arm_in_log, arming_of, disarm_in_log, signed
 from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE, Validity, build, crc, next_heartbeat
 from gateway.machine.writing.block_stage import BlockStage
+from gateway.machine.writing.witnessing import clear_for_arming, countersign, places_of
 from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
 
 __all__ = [
@@ -18,8 +19,11 @@ __all__ = [
     "arm_in_log",
     "arming_of",
     "build",
+    "clear_for_arming",
+    "countersign",
     "crc",
     "disarm_in_log",
     "next_heartbeat",
+    "places_of",
     "signed",
 ]

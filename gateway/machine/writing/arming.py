@@ -1,6 +1,7 @@
 """Arming and disarming: who lets the gateway write, why and for how long. It counts once the audit log has it."""
 
 import asyncio
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -91,11 +92,13 @@ def open_writer(
     historian: Historian,
     audit: Audit,
     log: FilteringBoundLogger,
+    obstacle: Callable[[], str] = lambda: "",
 ) -> Writer:
     """The writer of the block `layout`, in the configured mode, which is not off.
 
     It is armed by the configuration, or by `decanter plc arm` before the gateway began; only while that lasts, and only
-    once the audit log has it. Raises ConfigError for a driver that cannot write.
+    once the audit log has it. `obstacle` says why nothing may be armed at all. Raises ConfigError for a driver that
+    cannot write.
     """
     section, now = config.writeback, clock.now()
     writer = Writer(layout, clock, "shadow", pace=Pace(config.blocks_per_second), audit=audit)
@@ -110,6 +113,9 @@ def open_writer(
         row = standing(audit.path, now)
         arming = arming_of(row) if row else None
     if arming is None:
+        return writer
+    if reason := obstacle():
+        log.error("not armed", reason=reason)
         return writer
     # First on record, then armed: what cannot be accounted for is not written.
     historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])

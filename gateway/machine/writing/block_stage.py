@@ -1,7 +1,8 @@
 """The block of a scan: what goes into its fields, whether the PLC may use them, and what became of it."""
 
+import asyncio
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from struct import pack
 
 from structlog.typing import FilteringBoundLogger
@@ -9,11 +10,12 @@ from structlog.typing import FilteringBoundLogger
 from drivers.driver import Driver
 from gateway.machine.model import ZONES, ScanPrediction, block_values
 from gateway.machine.reading import Clock, Scan
-from gateway.machine.writing.arming import ArmingError, arm, open_writer
+from gateway.machine.writing.arming import ArmingError, arm, open_writer, signed
 from gateway.machine.writing.block import Validity, validity
+from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
 from gateway.machine.writing.writeback import Arming, Attempt
 from gateway.settings import Config, WritebackLayout
-from gateway.store import Historian, open_audit
+from gateway.store import Historian, open_or_set_aside
 from sim.forecast import Forecast
 
 LATENCIES = 10_000
@@ -42,12 +44,25 @@ class BlockStage:
         self._refusals: Mapping[int, str] = tag.labels if tag else {}
         self.attempt: Attempt | None = None
         self.latencies: deque[float] = deque(maxlen=LATENCIES)
-        self.audit = open_audit(config.audit)
+        self.audit, damaged = open_or_set_aside(config.audit)
+        if damaged:
+            log.error("the audit log was damaged", reason=damaged)
+        self.witnessing = HeadWitnessing(config, historian, log)
+        self._signed = clock.now()
+        self._signing: asyncio.Task[None] | None = None
         opened = False
         try:
             self.writer = open_writer(
-                config, layout, clock=clock, driver=driver, historian=historian, audit=self.audit, log=log
+                config,
+                layout,
+                clock=clock,
+                driver=driver,
+                historian=historian,
+                audit=self.audit,
+                log=log,
+                obstacle=lambda: obstacle(self.witnessing.places)[0],
             )
+            self.witnessing.sign(self._signed)
             opened = True
         finally:
             if not opened:
@@ -72,6 +87,10 @@ class BlockStage:
         `unverified` says why the model must not write ("" if it may): one that does not verify is never armed.
         """
         self.take_counts(scan)
+        if scan.time - self._signed >= SIGN_SECONDS:
+            self._signed = scan.time
+            # In a thread: no scan waits for the disk.
+            self._signing = asyncio.create_task(asyncio.to_thread(self.witnessing.sign, scan.time))
         # Taking back comes first: no block of an arming that is over may follow it.
         if over := self._disarming(scan.time, unverified):
             await self.withdraw(over, scan, alarms)
@@ -130,13 +149,27 @@ class BlockStage:
         by = self.writer.arming.by if self.writer.arming else ""
         self._historian.put("audit", [(self._clock.now(), f"validity 0: {verdict}", by, why)])
 
-    async def arm(self, by: str, reason: str, minutes: float, *, unverified: str = "") -> Arming:
-        """Let blocks be written from the next scan on. Raises ArmingError."""
+    async def arm(
+        self, by: str, reason: str, minutes: float, *, unverified: str = "", acknowledged: Sequence[str] = ()
+    ) -> Arming:
+        """Let blocks be written from the next scan on; `acknowledged` are heads of lost rows. Raises ArmingError."""
         if unverified:
             raise ArmingError(f"the model that runs does not verify: {unverified}")
+        signed(by, reason, minutes, self._clock.now())  # what is not even signed leaves no row
+        witnessing = self.witnessing
+        await asyncio.to_thread(
+            clear_for_arming,
+            witnessing.places,
+            self.audit.record,
+            by=by,
+            now=self._clock.now(),
+            acknowledged=acknowledged,
+            sinks=witnessing.sinks,
+        )
         arming = await arm(self.writer, self._driver, by=by, reason=reason, minutes=minutes)
         self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
+        await asyncio.to_thread(witnessing.sign, self._clock.now())
         return arming
 
     def disarm(self, by: str, reason: str) -> None:
@@ -145,6 +178,13 @@ class BlockStage:
         self.writer.disarm(now, by, reason)
         self._historian.put("audit", [(now, "disarmed", by, reason)])
         self._log.warning("disarmed", by=by, reason=reason)
+
+    def close(self) -> bool:
+        """Store what waits, sign the last head and close the audit log; False if entries had to be given up."""
+        complete = self.audit.close()
+        if complete:
+            self.witnessing.sign(self._clock.now())
+        return complete
 
     def _record(self, attempt: Attempt) -> None:
         before, self.attempt = self.attempt, attempt

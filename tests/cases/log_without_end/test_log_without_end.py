@@ -13,12 +13,13 @@ import pytest
 
 from gateway.plant.folding import FORMS, Folding
 from gateway.plant.log import open_log
-from gateway.plant.log_file import RETRY_SECONDS, LogFile, log_files
+from gateway.plant.log_file import RETRY_SECONDS, LogFile
 from gateway.settings import LogSection
+from gateway.store import numbered_files
 
 
 def lines(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for file in log_files(path) for line in file.read_text(encoding="utf-8").splitlines()]
+    return [json.loads(line) for file in numbered_files(path) for line in file.read_text(encoding="utf-8").splitlines()]
 
 
 @pytest.mark.parametrize(
@@ -88,7 +89,7 @@ def test_a_new_file_is_begun_by_size_and_no_line_is_lost_but_the_oldest_files(tm
     with open_log(path, rotation=LogSection(max_mb=0.01, keep=3)) as log:
         for number in range(2000):
             log.info(f"event x{number}")
-    files = log_files(path)
+    files = numbered_files(path)
     assert [file.name for file in files] == [*(f"log.jsonl.{number}" for number in (3, 2, 1)), "log.jsonl"]
     assert all(file.stat().st_size <= 10_000 for file in files)
     numbers = [int(row["event"].removeprefix("event x")) for row in lines(path)]
@@ -103,7 +104,7 @@ def test_a_new_file_is_begun_by_age_also_after_a_restart_and_whatever_the_clock_
         file = LogFile(path, max_bytes=1 << 20, max_days=2.0, keep=2, wall=lambda: now[0])
         file.write('{"timestamp": "2023-11-14T22:13:20Z"}')
         file.close()
-        return len(log_files(path))
+        return len(numbered_files(path))
 
     assert once() == 1
     now[0] += 1.9 * 86_400
