@@ -16,12 +16,22 @@ from gateway.store.audit import (
     verify,
 )
 from gateway.store.audit_damage import open_or_set_aside
+from gateway.store.backup import (
+    BackupError,
+    Manifest,
+    as_one_file,
+    discard,
+    make_backup,
+    put_in_place,
+    read_manifest,
+    stage,
+)
 from gateway.store.chain import first_break, hash_of
 from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
 from gateway.store.historian import Historian, Row, open_historian, saved_state
 from gateway.store.read_back import events, history, matured, reading, recent, samples, to_trace
 from gateway.store.score import percentile, scorecard
-from gateway.store.signing import SigningKeyError, load_or_make_key
+from gateway.store.signing import SigningKeyError, load_key, load_or_make_key, public_path
 from gateway.store.witness import (
     HEAD_EVENT,
     HEAD_STATE,
@@ -48,13 +58,17 @@ __all__ = [
     "AuditError",
     "AuditRow",
     "AuditVerdict",
+    "BackupError",
     "HeadSink",
     "Historian",
+    "Manifest",
     "Row",
     "SignedHead",
     "SigningKeyError",
     "WitnessPlaces",
     "acknowledgement",
+    "as_one_file",
+    "discard",
     "events",
     "examine",
     "first_break",
@@ -63,7 +77,9 @@ __all__ = [
     "heads_file",
     "history",
     "last_arming",
+    "load_key",
     "load_or_make_key",
+    "make_backup",
     "matured",
     "numbered_files",
     "open_audit",
@@ -71,7 +87,10 @@ __all__ = [
     "open_or_set_aside",
     "percentile",
     "places_beside",
+    "public_path",
+    "put_in_place",
     "read",
+    "read_manifest",
     "reading",
     "recent",
     "samples",
@@ -79,6 +98,7 @@ __all__ = [
     "scorecard",
     "set_aside",
     "sign_head",
+    "stage",
     "standing",
     "sync_folder",
     "to_trace",
