@@ -18,7 +18,7 @@ from gateway.plant.app import run
 from gateway.settings import Config, load_config
 from gateway.store import examine, open_historian
 from gateway.store.audit import ARMED, DISARMED, AuditEntry, AuditError, open_audit, read, standing, verify
-from gateway.store.backup import MANIFEST, BackupError, read_manifest
+from gateway.store.backup import MANIFEST, BackupError, _seal, read_manifest
 from tests.gateway.support import EPOCH, MAP, Bench, JumpClock, config_in, logged, two_modes
 
 ARMED_BY_FILE: dict[str, Any] = {"armed_by": "Ada", "reason": "test", "minutes": 480.0}
@@ -55,6 +55,14 @@ async def go(config: Config, clock: JumpClock, reads: int, at: int = 0, backup: 
         assert bench.reads < reads or bench.stop.is_set()
     await asyncio.wait_for(running, 60.0)
     return bench
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A backup that was made while its gateway ran."""
+    home = tmp_path_factory.mktemp("made")
+    asyncio.run(go(armed_config(home / "plant"), JumpClock(), 400, at=30, backup=home / "backup"))
+    return home / "backup"
 
 
 @pytest.fixture
@@ -134,9 +142,10 @@ def test_a_restore_over_a_gateway_needs_to_be_told_keeps_what_was_there_and_show
     ],
 )
 def test_a_backup_that_is_not_whole_is_refused_and_nothing_is_touched(
-    backed: tuple[Config, JumpClock, Path], tmp_path: Path, harm: str, words: str
+    made: Path, tmp_path: Path, harm: str, words: str
 ) -> None:
-    _, _, folder = backed
+    folder = tmp_path / "backup"
+    shutil.copytree(made, folder)
     path = folder / MANIFEST
     content = json.loads(path.read_text())
     stored = folder / content["files"][-1]["stored"]
@@ -160,8 +169,6 @@ def test_a_backup_that_is_not_whole_is_refused_and_nothing_is_touched(
         stored.rename(tmp_path / "elsewhere")
         stored.symlink_to(tmp_path / "elsewhere")
     else:
-        from gateway.store.backup import _seal
-
         del content["seal"]
         content["format"] += harm == "newer format"
         if harm == "newer layout":
@@ -195,9 +202,8 @@ def test_a_backup_that_fails_leaves_nothing_and_none_is_made_over_another(
 
 
 def test_a_restore_that_fails_half_way_leaves_no_draft(
-    backed: tuple[Config, JumpClock, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, _, folder = backed
     calls: list[object] = []
 
     def full(*values: object, ns: object) -> None:
@@ -206,7 +212,7 @@ def test_a_restore_that_fails_half_way_leaves_no_draft(
             raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("gateway.store.backup.os.utime", full)
-    done = decanter("restore", folder, "--into", tmp_path / "box")
+    done = decanter("restore", made, "--into", tmp_path / "box")
     assert done.exit_code == 2 and not [path for path in (tmp_path / "box").rglob("*") if path.is_file()]
 
 
