@@ -78,7 +78,7 @@ class Plc:
 
 @contextmanager
 def software_plc(folder: Path, speed: float = 1.0) -> Iterator[Plc]:
-    """The software PLC at `speed` plant seconds a second, recording everything, with a synthetic run of the decanter as its trace."""
+    """The software PLC at `speed` plant seconds a second, recording everything; it replays a synthetic run."""
     trace, recording = folder / "replay.csv", folder / "plc.jsonl"
     write_trace(scenario(REPLAYED), trace)
     options = ["--map", MAP, "--trace", trace, "--offset", OFFSET, "--loop", "--record", recording, "--stdin"]

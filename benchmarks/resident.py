@@ -1,4 +1,4 @@
-"""Does the gateway's memory level off? Its resident size over hours of plant time, and how fast it still grows at the end.
+"""Does the gateway's memory level off? Its resident size over hours of plant time, and how fast it grows at the end.
 
 The gateway runs as `decanter run` starts it, armed, with model, historian, log and forecasts, against the software PLC
 whose trace goes on; a plant second takes less than a second of both clocks. The resident size is VmRSS of
