@@ -3,7 +3,6 @@
 from gateway.store.audit import (
     ARMED,
     CANCELLED,
-    CLOCK_TOLERANCE,
     DISARMED,
     EXPIRED,
     Audit,
@@ -12,6 +11,7 @@ from gateway.store.audit import (
     Uptime,
     armings,
     cancelling,
+    end_of,
     head,
     last_arming,
     open_audit,
@@ -28,7 +28,6 @@ from gateway.store.score import percentile, scorecard
 __all__ = [
     "ARMED",
     "CANCELLED",
-    "CLOCK_TOLERANCE",
     "DISARMED",
     "EXPIRED",
     "Audit",
@@ -39,6 +38,7 @@ __all__ = [
     "Uptime",
     "armings",
     "cancelling",
+    "end_of",
     "events",
     "first_break",
     "hash_of",

@@ -63,10 +63,6 @@ CREATE TRIGGER audit_in_order BEFORE INSERT ON audit WHEN NEW.id IS NOT (SELECT 
 """
 
 
-CLOCK_TOLERANCE = 5.0
-"""Seconds by which a wall clock may be set back (by NTP, say) without ending an arming over a restart."""
-
-
 @dataclass(frozen=True, slots=True)
 class Uptime:
     """Seconds since this start of the machine, sleep included, and which start it is ("": not known)."""
@@ -362,25 +358,29 @@ def standing(path: Path, now: float, uptime: Uptime | None = None) -> AuditRow |
 def over(path: Path, row: AuditRow, now: float, uptime: Uptime | None = None) -> str:
     """Why the arming of an ARMED row of this log is over at `now`; "" while it lasts. Raises AuditError.
 
-    The wall clock alone is not believed: nothing that was stored since then may be of later than `now`, and while the
-    machine has not been started anew (`uptime`), its own count of seconds may not have passed the arming's either.
+    The wall clock alone is not believed: nothing that was stored since then may be of later than `now`.
     """
-    until = float(row.entry.detail["until"])
-    if now >= until:
+    if now >= float(row.entry.detail["until"]):
         return "its time is over"
-    if now < row.entry.time:
-        return "the clock stands before the moment of its signature, so that its time cannot be told"
     with closing(_reader(path)) as connection:
         newest = connection.execute("SELECT max(time) FROM audit WHERE id >= ?", (row.id,)).fetchone()[0]
-    if newest is not None and now < float(newest) - CLOCK_TOLERANCE:
-        return f"the clock stands {float(newest) - now:.0f} s before the newest record, so that its time cannot be told"
-    if newest is not None and float(newest) >= until:
-        return "its time is over"
-    if uptime is not None and uptime.boot and row.entry.detail.get("boot") == uptime.boot:
-        spent = (uptime.seconds - float(row.entry.detail["uptime"])) * float(row.entry.detail.get("speed", 1.0))
-        if spent >= until - row.entry.time:
-            return "its time is over by the machine's own count, whatever its clock says"
+    if newest is not None and now < float(newest):
+        return f"the clock stands {float(newest) - now:.3g} s before the newest record, so that its time cannot be told"
+    if now >= end_of(row, now, uptime):
+        return "its time is over by the machine's own count, whatever the clock says"
     return ""
+
+
+def end_of(row: AuditRow, now: float, uptime: Uptime | None = None) -> float:
+    """When the arming of an ARMED row ends, in the time of `now`.
+
+    While the machine has not been started anew its own count of seconds bounds what is left (`uptime`).
+    """
+    entry, until = row.entry, float(row.entry.detail["until"])
+    if uptime is None or not uptime.boot or entry.detail.get("boot") != uptime.boot:
+        return until
+    spent = (uptime.seconds - float(entry.detail["uptime"])) * float(entry.detail.get("speed", 1.0))
+    return min(until, now + until - entry.time - spent)
 
 
 def verify(path: Path, head: str = "") -> ChainVerdict:
