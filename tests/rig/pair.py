@@ -5,9 +5,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +159,12 @@ class Rig:
     folder: Path
     records: Path
     speed: float = 1.0
+    environment: Mapping[str, str] | None = None
+    """Of the gateway's process; this one's own if it is None."""
+
+    def with_environment(self, environment: Mapping[str, str]) -> "Rig":
+        """The same rig, whose gateway has this environment."""
+        return replace(self, environment=environment)
 
     @property
     def recording(self) -> Path:
@@ -204,7 +210,8 @@ class Rig:
         status.unlink(missing_ok=True)
         port = [] if "[[device.links]]" in self.plant.read_text(encoding="utf-8") else ["--port", plc.ready["port"]]
         arguments = ["run", "--config", self.plant, *port, "--clock", plc.clock, "--quiet"]
-        process = _started("gateway.cli.main", *map(str, arguments), "--status", str(status), *options)
+        whole = [*map(str, arguments), "--status", str(status), *options]
+        process = _started("gateway.cli.main", *whole, environment=self.environment)
         return Gateway(process, status)
 
     def _plc_options(self) -> list[str]:
@@ -256,10 +263,10 @@ def end(process: "subprocess.Popen[str]") -> None:
             pipe.close()
 
 
-def _started(module: str, *arguments: str) -> "subprocess.Popen[str]":
+def _started(module: str, *arguments: str, environment: Mapping[str, str] | None = None) -> "subprocess.Popen[str]":
     pipe = subprocess.PIPE
     command = [sys.executable, "-m", module, *arguments]
-    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, cwd=ROOT)
+    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, cwd=ROOT, env=environment)
 
 
 def _ready(process: "subprocess.Popen[str]") -> Plc:
