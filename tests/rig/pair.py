@@ -220,9 +220,16 @@ class Rig:
 
 
 def make_rig(
-    folder: Path, trace: Trace, *, period: float, speed: float = 1.0, device: Path = MAP, records: Path | None = None
+    folder: Path,
+    trace: Trace,
+    *,
+    period: float,
+    speed: float = 1.0,
+    device: Path = MAP,
+    records: Path | None = None,
+    mode: str = "armed",
 ) -> Rig:
-    """Write the files of a rig: an armed gateway with the known model that scans each `period` plant seconds.
+    """Write the files of a rig: a gateway with the known model that scans each `period` plant seconds.
 
     Every reading of every scan is stored (max_interval below the period), so that the judge misses none. `device` is
     the register map that the gateway works by, `records` the folder of historian and log (else `folder` too).
@@ -234,7 +241,8 @@ def make_rig(
         f"[device]\nfile = {json.dumps(str(device))}\nheartbeat_period = {5 * CYCLE_S:g}",
         f"[scan]\nperiod = {period:g}",
         '[model]\npath = "model.json"',
-        '[writeback]\nmode = "armed"\narmed_by = "rig"\nreason = "bench on loopback"\nminutes = 480',
+        f"[writeback]\nmode = {json.dumps(mode)}",
+        *(['armed_by = "rig"\nreason = "bench on loopback"\nminutes = 480'] if mode == "armed" else []),
         f"[historian]\npath = {json.dumps(str(rig.historian))}\nmax_interval = {period / 100:g}",
         f"[forecast]\nhorizons = [30]\nruns = 50\nperiod = {10 * period:g}",
         f"[log]\npath = {json.dumps(str(rig.records / 'gateway.jsonl'))}",
