@@ -72,8 +72,7 @@ def opened(path: Path, tags: Iterable[Tag], *, max_mb: float, mend: bool = False
     """
     tags = tuple(tags)
     try:
-        if mend:
-            _checked(path)
+        _examined(path, whole=mend)
         return _connected(path, tags, max_mb)
     except DamagedHistorianError as error:
         if not mend:
@@ -139,16 +138,8 @@ def _connection(path: Path, synchronous: str, most_pages: int) -> sqlite3.Connec
 
 
 def _prepared(connection: sqlite3.Connection, path: Path, tags: tuple[Tag, ...]) -> dict[str, int]:
-    kind = connection.execute("PRAGMA application_id").fetchone()[0]
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     tables = {str(row[0]) for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-    if tables and kind != APPLICATION_ID:
-        raise HistorianError(f"{path}: is a database of something else; give the path of a historian or of a new file")
-    if tables and version not in MIGRATIONS and version != VERSION:
-        raise HistorianError(
-            f"{path}: has layout {version}, this gateway writes {VERSION}; give the path of a new file, or run the "
-            "gateway that wrote it"
-        )
     if tables and version != VERSION:
         _migrated(connection, path, version)
         tables = set(COLUMNS)
@@ -225,18 +216,40 @@ def _besides(path: Path) -> list[Path]:
     return [path.with_name(path.name + ending) for ending in _BESIDES]
 
 
-def _checked(path: Path) -> None:
-    """Raise DamagedHistorianError if SQLite finds the file damaged, as far as it comes in CHECK_SECONDS."""
+def _examined(path: Path, *, whole: bool) -> None:
+    """Raise HistorianError for what is no historian of ours, DamagedHistorianError for one that SQLite finds damaged.
+
+    It is only read: a file that is refused is left as it was, and a WAL of another database is not worked into it. With
+    `whole` its pages are checked, as far as that comes in CHECK_SECONDS.
+    """
     if not path.is_file() or not path.stat().st_size:
         return
     until = time.monotonic() + CHECK_SECONDS
     try:
-        with closing(sqlite3.connect(path, isolation_level=None, timeout=1.0)) as connection:
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=1.0)) as connection:
+            kind = int(connection.execute("PRAGMA application_id").fetchone()[0])
+            version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+            # The file's own header (sqlite.org/fileformat.html, 1.3): what the WAL says may be another's.
+            with path.open("rb") as stream:
+                own = int.from_bytes(stream.read(72)[68:])
+            if kind != APPLICATION_ID and own == APPLICATION_ID:
+                raise DamagedHistorianError(f"{path}: its WAL is of another database")
+            if kind != APPLICATION_ID and connection.execute("SELECT 1 FROM sqlite_master").fetchone():
+                raise HistorianError(
+                    f"{path}: is a database of something else; give the path of a historian or of a new file"
+                )
+            if version > VERSION:
+                raise HistorianError(
+                    f"{path}: has layout {version}, this gateway writes {VERSION}; give the path of a new file, or run "
+                    "the gateway that wrote it"
+                )
             connection.set_progress_handler(lambda: int(time.monotonic() > until), 10_000)
-            verdict = str(connection.execute("PRAGMA quick_check(1)").fetchone()[0])
+            verdict = str(connection.execute("PRAGMA quick_check(1)").fetchone()[0]) if whole else "ok"
     except sqlite3.Error as error:
         if is_damage(error):
-            raise DamagedHistorianError(f"{path}: cannot be read ({error})") from None
+            raise DamagedHistorianError(
+                f"{path}: cannot be used ({error}); give the path of a historian or of a new file"
+            ) from None
         return  # the time was over, or what opens it next says why it cannot be
     if verdict != "ok":
         raise DamagedHistorianError(f"{path}: {verdict.splitlines()[-1]}")
@@ -269,24 +282,32 @@ def _recovered(aside: Path, target: sqlite3.Connection) -> tuple[int, bool]:
     rows, complete = 0, True
     if not aside.is_file():
         return 0, True
-    for _attempt in range(2):
-        with suppress(sqlite3.Error), closing(sqlite3.connect(aside, isolation_level=None)) as source:
-            known = {str(row[0]) for row in source.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-            version = int(source.execute("PRAGMA user_version").fetchone()[0])
-            for table in ("tags", "state", "runs", "audit", "alarms", "writes", "chunks", "tiers", *NAMES):
-                names = [str(row[1]) for row in target.execute(f"PRAGMA table_info({table})")]
-                if table not in WITHOUT_ROWID and (version > 1 or "id" in names):
-                    names = ["rowid", *(name for name in names if name != "id")]
-                if table not in known or target.execute(f"SELECT 1 FROM {table} LIMIT 1").fetchone():  # noqa: S608
-                    continue
+    wal, put_by = _besides(aside)[1], aside.with_name(aside.name + ".wal")
+    with suppress(OSError):
+        wal.rename(put_by)
+        # A WAL that spoils a sound file is of another one, and stays out of it; any other has the newest rows.
+        with closing(_reader(aside)) as source:
+            try:
+                sound = source.execute("PRAGMA quick_check(1)").fetchone()[0] == "ok"
+            except sqlite3.Error:
+                sound = False
+        if not sound:
+            put_by.rename(wal)
+    with suppress(sqlite3.Error), closing(_reader(aside)) as source:
+        known = {str(row[0]) for row in source.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        version = int(source.execute("PRAGMA user_version").fetchone()[0])
+        for table in dict.fromkeys(("tags", "state", "runs", "audit", "alarms", "writes", "chunks", "tiers", *NAMES)):
+            names = [str(row[1]) for row in target.execute(f"PRAGMA table_info({table})")]
+            if table not in WITHOUT_ROWID and (version > 1 or "id" in names):
+                names = ["rowid", *(name for name in names if name != "id")]
+            if table in known:
                 copied, whole = _copied(source, target, table, names, until)
                 rows, complete = rows + copied, complete and whole
-        if rows:
-            break
-        # A WAL of another database would make nonsense of this one: once more without it.
-        with suppress(OSError):
-            _besides(aside)[1].rename(aside.with_name(aside.name + ".wal"))
     return rows, complete
+
+
+def _reader(path: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)
 
 
 def _copied(

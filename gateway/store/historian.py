@@ -358,7 +358,7 @@ class Historian:
                 if self._at_once:
                     self._round(everything=False)
         except (sqlite3.Error, PackedError) as error:
-            if isinstance(error, PackedError) or is_damage(error):
+            if isinstance(error, PackedError) or not concerns_file(error) or is_damage(error):
                 self.note = f"{self.path}: {table or 'the file'} is damaged ({error}); a restart recovers what is left"
                 return
             self.failure = f"{self.path}: old rows cannot be put away ({error}); make room or mend the disk"

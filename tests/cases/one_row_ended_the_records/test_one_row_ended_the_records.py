@@ -1,4 +1,4 @@
-"""One uint64 value of 2^63 or more ended the historian's thread for good: no failure, no line in the log, exit code 0."""
+"""One uint64 value of 2^63 or more ended the historian's thread for good: no failure, no line in the log, exit 0."""
 
 import sqlite3
 import time
