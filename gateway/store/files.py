@@ -17,7 +17,9 @@ from drivers.tag import Tag
 from gateway.store.retention import concerns_file, is_damage, transaction
 from gateway.store.schema import APPLICATION_ID, COLUMNS, INDICES, NAMES, VERSION, WITHOUT_ROWID, definition
 
-PAGE = 4096
+PAGE = 1024
+"""Bytes of a page of a new file. A commit writes whole pages, mostly of one row or two, and a packed column ends in the
+middle of one: small pages write and waste less."""
 CHECK_SECONDS = 2.0
 """How long a file is checked for damage before the gateway goes on with what it has seen of it."""
 RECOVERY_SECONDS = 20.0
@@ -96,10 +98,10 @@ def _connected(path: Path, tags: tuple[Tag, ...], max_mb: float) -> HistorianFil
     connections: list[sqlite3.Connection] = []
     try:
         # Measurements leave a reserve: an alarm that is raised when the file is full still has its row.
-        with closing(_connection(path, "FULL", int(limit / PAGE))) as first:
+        with closing(_connection(path, "FULL", limit)) as first:
             numbers = _prepared(first, path, tags)
-        connections.append(_connection(path, "NORMAL", int((limit - reserve) / PAGE)))
-        connections.append(_connection(path, "FULL", int(limit / PAGE)))
+        connections.append(_connection(path, "NORMAL", limit - reserve))
+        connections.append(_connection(path, "FULL", limit))
         return HistorianFile(path, connections[0], connections[1], numbers, path.stat().st_ino)
     except (sqlite3.Error, OSError) as error:
         for connection in connections:
@@ -118,7 +120,7 @@ def _connected(path: Path, tags: tuple[Tag, ...], max_mb: float) -> HistorianFil
         raise UnusableHistorianError(f"{path}: cannot be used ({error}); {remedy}") from None
 
 
-def _connection(path: Path, synchronous: str, most_pages: int) -> sqlite3.Connection:
+def _connection(path: Path, synchronous: str, most_bytes: float) -> sqlite3.Connection:
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
     try:
         # Before anything else: a database takes up auto_vacuum only while it is empty (sqlite.org/pragma.html), and the
@@ -130,7 +132,10 @@ def _connection(path: Path, synchronous: str, most_pages: int) -> sqlite3.Connec
         # 64 MiB: a WAL that grew while a reader held it back is cut to this once it is checkpointed.
         connection.execute("PRAGMA journal_size_limit = 67108864").fetchone()
         # The file's largest size: beyond it SQLite says that the disk is full, before the disk is.
-        connection.execute(f"PRAGMA max_page_count = {most_pages}").fetchone()
+        page = int(connection.execute("PRAGMA page_size").fetchone()[0])
+        connection.execute(f"PRAGMA max_page_count = {int(most_bytes / page)}").fetchone()
+        # 4 MB: each page that was written more than once since the last checkpoint goes to its place once.
+        connection.execute(f"PRAGMA wal_autocheckpoint = {4_000_000 // page}").fetchone()
     except sqlite3.Error:
         connection.close()
         raise

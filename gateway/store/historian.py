@@ -107,7 +107,8 @@ class Historian:
                     self._rows.append((table, row))
             if self._waits_since is None and (self._rows or self._urgent):
                 self._waits_since = monotonic()
-            if table in AT_ONCE and self._urgent:
+            # Many writes do not wait for their second either: of a replay as fast as it goes none is to be dropped.
+            if self._urgent and (table in AT_ONCE or len(self._urgent) >= URGENT // 10):
                 self._at_once = True
                 self._wake.notify_all()
 
@@ -319,7 +320,7 @@ class Historian:
                 if (
                     code == sqlite3.SQLITE_FULL
                     and disk_usage(self.path.parent).free > DISK_MARGIN
-                    and make_room(self._normal, max(64, pages(self._normal)[0] // 50))
+                    and make_room(self._normal, max(128, pages(self._normal)[0] // 50))
                 ):
                     continue
                 # A bad page or a missing table, told by the one table that was written to.

@@ -156,10 +156,12 @@ class _SampleReader:
                     continue
                 self._stamps[batch] = unpack(row[0])
             times, sent = self._stamps[batch]
-            for place, value, quality in zip(which, values, qualities, strict=True):
-                rows.append((times[place], value, quality, sent[place]))  # type: ignore[index,arg-type]
+            rows += [
+                (time, value, quality, sent[place])  # type: ignore[misc,index]
+                for place, value, quality in zip(which, values, qualities, strict=True)
+                if start <= (time := times[place]) < end  # type: ignore[index,operator]
+            ]
         query = "SELECT time, value, quality, sent FROM samples WHERE tag = ? AND time >= ? AND time < ?"
-        rows = [row for row in rows if start <= row[0] < end]
         rows += connection.execute(query, (tag, start, end)).fetchall()
         return sorted(rows, key=lambda row: row[0])
 
@@ -220,12 +222,17 @@ def events(path: Path) -> tuple[Event, ...]:
         return tuple(Event(*row) for row in stored_rows(connection, "events", ("time", "symbol")))
 
 
-def samples(path: Path) -> Iterator[Sample]:
-    """Every stored sample, tag by tag in the order of time; `sent` as the driver gave it, None where not good."""
+def samples(path: Path, tag: str | None = None, start: float = -inf, end: float = inf) -> Iterator[Sample]:
+    """Every stored sample with start <= time < end, of one tag or tag by tag, in the order of time.
+
+    `sent` is as the driver gave it, None where not good. Raises HistorianError.
+    """
     with reading(path) as connection:
-        for tag, name in connection.execute("SELECT id, name FROM tags ORDER BY id").fetchall():
+        for number, name in connection.execute("SELECT id, name FROM tags ORDER BY id").fetchall():
+            if tag not in (None, name):
+                continue
             with _one_moment(connection):
-                rows = _SampleReader(connection).rows(tag)
+                rows = _SampleReader(connection).rows(number, start, end)
             for time, value, quality, sent in rows:
                 yield Sample(name, restored(value), Quality(quality), time, sent)
 

@@ -13,12 +13,11 @@ import pytest
 from drivers.tag import Tag
 from gateway.plant.app import run
 from gateway.settings.config import Config
-from gateway.store.files import HistorianError
+from gateway.store.files import PAGE, HistorianError
 from gateway.store.historian import open_historian
 from tests.gateway.support import EPOCH, TEMPERATURE, Bench, JumpClock, config_in, logged
 
 ROWS = 4_000
-PAGE = 4096
 
 
 def written(path: Path, rows: int = ROWS) -> None:
