@@ -93,6 +93,19 @@ class HistorianSection(Section):
     retention_days: float = Field(90.0, gt=0, description="the days after which measurements are deleted")
     max_mb: float = Field(4096.0, ge=1, description="the largest size of the file in megabytes, at least 1")
     max_interval: float = Field(5.0, gt=0, description="seconds after which an unchanged value is stored again")
+    max_off_days: float = Field(
+        7.0, gt=0, description="the days that the gateway may have been off before its clock is doubted"
+    )
+    disarm_after: float | None = Field(
+        60.0,
+        ge=1,
+        description="seconds without records until an armed gateway disarms itself, at least 1; false: never",
+    )
+
+    @field_validator("disarm_after", mode="before")
+    @classmethod
+    def _seconds_or_never(cls, seconds: object) -> object:
+        return None if seconds is False else seconds
 
 
 class LogSection(Section):
@@ -163,6 +176,7 @@ class ClockSection(Section):
     """Plant seconds per real second: other than 1 only for replays against a software PLC on this machine."""
 
     speed: float = Field(1.0, gt=0, le=10_000, description="plant seconds per real second, 1 for a real plant")
+    tag: str | None = Field(None, description="the tag of the PLC's own clock, in seconds since 1970 UTC")
 
 
 class _PlantFile(Section):
@@ -289,6 +303,7 @@ def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) ->
     device = links[0].map
     tags = {tag.name for tag in device.tags}
     named = [("model.temperature", content.model.temperature), *(("alarms.tags", tag) for tag in content.alarms.tags)]
+    named += [("clock.tag", content.clock.tag)] if content.clock.tag else []
     problems = [
         f"{key}: {tag!r} is not a tag of {device.path}; give one of its names" for key, tag in named if tag not in tags
     ]

@@ -22,7 +22,19 @@ from gateway.store.audit import (
 )
 from gateway.store.chain import first_break, hash_of
 from gateway.store.historian import Historian, Row, open_historian, saved_state
-from gateway.store.read_back import events, history, matured, reading, recent, samples, to_trace
+from gateway.store.read_back import (
+    events,
+    history,
+    matured,
+    newest_scan,
+    reading,
+    recent,
+    samples,
+    stored_rows,
+    to_trace,
+    trend,
+)
+from gateway.store.schema import storable
 from gateway.store.score import percentile, scorecard
 
 __all__ = [
@@ -46,6 +58,7 @@ __all__ = [
     "history",
     "last_arming",
     "matured",
+    "newest_scan",
     "open_audit",
     "open_historian",
     "over",
@@ -57,6 +70,9 @@ __all__ = [
     "saved_state",
     "scorecard",
     "standing",
+    "storable",
+    "stored_rows",
     "to_trace",
+    "trend",
     "verify",
 ]

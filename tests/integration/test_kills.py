@@ -114,7 +114,7 @@ def many_kills(folder: Path, count: int = KILLS, seed: int = SEED, mode: str = "
         for _ in range(count):
             if rng.random() >= EARLY:
                 bench.well()
-            time.sleep(rng.uniform(0.05, 1.0))
+            time.sleep(rng.uniform(0.05, 1.5))  # within a batch of the historian, and beyond it
             victim = rng.choice(VICTIMS)
             kills[victim] += 1
             bench.kill(victim)
