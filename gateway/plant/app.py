@@ -49,7 +49,7 @@ async def run(
     with ExitStack() as opened:
         log = log or opened.enter_context(open_log(config.log.path, config.log.level, rotation=config.log))
         machine = Machine(config, driver=driver or make_driver(config, clock), clock=clock, log=log)
-        reporter = asyncio.create_task(_report(machine, status_path), name="status")
+        reporter = machine.supervisor.task("status", lambda: _report(machine, status_path))
         # The local socket is a convenience: a gateway that cannot have one runs without it, and says so.
         control = Control(machine, config.control_socket, snapshot)
         try:
@@ -80,7 +80,7 @@ async def run(
             if complete:
                 machine.log.info("stopped", scans=machine.counters.scans, events=machine.counters.events)
             else:
-                failure = machine.historian.failure or (block.audit.failure if block else "")
+                failure = machine.historian.loss or (block.audit.failure if block else "")
                 machine.log.error("stopped, with records that could not be stored", reason=failure)
             reporter.cancel()
             await asyncio.gather(reporter, return_exceptions=True)

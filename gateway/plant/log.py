@@ -12,10 +12,10 @@ from typing import Any, TextIO
 import structlog
 from structlog.typing import FilteringBoundLogger, Processor
 
-from gateway.one_line import one_line, printable
 from gateway.plant.folding import WINDOW_SECONDS, Folding
 from gateway.plant.log_file import LogFile
 from gateway.settings import LogSection
+from sim.strict_json import escaped, strict
 
 LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 _STAMP = structlog.processors.TimeStamper(fmt="iso", utc=True)
@@ -72,9 +72,12 @@ class _Tee:
 
 
 def _printable(_logger: object, _name: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
-    """No text of an event can begin a line of its own or steer a terminal; a traceback keeps its lines."""
+    """Line breaks, ESC and what else steers a terminal or makes two lines of one are written as escapes.
+
+    Reasons hold what devices, files and other programs have said. A traceback keeps its lines.
+    """
     for key, value in event.items():
-        event[key] = "\n".join(map(one_line, value.split("\n"))) if key == "exception" else printable(value)
+        event[key] = "\n".join(map(escaped, value.split("\n"))) if key == "exception" else escaped(strict(value))
     return event
 
 

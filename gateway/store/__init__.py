@@ -2,15 +2,21 @@
 
 from gateway.store.audit import (
     ARMED,
+    CANCELLED,
     DISARMED,
     EXPIRED,
     Audit,
     AuditEntry,
     AuditError,
     AuditRow,
+    Uptime,
+    armings,
+    cancelling,
+    end_of,
     head,
     last_arming,
     open_audit,
+    over,
     read,
     standing,
     verify,
@@ -29,7 +35,19 @@ from gateway.store.backup import (
 from gateway.store.chain import first_break, hash_of
 from gateway.store.durable import numbered_files, set_aside, sync_folder, write_durably
 from gateway.store.historian import Historian, Row, open_historian, saved_state
-from gateway.store.read_back import events, history, matured, reading, recent, samples, to_trace
+from gateway.store.read_back import (
+    events,
+    history,
+    matured,
+    newest_scan,
+    reading,
+    recent,
+    samples,
+    stored_rows,
+    to_trace,
+    trend,
+)
+from gateway.store.schema import storable
 from gateway.store.score import percentile, scorecard
 from gateway.store.signing import SigningKeyError, load_key, load_or_make_key, public_path
 from gateway.store.witness import (
@@ -49,6 +67,7 @@ from gateway.store.witness import (
 
 __all__ = [
     "ARMED",
+    "CANCELLED",
     "DISARMED",
     "EXPIRED",
     "HEAD_EVENT",
@@ -65,10 +84,14 @@ __all__ = [
     "Row",
     "SignedHead",
     "SigningKeyError",
+    "Uptime",
     "WitnessPlaces",
     "acknowledgement",
+    "armings",
     "as_one_file",
+    "cancelling",
     "discard",
+    "end_of",
     "events",
     "examine",
     "first_break",
@@ -81,10 +104,12 @@ __all__ = [
     "load_or_make_key",
     "make_backup",
     "matured",
+    "newest_scan",
     "numbered_files",
     "open_audit",
     "open_historian",
     "open_or_set_aside",
+    "over",
     "percentile",
     "places_beside",
     "public_path",
@@ -100,8 +125,11 @@ __all__ = [
     "sign_head",
     "stage",
     "standing",
+    "storable",
+    "stored_rows",
     "sync_folder",
     "to_trace",
+    "trend",
     "trusted_key",
     "verify",
     "write_durably",

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.store.audit import AuditEntry, ChainVerdict, hashes, read, verify
-from gateway.store.historian import HistorianError
+from gateway.store.files import HistorianError
 from gateway.store.read_back import reading
 from gateway.store.signing import (
     is_signed,

@@ -93,8 +93,7 @@ class BlockStage:
             self._signing = asyncio.create_task(asyncio.to_thread(self.witnessing.sign, scan.time))
         # Taking back comes first: no block of an arming that is over may follow it.
         if over := self._disarming(scan.time, unverified):
-            await self.withdraw(over, scan, alarms)
-            self.writer.disarm(scan.time, reason=over)
+            await self.disarm("", over, scan, alarms)
         state = Validity.NONE
         if prediction is not None:
             state = validity(
@@ -156,7 +155,7 @@ class BlockStage:
         if unverified:
             raise ArmingError(f"the model that runs does not verify: {unverified}")
         signed(by, reason, minutes, self._clock.now())  # what is not even signed leaves no row
-        witnessing = self.witnessing
+        witnessing, generation = self.witnessing, self.writer.generation
         await asyncio.to_thread(
             clear_for_arming,
             witnessing.places,
@@ -166,18 +165,32 @@ class BlockStage:
             acknowledged=acknowledged,
             sinks=witnessing.sinks,
         )
+        if self.writer.generation != generation:
+            raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
         arming = await arm(self.writer, self._driver, by=by, reason=reason, minutes=minutes)
         self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
         await asyncio.to_thread(witnessing.sign, self._clock.now())
         return arming
 
-    def disarm(self, by: str, reason: str) -> None:
-        """Write no more; what stands in the PLC has been taken back before (`withdraw`)."""
-        now = self._clock.now()
-        self.writer.disarm(now, by, reason)
-        self._historian.put("audit", [(now, "disarmed", by, reason)])
-        self._log.warning("disarmed", by=by, reason=reason)
+    async def disarm(self, by: str, reason: str, scan: Scan | None, alarms: int) -> bool:
+        """Take back what stands in the PLC, as the last block that leaves, and write no more; False: it was not armed.
+
+        `by` is "" where the gateway disarms itself; `scan` is the newest one.
+        """
+        now, arming = self._clock.now(), self.writer.arming
+        stamp = self.config.path.stat().st_mtime if self.config.path.exists() else self.config.stamp
+        attempt = await self.writer.disarm(now, by, reason, scan=scan, alarms=alarms, stamp=stamp)
+        if attempt is not None:
+            self._record(attempt)
+        if arming is None:
+            return False
+        who, verdict = by or arming.by, attempt.verdict if attempt else "off"
+        self._historian.put("audit", [(now, f"validity 0: {verdict}", arming.by, reason)])
+        if by:
+            self._historian.put("audit", [(now, "disarmed", by, reason)])
+        self._log.warning("disarmed", by=who, reason=reason)
+        return True
 
     def close(self) -> bool:
         """Store what waits, sign the last head and close the audit log; False if entries had to be given up."""
