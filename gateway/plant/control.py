@@ -144,13 +144,13 @@ async def answer(machine: Machine, line: bytes, snapshot: Snapshot) -> dict[str,
 # ---------------------------------------------------------------- what a request may hold
 
 
-class _Request(Section):
+class _ControlRequest(Section):
     """One request; its other keys are those of its command."""
 
     command: str
 
 
-class _ReadTags(_Request):
+class _ReadTags(_ControlRequest):
     tags: Annotated[list[str], Field(max_length=MOST_ROWS)] | None = Field(
         None, description=f"a list of at most {MOST_ROWS} tags' names"
     )
@@ -163,25 +163,26 @@ class _AddressRow(TagTable):
     writable: Literal[False] = Field(False, description="an address without it, as nothing is written here")
 
 
-class _ReadAddresses(_Request):
+class _ReadAddresses(_ControlRequest):
     addresses: list[_AddressRow] = Field(
         max_length=MOST_ROWS, description='a list such as [{"address": "holding:100", "dtype": "uint16"}]'
     )
 
 
-class _Arm(_Request):
-    by: Line = Field(description="the person's name as text, one line")
-    reason: Line = Field(description="the reason as text, one line")
+class _Arm(_ControlRequest):
+    # What a name and a reason may be is said where the arming is signed.
+    by: str = Field(description="the person's name as text, one line")
+    reason: str = Field(description="the reason as text, one line")
     minutes: float = Field(description="minutes as a number")
     acknowledge: list[Line] = Field([], description="heads of lost rows, each as text")
 
 
-class _Disarm(_Request):
+class _Disarm(_ControlRequest):
     by: Line = Field(description="the person's name as text, one line")
     reason: Line = Field(description="the reason as text, one line")
 
 
-R = TypeVar("R", bound=_Request)
+R = TypeVar("R", bound=_ControlRequest)
 
 
 def _checked(kind: type[R], request: Mapping[str, Any]) -> R:
@@ -196,7 +197,7 @@ def _checked(kind: type[R], request: Mapping[str, Any]) -> R:
 
 
 async def _status(machine: Machine, request: Mapping[str, Any], snapshot: Snapshot) -> dict[str, Any]:
-    _checked(_Request, request)
+    _checked(_ControlRequest, request)
     return {"pid": os.getpid(), "config": str(machine.config.path), "status": snapshot(machine)}
 
 
