@@ -15,6 +15,7 @@ from click.testing import CliRunner
 
 from gateway.cli.main import main
 from gateway.machine.writing import ArmingError, clear_for_arming, countersign, places_of
+from gateway.plant import ControlError, connect
 from gateway.plant.app import run
 from gateway.settings import Config
 from gateway.store import examine, open_audit, places_beside
@@ -300,3 +301,39 @@ def test_no_control_character_reaches_the_audit_log(tmp_path: Path, bad: str) ->
     with closing(sqlite3.connect(path)) as connection:
         (row,) = connection.execute("SELECT kind, who, reason, detail FROM audit").fetchall()
     assert all(text.isprintable() for text in row) and verify(path).problem == ""
+
+
+async def test_a_running_gateway_takes_the_acknowledgement_over_its_socket(tmp_path: Path) -> None:
+    config, clock = config_in(tmp_path, **ARMED_BY_FILE), JumpClock()
+    await go(config, clock)
+    newest = examine(places_of(config)).head
+    begun_anew(config.audit)
+    clock.time += 1.0
+    bench = Bench(config, clock, armed=True)
+    running = asyncio.create_task(run(config, clock=clock, stop=bench.stop, driver=bench))
+
+    async def asked(**keys: Any) -> dict[str, Any]:
+        line = await asyncio.to_thread(connect, config.control_socket)
+        assert line is not None
+        try:
+            return await asyncio.to_thread(line.ask, "arm", by="Bea", reason="r", minutes=5.0, **keys)
+        finally:
+            line.close()
+
+    try:
+        while bench.reads < 5:
+            await asyncio.sleep(0.01)
+        with pytest.raises(ControlError, match=f"--acknowledge-head {newest}"):
+            await asked()
+        with pytest.raises(ControlError, match="acknowledge"):
+            await asked(acknowledge=newest)
+        assert bench.written == []
+        assert (await asked(acknowledge=[newest]))["by"] == "Bea"
+        reads = bench.reads
+        while bench.reads < reads + 10:
+            await asyncio.sleep(0.01)
+        assert bench.written
+    finally:
+        bench.stop.set()
+        await asyncio.wait_for(running, 30.0)
+    assert examine(places_of(config)).problem == ""
