@@ -1,7 +1,7 @@
 """Disarming at thousands of random moments, on every link: what leaves after the reply, and what stands usable then.
 
-`python -m benchmarks.disarms [--moments N] [--seed N]` prints one row a link; exit code 1 if a usable block left after a
-disarming. Half of the disarmings meet a second client's in the same moment. The short form runs in the tests.
+`python -m benchmarks.disarms [--moments N] [--seed N]` prints one row a link; exit code 1 if a usable block left after
+a disarming. Half of the disarmings meet a second client's in the same moment. The short form runs in the tests.
 """
 
 import asyncio
