@@ -27,6 +27,7 @@ BENCHMARKS = (
     "latency",
     "footprint",
     "startup",
+    "historian",
     "encoder",
     "can",
     "canopen",
