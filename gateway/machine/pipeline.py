@@ -3,6 +3,7 @@
 Several machines may live in one process: everything is an argument or belongs to the object, nothing to the module.
 """
 
+import asyncio
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -207,11 +208,10 @@ class Machine:
 
     async def disarm(self, by: str, reason: str) -> bool:
         """Take everything back at the PLC, if it can be reached, and write no more; False if it was not armed."""
-        if self.block is None or not self.block.writer.armed:
+        if self.block is None:
             return False
-        await self.withdraw(f"disarmed by {by}: {reason}")
-        self.block.disarm(by, reason)
-        return True
+        # Whoever asked may go away, or the gateway stop, before it is done: it is carried to its end all the same.
+        return await asyncio.shield(self.block.disarm(by, reason, self.last, self.alarms.word))
 
     async def withdraw(self, why: str) -> None:
         """Tell the PLC once, if armed and permitted, that nothing of ours is to be used any more."""

@@ -49,6 +49,13 @@ class WritebackSection(Section):
     most_per_second: float | None = Field(
         None, ge=0.1, le=1000, description="the most blocks a real second, 0.1 to 1000, or no key for twice the scans"
     )
+    max_age: float | None = Field(
+        None,
+        ge=0.05,
+        le=60,
+        description="how old a block's readings and its permit may be when it is sent, in real seconds from their "
+        "first request on, or no key for two scans, at least 1 s and at most half of the PLC's timer",
+    )
     audit: FilePath | None = Field(None, description="the path of the audit log, beside the historian without this key")
 
     @model_validator(mode="after")
@@ -226,6 +233,16 @@ class Config:
         return self.writeback.most_per_second or max(LEAST_BLOCKS, 2.0 * self.clock.speed / self.scan.period)
 
     @property
+    def block_max_age(self) -> float:
+        """How old a block's readings and its permit may be when it is sent, real seconds: as configured, or by default.
+
+        By default two scans and 1 s at least, and half of the PLC's timer at most.
+        """
+        block = self.map.writeback
+        most = block.timeout / 2 if block is not None else 1.0
+        return self.writeback.max_age or min(max(2.0 * self.scan.period / self.clock.speed, 1.0), most)
+
+    @property
     def watched(self) -> tuple[str, ...]:
         """The tags of the temperatures under the threshold alarm."""
         return self.alarms.tags or (self.model.temperature,)
@@ -315,6 +332,12 @@ def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) ->
         )
     if content.writeback.mode != "off" and device.writeback is None:
         problems.append(f"writeback.mode: {device.path} has no [writeback] table; add one or set mode to 'off'")
+    oldest = content.writeback.max_age
+    if oldest is not None and device.writeback is not None and oldest >= device.writeback.timeout:
+        problems.append(
+            f"writeback.max_age: {oldest:g} s is no less than the PLC's own timer; give less than "
+            f"{device.writeback.timeout:g} (timeout_s in {device.path})"
+        )
     horizon = content.writeback.horizon
     if horizon is not None and horizon not in content.forecast.horizons:
         known = ", ".join(f"{value:g}" for value in content.forecast.horizons)
