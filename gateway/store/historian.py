@@ -119,24 +119,21 @@ class Historian:
             self._forget = moment
 
     @property
-    def loss(self) -> str:
-        """Why what happens now may not be on record: nothing is stored, or a row was lost of late; "" if it is.
-
-        It does not change from one lost row to the next: how many they are is in `dropped` and `refused`.
-        """
-        since, now = self._waits_since, monotonic()
-        if self.failure:
+    def stuck(self) -> str:
+        """Why nothing is stored now; "" while it is."""
+        since = self._waits_since
+        if self.failure or since is None or monotonic() - since <= STALL_SECONDS:
             return self.failure
-        if since is not None and now - since > STALL_SECONDS:
-            return f"{self.path}: nothing has been stored for more than {STALL_SECONDS:g} s; see to the disk"
-        if self._loss and now - self._lost_at < LOSS_SECONDS:
-            return self._loss
-        return ""
+        return f"{self.path}: nothing has been stored for more than {STALL_SECONDS:g} s; see to the disk"
 
     @property
     def complaint(self) -> str:
-        """Why the records cannot be relied on: `loss`, or that a file or table was set aside; "" if they can."""
-        return self.loss or self.note
+        """Why the records cannot be relied on: `stuck`, a row was lost of late, a file set aside; "" if they can.
+
+        It does not change from one lost row to the next: how many they are is in `dropped` and `refused`.
+        """
+        lost = self._loss if monotonic() - self._lost_at < LOSS_SECONDS else ""
+        return self.stuck or lost or self.note
 
     def load(self, key: str) -> tuple[float, Any] | None:
         """A saved state: the time it was saved and its content; None if there is none.
