@@ -20,6 +20,8 @@ from gateway.store.retention import TIERS, means
 from gateway.store.schema import APPLICATION_ID, NAMES, VERSION, number, restored
 from sim.sha import Array, Event, Mask, Trace
 
+MOST_STRETCHES = 20_000
+"""More stretches than any picture shows: a trend by the minute goes back a fortnight, beyond that it is by the hour."""
 SPANS = {"d": 86_400.0, "h": 3600.0, "m": 60.0, "s": 1.0}
 """Seconds of a span's unit."""
 
@@ -297,11 +299,15 @@ class Trend:
     high: Array
 
 
-def trend(path: Path, tag: str, start: float, end: float, *, width: int = TIERS[0]) -> Trend:
+def trend(path: Path, tag: str, start: float, end: float, *, width: int | None = None) -> Trend:
     """The trend of a tag from `start` to `end` (s UTC), from the tier of that `width` (one of TIERS).
+
+    Without a width it is the narrowest tier with MOST_STRETCHES at most in that time.
 
     Raises HistorianError, also for a file of layout 1, and ValueError for another width or a tag that it has not.
     """
+    if width is None:
+        width = next((one for one in TIERS if (end - start) / one <= MOST_STRETCHES), TIERS[-1])
     if width not in TIERS:
         raise ValueError(f"there is no tier of {width} s; give one of {', '.join(map(str, TIERS))}")
     with reading(path) as connection, _one_moment(connection):
