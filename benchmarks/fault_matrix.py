@@ -22,7 +22,7 @@ import click
 
 from drivers.tag import Sample
 from gateway.machine.reading.quality import STALE_PERIODS
-from gateway.store.read_back import reading, samples
+from gateway.store.read_back import reading, samples, stored_rows
 from sim.plc.program.faults import FAULTS as KINDS
 from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.judge import wrong_good
@@ -291,10 +291,8 @@ def _all_good_after(mine: Iterable[Sample], moment: float) -> float:
 def _unconfirmed(historian: Path) -> list[float]:
     """When blocks were sent that the PLC was not seen to take, or could not be sent; those held back for rate aside."""
     with reading(historian) as connection:
-        rows = connection.execute(
-            "SELECT time FROM writes WHERE verdict NOT IN ('written', 'held back') ORDER BY id"
-        ).fetchall()
-    return [float(row[0]) for row in rows]
+        rows = stored_rows(connection, "writes", ("time", "verdict"))
+    return [float(time) for time, verdict in rows if verdict not in ("written", "held back")]
 
 
 def outside(recording: PlcRecording) -> int:

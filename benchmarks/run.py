@@ -29,6 +29,7 @@ BENCHMARKS = (
     "latency",
     "footprint",
     "startup",
+    "historian",
     "encoder",
     "can",
     "canopen",

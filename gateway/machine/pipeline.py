@@ -168,8 +168,8 @@ class Machine:
     async def _disarm_without_records(self, now: float) -> None:
         """Disarm once it has been too long that a write would not be on record."""
         most = self.config.historian.disarm_after
-        if most is not None and self.records_watch.lost_for(now) >= most:
-            reason = f"nothing has been on record for {most:g} s: {self.historian.loss}"
+        if most is not None and self.records_watch.stuck_for(now) >= most:
+            reason = f"nothing has been on record for {most:g} s: {self.historian.stuck}"
             await self.disarm("the gateway", reason[:200])
 
     def _begin_with_promoted(self, model: ModelUnit, now: float) -> None:

@@ -12,12 +12,12 @@ AGREE_SECONDS = 3600.0
 
 
 class RecordsWatch:
-    """Says when the records begin and cease to be a cause for complaint, and since when rows are lost."""
+    """Says when the records begin and cease to be a cause for complaint, and since when nothing is stored."""
 
     def __init__(self, historian: Historian, supervisor: Supervisor, log: FilteringBoundLogger) -> None:
         self._historian, self._supervisor, self._log = historian, supervisor, log
         self.complaint = ""
-        self._lost_since: float | None = None
+        self._stuck_since: float | None = None
 
     def look(self, now: float, audit: str) -> None:
         """Look at the records at `now` (plant s); `audit` is what the audit log complains of."""
@@ -28,14 +28,14 @@ class RecordsWatch:
             self._log.error("the records cannot be relied on", reason=self.complaint, **counts)
         elif before and not self.complaint:
             self._log.info("the records can be relied on again", before=before, **counts)
-        if not historian.loss:
-            self._lost_since = None
-        elif self._lost_since is None:
-            self._lost_since = now
+        if not historian.stuck:
+            self._stuck_since = None
+        elif self._stuck_since is None:
+            self._stuck_since = now
 
-    def lost_for(self, now: float) -> float:
-        """For how long (plant s) what happens has not been on record; 0 if it is."""
-        return 0.0 if self._lost_since is None else now - self._lost_since
+    def stuck_for(self, now: float) -> float:
+        """For how long (plant s) nothing has been stored; 0 while it is."""
+        return 0.0 if self._stuck_since is None else now - self._stuck_since
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,7 +80,7 @@ async def run(
             if complete:
                 machine.log.info("stopped", scans=machine.counters.scans, events=machine.counters.events)
             else:
-                failure = machine.historian.loss or (block.audit.failure if block else "")
+                failure = machine.historian.complaint or (block.audit.failure if block else "")
                 machine.log.error("stopped, with records that could not be stored", reason=failure)
             reporter.cancel()
             await asyncio.gather(reporter, return_exceptions=True)

@@ -9,7 +9,7 @@ import sqlite3
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import disk_usage
 
@@ -84,7 +84,7 @@ def opened(path: Path, tags: Iterable[Tag], *, max_mb: float, mend: bool = False
     rows, complete = _recovered(aside, file.normal)
     what = f"{rows} rows of it were recovered" + ("" if complete else ", and not all that may be left")
     note = f"{path}: was damaged ({reason}) and is set aside as {aside.name}; {what}; a new one was begun"
-    return HistorianFile(path, file.normal, file.full, _numbers(file.normal, tags), file.inode, note)
+    return replace(file, numbers=_numbers(file.normal, tags), note=note)
 
 
 def _connected(path: Path, tags: tuple[Tag, ...], max_mb: float) -> HistorianFile:

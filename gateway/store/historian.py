@@ -1,9 +1,9 @@
 """The embedded historian: SQLite (WAL), written by one thread in batches; the scan never waits for the disk.
 
-Policy of the queue: rows of measurement wait in a queue of at most QUEUE rows, and when it is full (the disk is full or
-has gone) new ones are dropped and counted; rows of DURABLE tables are kept apart, and of those the oldest go beyond
-URGENT. While the disk refuses, `failure` says why and the thread tries again each second; nothing else stops. A row
-that cannot be stored costs that row, a table with a bad page that table: it is counted, and `complaint` says it.
+Policy of the queue: rows of measurement wait in a queue of at most QUEUE rows, rows of DURABLE tables in one of URGENT;
+when one is full (the disk is full or has gone) its oldest rows are dropped and counted. While the disk refuses,
+`failure` says why and the thread tries again each second; nothing else stops. A row that cannot be stored costs that
+row, a table with a bad page that table: it is counted, and `complaint` says it.
 
 Measurements are committed once a second by a connection that does not wait for the disk (synchronous NORMAL), DURABLE
 rows by one that does (FULL), those of AT_ONCE tables at once: a power cut may take the last second of measurements, but
@@ -96,15 +96,9 @@ class Historian:
     def put(self, table: str, rows: Iterable[Row]) -> None:
         """Take rows for a table of INSERTS; they are committed within about a second, those of AT_ONCE at once."""
         with self._wake:
-            for row in rows:
-                if table in DURABLE:
-                    self._urgent.append((table, row))
-                    if len(self._urgent) > URGENT:
-                        self._drop(self._urgent.popleft()[0])
-                elif len(self._rows) >= QUEUE:
-                    self._drop(table)
-                else:
-                    self._rows.append((table, row))
+            queue = self._urgent if table in DURABLE else self._rows
+            queue.extend((table, row) for row in rows)
+            self._drop_beyond_the_queues()
             if self._waits_since is None and (self._rows or self._urgent):
                 self._waits_since = monotonic()
             # Many writes do not wait for their second either: of a replay as fast as it goes none is to be dropped.
@@ -125,24 +119,21 @@ class Historian:
             self._forget = moment
 
     @property
-    def loss(self) -> str:
-        """Why what happens now may not be on record: nothing is stored, or a row was lost of late; "" if it is.
-
-        It does not change from one lost row to the next: how many they are is in `dropped` and `refused`.
-        """
-        since, now = self._waits_since, monotonic()
-        if self.failure:
+    def stuck(self) -> str:
+        """Why nothing is stored now; "" while it is."""
+        since = self._waits_since
+        if self.failure or since is None or monotonic() - since <= STALL_SECONDS:
             return self.failure
-        if since is not None and now - since > STALL_SECONDS:
-            return f"{self.path}: nothing has been stored for more than {STALL_SECONDS:g} s; see to the disk"
-        if self._loss and now - self._lost_at < LOSS_SECONDS:
-            return self._loss
-        return ""
+        return f"{self.path}: nothing has been stored for more than {STALL_SECONDS:g} s; see to the disk"
 
     @property
     def complaint(self) -> str:
-        """Why the records cannot be relied on: `loss`, or that a file or table was set aside; "" if they can."""
-        return self.loss or self.note
+        """Why the records cannot be relied on: `stuck`, a row was lost of late, a file set aside; "" if they can.
+
+        It does not change from one lost row to the next: how many they are is in `dropped` and `refused`.
+        """
+        lost = self._loss if monotonic() - self._lost_at < LOSS_SECONDS else ""
+        return self.stuck or lost or self.note
 
     def load(self, key: str) -> tuple[float, Any] | None:
         """A saved state: the time it was saved and its content; None if there is none.
@@ -200,9 +191,12 @@ class Historian:
             raise UnusableHistorianError(f"{self.path}: is not open")
         return self._file
 
-    def _drop(self, table: str) -> None:
-        self.dropped += 1
-        self._lost(f"{self.path}: rows of {table} were dropped, as too many wait for the disk")
+    def _drop_beyond_the_queues(self) -> None:
+        for queue, most in ((self._urgent, URGENT), (self._rows, QUEUE)):
+            while len(queue) > most:
+                table, _ = queue.popleft()
+                self.dropped += 1
+                self._lost(f"{self.path}: rows of {table} were dropped, as too many wait for the disk")
 
     def _lost(self, what: str) -> None:
         self._loss, self._lost_at = what, monotonic()
@@ -294,8 +288,7 @@ class Historian:
         finally:
             with self._wake:
                 queue.extendleft(reversed(() if stored else batch))
-                while queue is self._urgent and len(queue) > URGENT:
-                    self._drop(queue.popleft()[0])
+                self._drop_beyond_the_queues()
         return stored
 
     def _store(self, connection: sqlite3.Connection, batch: list[tuple[str, Row]]) -> None:
@@ -306,7 +299,7 @@ class Historian:
                 row = (self._renumbered.get(row[0], row[0]), *row[1:])
             by_table.setdefault(table, []).append(row)
         # Each turn but the last makes room, or begins a table anew: there are no more of these than tables.
-        for _ in range(len(INSERTS) + 1):
+        for turn in range(len(INSERTS) + 1):
             refused: list[tuple[str, Exception]] = []
             table = ""
             try:
@@ -316,11 +309,12 @@ class Historian:
             except sqlite3.Error as error:
                 code = getattr(error, "sqlite_errorcode", 0) & 0xFF
                 # Full is the file, which may hold so much, or the disk: what others have filled is no reason to delete.
-                # As much as a fiftieth of the file at a time, so that it is not done anew with every batch.
+                # A fiftieth of the file, so that it is not done anew with every batch; more for one that takes more.
+                total, free = pages(self._normal)
                 if (
                     code == sqlite3.SQLITE_FULL
                     and disk_usage(self.path.parent).free > DISK_MARGIN
-                    and make_room(self._normal, max(128, pages(self._normal)[0] // 50))
+                    and make_room(self._normal, free + (max(128, total // 50) << turn))
                 ):
                     continue
                 # A bad page or a missing table, told by the one table that was written to.

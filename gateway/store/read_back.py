@@ -20,6 +20,8 @@ from gateway.store.retention import TIERS, means
 from gateway.store.schema import APPLICATION_ID, NAMES, VERSION, number, restored
 from sim.sha import Array, Event, Mask, Trace
 
+MOST_STRETCHES = 20_000
+"""More stretches than any picture shows: a trend by the minute goes back a fortnight, beyond that it is by the hour."""
 SPANS = {"d": 86_400.0, "h": 3600.0, "m": 60.0, "s": 1.0}
 """Seconds of a span's unit."""
 
@@ -297,35 +299,42 @@ class Trend:
     high: Array
 
 
-def trend(path: Path, tag: str, start: float, end: float, *, width: int = TIERS[0]) -> Trend:
+def trend(path: Path, tag: str, start: float, end: float, *, width: int | None = None) -> Trend:
     """The trend of a tag from `start` to `end` (s UTC), from the tier of that `width` (one of TIERS).
 
-    Raises HistorianError, and ValueError for another width or a tag that it has not.
+    Without a width it is the narrowest tier with MOST_STRETCHES at most in that time.
+
+    Raises HistorianError, also for a file of layout 1, and ValueError for another width or a tag that it has not.
     """
+    if width is None:
+        width = next((one for one in TIERS if (end - start) / one <= MOST_STRETCHES), TIERS[-1])
     if width not in TIERS:
         raise ValueError(f"there is no tier of {width} s; give one of {', '.join(map(str, TIERS))}")
     with reading(path) as connection, _one_moment(connection):
         found = connection.execute("SELECT id FROM tags WHERE name = ?", (tag,)).fetchone()
         if found is None:
             raise ValueError(f"{path}: has no tag {tag!r}")
-        query = (
-            "SELECT start, count, low, mean, high FROM tiers WHERE tag = ? AND width = ? AND start >= ? AND start < ?"
-        )
         begin = floor(start / width) * width if isfinite(start) else start
-        values = (found[0], width, begin, end)
-        tiers = {row[0]: row for row in connection.execute(query, values)} if _layout(connection) >= 2 else {}
+        query = "SELECT start, count, low, mean, high FROM tiers "
+        query += "WHERE tag = ? AND width = ? AND start >= ? AND start < ? ORDER BY start"
+        tiers = connection.execute(query, (found[0], width, begin, end)).fetchall()
         # What is not packed yet is in no tier: the newest half hour or so at a scan a second.
-        since = connection.execute("SELECT min(time) FROM samples").fetchone()[0]
-        if since is not None and since < end:
-            scans = np.array([row[0] for row in stored_rows(connection, "scans", ("time",), max(start, since), end)])
-            rows = _SampleReader(connection).rows(found[0], max(start, since), end)
-            good = np.array([number(row[1]) if Quality(row[2]).is_good else nan for row in rows])
-            for row in means(np.sort(scans), np.array([row[0] for row in rows]), good, width):
-                _, count, low, mean, high = tiers.get(row[0], (row[0], 0, inf, 0.0, -inf))
-                total = count + row[1]
-                middle = (mean * count + row[3] * row[1]) / total
-                tiers[row[0]] = (row[0], total, min(low, row[2]), middle, max(high, row[4]))
-    columns = np.array([tiers[key] for key in sorted(tiers)], dtype=float).reshape(len(tiers), 5).T
+        told = connection.execute(
+            "SELECT last FROM chunks WHERE kind = 'stamps' ORDER BY batch DESC LIMIT 1"
+        ).fetchone()
+        since = max(start, nextafter(told[0], inf) if told else -inf)
+        scans = np.sort(np.array([row[0] for row in stored_rows(connection, "scans", ("time",), since, end)]))
+        rows = _SampleReader(connection).rows(found[0], since - 3600.0, end)
+        good = np.array([number(row[1]) if Quality(row[2]).is_good else nan for row in rows])
+        newest = means(scans, np.array([row[0] for row in rows]), good, width)
+    first = newest[0][0] if newest else inf
+    merged = {row[0]: row for row in tiers if row[0] >= first}
+    for at, more, least, middle, most in newest:
+        _, count, low, mean, high = merged.get(at, (at, 0, inf, 0.0, -inf))
+        whole = (mean * count + middle * more) / (count + more)
+        merged[at] = (at, count + more, min(low, least), whole, max(high, most))
+    tiers = [*(row for row in tiers if row[0] < first), *(merged[at] for at in sorted(merged))]
+    columns = np.array(tiers, dtype=float).reshape(len(tiers), 5).T
     return Trend(width=width, **dict(zip(("starts", "count", "low", "mean", "high"), columns, strict=True)))
 
 

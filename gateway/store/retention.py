@@ -8,6 +8,7 @@ can turn round; only deletion by age asks for times.
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from math import inf, nextafter
 
 import numpy as np
 
@@ -78,6 +79,7 @@ class Packer:
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
         self._standing: dict[int, tuple[float, float]] = {}
+        self._told: float | None = None
 
     def step(self, table: str) -> bool:
         """Pack one batch of a table if it has enough rows for one; True if it had."""
@@ -115,7 +117,11 @@ class Packer:
         moments = [list(column) for column in zip(*places, strict=True)]
         times: list[float] = [float(time) for time in moments[0]]
         self._put("stamps", 0, batch, times, moments)
-        scans = self._scan_times(min(times), max(times))
+        # A scan bears the moment of its last reply, later than its samples: it may lie between two batches.
+        first, last = min(times), max(times)
+        if self._told is not None and self._told < first:
+            first = nextafter(self._told, inf)
+        scans, self._told = self._scan_times(first, last), last
         for tag, rows in by_tag.items():
             which, own, values, qualities = (list(column) for column in zip(*rows, strict=True))
             self._put("samples", tag, batch, own, [which, values, qualities])
@@ -207,10 +213,9 @@ def make_room(connection: sqlite3.Connection, wanted: int) -> bool:
     Measurements go first, then the tiers, the narrow ones before the wide, last the writes. Alarms, audit record and
     runs stay.
     """
-    measured = ", ".join(f"'{table}'" for table in (*MEASURED, "stamps"))
-    oldest, writes = "SELECT rowid FROM chunks WHERE kind {kinds} ORDER BY batch, rowid LIMIT 8", "= 'writes'"
+    measured = (*MEASURED, "stamps")
+    _delete_chunks(connection, measured, wanted)
     steps = [
-        f"DELETE FROM chunks WHERE rowid IN ({oldest.format(kinds=f'IN ({measured})')})",  # noqa: S608
         *(
             f"DELETE FROM {table} WHERE rowid IN (SELECT rowid FROM {table} ORDER BY rowid LIMIT {STEP // 10})"  # noqa: S608
             for table in MEASURED
@@ -220,19 +225,42 @@ def make_room(connection: sqlite3.Connection, wanted: int) -> bool:
             f"WHERE width = {width})"
             for width in TIERS
         ),
-        f"DELETE FROM chunks WHERE rowid IN ({oldest.format(kinds=writes)})",  # noqa: S608
-        f"DELETE FROM writes WHERE rowid IN (SELECT rowid FROM writes ORDER BY rowid LIMIT {STEP // 10})",  # noqa: S608
     ]
     for statement in steps:
-        while pages(connection)[1] < wanted:
-            try:
-                with transaction(connection):
-                    gone = connection.execute(statement).rowcount
-            except sqlite3.DatabaseError as error:
-                # A bad page costs its table, not the room that the others can make.
-                if not is_damage(error):
-                    raise
-                gone = 0
-            if not gone:
-                break
+        while pages(connection)[1] < wanted and _deleted(connection, statement):
+            pass
+    _delete_chunks(connection, ("writes",), wanted)
+    statement = f"DELETE FROM writes WHERE rowid IN (SELECT rowid FROM writes ORDER BY rowid LIMIT {STEP // 10})"  # noqa: S608
+    while pages(connection)[1] < wanted and _deleted(connection, statement):
+        pass
     return pages(connection)[1] >= wanted
+
+
+def _delete_chunks(connection: sqlite3.Connection, kinds: Sequence[str], wanted: int) -> None:
+    """Delete the oldest chunks of some kinds until enough pages are free, or some thousand of them have gone.
+
+    Which they are an index knows: one that lies on a bad page is passed over, and costs no other.
+    """
+    marks = ", ".join(f"'{kind}'" for kind in kinds)
+    query = f"SELECT rowid FROM chunks INDEXED BY chunks_by_batch WHERE kind IN ({marks}) ORDER BY batch LIMIT 4000"  # noqa: S608
+    try:
+        oldest = connection.execute(query).fetchall()
+    except sqlite3.DatabaseError as error:
+        if concerns_file(error):
+            raise
+        return
+    for (place,) in oldest:
+        if pages(connection)[1] >= wanted:
+            return
+        _deleted(connection, f"DELETE FROM chunks WHERE rowid = {place}")  # noqa: S608
+
+
+def _deleted(connection: sqlite3.Connection, statement: str) -> int:
+    """The rows that a statement deletes in a transaction of its own: none where a bad page is in the way."""
+    try:
+        with transaction(connection):
+            return connection.execute(statement).rowcount
+    except sqlite3.DatabaseError as error:
+        if concerns_file(error) and not is_damage(error):
+            raise
+        return 0

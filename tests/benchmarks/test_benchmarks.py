@@ -75,6 +75,7 @@ def test_the_semantics_benchmark_holds_each_trace_out_once_and_gives_the_gain_wi
     ("name", "options"),
     [
         ("startup", ("--quick",)),
+        ("historian", ("--quick",)),
         ("encoder", ("--rows", "3000", "--repeats", "1")),
         ("belief", ("--quick",)),
         ("simulation", ("--quick",)),

@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
+from gateway.cli.run import run as run_command
 from gateway.plant.app import run
 from gateway.settings.config import Config
 from gateway.store.historian import Historian
 from gateway.store.read_back import reading, stored_rows
-from tests.gateway.support import Bench, JumpClock, config_in, logged, two_modes
+from tests.gateway.support import Bench, JumpClock, config_in, logged, plant_file, two_modes
 
 ARMED = {
     "writeback__mode": "armed",
@@ -44,6 +46,22 @@ def refuse(monkeypatch: pytest.MonkeyPatch, error: Exception, *, times: int = 10
 async def go(config: Config, bench: Bench, reads: int) -> dict[str, Any]:
     bench.stop_after = reads
     return await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 60.0)
+
+
+@pytest.mark.parametrize(
+    ("records", "code"),
+    [
+        ({"failure": "", "dropped": 0, "refused": 0}, 0),
+        ({"failure": "", "dropped": 0, "refused": 1}, 1),
+        ({"failure": "", "dropped": 2, "refused": 0}, 1),
+        ({"failure": "the disk is full", "dropped": 0, "refused": 0}, 1),
+    ],
+)
+def test_the_exit_code_says_whether_rows_were_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, records: dict[str, Any], code: int
+) -> None:
+    monkeypatch.setattr("gateway.cli.run.serve", lambda *_args, **_keys: {"historian": records})
+    assert CliRunner().invoke(run_command, ["--config", str(plant_file(tmp_path))]).exit_code == code
 
 
 async def test_a_disk_that_refuses_raises_the_alarm_and_is_said_once(
