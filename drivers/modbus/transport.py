@@ -28,7 +28,9 @@ class AnyWire(Protocol):
 
     def abandon(self) -> None: ...
 
-    async def ask(self, request: ModbusPDU, deadline: float) -> WireReply: ...
+    async def ask(
+        self, request: ModbusPDU, deadline: float, *, again: bool = False, most_open: int = 2
+    ) -> WireReply: ...
 
 
 @dataclass(frozen=True, slots=True)
