@@ -1,13 +1,17 @@
 """`timeout = 0.5` gave each attempt 0.25 s, so that a PLC that answers in 320 ms was never read."""
 
 import asyncio
+import json
 import time
 from collections.abc import AsyncIterator
+from pathlib import Path
 
 import pytest
 
 from drivers.modbus.driver import open_modbus
 from drivers.tag import Quality, Tag
+from gateway.commission.probe import proposed
+from tests.commission.bench import plc as commissioned
 from tests.drivers.scripted import Bend, ScriptedPlc, read_reply, transaction_of
 
 FIVE, SIX = Tag("five", "holding:5"), Tag("six", "holding:60")
@@ -83,3 +87,22 @@ async def test_the_answer_to_an_earlier_reading_is_not_todays(plc: ScriptedPlc) 
         assert (sample.value, sample.quality) == (99, Quality.GOOD)
     finally:
         await driver.close()
+
+
+def test_probe_proposes_a_timeout_by_what_it_measured() -> None:
+    assert proposed(0.002) == (0.2, 2)
+    assert proposed(0.32) == (0.5, 2)
+    assert proposed(1.2) == (2.0, 1)
+    assert proposed(55.0) == (60.0, 1)
+
+
+async def test_soak_names_the_timeout_and_not_the_period(plc: ScriptedPlc, tmp_path: Path) -> None:
+    plc.bend = late(0.32)
+    file = tmp_path / "slow.toml"
+    file.write_text('[device]\nname = "slow"\ndriver = "modbus"\n[[tags]]\nname = "five"\naddress = "holding:5"\n')
+    words = ["soak", "--device", file, "--host", "127.0.0.1", "--port", plc.port, "--set", "attempts=1", "--json"]
+    words += ["--set", "timeout=0.2", "--seconds", 1.5, "--period", 0.1]
+    result = await asyncio.to_thread(commissioned, tmp_path, *words)
+    answer = json.loads(result.stdout.splitlines()[0])
+    assert not answer["ok"] and answer["recommended_period_s"] is None
+    assert "the timeout of 0.2 s: give a longer one" in result.output
