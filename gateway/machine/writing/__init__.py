@@ -1,7 +1,7 @@
 """What is written back to the PLC: the block, who may write it and when."""
 
 from gateway.machine.writing.arming import ArmingError, arm_in_log, arming_of, disarm_in_log, signed
-from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE, Validity, build, crc, next_heartbeat
+from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE, SessionWords, Validity, build, crc, next_heartbeat
 from gateway.machine.writing.block_stage import BlockStage
 from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
 
@@ -14,6 +14,7 @@ __all__ = [
     "Arming",
     "ArmingError",
     "BlockStage",
+    "SessionWords",
     "Validity",
     "arm_in_log",
     "arming_of",

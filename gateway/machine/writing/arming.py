@@ -3,6 +3,7 @@
 import asyncio
 from dataclasses import asdict
 from pathlib import Path
+from random import Random
 
 from structlog.typing import FilteringBoundLogger
 
@@ -91,14 +92,15 @@ def open_writer(
     historian: Historian,
     audit: Audit,
     log: FilteringBoundLogger,
+    rng: Random,
 ) -> Writer:
     """The writer of the block `layout`, in the configured mode, which is not off.
 
     It is armed by the configuration, or by `decanter plc arm` before the gateway began; only while that lasts, and only
-    once the audit log has it. Raises ConfigError for a driver that cannot write.
+    once the audit log has it. `rng` draws the number of this start. Raises ConfigError for a driver that cannot write.
     """
     section, now = config.writeback, clock.now()
-    writer = Writer(layout, clock, "shadow", pace=Pace(config.blocks_per_second), audit=audit)
+    writer = Writer(layout, clock, "shadow", rng.randint(1, 0xFFFF), pace=Pace(config.blocks_per_second), audit=audit)
     if not isinstance(driver, Writes):
         if section.mode == "armed":
             reason = f"{config.map.driver!r} cannot write; set writeback.mode to 'shadow'"

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Mapping
+from random import Random
 from struct import pack
 
 from structlog.typing import FilteringBoundLogger
@@ -35,18 +36,19 @@ class BlockStage:
         driver: Driver,
         historian: Historian,
         log: FilteringBoundLogger,
+        rng: Random,
     ) -> None:
         self.config = config
         self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
-        tag = config.map.by_name.get("LastRefusal")
-        self._refusals: Mapping[int, str] = tag.labels if tag else {}
+        self._refusals: Mapping[int, str] = {code: reason for reason, code in config.map.refusals.items()}
+        self._refused = ""
         self.attempt: Attempt | None = None
         self.latencies: deque[float] = deque(maxlen=LATENCIES)
         self.audit = open_audit(config.audit)
         opened = False
         try:
             self.writer = open_writer(
-                config, layout, clock=clock, driver=driver, historian=historian, audit=self.audit, log=log
+                config, layout, clock=clock, driver=driver, historian=historian, audit=self.audit, log=log, rng=rng
             )
             opened = True
         finally:
@@ -55,7 +57,11 @@ class BlockStage:
 
     def take_counts(self, scan: Scan) -> None:
         """Take over what the PLC says of the blocks before this one."""
-        self.writer.take_counts(scan, self._refusals)
+        refused = self.writer.take_counts(scan, self._refusals)
+        # The same refusal of every block is one line; every one is counted, and on record.
+        if refused and refused != self._refused and self.writer.armed:
+            self._log.warning("the PLC refuses blocks", reason=refused, writer=self.writer.number)
+        self._refused = refused or self._refused
 
     async def take(
         self,
