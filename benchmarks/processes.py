@@ -77,11 +77,12 @@ class Plc:
 
 
 @contextmanager
-def software_plc(folder: Path) -> Iterator[Plc]:
-    """The software PLC in real time, recording everything, with a synthetic run of the decanter as its trace."""
+def software_plc(folder: Path, speed: float = 1.0) -> Iterator[Plc]:
+    """The software PLC at `speed` plant seconds a second, recording everything; it replays a synthetic run."""
     trace, recording = folder / "replay.csv", folder / "plc.jsonl"
     write_trace(scenario(REPLAYED), trace)
     options = ["--map", MAP, "--trace", trace, "--offset", OFFSET, "--loop", "--record", recording, "--stdin"]
+    options += ["--speed", speed]
     options += ["--cycle", CYCLE_S, "--writable", f"holding:{TEST_REGISTERS}-{TEST_REGISTERS + WRITTEN - 1}"]
     command = [sys.executable, "-m", "sim.plc", *map(str, options)]
     pipe = subprocess.PIPE
@@ -96,10 +97,12 @@ def software_plc(folder: Path) -> Iterator[Plc]:
 
 
 @contextmanager
-def gateway(folder: Path, plc: Plc, model: Path, period: float) -> Iterator["subprocess.Popen[bytes]"]:
-    """`decanter run`, armed, with historian, log and model, scanning every `period` seconds."""
+def gateway(
+    folder: Path, plc: Plc, model: Path, period: float, speed: float = 1.0
+) -> Iterator["subprocess.Popen[bytes]"]:
+    """`decanter run`, armed, with historian, log and model, scanning every `period` seconds of plant time."""
     plant = folder / "plant.toml"
-    plant.write_text(_plant(model, period), encoding="utf-8")
+    plant.write_text(_plant(model, period, speed), encoding="utf-8")
     command = [sys.executable, "-m", "gateway.cli.main", "run", "--config", str(plant), "--port", str(plc.port)]
     with subprocess.Popen([*command, "--quiet"], stdin=subprocess.DEVNULL, cwd=ROOT) as process:
         try:
@@ -108,11 +111,13 @@ def gateway(folder: Path, plc: Plc, model: Path, period: float) -> Iterator["sub
             _end(process)
 
 
-def _plant(model: Path, period: float) -> str:
+def _plant(model: Path, period: float, speed: float) -> str:
     return f"""[device]
 file = {json.dumps(str(MAP))}
 timeout = 0.3
 heartbeat_period = 1.0
+[clock]
+speed = {speed:g}
 [scan]
 period = {period:g}
 [model]
@@ -122,7 +127,7 @@ temperature = "{TEMPERATURE}"
 mode = "armed"
 armed_by = "benchmarks"
 reason = "measured against the software PLC on loopback"
-minutes = 60
+minutes = 480
 [historian]
 path = "historian.sqlite"
 [log]
@@ -169,3 +174,9 @@ def peak_megabytes(pid: int) -> float:
     """The largest resident size so far (VmHWM of /proc/PID/status, in 10^6 bytes)."""
     lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024 / 1e6
+
+
+def resident_kilobytes(pid: int) -> float:
+    """The resident size now (VmRSS of /proc/PID/status, in 10^3 bytes)."""
+    lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS")) * 1024 / 1e3

@@ -3,8 +3,9 @@
 `python -m benchmarks.run [--json] [--thorough]`: the short form of each; `--thorough` repeats more and goes to greater
 sizes. A benchmark's figures are shown as soon as it has them. What is no matter of speed has a command of its own:
 `python -m benchmarks.fault_matrix`, `benchmarks.canopen_rig` (the same over CANopen), `benchmarks.commissioning` (the
-engineer's hour), `benchmarks.discrepancy` (hidden effects), `benchmarks.engines` (pairs of engines) and
-`benchmarks.house` (the code itself).
+engineer's hour), `benchmarks.discrepancy` (hidden effects), `benchmarks.engines` (pairs of engines),
+`benchmarks.resident` (memory over hours), `benchmarks.kills` and `benchmarks.power_cuts` (what the records lose),
+`benchmarks.machine_rates` (what is not modelled of other machines) and `benchmarks.house` (the code itself).
 """
 
 import json

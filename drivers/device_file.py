@@ -4,6 +4,7 @@ This is the only schema. The gateway makes tags and a write map of what is read 
 how a value lies in a register is no part of it, so that either keeps a path of its own for that.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +13,10 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from drivers.driver import DRIVERS
-from drivers.settings import ConfigError, Section, checked, read_toml
+from drivers.settings import ConfigError, Line, Section, checked, read_toml
 from drivers.tag import DType, Order, Tag
 
+LONGEST_TEXT = 4096
 LAYOUT_VERSION = 2
 """The version of the write-back contract: the one that both sides here keep."""
 
@@ -34,6 +36,7 @@ REFUSALS: Mapping[str, int] = {
     "no permit": 9,
 }
 """Why a PLC refuses a block, and the contract's number; a map's labels of LastRefusal may number them differently."""
+_RAW_NUMBER = re.compile(r"-?[0-9]{1,20}")
 _BLOCK_ADDRESS = r":\d+$|\{field\}"
 
 
@@ -57,7 +60,7 @@ class DeviceTable(BaseModel):
 class TagTable(Section):
     """`[[tags]]`: one tag; see `drivers.tag.Tag`."""
 
-    name: str = Field(min_length=1, description="the tag's name")
+    name: Line = Field(description="the tag's name")
     address: str = Field(min_length=1, description="the driver's own notation, such as 'holding:100'")
     dtype: Annotated[DType, Field(strict=False)] = Field(DType.UINT16, description=f"one of {', '.join(DType)}")
     order: Annotated[Order, Field(strict=False)] = Field(Order.ABCD, description=f"one of {', '.join(Order)}")
@@ -67,7 +70,7 @@ class TagTable(Section):
     low: float | None = Field(None, description="the lowest plausible value")
     high: float | None = Field(None, description="the highest plausible value")
     bit: int | None = Field(None, ge=0, le=15, description="a bit number from 0 to 15")
-    length: int = Field(0, ge=0, description="a string's length in bytes")
+    length: int = Field(0, ge=0, le=LONGEST_TEXT, description=f"a string's length in bytes, at most {LONGEST_TEXT}")
     sentinel: int | None = Field(None, description="the raw number that means 'not available'")
     deadband: float = Field(0.0, ge=0, description="the smallest change worth storing")
     max_rate: float | None = Field(None, gt=0, description="the fastest believable change in units per second")
@@ -88,7 +91,7 @@ class TagTable(Section):
     @classmethod
     def _numbers(cls, labels: dict[str, str]) -> dict[str, str]:
         for key in labels:
-            if not key.lstrip("-").isdigit():
+            if not _RAW_NUMBER.fullmatch(key):
                 raise ValueError(f'{key!r} is no raw number; give labels as {{ 0 = "none" }}')
         return labels
 

@@ -15,6 +15,13 @@ from drivers.errors import DriverError
 from drivers.tag import Sample, Tag, Value
 
 Clock = Callable[[], float]
+BeforeSending = Callable[[], None]
+"""What a write asks last of all, when it has waited for everything and the next thing is the wire: what it raises is
+raised by the write, and nothing (more) is sent."""
+
+
+def anyhow() -> None:
+    """Send it: the BeforeSending of whoever has no objection."""
 
 
 @runtime_checkable
@@ -51,8 +58,10 @@ class Driver(Protocol):
 class Writes(Protocol):
     """A driver that can write to the tags of its closed write map."""
 
-    async def write(self, values: Sequence[tuple[Tag, Value]]) -> None:
+    async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
         """Write all values as one block, once on the wire, and verify by reading back.
+
+        `before_sending` is called right before each request or frame leaves, after every lock and pause.
 
         Raises WriteForbidden, EncodingError or AddressError (nothing was sent), LinkDown, ReplyTimeout, ReplyMismatch,
         DeviceException or WriteUnverified. Never retries: whether to write again is the caller's decision.

@@ -9,6 +9,8 @@ import json
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
+from drivers.named_files import unusable
+
 Answer = Callable[[bytes], Awaitable[Mapping[str, Any]]]
 """Gives the reply to one line; never raises for what the line holds."""
 
@@ -19,16 +21,26 @@ class NoObject(ValueError):
 
 def parsed(line: str | bytes) -> dict[str, Any]:
     """The object that a line holds. Raises NoObject."""
-    text = line.decode(errors="replace") if isinstance(line, bytes) else line
+    try:
+        text = line.decode() if isinstance(line, bytes) else line
+    except UnicodeDecodeError as error:
+        sentence = f"the request is not UTF-8 (byte {error.start}) and is no JSON object; give one a line"
+        raise NoObject(sentence) from None
     # Lists nested without end exhaust the decoder's stack.
     try:
-        content, ill = json.loads(text), ""
+        content, ill = json.loads(text, parse_constant=_no_constant), ""
     except (ValueError, RecursionError):
         content, ill = None, "the request is not JSON: "
+    if problem := unusable(content):
+        raise NoObject(f"the request cannot be used: {problem}")
     if not isinstance(content, dict):
         example = '{"command": "status"}'
         raise NoObject(f"{ill}{text.strip()[:60]!r} is no JSON object; give one a line, such as {example}")
     return content
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is no JSON number")
 
 
 def packed(message: Mapping[str, Any]) -> bytes:
@@ -45,14 +57,22 @@ async def serve(
 ) -> None:
     """Answer line by line while the client is `admitted`; blank lines are passed over. Closes the writer, never raises.
 
-    Ends when the client goes, sends a line beyond the reader's limit, or the task is cancelled.
+    Ends when the client goes, after the reply to a line beyond the reader's limit, or when the task is cancelled.
     """
     try:
-        while admitted() and (line := await reader.readline()):
+        while admitted():
+            try:
+                line = await reader.readline()
+            except ValueError:  # beyond the limit: where the next line begins is not known any more
+                writer.write(packed({"ok": False, "reason": "the line is too long for a request; give a shorter one"}))
+                await writer.drain()
+                break
+            if not line:
+                break
             if line.strip():
                 writer.write(packed(await answer(line)))
                 await writer.drain()
-    except (OSError, ValueError, asyncio.CancelledError):
-        pass  # the client has gone, sends without end, or the process stops: nobody waits for an answer
+    except (OSError, asyncio.CancelledError):
+        pass  # the client has gone, or the process stops: nobody waits for an answer
     finally:
         writer.close()

@@ -9,12 +9,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from drivers.errors import DriverError
-from drivers.named_files import parse_toml, regular
+from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
 
 
 class ConfigError(ValueError):
@@ -34,6 +34,18 @@ class Section(BaseModel):
 Text = Annotated[str, Field(min_length=1)]
 
 
+def _one_line(text: str) -> str:
+    # Names, reasons and persons go into logs, records and terminals: a line break makes two rows of one there, and ESC
+    # steers the terminal of whoever reads them.
+    if not text.isprintable():
+        raise ValueError(f"{text[:40]!r} is not one line of printable characters; take out what is not")
+    return text
+
+
+Line = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_one_line)]
+"""A name or a short text: one line of 1 to 200 printable characters."""
+
+
 class Reconnecting(Section):
     """Settings of every driver that keeps a connection: the pauses between its attempts (see `drivers.link`)."""
 
@@ -51,7 +63,7 @@ S = TypeVar("S", bound=BaseModel)
 def read_toml(path: Path) -> dict[str, Any]:
     """The file's content. Raises ConfigError, with the line where TOML has one."""
     try:
-        return parse_toml(regular(path).read_bytes().decode())
+        return parse_toml(contents(path, MOST_TOML_BYTES).decode())
     except FileNotFoundError:
         raise ConfigError([f"{path}: there is no such file; give the path of an existing TOML file"]) from None
     except OSError as error:

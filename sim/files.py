@@ -4,7 +4,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from drivers.named_files import endless_number, regular
+from drivers.named_files import contents, endless_number
 
 
 class ArtefactError(ValueError):
@@ -19,7 +19,7 @@ def at(file: str | Path, line: int | None, sentence: str) -> ArtefactError:
 def read_text(path: Path) -> str:
     """The file's text (UTF-8, with or without a byte-order mark). Raises ArtefactError when it cannot be read."""
     try:
-        text = regular(path).read_bytes().decode("utf-8-sig")
+        text = contents(path).decode("utf-8-sig")
     except FileNotFoundError:
         raise at(path, None, "there is no such file; give the path of an existing one") from None
     except UnicodeDecodeError as error:

@@ -30,6 +30,13 @@ def strict(value: object) -> Any:
     return value if value is None or isinstance(value, str | int) else str(value)
 
 
+def escaped(value: object) -> object:
+    """A text with every character that is not printable as its escape (`\\n`, `\\x1b`); anything else as it is."""
+    if not isinstance(value, str) or value.isprintable():
+        return value
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in value)
+
+
 def json_text(value: object, *, indent: int | None = None, sort_keys: bool = False) -> str:
     """The value as strict JSON, without a line break at its end; on one line unless an indent is given."""
     return json.dumps(strict(value), indent=indent, sort_keys=sort_keys, ensure_ascii=False, allow_nan=False)

@@ -9,6 +9,7 @@ Attributes that are read: `GenMsgCycleTime` (ms), and for protected messages `E2
 """
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,12 +21,57 @@ from cantools.database.can import Database, Message, Signal
 from drivers.can.fields import Bits, Field, LayoutCondition, check_type, frame_key
 from drivers.can.protection import PROFILE, Protection
 from drivers.errors import AddressError, DriverError
-from drivers.named_files import regular
+from drivers.named_files import contents, endless_number
 from drivers.tag import DType, Tag
 
 PREFIX = "dbc:"
 _SIZES = ((8, DType.INT8, DType.UINT8), (16, DType.INT16, DType.UINT16), (32, DType.INT32, DType.UINT32))
 _LARGEST = (DType.INT64, DType.UINT64)
+
+
+MOST_BYTES = 16 << 20
+_LONGEST_MESSAGE = 1785
+"""Bytes: what J1939 carries in several frames (SAE J1939-21, 5.10); a CAN FD frame has 64."""
+_MOST_BITS = 1 << 25
+_MOST_SELECTED = 10_000
+# Where cantools makes something of the size of a number in the file: a message's bytes, the bits up to the end of a
+# signal, one layout for each number of a range of multiplexor values.
+_MESSAGE = re.compile(r"\bBO_\s+\d+\s+\w+\s*:\s*(\d+)")
+_PLACE = re.compile(r":\s*(\d+)\s*\|\s*(\d+)\s*@")
+_SELECTION = re.compile(r"\bSG_MUL_VAL_\b([^;]*)")
+_RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
+_CANTOOLS_RAISES = (
+    cantools.Error, UnicodeError, ValueError, KeyError, IndexError, TypeError, AttributeError,
+    ArithmeticError, RecursionError, StopIteration, AssertionError,
+)  # fmt: skip
+"""What cantools was seen to raise, or lets through, for text that is no DBC (`make fuzz TARGET=dbc`)."""
+
+
+def _oversized(text: str) -> str:
+    """Which number of the text would make a database beyond any bus, with its line; "" if none does."""
+    bits = selected = 0
+    for found in _MESSAGE.finditer(text):
+        bits += 8 * int(found[1])
+        if int(found[1]) > _LONGEST_MESSAGE or bits > _MOST_BITS:
+            return f"{_line(text, found)} has a message of {found[1]} bytes; the longest one has {_LONGEST_MESSAGE}"
+    for found in _PLACE.finditer(text):
+        end = int(found[1]) + int(found[2])
+        bits += end
+        if end > 8 * _LONGEST_MESSAGE + 64 or bits > _MOST_BITS:
+            return f"{_line(text, found)} has a signal up to bit {end}; a message has {8 * _LONGEST_MESSAGE} at most"
+    for selection in _SELECTION.finditer(text):
+        for first, last in _RANGE.findall(selection[1]):
+            selected += abs(int(last) - int(first)) + 1
+        if selected > _MOST_SELECTED:
+            return (
+                f"{_line(text, selection)} brings the multiplexor values to {selected}, and {_MOST_SELECTED} are the "
+                "most; give narrower ranges"
+            )
+    return ""
+
+
+def _line(text: str, found: re.Match[str]) -> str:
+    return f"line {text.count(chr(10), 0, found.start()) + 1}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +92,16 @@ class Dbc:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
+            text = contents(path, MOST_BYTES).decode("cp1252")
+            if problem := endless_number(text) or _oversized(text):
+                raise DriverError(f"{path}: {problem}")
             # Not strict: that signals overlap, or lie outside their message, in other people's files is theirs to mend.
-            loaded = cantools.database.load_file(regular(path), database_format="dbc", strict=False)
-        except (OSError, UnicodeError, cantools.Error) as error:
-            raise DriverError(f"{path}: is no DBC file that can be used: {error}") from None
+            loaded = cantools.database.load_string(text, database_format="dbc", strict=False)
+        except OSError as error:
+            raise DriverError(f"{path}: is no DBC file that can be used: {error.strerror or error}") from None
+        except _CANTOOLS_RAISES as error:
+            reason = " ".join(str(error).split())[:200] or type(error).__name__
+            raise DriverError(f"{path}: is no DBC file that can be used: {reason}") from None
         if not isinstance(loaded, Database):
             raise DriverError(f"{path}: is no DBC file")
         self._messages = {message.name: message for message in loaded.messages}
@@ -76,7 +128,10 @@ class Dbc:
 
     def _facts(self, message: Message) -> MessageFacts:
         key = frame_key(message.frame_id, extended=message.is_extended_frame)
-        cycle = None if not message.cycle_time else message.cycle_time / 1000.0
+        try:
+            cycle = message.cycle_time / 1000.0 if message.cycle_time else None
+        except (TypeError, OverflowError):  # a text, or a number beyond any
+            raise DriverError(f"{self.path}: message {message.name}: its GenMsgCycleTime is no time in ms") from None
         layouts = {ids for s in message.signals for ids in (tuple(s.multiplexer_ids or ()),) if ids}
         protection = self._protection(message)
         return MessageFacts(
@@ -113,7 +168,10 @@ def bits_of(signal: Signal) -> Bits:
 def conditions_of(message: Message, signal: Signal) -> Iterator[LayoutCondition]:
     """The multiplexors that must hold the signal's numbers, its own first, then those above it."""
     signals = {other.name: other for other in message.signals}
-    while signal.multiplexer_ids and signal.multiplexer_signal:
+    # So often at most: multiplexors that select one another would be followed for ever.
+    for _ in signals:
+        if not (signal.multiplexer_ids and signal.multiplexer_signal in signals):
+            return
         selector = signals[signal.multiplexer_signal]
         yield LayoutCondition(bits_of(selector), frozenset(signal.multiplexer_ids))
         signal = selector
@@ -143,16 +201,28 @@ def _completed(tag: Tag, signal: Signal) -> Tag:
     return replace(
         tag,
         dtype=dtype,
-        scale=float(signal.scale),
-        offset=float(signal.offset),
-        low=_limit(tag.low, signal.minimum, signal),
-        high=_limit(tag.high, signal.maximum, signal),
+        scale=_finite(tag, signal.scale, "scale"),
+        offset=_finite(tag, signal.offset, "offset"),
+        low=_limit(tag, tag.low, signal.minimum, signal),
+        high=_limit(tag, tag.high, signal.maximum, signal),
         unit=tag.unit or signal.unit or "",
     )
 
 
-def _limit(own: float | None, limit: float | None, signal: Signal) -> float | None:
+def _finite(tag: Tag, number: float, what: str) -> float:
+    try:
+        finite = float(number)
+    except OverflowError:  # a whole number of more than 308 digits
+        finite = math.inf
+    if not math.isfinite(finite):
+        raise AddressError(f"{tag.name}: the DBC file gives {tag.address} a {what} beyond any number; correct it there")
+    return finite
+
+
+def _limit(tag: Tag, own: float | None, limit: float | None, signal: Signal) -> float | None:
     """The tag's limit, else the file's; 0 and 0 in the file mean none (and cantools gives None for them)."""
-    if own is not None or limit is None or not math.isfinite(limit) or signal.minimum == signal.maximum:
+    if own is not None or limit is None or signal.minimum == signal.maximum:
         return own
-    return float(limit)
+    if isinstance(limit, float) and not math.isfinite(limit):
+        return own
+    return _finite(tag, limit, "limit")

@@ -22,7 +22,7 @@ from drivers.can.signals import SignalMap, SignalPlace, describe
 from drivers.can.streaming import Stream
 from drivers.can.writing import WriteMap
 from drivers.codec import Reading
-from drivers.driver import Clock, PlanKind, PlanLine
+from drivers.driver import BeforeSending, Clock, PlanKind, PlanLine, anyhow
 from drivers.errors import AddressError, DriverError, LinkDown
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.settings import check_settings
@@ -176,7 +176,7 @@ class CanDriver:
 
     # ------------------------------------------------------------ Writes
 
-    async def write(self, values: Sequence[tuple[Tag, Value]]) -> None:
+    async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
         """Send the frames that hold the values, each once, and wait until the device's echo confirms every one.
 
         Raises WriteForbidden, EncodingError, or AddressError if a frame's other tags are missing (nothing was sent);
@@ -191,7 +191,8 @@ class CanDriver:
             raise LinkDown(self._link.reason)
         for frame, data in composed:
             self._load.add(len(data), extended=frame.extended, now=time.monotonic())
-        await self._exchange.write(pump, composed, lambda: "" if self._link.connection is pump else self._link.reason)
+        lost = lambda: "" if self._link.connection is pump else self._link.reason  # noqa: E731
+        await self._exchange.write(pump, composed, lost, before_sending)
 
     # ------------------------------------------------------------ tags
 

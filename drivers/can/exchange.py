@@ -10,6 +10,7 @@ from drivers.can.bus import Pump
 from drivers.can.fields import frame_key, frame_name
 from drivers.can.reception import Reception, Slot
 from drivers.can.writing import Outgoing, WriteMap
+from drivers.driver import BeforeSending
 from drivers.errors import LinkDown, ReplyTimeout, WriteUnverified
 
 _SEND_TIMEOUT = 0.05
@@ -26,7 +27,13 @@ class Exchange:
         self._deadline = deadline
         self._lock = asyncio.Lock()
 
-    async def write(self, pump: Pump, composed: Sequence[tuple[Outgoing, bytes]], lost: Callable[[], str]) -> None:
+    async def write(
+        self,
+        pump: Pump,
+        composed: Sequence[tuple[Outgoing, bytes]],
+        lost: Callable[[], str],
+        before_sending: BeforeSending,
+    ) -> None:
         """Send each frame once, then wait for the echoes; `lost` says why the bus is gone, "" while it is there.
 
         Raises LinkDown, ReplyTimeout or WriteUnverified.
@@ -40,6 +47,7 @@ class Exchange:
             for frame, data in composed:
                 place = self._write_map.echoes[next(iter(frame.places))]
                 _, slot = self._reception.listen(place.rules, place.field.conditions, place.timeout, begun)
+                before_sending()
                 put(pump, frame.number, frame.extended, self._write_map.sealed(frame, data))
                 self.counts["sent"] += 1
                 echoes.append((frame, data, slot))

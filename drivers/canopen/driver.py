@@ -18,7 +18,7 @@ from drivers.canopen.place import ObjectPlace, bytes_needed, from_bytes
 from drivers.canopen.port import Port
 from drivers.canopen.writing import Writing
 from drivers.codec import Reading
-from drivers.driver import Clock, PlanKind, PlanLine
+from drivers.driver import BeforeSending, Clock, PlanKind, PlanLine, anyhow
 from drivers.errors import LinkDown
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.tag import DType, Quality, Sample, Tag, Value
@@ -190,7 +190,7 @@ class CanopenDriver:
 
     # ------------------------------------------------------------ Writes
 
-    async def write(self, values: Sequence[tuple[Tag, Value]]) -> None:
+    async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
         """Write all values: by RPDOs where these carry nothing else, else by SDO; then verify.
 
         Verified by the object that acknowledges, where one is configured, else by reading back. Raises WriteForbidden,
@@ -207,7 +207,7 @@ class CanopenDriver:
         if hindrance is not None:
             raise LinkDown(hindrance[1])
         self._counts["writes"] += 1
-        await self._writing.carried_out(pieces, connection.node)
+        await self._writing.carried_out(pieces, connection.node, before_sending)
 
     # ------------------------------------------------------------ samples
 

@@ -13,8 +13,11 @@ from canopen.objectdictionary.eds import import_eds
 from drivers.canopen.pdo import COMMUNICATION, Kind, PdoMapping, from_objects
 from drivers.canopen.place import ObjectPlace, bytes_needed, from_bytes, parse_place
 from drivers.errors import AddressError, DriverError
-from drivers.named_files import regular
+from drivers.named_files import contents, endless_number
 from drivers.tag import Tag
+
+MOST_BYTES = 8 << 20
+"""Of an EDS; the largest that are published have one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +91,7 @@ def locate(tag: Tag, sheet: DataSheet | None) -> Where:
 def load_sheet(path: Path, node: int) -> DataSheet:
     """The EDS (or DCF) in a file, for this node id. Raises DriverError naming file and reason."""
     try:
-        text = regular(path).read_text(encoding="utf-8-sig", errors="replace")
+        text = contents(path, MOST_BYTES).decode("utf-8-sig", errors="replace")
     except OSError as error:
         raise DriverError(f"canopen: eds: {path} cannot be read ({error.strerror}); give the device's EDS") from None
     return parse_sheet(text, node, str(path))
@@ -96,12 +99,15 @@ def load_sheet(path: Path, node: int) -> DataSheet:
 
 def parse_sheet(text: str, node: int, origin: str) -> DataSheet:
     """The EDS in a text. Raises DriverError naming `origin` and the reason."""
+    if problem := endless_number(text):
+        raise DriverError(f"canopen: eds: {origin}: {problem}")
     if "[DeviceInfo]" not in text:  # the library warns of that in a way that is deprecated itself
         text += "\n[DeviceInfo]\n"
     try:
         read: Callable[..., ObjectDictionary] = import_eds
         dictionary = read(io.StringIO(text), node)
-    except (IniError, KeyError, ValueError, TypeError, IndexError) as error:
+    # AttributeError: an object without members that others count on, such as a compact array of nothing.
+    except (IniError, KeyError, ValueError, TypeError, IndexError, AttributeError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise DriverError(
             f"canopen: eds: {origin} is no EDS: {reason}; give the device's electronic data sheet"
@@ -111,13 +117,23 @@ def parse_sheet(text: str, node: int, origin: str) -> DataSheet:
         members = [item] if isinstance(item, ODVariable) else list(item.values())
         for member in members:
             number = member.default if member.value is None else member.value
+            size = len(member) // 8 if member.fixed_size else None
+            if not 0 <= member.subindex <= 0xFF:
+                raise DriverError(
+                    f"canopen: eds: {origin}: object 0x{index:04X} has a sub-index 0x{member.subindex:X}, and 0xFF is "
+                    "the highest; correct its section"
+                )
+            # A number that its own type cannot hold is a slip of the file, and no value. A signed one may be given by
+            # its bits.
+            bits = 8 * (size or 8)
+            fits = isinstance(number, int) and -(1 << bits - 1) <= number < 1 << bits
             objects[ObjectPlace(index, member.subindex)] = EdsEntry(
                 name=member.name,
-                size=len(member) // 8 if member.fixed_size else None,
+                size=size,
                 readable=member.readable,
                 writable=member.writable,
                 mappable=member.pdo_mappable,
-                value=number if isinstance(number, int) else None,
+                value=number if fits else None,
             )
     if not objects:
         raise DriverError(f"canopen: eds: {origin} has no objects; give the device's own")

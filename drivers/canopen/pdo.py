@@ -13,6 +13,8 @@ MAPPING: dict[Kind, int] = {"T": 0x1A00, "R": 0x1600}
 NOT_VALID, EXTENDED = 1 << 31, 1 << 29
 EVENT_DRIVEN = 254
 """Transmission types from here on are sent on events; 1..240 every so many SYNCs, 0 at a SYNC after a change."""
+MOST_MAPPED = 64
+"""Objects in one PDO: a bit each (CiA 301, 7.5.2.36). More in sub-index 0 is no count."""
 LATE = 3.0
 """A PDO is late after so many of its periods, so that two of them may be lost."""
 
@@ -71,14 +73,22 @@ class PdoMapping:
 def from_objects(kind: Kind, number: int, value: Callable[[ObjectPlace], int | None]) -> PdoMapping | None:
     """The PDO that the objects describe, None where there is none. `value` gives an object's number, None: not there.
 
-    Raises AddressError for a mapping that no frame can carry.
+    Raises AddressError for a mapping that no frame can carry, and for a number that its object cannot hold.
     """
     communication, mapping = COMMUNICATION[kind] + number - 1, MAPPING[kind] + number - 1
-    identifier = value(ObjectPlace(communication, 1))
+
+    def within(index: int, sub: int, most: int) -> int | None:
+        place, given = ObjectPlace(index, sub), value(ObjectPlace(index, sub))
+        if given is not None and not 0 <= given <= most:
+            raise AddressError(f"{kind}PDO {number}: {place} is {given}, and it is 0 to {most} (CiA 301)")
+        return given
+
+    identifier = within(communication, 1, 0xFFFFFFFF)
     if identifier is None:
         return None
-    entries = [value(ObjectPlace(mapping, sub)) or 0 for sub in range(1, (value(ObjectPlace(mapping, 0)) or 0) + 1)]
-    transmission = value(ObjectPlace(communication, 2))
+    count = within(mapping, 0, MOST_MAPPED) or 0
+    entries = [within(mapping, sub, 0xFFFFFFFF) or 0 for sub in range(1, count + 1)]
+    transmission = within(communication, 2, 0xFF)
     # CiA 301, 7.5.2.37: bit 31 of the COB-ID switches a PDO off; inhibit time counts 100 us, the event timer 1 ms.
     return PdoMapping(
         kind=kind,
@@ -86,8 +96,8 @@ def from_objects(kind: Kind, number: int, value: Callable[[ObjectPlace], int | N
         cob_id=identifier & 0x1FFFFFFF,
         enabled=not identifier & NOT_VALID,
         transmission=255 if transmission is None else transmission,
-        inhibit=(value(ObjectPlace(communication, 3)) or 0) * 1e-4,
-        event_timer=(value(ObjectPlace(communication, 5)) or 0) * 1e-3,
+        inhibit=(within(communication, 3, 0xFFFF) or 0) * 1e-4,
+        event_timer=(within(communication, 5, 0xFFFF) or 0) * 1e-3,
         objects=laid_out(
             [(ObjectPlace(entry >> 16, entry >> 8 & 0xFF), entry & 0xFF) for entry in entries], f"{kind}PDO {number}"
         ),

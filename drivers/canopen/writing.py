@@ -9,6 +9,7 @@ from drivers.canopen.node import RemoteNode
 from drivers.canopen.options import Options
 from drivers.canopen.pdo import PdoMapping
 from drivers.canopen.place import ObjectPlace, parse_place, to_bytes
+from drivers.driver import BeforeSending
 from drivers.errors import AddressError, DriverError, WriteForbidden, WriteUnverified
 from drivers.tag import Tag, Value
 
@@ -58,7 +59,7 @@ class Writing:
         entry = sheet.objects.get(place) if sheet else None
         return WritePiece(place, to_bytes(tag, value, entry.size if entry else None), tag.name)
 
-    async def carried_out(self, pieces: Sequence[WritePiece], node: RemoteNode) -> None:
+    async def carried_out(self, pieces: Sequence[WritePiece], node: RemoteNode, before_sending: BeforeSending) -> None:
         """Send the pieces, each once, and verify that the device has taken them. Raises as `Writes.write` says."""
         async with self._lock:
             waiting = self._acknowledges(pieces, node)
@@ -66,12 +67,14 @@ class Writing:
             carried = {mapped.place for pdo in carriers for mapped in pdo.objects}
             for piece in pieces:
                 if piece.place not in carried:
+                    before_sending()
                     await node.sdo.write(piece.place, piece.data)
             data = {piece.place: piece.data for piece in pieces}
             for pdo in carriers:
                 number = 0
                 for mapped in pdo.objects:
                     number |= int.from_bytes(data[mapped.place], "little") << mapped.offset
+                before_sending()
                 node.send(pdo.cob_id, number.to_bytes(pdo.length, "little"))
             if waiting is None:
                 await self._read_back(pieces, node)

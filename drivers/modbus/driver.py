@@ -9,7 +9,7 @@ from typing import Any
 from pymodbus.pdu import ModbusPDU
 
 from drivers.codec import decode, encode
-from drivers.driver import Clock, PlanKind, PlanLine
+from drivers.driver import BeforeSending, Clock, PlanKind, PlanLine, anyhow
 from drivers.errors import (
     AddressError,
     DeviceException,
@@ -186,7 +186,7 @@ class ModbusDriver:
 
     # ------------------------------------------------------------ Writes
 
-    async def write(self, values: Sequence[tuple[Tag, Value]]) -> None:
+    async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
         """Write all values with one request (function 16; 15 for coils), sent once, then read back and compare.
 
         Raises WriteForbidden, EncodingError, or AddressError if the tags are not one block (nothing was sent);
@@ -199,7 +199,7 @@ class ModbusDriver:
         async with self._lock:
             self._counts["writes"] += 1
             request = write_request(block.area, block.start, words, self._settings.unit)
-            await self._once(request)
+            await self._once(request, before_sending)
             try:
                 stored = await self._read_back(block)
             except DriverError as error:
@@ -212,11 +212,11 @@ class ModbusDriver:
         if wrong:
             raise WriteUnverified("the device confirmed the write, but " + "; ".join(wrong))
 
-    async def _once(self, request: ModbusPDU) -> None:
+    async def _once(self, request: ModbusPDU, before_sending: BeforeSending) -> None:
         """Send a write. One without an answer ends the connection, so that it cannot be delivered later."""
         wire = self._link.connection
         try:
-            await self._exchange(request, self._settings.timeout)
+            await self._exchange(request, self._settings.timeout, before_sending)
         except (ReplyTimeout, ReplyMismatch):
             if wire is not None:
                 self._link.lost(wire, "a write was not answered: what is left of it must not arrive later")
@@ -367,7 +367,7 @@ class ModbusDriver:
     def _read_request(self, block: AddressBlock) -> ModbusPDU:
         return read_request(block.area, block.start, block.count, self._settings.unit)
 
-    async def _exchange(self, request: ModbusPDU, deadline: float) -> WireReply:
+    async def _exchange(self, request: ModbusPDU, deadline: float, before_sending: BeforeSending = anyhow) -> WireReply:
         """Send one request once, and tell the link how it went."""
         if (rest := self._last_exchange + self._limits.pause - _now()) > 0.0:
             await asyncio.sleep(rest)
@@ -377,7 +377,7 @@ class ModbusDriver:
         self._counts["requests"] += 1
         started = _now()
         try:
-            reply = await wire.ask(request, self._link.patience(deadline))
+            reply = await wire.ask(request, self._link.patience(deadline), before_sending)
         except (ReplyTimeout, ReplyMismatch) as error:
             self._counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
             self._link.failed(wire, _now() - started, str(error))

@@ -14,7 +14,7 @@ from typing import Protocol
 import serial
 from pymodbus.pdu import ModbusPDU
 
-from drivers.driver import Clock
+from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus import rtu
 from drivers.modbus.settings import ModbusSettings
@@ -89,7 +89,7 @@ class LineWire:
             port.close()
         self._arrived.set()
 
-    async def ask(self, request: ModbusPDU, deadline: float) -> WireReply:
+    async def ask(self, request: ModbusPDU, deadline: float, before_sending: BeforeSending = anyhow) -> WireReply:
         """Send the request once and wait for its reply: `deadline` seconds, and the time that both need on the line.
 
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the line is gone.
@@ -98,6 +98,7 @@ class LineWire:
         wanted = rtu.asked(frame)
         until = _now() + deadline + self._on_line(len(frame) + rtu.reply_octets(wanted))
         await self._settle(wanted, until)
+        before_sending()
         self._data = b""
         # Noted before it is sent, and taken back by its reply: whatever goes wrong in between, the next request waits.
         self._quiet.until, self._quiet.after = _now() + self._settings.longest_reply, wanted

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from pymodbus.pdu import ModbusPDU
 
-from drivers.driver import Clock
+from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, LinkFault
 from drivers.modbus.serial_line import LineWire, Quiet
 from drivers.modbus.settings import ModbusSettings
@@ -28,7 +28,7 @@ class AnyWire(Protocol):
 
     def abandon(self) -> None: ...
 
-    async def ask(self, request: ModbusPDU, deadline: float) -> WireReply: ...
+    async def ask(self, request: ModbusPDU, deadline: float, before_sending: BeforeSending = anyhow) -> WireReply: ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ from pymodbus.pdu.register_message import (
     WriteMultipleRegistersRequest,
 )
 
-from drivers.driver import Clock
+from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area
 from drivers.modbus.verify import Asked, asked, check_reply, split_frames
@@ -154,7 +154,7 @@ class Wire:
             transport.abort()
         self._client.close()
 
-    async def ask(self, request: ModbusPDU, deadline: float) -> WireReply:
+    async def ask(self, request: ModbusPDU, deadline: float, before_sending: BeforeSending = anyhow) -> WireReply:
         """Send the request once and wait up to `deadline` seconds for the reply that answers it.
 
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the connection breaks or cannot be
@@ -162,10 +162,14 @@ class Wire:
         """
         verdict = self._verdict = asyncio.get_running_loop().create_future()
         foreign, self._request = self.foreign, None
-        try:
-            exchange = asyncio.ensure_future(self._client.execute(False, request))
-        except ModbusException as error:
-            raise LinkDown(f"the connection is closed ({error.string})") from error
+
+        async def execute() -> ModbusPDU:
+            # In the task that sends: between the two nothing else of the event loop can run.
+            before_sending()
+            reply: ModbusPDU = await self._client.execute(False, request)
+            return reply
+
+        exchange = asyncio.ensure_future(execute())
         try:
             # The library's reply or our own verdict: what is refused here never reaches the library, which waits on.
             await asyncio.wait({exchange, verdict}, timeout=deadline, return_when=asyncio.FIRST_COMPLETED)
@@ -176,6 +180,8 @@ class Wire:
                 dropped = f" ({others} with another transaction id dropped)" if others else ""
                 raise ReplyTimeout(f"{self._request}: no reply within {deadline:.3g} s{dropped}")
             return self._reply(exchange.result())
+        except ModbusException as error:
+            raise LinkDown(f"the connection is closed ({error.string})") from error
         finally:
             self._verdict = None
             exchange.cancel()

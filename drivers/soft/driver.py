@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import Field
 
 from drivers.codec import Reading, decode, encode, judge
-from drivers.driver import Clock
+from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import (
     DeviceException,
     DriverError,
@@ -168,7 +168,7 @@ class SoftDriver:
 
     # ------------------------------------------------------------ Writes
 
-    async def write(self, values: Sequence[tuple[Tag, Value]]) -> None:
+    async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
         """Store all values or none. Raises as `Writes.write` says; nothing is stored then."""
         for tag, _ in values:
             if tag not in self._write_map:
@@ -178,6 +178,7 @@ class SoftDriver:
         fault = self._failure() or self._active_fault()
         if fault is not None:
             raise fault.error(fault.reason)
+        before_sending()
         self._counts["writes"] += 1
         for tag, value in stored:
             self.put(tag.name, value)

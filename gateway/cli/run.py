@@ -47,8 +47,11 @@ def run(
         if stdin:
             threading.Thread(target=_stop_at_end, name="stdin", daemon=True).start()
         last = serve(config, clock=clock, status_path=status, console=not quiet)
-    if last["historian"]["failure"]:
-        fail(f"records could not be stored: {last['historian']['failure']}", Exit.CHECK_FAILED)
+    records = last["historian"]
+    if records["failure"]:
+        fail(f"records could not be stored: {records['failure']}", Exit.CHECK_FAILED)
+    if lost := records["dropped"] + records["refused"]:
+        fail(f"{lost} rows could not be stored: see the log for the reason of each kind", Exit.CHECK_FAILED)
 
 
 def _stop_at_end() -> None:

@@ -2,7 +2,7 @@
 
 import csv
 from dataclasses import replace
-from math import isfinite, nan
+from math import inf, isfinite, nan, nextafter
 from pathlib import Path
 
 import click
@@ -11,7 +11,7 @@ from gateway.console import emit, finite, json_option, map_option, progress, tab
 from gateway.entry import Exit, sentences
 from gateway.lab.answer_picture import draw_answer
 from gateway.lab.traces.load import load
-from gateway.store import reading, to_trace
+from gateway.store import newest_scan, reading, to_trace
 from sim.artefacts.formats import find_model
 from sim.checking.language import parse_query
 from sim.checking.query import Simulation, Symbolic
@@ -203,10 +203,10 @@ def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None
             raise ValueError("what comes after a historian's end is not recorded: leave --events and --future out")
         path = Path(value)
         with reading(path) as connection:
-            last = connection.execute("SELECT max(time) FROM scans").fetchone()[0]
+            last = newest_scan(connection)
         if last is None:
             raise ValueError(f"{path}: this historian has no scans yet; let the gateway run first")
-        past = to_trace(path, path.name, start=last - HISTORY)
+        past = to_trace(path, path.name, start=last - HISTORY, end=nextafter(last, inf))
         # Encoded by the model's own alphabet, as the gateway does.
         return believed(model, replace(past, events=encode(past, model.alphabet)))
     raise ValueError(f"--from {origin!r}: write initial, location:NAME, trace:SECONDS or historian:FILE")

@@ -3,6 +3,7 @@
 Several machines may live in one process: everything is an argument or belongs to the object, nothing to the module.
 """
 
+import asyncio
 from collections import deque
 from dataclasses import dataclass, field
 from random import Random
@@ -10,13 +11,15 @@ from random import Random
 from structlog.typing import FilteringBoundLogger
 
 from drivers.driver import Complains, Driver
-from gateway.machine.alarms import DEVICE, AlarmBoard, make_conditions
+from gateway.machine.alarms import CLOCK, DEVICE, RECORDS, AlarmBoard, make_conditions
 from gateway.machine.model import ModelUnit, ScanPrediction, load_members, load_model
-from gateway.machine.reading import Clock, LinkHealth, Redundant, Scan, SwitchOver
+from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Scan, SwitchOver
 from gateway.machine.records import Keeper, Records
+from gateway.machine.trust import ClockCheck, RecordsWatch
 from gateway.machine.writing import Arming, ArmingError, BlockStage
 from gateway.settings import Config
-from gateway.store import open_historian
+from gateway.store import open_historian, saved_state
+from gateway.supervision import Supervisor
 
 SAVE_SECONDS = 10.0
 ORDERS = ("WritePermit", "AcknowledgeBits")
@@ -60,11 +63,24 @@ class Machine:
         # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
         loaded = load_model(config)
         members = load_members(config, loaded)
-        self.historian, numbers = open_historian(config.historian.path, config.map.tags, max_mb=config.historian.max_mb)
+        self.supervisor = Supervisor(log)
+        self.historian, numbers = open_historian(
+            config.historian.path,
+            config.map.tags,
+            max_mb=config.historian.max_mb,
+            mend=True,
+            supervisor=self.supervisor,
+        )
         self.block: BlockStage | None = None
         opened = False
         try:
             now, store = clock.now(), self.historian
+            self.records_watch = RecordsWatch(store, self.supervisor, log)
+            # Kept only under a clock that was believed: one that jumped is not believed at the next start either.
+            believed = saved_state(store, "clock", log)
+            newest = believed[0] if believed else store.newest()
+            self.clock_check = ClockCheck(now, newest, config.historian.max_off_days * 86_400.0)
+            self.clock_complaint = ""
             self.model = None if loaded is None else ModelUnit(config, loaded, members, historian=store, log=log)
             self.link, self.counters = LinkHealth(log), RunCounters()
             inputs = self.model.predictor.inputs if self.model else config.watched
@@ -110,10 +126,14 @@ class Machine:
                     guards = self.model.guard_report()
                 forecast = self.model.usable(prediction)
 
+            self._look_at_itself(scan)
             findings = self.model.findings(prediction, forecast) if self.model and prediction else {}
             if DEVICE in self.alarms.conditions:
                 findings[DEVICE] = float(bool(self.complaints()))
+            findings[RECORDS] = float(bool(self.records_watch.complaint))
+            findings[CLOCK] = float(bool(self.clock_complaint))
             self.alarms.on_predictions(scan, findings)
+            await self._disarm_without_records(scan.time)
 
             # The block carries the alarm word, so that it comes after all alarms of its scan.
             if self.block is not None:
@@ -133,6 +153,25 @@ class Machine:
             self.model.foresee(scan, prediction)
         if scan.time - self._saved >= SAVE_SECONDS:
             self.save(scan.time)
+
+    def _look_at_itself(self, scan: Scan) -> None:
+        """Whether records and clock can be relied on at this scan; what changes is logged."""
+        audit = self.block.audit.complaint if self.block else ""
+        self.records_watch.look(scan.time, audit)
+        clock, before = self.clock, self.clock_complaint
+        offset = clock.wall_offset() if isinstance(clock, PlantClock) and clock.speed == 1.0 else 0.0
+        plc = scan.good(self.config.clock.tag) if self.config.clock.tag else None
+        self.clock_complaint = self.clock_check.complaint(scan.time, offset=offset, plc=plc)
+        if bool(before) != bool(self.clock_complaint):
+            reason = self.clock_complaint or "it agrees with the records again"
+            self.log.warning("the clock is looked at anew", believed=not self.clock_complaint, reason=reason)
+
+    async def _disarm_without_records(self, now: float) -> None:
+        """Disarm once it has been too long that a write would not be on record."""
+        most = self.config.historian.disarm_after
+        if most is not None and self.records_watch.lost_for(now) >= most:
+            reason = f"nothing has been on record for {most:g} s: {self.historian.loss}"
+            await self.disarm("the gateway", reason[:200])
 
     def _begin_with_promoted(self, model: ModelUnit, now: float) -> None:
         """Another model runs from this scan on: its inputs are watched, and the historian knows whose rows follow."""
@@ -171,11 +210,10 @@ class Machine:
 
     async def disarm(self, by: str, reason: str) -> bool:
         """Take everything back at the PLC, if it can be reached, and write no more; False if it was not armed."""
-        if self.block is None or not self.block.writer.armed:
+        if self.block is None:
             return False
-        await self.withdraw(f"disarmed by {by}: {reason}")
-        self.block.disarm(by, reason)
-        return True
+        # Whoever asked may go away, or the gateway stop, before it is done: it is carried to its end all the same.
+        return await asyncio.shield(self.block.disarm(by, reason, self.last, self.alarms.word))
 
     async def withdraw(self, why: str) -> None:
         """Tell the PLC once, if armed and permitted, that nothing of ours is to be used any more."""
@@ -194,6 +232,9 @@ class Machine:
         self._saved = now
         if self.model is not None:
             self.model.save(now)
+        if self.clock_complaint:
+            return  # a clock that is not believed neither deletes nor is what the next one is held against
+        self.historian.save("clock", now, {})
         if now - self._cleaned >= _HOUR:
             self._cleaned = now
             self.historian.forget_before(now - self.config.historian.retention_days * 86_400.0)

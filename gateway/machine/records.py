@@ -8,7 +8,7 @@ from typing import Any
 from drivers.tag import Sample, Tag
 from gateway.machine.model import FinishedForecast, ScanPrediction
 from gateway.machine.reading import Scan
-from gateway.store import Historian, Row
+from gateway.store import Historian, Row, storable
 from sim.strict_json import json_text
 
 
@@ -31,8 +31,8 @@ class Keeper:
             good = sample.quality.is_good
             time = sample.time if good else scan.time
             self._kept[name] = Sample(name, sample.value, sample.quality, time)
-            value = float(sample.value) if isinstance(sample.value, bool) else sample.value
-            rows.append((self.numbers[name], time, value, int(sample.quality), sample.sent if good else None))
+            sent = sample.sent if good else None
+            rows.append((self.numbers[name], time, storable(sample.value), int(sample.quality), sent))
         return rows
 
     def _worth(self, name: str, sample: Sample, now: float) -> bool:

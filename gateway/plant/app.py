@@ -54,7 +54,7 @@ async def run(
         machine = Machine(
             config, driver=driver or make_driver(config, clock), clock=clock, log=log, rng=rng or SystemRandom()
         )
-        reporter = asyncio.create_task(_report(machine, status_path), name="status")
+        reporter = machine.supervisor.task("status", lambda: _report(machine, status_path))
         # The local socket is a convenience: a gateway that cannot have one runs without it, and says so.
         control = Control(machine, config.control_socket, snapshot)
         try:
@@ -85,7 +85,7 @@ async def run(
             if complete:
                 machine.log.info("stopped", scans=machine.counters.scans, events=machine.counters.events)
             else:
-                failure = machine.historian.failure or (block.audit.failure if block else "")
+                failure = machine.historian.loss or (block.audit.failure if block else "")
                 machine.log.error("stopped, with records that could not be stored", reason=failure)
             reporter.cancel()
             await asyncio.gather(reporter, return_exceptions=True)

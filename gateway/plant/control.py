@@ -11,13 +11,17 @@ import socket
 import struct
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import fields
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import Field, ValidationError
 
 from drivers import json_lines
+from drivers.device_file import TagTable
 from drivers.json_lines import NoObject
-from drivers.tag import DType, Order, Sample, Tag
+from drivers.settings import Line, Section, sentences
+from drivers.tag import Sample
 from gateway.machine import Machine
 from gateway.machine.reading import Redundant
 from gateway.machine.writing import ArmingError
@@ -25,8 +29,8 @@ from sim.strict_json import strict
 
 MODE = 0o600
 LONGEST = 1 << 20
+MOST_ROWS = 10_000
 _CREDENTIALS = struct.Struct("3i")
-_TAG_KEYS = frozenset(field.name for field in fields(Tag)) - {"name", "writable"}
 
 
 class ControlError(ValueError):
@@ -131,16 +135,68 @@ async def answer(machine: Machine, line: bytes, snapshot: Snapshot) -> dict[str,
             raise ControlError('a request is a JSON object such as {"command": "status"}')
         act = COMMANDS.get(request["command"])
         if act is None:
-            raise ControlError(f"there is no command {request['command']!r}; known are {', '.join(COMMANDS)}")
+            raise ControlError(f"there is no command {request['command'][:60]!r}; known are {', '.join(COMMANDS)}")
         return {"ok": True, **await act(machine, request, snapshot)}
     except (NoObject, ControlError) as error:
         return {"ok": False, "reason": str(error)}
 
 
+# ---------------------------------------------------------------- what a request may hold
+
+
+class _ControlRequest(Section):
+    """One request; its other keys are those of its command."""
+
+    command: str
+
+
+class _ReadTags(_ControlRequest):
+    tags: Annotated[list[str], Field(max_length=MOST_ROWS)] | None = Field(
+        None, description=f"a list of at most {MOST_ROWS} tags' names"
+    )
+
+
+class _AddressRow(TagTable):
+    """A tag as in a device file; its name is its address where it has none."""
+
+    name: str = ""
+    writable: Literal[False] = Field(False, description="an address without it, as nothing is written here")
+
+
+class _ReadAddresses(_ControlRequest):
+    addresses: list[_AddressRow] = Field(
+        max_length=MOST_ROWS, description='a list such as [{"address": "holding:100", "dtype": "uint16"}]'
+    )
+
+
+class _Arm(_ControlRequest):
+    # What a name and a reason may be is said where the arming is signed.
+    by: str = Field(description="the person's name as text, one line")
+    reason: str = Field(description="the reason as text, one line")
+    minutes: float = Field(description="minutes as a number")
+
+
+class _Disarm(_ControlRequest):
+    by: Line = Field(description="the person's name as text, one line")
+    reason: Line = Field(description="the reason as text, one line")
+
+
+R = TypeVar("R", bound=_ControlRequest)
+
+
+def _checked(kind: type[R], request: Mapping[str, Any]) -> R:
+    """The request as its command has it. Raises ControlError about the first thing that is wrong."""
+    try:
+        return kind.model_validate(request)
+    except ValidationError as error:
+        raise ControlError(sentences(kind, error, str(request["command"]))[0]) from None
+
+
 # ---------------------------------------------------------------- commands
 
 
-async def _status(machine: Machine, _: Mapping[str, Any], snapshot: Snapshot) -> dict[str, Any]:
+async def _status(machine: Machine, request: Mapping[str, Any], snapshot: Snapshot) -> dict[str, Any]:
+    _checked(_ControlRequest, request)
     return {"pid": os.getpid(), "config": str(machine.config.path), "status": snapshot(machine)}
 
 
@@ -150,17 +206,15 @@ async def _read(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> di
         # By way of the gateway's own connection, so that a device of one client can be asked.
         if isinstance(machine.driver, Redundant):
             raise ControlError("bare addresses differ from link to link, and this gateway has several; name tags")
-        rows = request["addresses"]
-        if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-            raise ControlError('addresses are a list such as [{"address": "holding:100", "dtype": "uint16"}]')
-        samples = await machine.driver.read([_tag(row) for row in rows])
+        rows = _checked(_ReadAddresses, request).addresses
+        samples = await machine.driver.read([replace(row.tag(), name=row.name or row.address) for row in rows])
         answers = [plain(sample) for sample in samples]
         return {"pid": os.getpid(), "time": machine.clock.now(), "samples": answers}
     known = machine.config.map.by_name
-    names = request.get("tags", list(known))
-    if not isinstance(names, list) or (strange := [name for name in names if name not in known]):
-        wrong = strange[0] if isinstance(names, list) else names
-        raise ControlError(f"{wrong!r} is no tag of {machine.config.map.path}; known are {', '.join(known)}")
+    names = _checked(_ReadTags, request).tags
+    names = list(known) if names is None else names
+    if strange := [name for name in names if name not in known]:
+        raise ControlError(f"{strange[0][:60]!r} is no tag of {machine.config.map.path}; known are {', '.join(known)}")
     last = machine.last
     if last is None:
         raise ControlError("the gateway has not read anything yet")
@@ -170,17 +224,6 @@ async def _read(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> di
         "period": machine.config.scan.period,
         "samples": [plain(last.samples[name]) for name in names if name in last.samples],
     }
-
-
-def _tag(row: Mapping[str, Any]) -> Tag:
-    unknown = sorted(set(row) - _TAG_KEYS)
-    if unknown or not isinstance(row.get("address"), str):
-        raise ControlError(f"{dict(row)!r} is no address; it has 'address' and may have {', '.join(_TAG_KEYS)}")
-    try:
-        typed = {"dtype": DType(row.get("dtype", "uint16")), "order": Order(row.get("order", "ABCD"))}
-    except ValueError as error:
-        raise ControlError(f"{row['address']}: {error}") from None
-    return Tag(**{"name": row["address"], **row, **typed})
 
 
 def plain(sample: Sample) -> dict[str, Any]:
@@ -197,12 +240,9 @@ def plain(sample: Sample) -> dict[str, Any]:
 
 async def _arm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
     """Let blocks be written from the next scan on: `by`, `reason`, `minutes`."""
-    by, reason, minutes = (request.get(key) for key in ("by", "reason", "minutes"))
-    number = isinstance(minutes, int | float) and not isinstance(minutes, bool)
-    if not (isinstance(by, str) and isinstance(reason, str) and number):
-        raise ControlError("arming needs by and reason as text and minutes as a number")
+    given = _checked(_Arm, request)
     try:
-        arming = await machine.arm(by, reason, float(minutes or 0.0))
+        arming = await machine.arm(given.by, given.reason, given.minutes)
     except ArmingError as error:
         raise ControlError(str(error)) from None
     return {"pid": os.getpid(), "by": arming.by, "reason": arming.reason, "until": arming.until}
@@ -210,10 +250,8 @@ async def _arm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dic
 
 async def _disarm(machine: Machine, request: Mapping[str, Any], _: Snapshot) -> dict[str, Any]:
     """Take everything back and write no more: `by`, `reason`."""
-    by, reason = request.get("by"), request.get("reason")
-    if not (isinstance(by, str) and by.strip() and isinstance(reason, str)):
-        raise ControlError("disarming needs by and reason as text")
-    return {"pid": os.getpid(), "was_armed": await machine.disarm(by, reason)}
+    given = _checked(_Disarm, request)
+    return {"pid": os.getpid(), "was_armed": await machine.disarm(given.by, given.reason)}
 
 
 COMMANDS: dict[str, Command] = {"status": _status, "read": _read, "arm": _arm, "disarm": _disarm}

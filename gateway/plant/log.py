@@ -2,13 +2,15 @@
 
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, MutableMapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import structlog
 from structlog.typing import FilteringBoundLogger, Processor
+
+from sim.strict_json import escaped
 
 LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 
@@ -28,6 +30,14 @@ class _Tee:
                 continue
 
     debug = info = warning = error = critical = msg
+
+
+def _printable(_logger: object, _name: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """Line breaks, ESC and what else steers a terminal or makes two lines of one are written as escapes.
+
+    Reasons hold what devices, files and other programs have said. A traceback keeps its lines.
+    """
+    return {key: value if key == "exception" else escaped(value) for key, value in event.items()}
 
 
 @contextmanager
@@ -55,6 +65,7 @@ def _logger(sinks: list[tuple[Processor, TextIO]], level: str) -> FilteringBound
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.ExceptionRenderer(),
+            _printable,
             lambda _logger, _name, event: ((), event),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(LEVELS[level]),

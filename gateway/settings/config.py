@@ -49,6 +49,13 @@ class WritebackSection(Section):
     most_per_second: float | None = Field(
         None, ge=0.1, le=1000, description="the most blocks a real second, 0.1 to 1000, or no key for twice the scans"
     )
+    max_age: float | None = Field(
+        None,
+        ge=0.05,
+        le=60,
+        description="how old a block's readings and its permit may be when it is sent, in real seconds from their "
+        "first request on, or no key for two scans, at least 1 s and at most half of the PLC's timer",
+    )
     audit: FilePath | None = Field(None, description="the path of the audit log, beside the historian without this key")
 
     @model_validator(mode="after")
@@ -86,6 +93,19 @@ class HistorianSection(Section):
     retention_days: float = Field(90.0, gt=0, description="the days after which measurements are deleted")
     max_mb: float = Field(4096.0, ge=1, description="the largest size of the file in megabytes, at least 1")
     max_interval: float = Field(5.0, gt=0, description="seconds after which an unchanged value is stored again")
+    max_off_days: float = Field(
+        7.0, gt=0, description="the days that the gateway may have been off before its clock is doubted"
+    )
+    disarm_after: float | None = Field(
+        60.0,
+        ge=1,
+        description="seconds without records until an armed gateway disarms itself, at least 1; false: never",
+    )
+
+    @field_validator("disarm_after", mode="before")
+    @classmethod
+    def _seconds_or_never(cls, seconds: object) -> object:
+        return None if seconds is False else seconds
 
 
 class LogSection(Section):
@@ -156,6 +176,7 @@ class ClockSection(Section):
     """Plant seconds per real second: other than 1 only for replays against a software PLC on this machine."""
 
     speed: float = Field(1.0, gt=0, le=10_000, description="plant seconds per real second, 1 for a real plant")
+    tag: str | None = Field(None, description="the tag of the PLC's own clock, in seconds since 1970 UTC")
 
 
 class _PlantFile(Section):
@@ -210,6 +231,16 @@ class Config:
     def blocks_per_second(self) -> float:
         """The most blocks a real second: as configured, or twice the scans and at least LEAST_BLOCKS."""
         return self.writeback.most_per_second or max(LEAST_BLOCKS, 2.0 * self.clock.speed / self.scan.period)
+
+    @property
+    def block_max_age(self) -> float:
+        """How old a block's readings and its permit may be when it is sent, real seconds: as configured, or by default.
+
+        By default two scans and 1 s at least, and half of the PLC's timer at most.
+        """
+        block = self.map.writeback
+        most = block.timeout / 2 if block is not None else 1.0
+        return self.writeback.max_age or min(max(2.0 * self.scan.period / self.clock.speed, 1.0), most)
 
     @property
     def watched(self) -> tuple[str, ...]:
@@ -272,6 +303,7 @@ def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) ->
     device = links[0].map
     tags = {tag.name for tag in device.tags}
     named = [("model.temperature", content.model.temperature), *(("alarms.tags", tag) for tag in content.alarms.tags)]
+    named += [("clock.tag", content.clock.tag)] if content.clock.tag else []
     problems = [
         f"{key}: {tag!r} is not a tag of {device.path}; give one of its names" for key, tag in named if tag not in tags
     ]
@@ -300,6 +332,12 @@ def _problems(content: _PlantFile, links: tuple[DeviceLink, ...], home: Path) ->
         )
     if content.writeback.mode != "off" and device.writeback is None:
         problems.append(f"writeback.mode: {device.path} has no [writeback] table; add one or set mode to 'off'")
+    oldest = content.writeback.max_age
+    if oldest is not None and device.writeback is not None and oldest >= device.writeback.timeout:
+        problems.append(
+            f"writeback.max_age: {oldest:g} s is no less than the PLC's own timer; give less than "
+            f"{device.writeback.timeout:g} (timeout_s in {device.path})"
+        )
     horizon = content.writeback.horizon
     if horizon is not None and horizon not in content.forecast.horizons:
         known = ", ".join(f"{value:g}" for value in content.forecast.horizons)

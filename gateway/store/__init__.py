@@ -2,25 +2,44 @@
 
 from gateway.store.audit import (
     ARMED,
+    CANCELLED,
     DISARMED,
     EXPIRED,
     Audit,
     AuditEntry,
     AuditRow,
+    Uptime,
+    armings,
+    cancelling,
+    end_of,
     head,
     last_arming,
     open_audit,
+    over,
     read,
     standing,
     verify,
 )
 from gateway.store.chain import first_break, hash_of
 from gateway.store.historian import Historian, Row, open_historian, saved_state
-from gateway.store.read_back import events, history, matured, reading, recent, samples, to_trace
+from gateway.store.read_back import (
+    events,
+    history,
+    matured,
+    newest_scan,
+    reading,
+    recent,
+    samples,
+    stored_rows,
+    to_trace,
+    trend,
+)
+from gateway.store.schema import storable
 from gateway.store.score import percentile, scorecard
 
 __all__ = [
     "ARMED",
+    "CANCELLED",
     "DISARMED",
     "EXPIRED",
     "Audit",
@@ -28,6 +47,10 @@ __all__ = [
     "AuditRow",
     "Historian",
     "Row",
+    "Uptime",
+    "armings",
+    "cancelling",
+    "end_of",
     "events",
     "first_break",
     "hash_of",
@@ -35,8 +58,10 @@ __all__ = [
     "history",
     "last_arming",
     "matured",
+    "newest_scan",
     "open_audit",
     "open_historian",
+    "over",
     "percentile",
     "read",
     "reading",
@@ -45,6 +70,9 @@ __all__ = [
     "saved_state",
     "scorecard",
     "standing",
+    "storable",
+    "stored_rows",
     "to_trace",
+    "trend",
     "verify",
 ]

@@ -5,15 +5,26 @@ triggers of the database refuse to change or to delete one. What is bound by not
 (`head`) apart from the file, as the acceptance report does, and give it to `verify`.
 
 Every row is on the disk (synchronous FULL) before it counts as stored. Several processes may append; they take turns.
+
+Two ways in. `put` leaves a row to the log: it is committed with others within BATCH_SECONDS, and tried again for as
+long as the disk refuses. `record` and `stored` wait for one row and follow it by a ticket of its own: it is committed
+at once, together with all that waits, and tried once. Who gives up waiting takes the row back; where its commit is
+under way already, a row of its own undoes it (`undo`). So what was reported as not stored never counts later.
+
+At most BACKLOG rows wait. Beyond that those of `put` are given up and counted, except armings and disarmings, and one
+row of the kind LOST says how many, as soon as the disk takes rows again.
 """
 
+import asyncio
 import json
 import sqlite3
 import threading
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Future
 from contextlib import closing
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +35,25 @@ APPLICATION_ID = 0x6465_6175
 """Marks the file as a decanter audit log (SQLite's application_id)."""
 VERSION = 1
 BACKLOG = 1_000
-"""Entries that may wait for the disk; with more of them nothing is written to the PLC any more."""
+"""Entries that may wait for the disk; with as many of them nothing is written to the PLC any more."""
+BATCH_SECONDS = 1.0
+"""The longest that an entry nobody waits for is kept back for the next commit."""
+PATIENCE_SECONDS = 5.0
+PAGE = 1024
+"""Bytes of a page of a new log: a commit writes whole pages, and a row is about 500 bytes."""
 
-ARMED, DISARMED, EXPIRED = "armed", "disarmed", "arming over"
-_ARMINGS = (ARMED, DISARMED, EXPIRED)
+ARMED, DISARMED, EXPIRED, CANCELLED = "armed", "disarmed", "arming over", "arming cancelled"
+"""Kinds of the rows that say who may write. CANCELLED undoes the ARMED row that it names (`cancelling`)."""
+LOST = "rows lost"
+_ARMINGS = (ARMED, DISARMED, EXPIRED, CANCELLED)
+_OF_ARMINGS = "kind IN ({})".format(", ".join(f"'{kind}'" for kind in _ARMINGS))
 _RETRY_SECONDS = 1.0
 _COLUMNS = "id, time, kind, who, reason, detail, hash"
 
 _TABLES = """
 CREATE TABLE audit (id INTEGER PRIMARY KEY, time REAL NOT NULL, kind TEXT NOT NULL, who TEXT NOT NULL,
     reason TEXT NOT NULL, detail TEXT NOT NULL, hash BLOB NOT NULL)|
-CREATE INDEX audit_by_kind ON audit (kind, id)|
+CREATE INDEX audit_armings ON audit (id) WHERE {armings}|
 CREATE TRIGGER audit_no_change BEFORE UPDATE ON audit
     BEGIN SELECT RAISE(ABORT, 'the audit log is only ever appended'); END|
 CREATE TRIGGER audit_no_loss BEFORE DELETE ON audit
@@ -42,6 +61,14 @@ CREATE TRIGGER audit_no_loss BEFORE DELETE ON audit
 CREATE TRIGGER audit_in_order BEFORE INSERT ON audit WHEN NEW.id IS NOT (SELECT coalesce(max(id), 0) + 1 FROM audit)
     BEGIN SELECT RAISE(ABORT, 'the audit log is only ever appended'); END
 """
+
+
+@dataclass(frozen=True, slots=True)
+class Uptime:
+    """Seconds since this start of the machine, sleep included, and which start it is ("": not known)."""
+
+    boot: str
+    seconds: float
 
 
 class AuditError(OSError):
@@ -78,33 +105,92 @@ class ChainVerdict:
 
 
 class Audit:
-    """An open audit log. `put` never waits for the disk, `record` does; both may be called from any thread.
+    """An open audit log. `put` never waits for the disk, `record` and `stored` do; each may be called from any thread.
 
-    `failure` says why the disk does not take what waits, "" while it does.
+    `failure` says why the disk does not take what waits, "" while it does; `lost` counts what was given up since then.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self.failure = ""
+        self.lost = 0
         self._connection = connection
-        self._waiting: deque[AuditEntry] = deque()
+        # An entry, and the ticket of whoever waits for it: cancelled it is never stored, running it is being committed.
+        self._waiting: deque[tuple[AuditEntry, Future[None] | None]] = deque()
         self._wake = threading.Condition()
-        self._stopping = False
+        self._pressing = self._stopping = False
         self._thread = threading.Thread(target=self._work, name="audit", daemon=True)
         self._thread.start()
 
     def put(self, entry: AuditEntry) -> None:
-        """Have the entry stored, within milliseconds while the disk takes it."""
+        """Have the entry stored; an arming or disarming at once, any other within BATCH_SECONDS.
+
+        Raises ValueError for one that no row can hold.
+        """
+        _columns(entry)
         with self._wake:
-            self._waiting.append(entry)
+            if len(self._waiting) >= BACKLOG and entry.kind not in _ARMINGS:
+                self.lost += 1
+                return
+            self._waiting.append((entry, None))
+            self._pressing = self._pressing or entry.kind in _ARMINGS
             self._wake.notify_all()
 
-    def record(self, entry: AuditEntry, timeout: float = 5.0) -> bool:
-        """Store the entry and wait until it is on the disk; False if that did not come about in time."""
+    def record(self, entry: AuditEntry, timeout: float = PATIENCE_SECONDS, undo: AuditEntry | None = None) -> bool:
+        """Store the entry and wait until it is on the disk; False: it is not, and will not be.
+
+        Where that cannot be known, as its commit was under way when the time was over or has failed, `undo` follows it.
+        """
+        ticket = self._submitted(entry)
+        try:
+            ticket.result(timeout)
+        except (TimeoutError, CancelledError, sqlite3.Error):
+            return self._given_up(ticket, undo)
+        return True
+
+    async def stored(
+        self, entry: AuditEntry, timeout: float = PATIENCE_SECONDS, undo: AuditEntry | None = None
+    ) -> bool:
+        """`record` for a task of the event loop; one that is cancelled meanwhile takes its entry back too."""
+        ticket = self._submitted(entry)
+        if ticket.cancelled():
+            return False
+        waiting = asyncio.wrap_future(ticket)
+        # What fails after nobody waits any more is said by `failure`.
+        waiting.add_done_callback(lambda done: None if done.cancelled() else done.exception())
+        try:
+            # Shielded: a time-out must not cancel the ticket before it was looked at whether the entry is stored.
+            await asyncio.wait_for(asyncio.shield(waiting), timeout)
+        except (TimeoutError, sqlite3.Error):
+            return self._given_up(ticket, undo)
+        except asyncio.CancelledError:
+            self._given_up(ticket, undo, wanted=False)
+            raise
+        return True
+
+    def _submitted(self, entry: AuditEntry) -> "Future[None]":
+        ticket: Future[None] = Future()
+        _columns(entry)
         with self._wake:
-            self._waiting.append(entry)
+            if self._stopping:
+                ticket.cancel()
+                return ticket
+            self._waiting.append((entry, ticket))
+            self._pressing = True
             self._wake.notify_all()
-            return self._wake.wait_for(lambda: not self._waiting, timeout)
+        return ticket
+
+    def _given_up(self, ticket: "Future[None]", undo: AuditEntry | None, *, wanted: bool = True) -> bool:
+        """Nobody waits for the entry any more; True if it was stored in this very moment, and is `wanted`."""
+        if ticket.cancel():
+            return False
+        stored = ticket.done() and ticket.exception() is None
+        if stored and wanted:
+            return True
+        # Also after a commit that failed: what it has left in the WAL may be found whole after a power cut.
+        if undo is not None:
+            self.put(undo)
+        return False
 
     @property
     def complaint(self) -> str:
@@ -112,7 +198,7 @@ class Audit:
         if self.failure:
             return self.failure
         waiting = len(self._waiting)
-        return f"{self.path}: {waiting} entries wait for the disk" if waiting > BACKLOG else ""
+        return f"{self.path}: {waiting} entries wait for the disk" if waiting >= BACKLOG else ""
 
     def close(self) -> bool:
         """Store what waits and close the file; False if entries had to be given up. May be called twice."""
@@ -122,28 +208,63 @@ class Audit:
         self._thread.join(timeout=10.0)
         if not self._thread.is_alive():
             self._connection.close()
-        return not self._waiting
+        return not self._waiting and not self.lost
 
     def _work(self) -> None:
         while True:
             with self._wake:
                 self._wake.wait_for(lambda: self._waiting or self._stopping)
-                batch, stopping = list(self._waiting), self._stopping
+                # What somebody waits for is committed now, and takes along what would have waited.
+                self._wake.wait_for(lambda: self._pressing or self._stopping, BATCH_SECONDS)
+                if not self._waiting:
+                    if self._stopping:
+                        return
+                    continue
+            claimed: list[tuple[AuditEntry, Future[None] | None]] = []
+            lost = 0
             try:
-                append(self._connection, batch)
-                stored, self.failure = True, ""
+                with self._connection:
+                    # The write lock comes first, and may take its time: until then an entry can be taken back.
+                    self._connection.execute("BEGIN IMMEDIATE")
+                    with self._wake:
+                        self._pressing, lost = False, self.lost
+                        claimed = [
+                            (entry, ticket)
+                            for entry, ticket in self._waiting
+                            if ticket is None or ticket.set_running_or_notify_cancel()
+                        ]
+                        self._waiting.clear()
+                    entries = [entry for entry, _ in claimed]
+                    if lost and entries:
+                        reason = f"{lost} rows could not be kept while the disk took none"
+                        entries.insert(0, AuditEntry(entries[0].time, LOST, "", reason, {"rows": lost}))
+                    _insert(self._connection, entries)
             except sqlite3.Error as error:
                 stored = False
                 self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
+                with self._wake:
+                    self._pressing = False
+                    if not claimed:  # the lock did not come: who waits learns it now, and what can wait does
+                        claimed = [
+                            row for row in self._waiting if row[1] is None or row[1].set_running_or_notify_cancel()
+                        ]
+                        self._waiting.clear()
+                    self._waiting.extendleft((entry, None) for entry, ticket in reversed(claimed) if ticket is None)
+                for _, ticket in claimed:
+                    if ticket is not None:
+                        ticket.set_exception(error)
+            else:
+                stored, self.failure = True, ""
+                with self._wake:
+                    self.lost -= lost if claimed else 0
+                for _, ticket in claimed:
+                    if ticket is not None:
+                        ticket.set_result(None)
             with self._wake:
-                # What is stored leaves only now, so that `record` waits for the disk and a refused batch waits on.
-                for _ in batch if stored else ():
-                    self._waiting.popleft()
-                self._wake.notify_all()
-                if stopping and (not stored or not self._waiting):
+                if self._stopping and (not stored or not self._waiting):
                     return
                 if not stored:
-                    self._wake.wait_for(lambda: self._stopping, _RETRY_SECONDS)
+                    self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
 
 
 def open_audit(path: Path) -> Audit:
@@ -154,13 +275,15 @@ def open_audit(path: Path) -> Audit:
     except (OSError, sqlite3.Error) as error:
         raise AuditError(f"{path}: cannot be made ({error}); give a path that this user may write") from None
     try:
+        # Of a new file only, and before the journal mode, which writes its first page (sqlite.org/pragma.html).
+        connection.execute(f"PRAGMA page_size = {PAGE}")
         connection.execute("PRAGMA journal_mode = WAL").fetchone()
         # FULL: with a WAL, NORMAL may lose the last transactions in a power cut (sqlite.org/pragma.html, synchronous).
         connection.execute("PRAGMA synchronous = FULL")
         # Looked at and made in one transaction: of two processes that begin together only one makes the tables.
         connection.execute("BEGIN IMMEDIATE")
         if not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-            for statement in _TABLES.split("|"):
+            for statement in _TABLES.format(armings=_OF_ARMINGS).split("|"):
                 connection.execute(statement)
             connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
             connection.execute(f"PRAGMA user_version = {VERSION}")
@@ -181,14 +304,12 @@ def append(connection: sqlite3.Connection, entries: Sequence[AuditEntry]) -> str
         # IMMEDIATE: the write lock is taken before the newest hash is read, so that no other process can append between
         # the two and break the chain.
         connection.execute("BEGIN IMMEDIATE")
-        last = connection.execute("SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
-        number, before = (int(last[0]), bytes(last[1])) if last else (0, BEGIN)
-        for entry in entries:
-            number += 1
-            plain = (float(entry.time), entry.kind, entry.who, entry.reason, json_text(entry.detail, sort_keys=True))
-            before = _hash(before, number, *plain)
-            connection.execute(f"INSERT INTO audit ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?)", (number, *plain, before))  # noqa: S608
-    return before.hex()
+        return _insert(connection, entries)
+
+
+def cancelling(entry: AuditEntry, reason: str) -> AuditEntry:
+    """The row that undoes the ARMED row of `entry`, whether that was stored or not."""
+    return AuditEntry(entry.time, CANCELLED, entry.who, reason, {"armed": entry.time, "until": entry.detail["until"]})
 
 
 def read(path: Path, kinds: Sequence[str] = ()) -> list[AuditRow]:
@@ -198,22 +319,68 @@ def read(path: Path, kinds: Sequence[str] = ()) -> list[AuditRow]:
 
 
 def last_arming(path: Path) -> AuditRow | None:
-    """The newest row of the kinds ARMED, DISARMED and EXPIRED; None without one. Raises AuditError."""
+    """The newest row of the kinds ARMED, DISARMED and EXPIRED that was not cancelled; None without one.
+
+    Raises AuditError.
+    """
+    return next(iter(armings(path)), None)
+
+
+def armings(path: Path) -> list[AuditRow]:
+    """The rows of the kinds ARMED, DISARMED and EXPIRED, the newest first, without what was cancelled.
+
+    Raises AuditError.
+    """
     if not path.exists():
-        return None
+        return []
     with closing(_reader(path)) as connection:
-        marks = ", ".join("?" * len(_ARMINGS))
-        query = f"SELECT {_COLUMNS} FROM audit WHERE kind IN ({marks}) ORDER BY id DESC LIMIT 1"  # noqa: S608
-        row = connection.execute(query, _ARMINGS).fetchone()
-    return _row(row) if row else None
+        try:
+            rows = connection.execute(f"SELECT {_COLUMNS} FROM audit WHERE {_OF_ARMINGS} ORDER BY id DESC").fetchall()  # noqa: S608
+        except sqlite3.Error as error:
+            raise AuditError(f"{path}: cannot be read ({error}); it was changed by something else") from None
+    cancelled: set[tuple[str, float, float]] = set()
+    found = []
+    for row in map(_row, rows):
+        entry = row.entry
+        if entry.kind == CANCELLED:
+            cancelled.add((entry.who, entry.detail["armed"], entry.detail["until"]))
+        elif entry.kind != ARMED or (entry.who, entry.time, entry.detail["until"]) not in cancelled:
+            found.append(row)
+    return found
 
 
-def standing(path: Path, now: float) -> AuditRow | None:
+def standing(path: Path, now: float, uptime: Uptime | None = None) -> AuditRow | None:
     """The arming in force at `now`; None if there is none, it was taken back, or it is over. Raises AuditError."""
     row = last_arming(path)
-    if row is None or row.entry.kind != ARMED or not row.entry.time <= now < float(row.entry.detail["until"]):
-        return None
-    return row
+    return None if row is None or row.entry.kind != ARMED or over(path, row, now, uptime) else row
+
+
+def over(path: Path, row: AuditRow, now: float, uptime: Uptime | None = None) -> str:
+    """Why the arming of an ARMED row of this log is over at `now`; "" while it lasts. Raises AuditError.
+
+    The wall clock alone is not believed: nothing that was stored since then may be of later than `now`.
+    """
+    if now >= float(row.entry.detail["until"]):
+        return "its time is over"
+    with closing(_reader(path)) as connection:
+        newest = connection.execute("SELECT max(time) FROM audit WHERE id >= ?", (row.id,)).fetchone()[0]
+    if newest is not None and now < float(newest):
+        return f"the clock stands {float(newest) - now:.3g} s before the newest record, so that its time cannot be told"
+    if now >= end_of(row, now, uptime):
+        return "its time is over by the machine's own count, whatever the clock says"
+    return ""
+
+
+def end_of(row: AuditRow, now: float, uptime: Uptime | None = None) -> float:
+    """When the arming of an ARMED row ends, in the time of `now`.
+
+    While the machine has not been started anew its own count of seconds bounds what is left (`uptime`).
+    """
+    entry, until = row.entry, float(row.entry.detail["until"])
+    if uptime is None or not uptime.boot or entry.detail.get("boot") != uptime.boot:
+        return until
+    spent = (uptime.seconds - float(entry.detail["uptime"])) * float(entry.detail.get("speed", 1.0))
+    return min(until, now + until - entry.time - spent)
 
 
 def verify(path: Path, head: str = "") -> ChainVerdict:
@@ -241,6 +408,31 @@ def head(path: Path) -> str:
 
 
 # ---------------------------------------------------------------- the file
+
+
+def _insert(connection: sqlite3.Connection, entries: Sequence[AuditEntry]) -> str:
+    """Append the entries within a transaction that has the write lock; gives the newest hash."""
+    last = connection.execute("SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
+    number, before = (int(last[0]), bytes(last[1])) if last else (0, BEGIN)
+    for entry in entries:
+        number += 1
+        plain = _columns(entry)
+        before = _hash(before, number, *plain)
+        connection.execute(f"INSERT INTO audit ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?)", (number, *plain, before))  # noqa: S608
+    return before.hex()
+
+
+def _columns(entry: AuditEntry) -> tuple[float, str, str, str, str]:
+    """The entry as it is hashed and stored. Raises ValueError for a time that is no number."""
+    if not isfinite(entry.time):
+        raise ValueError(f"an audit row needs a time, got {entry.time}")
+    detail = json_text(entry.detail, sort_keys=True)
+    return (float(entry.time), entry.kind, _storable(entry.who), _storable(entry.reason), _storable(detail))
+
+
+def _storable(text: str) -> str:
+    # A lone surrogate, as JSON can carry it, is text to Python and none to SQLite.
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _hash(before: bytes, *plain: object) -> bytes:

@@ -2,11 +2,14 @@
 
 Policy of the queue: rows of measurement wait in a queue of at most QUEUE rows, and when it is full (the disk is full or
 has gone) new ones are dropped and counted; rows of DURABLE tables are kept apart, and of those the oldest go beyond
-URGENT. While the disk refuses, `failure` says why and the thread tries again each second; nothing else stops.
+URGENT. While the disk refuses, `failure` says why and the thread tries again each second; nothing else stops. A row
+that cannot be stored costs that row, a table with a bad page that table: it is counted, and `complaint` says it.
 
-A batch with a DURABLE row is committed by a connection that waits for the disk (synchronous FULL), any other by one
-that does not (NORMAL): a power cut may take the last second of measurements, but no alarm, write or audit record that
-was confirmed. Killing the process loses nothing that was committed.
+Measurements are committed once a second by a connection that does not wait for the disk (synchronous NORMAL), DURABLE
+rows by one that does (FULL), those of AT_ONCE tables at once: a power cut may take the last second of measurements, but
+no alarm or audit record that was confirmed. Killing the process loses nothing that was committed.
+
+Between two batches the thread packs what has grown old and deletes what is too old or too much (`retention`).
 """
 
 import fcntl
@@ -15,59 +18,99 @@ import os
 import sqlite3
 import threading
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
+from functools import partial
 from pathlib import Path
+from shutil import disk_usage
+from time import monotonic
 from typing import Any
 
 from structlog.typing import FilteringBoundLogger
 
 from drivers.tag import Tag
-from gateway.store.schema import ADDED, APPLICATION_ID, DELETES, DURABLE, INSERTS, TABLES, VERSION
+from gateway.store.columns import PackedError
+from gateway.store.files import HistorianError, HistorianFile, UnusableHistorianError, opened
+from gateway.store.retention import (
+    Packer,
+    concerns_file,
+    deleted_before,
+    gave_back,
+    is_damage,
+    make_room,
+    pages,
+    transaction,
+)
+from gateway.store.schema import AT_ONCE, DURABLE, INDICES, INSERTS, MEASURED, PACKED, definition
+from gateway.supervision import Supervisor
 
 QUEUE, URGENT = 200_000, 10_000
 BATCH_SECONDS = 1.0
-_PAGE = 4096
-_CHUNK = 5_000
+STALL_SECONDS = 10.0
+"""How long rows may wait for the disk before that is a complaint."""
+LOSS_SECONDS = 60.0
+"""How long a lost row stays a complaint; it is counted for ever."""
+DISK_MARGIN = 1_000_000
+"""Bytes: with less of them left it is the disk that is full, and not the historian that has reached its size."""
+ROW_ERRORS = (sqlite3.Error, ArithmeticError, LookupError, TypeError, ValueError)
+"""What a row that cannot be stored raises."""
 
 Row = tuple[Any, ...]
 
 
-class HistorianError(OSError):
-    """The historian's file cannot be used; the message is one sentence that says why and what would be right."""
-
-
 class Historian:
-    """An open historian: `put` and `flush` may be called from any thread, nothing else needs to be awaited."""
+    """An open historian: `put` and `flush` may be called from any thread, nothing else needs to be awaited.
 
-    def __init__(self, path: Path, connections: tuple[sqlite3.Connection, sqlite3.Connection], lock: int) -> None:
+    `dropped` counts the rows that the queue had no place for, `refused` those that no table takes; `failure` says why
+    nothing can be stored now ("": it can). Without a `file` rows wait in the queue, and `attach` is tried each second.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        file: HistorianFile | None,
+        attach: Callable[[], HistorianFile],
+        lock: "_FileLock",
+        *,
+        numbers: Mapping[str, int],
+        supervisor: Supervisor,
+        failure: str = "",
+    ) -> None:
         self.path = path
-        self._normal, self._full = connections
-        self._lock = lock
+        self.dropped = self.refused = 0
+        self.failure = failure
+        self.note = file.note if file else ""
+        self._attach, self._lock, self._file = attach, lock, file
+        self._numbers, self._renumbered = dict(numbers), dict[int, int]()
         self._rows: deque[tuple[str, Row]] = deque()
-        self._urgent: deque[tuple[str, Row]] = deque(maxlen=URGENT)
+        self._urgent: deque[tuple[str, Row]] = deque()
         self._wake = threading.Condition()
-        self._flush = self._stopping = False
+        self._at_once = self._flush = False
         self._forget: float | None = None
-        self.dropped = 0
-        self.failure = ""
-        self._thread = threading.Thread(target=self._work, name="historian", daemon=True)
-        self._thread.start()
+        self._waits_since: float | None = None
+        self._loss, self._lost_at = "", 0.0
+        self._due = monotonic() + BATCH_SECONDS
+        self._stop = threading.Event()
+        self._thread = supervisor.thread("historian", self._work, stop=self._stop)
 
     def put(self, table: str, rows: Iterable[Row]) -> None:
-        """Take rows for a table of INSERTS; they are committed within about a second, durable ones at once."""
+        """Take rows for a table of INSERTS; they are committed within about a second, those of AT_ONCE at once."""
         with self._wake:
-            if table in DURABLE:
-                for row in rows:
-                    self.dropped += len(self._urgent) == URGENT
-                    self._urgent.append((table, row))
-                self._wake.notify_all()
-                return
             for row in rows:
-                if len(self._rows) >= QUEUE:
-                    self.dropped += 1
+                if table in DURABLE:
+                    self._urgent.append((table, row))
+                    if len(self._urgent) > URGENT:
+                        self._drop(self._urgent.popleft()[0])
+                elif len(self._rows) >= QUEUE:
+                    self._drop(table)
                 else:
                     self._rows.append((table, row))
+            if self._waits_since is None and (self._rows or self._urgent):
+                self._waits_since = monotonic()
+            # Many writes do not wait for their second either: of a replay as fast as it goes none is to be dropped.
+            if self._urgent and (table in AT_ONCE or len(self._urgent) >= URGENT // 10):
+                self._at_once = True
+                self._wake.notify_all()
 
     def flush(self, timeout: float = 5.0) -> bool:
         """Wait until everything that was put is committed; False if the disk did not take it in time."""
@@ -81,196 +124,362 @@ class Historian:
         with self._wake:
             self._forget = moment
 
+    @property
+    def loss(self) -> str:
+        """Why what happens now may not be on record: nothing is stored, or a row was lost of late; "" if it is.
+
+        It does not change from one lost row to the next: how many they are is in `dropped` and `refused`.
+        """
+        since, now = self._waits_since, monotonic()
+        if self.failure:
+            return self.failure
+        if since is not None and now - since > STALL_SECONDS:
+            return f"{self.path}: nothing has been stored for more than {STALL_SECONDS:g} s; see to the disk"
+        if self._loss and now - self._lost_at < LOSS_SECONDS:
+            return self._loss
+        return ""
+
+    @property
+    def complaint(self) -> str:
+        """Why the records cannot be relied on: `loss`, or that a file or table was set aside; "" if they can."""
+        return self.loss or self.note
+
     def load(self, key: str) -> tuple[float, Any] | None:
-        """A saved state: the time it was saved and its content; None if there is none or it cannot be read."""
-        with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True)) as reader:
-            row = reader.execute("SELECT time, content FROM state WHERE key = ?", (key,)).fetchone()
+        """A saved state: the time it was saved and its content; None if there is none.
+
+        Raises ValueError or HistorianError for one that cannot be read.
+        """
+        if self._file is None:
+            return None
+        try:
+            with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True)) as reader:
+                row = reader.execute("SELECT time, content FROM state WHERE key = ?", (key,)).fetchone()
+        except sqlite3.Error as error:
+            raise HistorianError(f"{self.path}: cannot be read ({error})") from None
         return None if row is None else (float(row[0]), json.loads(row[1]))
 
     def save(self, key: str, now: float, content: Mapping[str, Any]) -> None:
         """Keep a state, instead of the one kept under this key before."""
         self.put("state", [(key, now, json.dumps(content))])
 
+    def newest(self) -> float | None:
+        """The time (s UTC) of the scan that was stored last; None without one."""
+        if self._file is None:
+            return None
+        try:
+            row = self._file.normal.execute("SELECT time FROM scans ORDER BY rowid DESC LIMIT 1").fetchone()
+        except sqlite3.Error:
+            return None
+        return float(row[0]) if row else None
+
     def close(self) -> bool:
         """Commit what waits, stop the thread, free the file; False if rows had to be given up. May be called twice."""
         with self._wake:
-            if self._stopping:
+            if self._stop.is_set():
                 return True
-            self._stopping = True
+            self._stop.set()
             self._wake.notify_all()
         self._thread.join(timeout=10.0)
         complete = not self._rows and not self._urgent and not self._thread.is_alive()
         if not self._thread.is_alive():
-            for connection in (self._normal, self._full):
-                connection.close()
-            os.close(self._lock)
+            if self._file is not None:
+                self._file.close()
+            self._lock.free()
         return complete
+
+    @property
+    def _normal(self) -> sqlite3.Connection:
+        return self._open_file().normal
+
+    @property
+    def _full(self) -> sqlite3.Connection:
+        return self._open_file().full
+
+    def _open_file(self) -> HistorianFile:
+        if self._file is None:
+            raise UnusableHistorianError(f"{self.path}: is not open")
+        return self._file
+
+    def _drop(self, table: str) -> None:
+        self.dropped += 1
+        self._lost(f"{self.path}: rows of {table} were dropped, as too many wait for the disk")
+
+    def _lost(self, what: str) -> None:
+        self._loss, self._lost_at = what, monotonic()
 
     # ---------------------------------------------------------------- the thread
 
     def _work(self) -> None:
+        packer = None
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._urgent or self._flush or self._stopping, BATCH_SECONDS)
-                stopping, moment = self._stopping, self._forget
-            committed = self._round()
+                self._wake.wait_for(
+                    lambda: self._at_once or self._flush or self._stop.is_set(), max(self._due - monotonic(), 0.0)
+                )
+                stopping, moment = self._stop.is_set(), self._forget
+                everything = stopping or self._flush or monotonic() >= self._due
+            if everything:
+                self._due = monotonic() + BATCH_SECONDS
+            committed = self._attached() and self._round(everything=everything)
             if stopping and (not committed or not (self._rows or self._urgent)):
                 return
             if not committed:
-                with self._wake:
-                    self._wake.wait_for(lambda: self._stopping, BATCH_SECONDS)
-            elif moment is not None:  # only on a disk that takes rows: to delete is to write as well
-                self._delete_before(moment)
+                packer = None
+                self._stop.wait(BATCH_SECONDS)
+                continue
+            if not everything:
+                continue
+            # Only on a disk that takes rows: to pack and to delete is to write as well.
+            packer = packer or Packer(self._normal)
+            for table in PACKED:
+                self._tended(table, partial(packer.step, table))
+            if moment is not None:
+                for table in (*MEASURED, "writes"):
+                    self._tended(table, partial(deleted_before, self._normal, table, moment))
                 with self._wake:
                     # Another moment may have been given while the deletion ran; that one is still to be done.
                     self._forget = None if self._forget == moment else self._forget
+                self._tended("", partial(gave_back, self._normal))
 
-    def _round(self) -> bool:
-        """Commit what waits now; False if the disk refused, and then everything still waits."""
-        with self._wake:
-            bulk, durable = len(self._rows), len(self._urgent)
-            batch = [*self._rows, *self._urgent]
-        if not self._commit(batch, durable=durable > 0):
+    def _attached(self) -> bool:
+        """Whether there is a file to write to: the one that is open, or, where it has gone, another one."""
+        if self._file is not None and not self._file.moved():
+            return True
+        before, self._file = self._file, None
+        if before is not None:
+            before.close()
+        try:
+            self._file = self._attach()
+        except HistorianError as error:
+            self.failure = str(error)
             return False
-        # Only now do they leave the queue: what a full disk has refused is tried again as it was.
-        with self._wake:
-            for _ in range(bulk):
-                self._rows.popleft()
-            # Of a full queue the oldest have gone by themselves while the batch was under way.
-            for _ in range(min(durable, len(self._urgent))):
-                self._urgent.popleft()
-            self._flush = False
-            self.failure = ""
-            self._wake.notify_all()
+        # The numbers that were given out stay; a file that has others gets its own.
+        own = self._file.numbers
+        self._renumbered = {given: own[name] for name, given in self._numbers.items() if own.get(name, given) != given}
+        self.failure = ""
+        gone = f"{self.path}: was taken away while it was written; a new one was begun" if before else ""
+        self.note = self._file.note or gone or self.note
         return True
 
-    def _commit(self, batch: list[tuple[str, Row]], *, durable: bool) -> bool:
-        if not batch:
-            return True
-        # One durable row makes the whole batch wait for the disk: it is one transaction.
-        connection = self._full if durable else self._normal
-        by_table: dict[str, list[Row]] = {}
-        for table, row in batch:
-            by_table.setdefault(table, []).append(row)
+    def _round(self, *, everything: bool) -> bool:
+        """Commit what waits now, of the measurements only if `everything`; False if the disk refused some of it."""
+        self._at_once = False
+        whole = self._commit(self._full, self._urgent)
+        if everything and self._file is not None:  # it was given up if the first of the two found it damaged
+            whole = self._commit(self._normal, self._rows) and whole
+        with self._wake:
+            if whole:
+                self.failure = ""
+                self._flush = self._flush and not everything
+                self._waits_since = monotonic() if self._rows or self._urgent else None
+            self._wake.notify_all()
+        return whole
+
+    def _commit(self, connection: sqlite3.Connection, queue: deque[tuple[str, Row]]) -> bool:
+        """Commit a queue; what is not committed goes back to its front."""
+        with self._wake:
+            batch = list(queue)
+            queue.clear()
+        stored = not batch
         try:
-            with connection:
-                connection.execute("BEGIN IMMEDIATE")
-                for table, rows in by_table.items():
-                    connection.executemany(INSERTS[table], rows)
+            if batch:
+                self._store(connection, batch)
+                stored = True
         except sqlite3.Error as error:
             self.failure = f"{self.path}: cannot be written ({error}); make room or mend the disk"
-            return False
-        return True
+            if is_damage(error) and self._file is not None:
+                # Nothing of it can be written any more: it is opened again, which sets it aside.
+                self._file.close()
+                self._file = None
+        finally:
+            with self._wake:
+                queue.extendleft(reversed(() if stored else batch))
+                while queue is self._urgent and len(queue) > URGENT:
+                    self._drop(queue.popleft()[0])
+        return stored
 
-    def _delete_before(self, moment: float) -> None:
-        """In chunks, each its own transaction, so that no reader and no alarm waits long."""
+    def _store(self, connection: sqlite3.Connection, batch: list[tuple[str, Row]]) -> None:
+        """One transaction with all rows but those that no table takes. Raises sqlite3.Error when the file refuses."""
+        by_table: dict[str, list[Row]] = {}
+        for table, row in batch:
+            if table == "samples" and self._renumbered:
+                row = (self._renumbered.get(row[0], row[0]), *row[1:])
+            by_table.setdefault(table, []).append(row)
+        # Each turn but the last makes room, or begins a table anew: there are no more of these than tables.
+        for _ in range(len(INSERTS) + 1):
+            refused: list[tuple[str, Exception]] = []
+            table = ""
+            try:
+                with transaction(connection):
+                    for table, rows in by_table.items():
+                        refused += _inserted(connection, table, rows)
+            except sqlite3.Error as error:
+                code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+                # Full is the file, which may hold so much, or the disk: what others have filled is no reason to delete.
+                # As much as a fiftieth of the file at a time, so that it is not done anew with every batch.
+                if (
+                    code == sqlite3.SQLITE_FULL
+                    and disk_usage(self.path.parent).free > DISK_MARGIN
+                    and make_room(self._normal, max(128, pages(self._normal)[0] // 50))
+                ):
+                    continue
+                # A bad page or a missing table, told by the one table that was written to.
+                if code not in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR) or not table:
+                    raise
+                self._begin_anew(table, str(error))
+                continue
+            self.refused += len(refused)
+            for table, reason in refused[-1:]:
+                self._lost(f"{self.path}: a row of {table} cannot be stored ({reason}) and was left out")
+            return
+        raise sqlite3.OperationalError("there is no end to what is wrong with it")
+
+    def _begin_anew(self, table: str, reason: str) -> None:
+        """Give a damaged table another name and begin it anew: one bad page costs one table.
+
+        At the next start what can be read of it is recovered with the whole file. Raises sqlite3.Error.
+        """
+        connection = self._normal
+        with transaction(connection):
+            known = {str(row[0]) for row in connection.execute("SELECT name FROM sqlite_master")}
+            number = 1 + sum(name.startswith(f"{table}_damaged_") for name in known)
+            if table in known:
+                connection.execute(f"ALTER TABLE {table} RENAME TO {table}_damaged_{number}")
+            connection.execute(definition(table))
+            for index in INDICES if table == "chunks" else ():
+                connection.execute(index.replace(" ON ", f"_{number} ON "))
+        self.note = (
+            f"{self.path}: table {table} is damaged ({reason}) and was begun anew; a restart recovers what is left"
+        )
+
+    def _tended(self, table: str, step: Callable[[], bool]) -> None:
+        """Let `step` work until it has nothing more to do; alarms that come meanwhile are stored between its turns."""
         try:
-            tags = [row[0] for row in self._normal.execute("SELECT id FROM tags").fetchall()]
-            for table, statement in DELETES.items():
-                for tag in tags if table == "samples" else [None]:
-                    values = {"tag": tag, "moment": moment, "rows": _CHUNK}
-                    while self._normal.execute(statement, values).rowcount > 0:
-                        if self._urgent:
-                            self._round()
-            # 4 MB of freed pages at most go back to the system at a time: each one moved is written again.
-            self._normal.execute("PRAGMA incremental_vacuum(1000)").fetchall()
-        except sqlite3.Error as error:
-            self.failure = f"{self.path}: old rows cannot be deleted ({error}); make room or mend the disk"
+            while not self._stop.is_set() and step():
+                if self._at_once:
+                    self._round(everything=False)
+        except (sqlite3.Error, PackedError) as error:
+            if isinstance(error, PackedError) or not concerns_file(error) or is_damage(error):
+                self.note = f"{self.path}: {table or 'the file'} is damaged ({error}); a restart recovers what is left"
+                return
+            self.failure = f"{self.path}: old rows cannot be put away ({error}); make room or mend the disk"
 
 
-def open_historian(path: Path, tags: Iterable[Tag], *, max_mb: float = 4096.0) -> tuple[Historian, dict[str, int]]:
+def _inserted(connection: sqlite3.Connection, table: str, rows: list[Row]) -> list[tuple[str, Exception]]:
+    """Insert the rows; gives those that no table takes, with the reason. Raises sqlite3.Error when the file refuses."""
+    connection.execute("SAVEPOINT rows")
+    try:
+        connection.executemany(INSERTS[table], rows)
+    except ROW_ERRORS as error:
+        if _beyond_the_row(error):
+            raise
+        connection.execute("ROLLBACK TO rows")
+    else:
+        connection.execute("RELEASE rows")
+        return []
+    # One of them cannot be stored, and nothing says which: each is tried by itself.
+    refused: list[tuple[str, Exception]] = []
+    for row in rows:
+        try:
+            connection.execute(INSERTS[table], row)
+        except ROW_ERRORS as error:
+            if _beyond_the_row(error):
+                raise
+            refused.append((table, error))
+    connection.execute("RELEASE rows")
+    return refused
+
+
+def _beyond_the_row(error: Exception) -> bool:
+    """Whether the table or the file is at fault, and not the row that was tried."""
+    return concerns_file(error) or (
+        isinstance(error, sqlite3.Error)
+        and getattr(error, "sqlite_errorcode", 0) & 0xFF in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR)
+    )
+
+
+def open_historian(
+    path: Path,
+    tags: Iterable[Tag],
+    *,
+    max_mb: float = 4096.0,
+    mend: bool = False,
+    supervisor: Supervisor | None = None,
+) -> tuple[Historian, dict[str, int]]:
     """Open or make the historian at `path` for one gateway; also gives the number of each tag in its `samples`.
 
-    Raises HistorianError, in one sentence: the path is a directory, cannot be written, is no historian or one of
-    another version, or another gateway holds it.
+    With `mend`, which the gateway asks for, nothing that has befallen the file or its folder keeps it from running: a
+    damaged file is set aside and a new one begun, and where nothing can be written the rows wait (`complaint`).
+
+    Raises HistorianError, in one sentence: another gateway holds it, it is a database of something else or of a newer
+    layout; without `mend` also where it is damaged or cannot be written.
     """
-    if path.is_dir():
-        raise HistorianError(f"{path}: is a directory; give the path of a file for the historian")
-    lock_path = path.with_name(path.name + ".lock")
+    tags, locked = tuple(tags), _FileLock(path)
+    supervisor = supervisor or Supervisor()
+
+    def attach() -> HistorianFile:
+        locked.take()
+        return opened(path, tags, max_mb=max_mb, mend=mend)
+
+    file, failure = None, ""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # A lock on a file of its own, since SQLite locks the database itself: the system frees it when the process
-        # ends, however it ends, which a file that merely exists would not.
-        lock = os.open(lock_path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
+        file = attach()
+    except UnusableHistorianError as error:
+        if not mend:
+            locked.free()
+            raise
+        failure = str(error)
+    except HistorianError:
+        locked.free()
+        raise
+    # Until there is a file the tags have numbers that no file gives.
+    numbers = dict(file.numbers) if file else {tag.name: -1 - place for place, tag in enumerate(tags)}
+    return Historian(path, file, attach, locked, numbers=numbers, supervisor=supervisor, failure=failure), numbers
+
+
+class _FileLock:
+    """The lock of one gateway on a historian: on a file of its own, since SQLite locks the database itself.
+
+    The system frees it when the process ends, however it ends, which a file that merely exists would not.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._place = path, path.with_name(path.name + ".lock")
+        self._descriptor: int | None = None
+
+    def take(self) -> None:
+        """Take it, or have it already. Raises HistorianError where another process has it, or none can be made."""
+        if self._descriptor is not None:
+            return
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(lock)
-            raise HistorianError(
-                f"{lock_path}: another gateway is running on this historian; stop it, or give this one a historian of "
-                "its own"
+            self._place.parent.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self._place, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise UnusableHistorianError(
+                f"{self._path}: cannot be made ({error.strerror}); give a path that this user may write"
             ) from None
-    except HistorianError:
-        raise
-    except OSError as error:
-        raise HistorianError(
-            f"{path}: cannot be made ({error.strerror}); give a path that this user may write"
-        ) from None
-    try:
-        normal = _connected(path, "NORMAL", max_mb)
-        numbers = _prepared(normal, path, tags)
-        full = _connected(path, "FULL", max_mb)
-    except sqlite3.Error as error:
-        os.close(lock)
-        # SQLite tells these apart by its words only, and each wants another remedy.
-        remedy = "make room or give another path"
-        if "not a database" in str(error):
-            remedy = "give the path of a historian or of a new file"
-        elif "readonly" in str(error) or "unable to open" in str(error):
-            remedy = "give a path that this user may write"
-        raise HistorianError(f"{path}: cannot be used ({error}); {remedy}") from None
-    except HistorianError:
-        os.close(lock)
-        raise
-    return Historian(path, (normal, full), lock), numbers
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            raise HistorianError(
+                f"{self._place}: another gateway is running on this historian; stop it, or give this one a historian "
+                "of its own"
+            ) from None
+        self._descriptor = descriptor
 
-
-def _connected(path: Path, synchronous: str, max_mb: float) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
-    try:
-        # Before anything else: a database takes up auto_vacuum only while it is empty (sqlite.org/pragma.html), and the
-        # journal mode writes its first page.
-        connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
-        connection.execute("PRAGMA journal_mode = WAL").fetchone()
-        connection.execute(f"PRAGMA synchronous = {synchronous}")
-        # 64 MiB: a WAL that grew while a reader held it back is cut to this once it is checkpointed.
-        connection.execute("PRAGMA journal_size_limit = 67108864").fetchone()
-        # The file's largest size: beyond it SQLite says that the disk is full, before the disk is.
-        connection.execute(f"PRAGMA max_page_count = {int(max_mb * 1_000_000 / _PAGE)}").fetchone()
-    except sqlite3.Error:
-        connection.close()
-        raise
-    return connection
-
-
-def _prepared(connection: sqlite3.Connection, path: Path, tags: Iterable[Tag]) -> dict[str, int]:
-    kind = connection.execute("PRAGMA application_id").fetchone()[0]
-    version = connection.execute("PRAGMA user_version").fetchone()[0]
-    empty = not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
-    if not empty and kind != APPLICATION_ID:
-        raise HistorianError(f"{path}: is a database of something else; give the path of a historian or of a new file")
-    if not empty and version != VERSION:
-        raise HistorianError(
-            f"{path}: has layout {version}, this gateway writes {VERSION}; give the path of a new file"
-        )
-    connection.execute("BEGIN IMMEDIATE")
-    if empty:
-        for statement in TABLES.split(";"):
-            connection.execute(statement)
-        connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-        connection.execute(f"PRAGMA user_version = {VERSION}")
-    connection.execute(ADDED)
-    connection.executemany("INSERT OR IGNORE INTO tags (name, unit) VALUES (?, ?)", [(t.name, t.unit) for t in tags])
-    numbers = {str(name): int(number) for number, name in connection.execute("SELECT id, name FROM tags")}
-    connection.execute("COMMIT")
-    return numbers
+    def free(self) -> None:
+        """Give it back, if it was taken."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
 
 
 def saved_state(historian: Historian, key: str, log: FilteringBoundLogger) -> tuple[float, dict[str, Any]] | None:
     """When a state was saved and its content; None where there is none, or, logged, where it cannot be read."""
     try:
         state = historian.load(key)
-    except ValueError as error:
+    except (ValueError, HistorianError) as error:
         log.warning("a saved state cannot be read and is not used", state=key, reason=str(error))
         return None
     return state if state is not None and isinstance(state[1], dict) else None

@@ -3,18 +3,21 @@
 import json
 import re
 import sqlite3
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from math import nan
+from math import floor, inf, isfinite, nan, nextafter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from drivers.tag import Quality, Sample
-from gateway.store.historian import HistorianError
-from gateway.store.schema import APPLICATION_ID
+from gateway.store.columns import Cell, PackedError, unpack
+from gateway.store.files import HistorianError
+from gateway.store.retention import TIERS, means
+from gateway.store.schema import APPLICATION_ID, NAMES, VERSION, number, restored
 from sim.sha import Array, Event, Mask, Trace
 
 SPANS = {"d": 86_400.0, "h": 3600.0, "m": 60.0, "s": 1.0}
@@ -61,6 +64,8 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
     try:
         if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
             raise HistorianError(f"{path}: is no historian; give the path of the file that a gateway has written")
+        if _layout(connection) > VERSION:
+            raise HistorianError(f"{path}: has layout {_layout(connection)}, this program reads {VERSION}; update it")
         yield connection
     except sqlite3.Error as error:
         raise HistorianError(f"{path}: cannot be read ({error}); give the path of a historian") from None
@@ -68,14 +73,104 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         connection.close()
 
 
+def _layout(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+def _chunks(
+    connection: sqlite3.Connection, kind: str, tag: int = 0, start: float = -inf, end: float = inf
+) -> Iterator[tuple[int, list[list[Cell]]]]:
+    """(batch, columns) of the chunks that reach into start <= time < end, in the order of arrival.
+
+    One that cannot be read costs itself: each is fetched alone, since a bad page ends whatever goes on behind it.
+    """
+    if _layout(connection) < 2:
+        return
+    query = "SELECT batch, id FROM chunks WHERE kind = ? AND tag = ? AND last >= ? AND first < ?"
+    for batch, place in sorted(connection.execute(query, (kind, tag, start, end)).fetchall()):
+        with suppress(PackedError, sqlite3.DatabaseError):
+            row = connection.execute("SELECT data FROM chunks WHERE id = ?", (place,)).fetchone()
+            if row is not None:  # packed or deleted since, by a gateway that runs
+                yield batch, unpack(row[0])
+
+
+def stored_rows(
+    connection: sqlite3.Connection, table: str, names: Sequence[str], start: float = -inf, end: float = inf
+) -> list[tuple[Any, ...]]:
+    """The columns `names`, the first of them `time`, of the rows with start <= time < end, in the order of arrival."""
+    places = [NAMES[table].index(name) for name in names]
+    rows: list[tuple[Any, ...]] = []
+    # One moment for both places: a row that is packed meanwhile would be seen twice or not at all.
+    with _one_moment(connection):
+        for _, columns in _chunks(connection, table, start=start, end=end):
+            rows += (row for row in zip(*(columns[place] for place in places), strict=True) if start <= row[0] < end)
+        query = f"SELECT {', '.join(names)} FROM {table} WHERE time >= ? AND time < ?"  # noqa: S608
+        rows += connection.execute(query, (start, end)).fetchall()
+    return rows
+
+
+def row_number(connection: sqlite3.Connection, table: str) -> int:
+    """How many rows a table has, packed or not."""
+    packed = 0
+    if _layout(connection) >= 2:
+        packed = connection.execute("SELECT coalesce(sum(rows), 0) FROM chunks WHERE kind = ?", (table,)).fetchone()[0]
+    return int(packed) + int(connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0])  # noqa: S608
+
+
+def newest_scan(connection: sqlite3.Connection) -> float | None:
+    """The time (s UTC) of the scan that was stored last, whatever the clock said before; None without one."""
+    key = "rowid" if _layout(connection) >= 2 else "time"
+    row = connection.execute(f"SELECT time FROM scans ORDER BY {key} DESC LIMIT 1").fetchone()  # noqa: S608
+    return float(row[0]) if row else None
+
+
+@contextmanager
+def _one_moment(connection: sqlite3.Connection) -> Iterator[None]:
+    """A transaction that reads, unless there is one: all of it sees the file as it was at its beginning."""
+    if connection.in_transaction:
+        yield
+        return
+    connection.execute("BEGIN")
+    try:
+        yield
+    finally:
+        connection.execute("COMMIT")
+
+
+class _SampleReader:
+    """The samples of one tag after the other; the moments that tags share are unpacked once."""
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._connection = connection
+        self._stamps: dict[int, list[list[Cell]]] = {}
+
+    def rows(self, tag: int, start: float = -inf, end: float = inf) -> list[tuple[float, Any, int, float | None]]:
+        """(time, value, quality, sent) with start <= time < end, in the order of time."""
+        connection = self._connection
+        rows: list[tuple[float, Any, int, float | None]] = []
+        for batch, (which, values, qualities) in _chunks(connection, "samples", tag, start, end):
+            if batch not in self._stamps:
+                query = "SELECT data FROM chunks WHERE batch = ? AND kind = 'stamps'"
+                row = connection.execute(query, (batch,)).fetchone()
+                if row is None:
+                    continue
+                self._stamps[batch] = unpack(row[0])
+            times, sent = self._stamps[batch]
+            rows += [
+                (time, value, quality, sent[place])  # type: ignore[misc,index]
+                for place, value, quality in zip(which, values, qualities, strict=True)
+                if start <= (time := times[place]) < end  # type: ignore[index,operator]
+            ]
+        query = "SELECT time, value, quality, sent FROM samples WHERE tag = ? AND time >= ? AND time < ?"
+        rows += connection.execute(query, (tag, start, end)).fetchall()
+        return sorted(rows, key=lambda row: row[0])
+
+
 def history(path: Path, start: float = -1e18, end: float = 1e18) -> Aligned:
     """Measured and predicted at the scans with start <= time < end. Raises HistorianError."""
-    columns = "time, measured, mean, low, high, free_run, anomaly, location"
+    columns = ("time", "measured", "mean", "low", "high", "free_run", "anomaly", "location")
     with reading(path) as connection:
-        rows = connection.execute(
-            f"SELECT {columns} FROM predictions WHERE time >= ? AND time < ? ORDER BY time",  # noqa: S608
-            (start, end),
-        ).fetchall()
+        rows = sorted(stored_rows(connection, "predictions", columns, start, end), key=lambda row: row[0])
     numbers = np.array([row[:7] for row in rows], dtype=float).reshape(len(rows), 7).T
     times, measured, mean, low, high, free_run, anomaly = numbers
     return Aligned(
@@ -93,15 +188,14 @@ def history(path: Path, start: float = -1e18, end: float = 1e18) -> Aligned:
 def matured(path: Path, tolerance: float = 5.0) -> dict[float, Matured]:
     """By horizon (s): every forecast and the first good reading at most `tolerance` s after what it spoke of."""
     with reading(path) as connection:
-        rows = connection.execute(
-            "SELECT horizon, time, levels, quantiles, p_limit, measured FROM forecasts ORDER BY horizon, time"
-        ).fetchall()
+        columns = ("time", "horizon", "levels", "quantiles", "p_limit", "measured")
+        rows = sorted(stored_rows(connection, "forecasts", columns), key=lambda row: (row[1], row[0]))
     seen = history(path)
     good = np.isfinite(seen.measured)
     times, values = seen.times[good], seen.measured[good]
     by_horizon: dict[float, list[tuple[float, str, str, float, float | None]]] = {}
-    for horizon, *rest in rows:
-        by_horizon.setdefault(float(horizon), []).append(tuple(rest))
+    for time, horizon, *rest in rows:
+        by_horizon.setdefault(float(horizon), []).append((time, *rest))
     matured: dict[float, Matured] = {}
     for horizon, forecasts in by_horizon.items():
         made_at = np.array([row[0] for row in forecasts], dtype=float)
@@ -125,53 +219,52 @@ def matured(path: Path, tolerance: float = 5.0) -> dict[float, Matured]:
 def events(path: Path) -> tuple[Event, ...]:
     """The events in the order in which the gateway saw them."""
     with reading(path) as connection:
-        return tuple(Event(*row) for row in connection.execute("SELECT time, symbol FROM events ORDER BY id"))
+        return tuple(Event(*row) for row in stored_rows(connection, "events", ("time", "symbol")))
 
 
-def samples(path: Path) -> Iterator[Sample]:
-    """Every stored sample, tag by tag in the order of time; `sent` as the driver gave it, None where not good."""
+def samples(path: Path, tag: str | None = None, start: float = -inf, end: float = inf) -> Iterator[Sample]:
+    """Every stored sample with start <= time < end, of one tag or tag by tag, in the order of time.
+
+    `sent` is as the driver gave it, None where not good. Raises HistorianError.
+    """
     with reading(path) as connection:
-        rows = connection.execute(
-            "SELECT name, value, quality, time, sent FROM samples JOIN tags ON tags.id = samples.tag ORDER BY tag, time"
-        )
-        for name, value, quality, time, sent in rows:
-            yield Sample(name, value, Quality(quality), time, sent)
+        for number, name in connection.execute("SELECT id, name FROM tags ORDER BY id").fetchall():
+            if tag not in (None, name):
+                continue
+            with _one_moment(connection):
+                rows = _SampleReader(connection).rows(number, start, end)
+            for time, value, quality, sent in rows:
+                yield Sample(name, restored(value), Quality(quality), time, sent)
 
 
-def to_trace(path: Path, name: str = "historian", start: float = -1e18, end: float = 1e18) -> Trace:
+def to_trace(path: Path, title: str = "historian", start: float = -1e18, end: float = 1e18) -> Trace:
     """The measurements as a trace with one row a scan, not encoded: what the gateway's own encoder was given.
 
     A reading that was not stored because it equalled the one before it is there again; one that was not good is NaN
     and marked in `bad`. Strings are left out. Raises HistorianError.
     """
     with reading(path) as connection:
-        clock = connection.execute(
-            "SELECT time FROM scans WHERE time >= ? AND time < ? ORDER BY time", (start, end)
-        ).fetchall()
-        times = np.array([row[0] for row in clock], dtype=float)
+        clock = sorted(row[0] for row in stored_rows(connection, "scans", ("time",), start, end))
+        times = np.array(clock, dtype=float)
         signals: dict[str, Array] = {}
         bad: dict[str, Mask] = {}
         # A sample that did not change is kept every max_interval only: to know what stood at `start`, one has to look
         # back as far as that, and by ten scans more for those that were late. An hour where no run is on record.
         reach = connection.execute("SELECT max(max_interval + 10 * period) FROM runs").fetchone()[0] or 3600.0
-        for number, tag in connection.execute("SELECT id, name FROM tags ORDER BY id").fetchall():
-            rows = connection.execute(
-                "SELECT time, value, quality FROM samples WHERE tag = ? AND time >= ? AND time < ? "
-                "AND typeof(value) != 'text' ORDER BY time",
-                (number, start - reach, end),
-            ).fetchall()
+        reader = _SampleReader(connection)
+        for tag, name in connection.execute("SELECT id, name FROM tags ORDER BY id").fetchall():
+            rows = [row for row in reader.rows(tag, start - reach, end) if not isinstance(row[1], str)]
             if not rows:
                 continue
             kept = np.array([row[0] for row in rows], dtype=float)
             good = np.array([Quality(row[2]).is_good for row in rows])
-            values = np.array([nan if row[1] is None else row[1] for row in rows], dtype=float)
-            values = np.where(good, values, nan)
+            values = np.where(good, np.array([number(row[1]) for row in rows]), nan)
             # The sample in force at each scan is the last one kept; before the first one there is no reading, and its
             # place -1 would be numpy's last sample, so these rows are put right here.
             place = np.searchsorted(kept, times, side="right") - 1
             before = place < 0
-            signals[tag], bad[tag] = np.where(before, nan, values[place]), ~before & ~good[place]
-    return Trace(name, times, signals, bad=bad, origin=str(path))
+            signals[name], bad[name] = np.where(before, nan, values[place]), ~before & ~good[place]
+    return Trace(title, times, signals, bad=bad, origin=str(path))
 
 
 def recent(path: Path, since: str) -> Trace:
@@ -181,14 +274,59 @@ def recent(path: Path, since: str) -> Trace:
     nothing after it.
     """
     with reading(path) as connection:
-        first, last = connection.execute("SELECT min(time), max(time) FROM scans").fetchone()
+        last = newest_scan(connection)
     if last is None:
         raise ValueError(f"{path}: this historian has no scan yet; let the gateway run first")
-    start = _moment(since, float(last))
-    trace = to_trace(path, start=start)
+    # Up to the newest scan and no further: what a clock that was ahead has left beyond it is not recent.
+    trace = to_trace(path, start=_moment(since, last), end=nextafter(last, inf))
     if trace.times.size < 2:
-        raise ValueError(f"{path}: there is nothing since {since}; it has {_date(first)} to {_date(last)}")
+        raise ValueError(f"{path}: there is nothing since {since}; its newest scan is of {_date(last)}")
     return trace
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trend:
+    """What a tag did: n stretches of `width` s from `starts` (s UTC), each with the `count` of scans that had a good
+    reading, their least, mean and greatest value; arrays are (n,)."""
+
+    width: float
+    starts: Array
+    count: Array
+    low: Array
+    mean: Array
+    high: Array
+
+
+def trend(path: Path, tag: str, start: float, end: float, *, width: int = TIERS[0]) -> Trend:
+    """The trend of a tag from `start` to `end` (s UTC), from the tier of that `width` (one of TIERS).
+
+    Raises HistorianError, and ValueError for another width or a tag that it has not.
+    """
+    if width not in TIERS:
+        raise ValueError(f"there is no tier of {width} s; give one of {', '.join(map(str, TIERS))}")
+    with reading(path) as connection, _one_moment(connection):
+        found = connection.execute("SELECT id FROM tags WHERE name = ?", (tag,)).fetchone()
+        if found is None:
+            raise ValueError(f"{path}: has no tag {tag!r}")
+        query = (
+            "SELECT start, count, low, mean, high FROM tiers WHERE tag = ? AND width = ? AND start >= ? AND start < ?"
+        )
+        begin = floor(start / width) * width if isfinite(start) else start
+        values = (found[0], width, begin, end)
+        tiers = {row[0]: row for row in connection.execute(query, values)} if _layout(connection) >= 2 else {}
+        # What is not packed yet is in no tier: the newest half hour or so at a scan a second.
+        since = connection.execute("SELECT min(time) FROM samples").fetchone()[0]
+        if since is not None and since < end:
+            scans = np.array([row[0] for row in stored_rows(connection, "scans", ("time",), max(start, since), end)])
+            rows = _SampleReader(connection).rows(found[0], max(start, since), end)
+            good = np.array([number(row[1]) if Quality(row[2]).is_good else nan for row in rows])
+            for row in means(np.sort(scans), np.array([row[0] for row in rows]), good, width):
+                _, count, low, mean, high = tiers.get(row[0], (row[0], 0, inf, 0.0, -inf))
+                total = count + row[1]
+                middle = (mean * count + row[3] * row[1]) / total
+                tiers[row[0]] = (row[0], total, min(low, row[2]), middle, max(high, row[4]))
+    columns = np.array([tiers[key] for key in sorted(tiers)], dtype=float).reshape(len(tiers), 5).T
+    return Trend(width=width, **dict(zip(("starts", "count", "low", "mean", "high"), columns, strict=True)))
 
 
 def _moment(since: str, last: float) -> float:

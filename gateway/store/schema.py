@@ -1,76 +1,119 @@
-"""The historian's tables, how a row gets into each, and which of them must survive a power cut."""
+"""The historian's tables, how a row gets into each, which of them must survive a power cut, and in what order they go.
+
+A row is stored twice in its life. It is born in a table that is named after what it holds (`samples`, `scans`, ...) and
+only ever appended to: its key (`rowid`, by the name `id` in some) is the order of arrival and never its time, so that a
+clock that was set back overwrites and hides nothing. Once there are enough of them, the oldest are packed as columns
+into `chunks` (`columns`), and their means go into `tiers`. Readers go through `read_back`, which knows both places.
+"""
 
 from collections.abc import Mapping
+from math import nan
 
-VERSION = 1
+VERSION = 2
 APPLICATION_ID = 0x6465_6361
 """Marks the file as a decanter historian (SQLite's application_id)."""
 
-TABLES = """
-CREATE TABLE tags (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, unit TEXT NOT NULL);
-CREATE TABLE runs (started REAL PRIMARY KEY, temperature TEXT NOT NULL, model TEXT NOT NULL, period REAL NOT NULL,
-    max_interval REAL NOT NULL);
-CREATE TABLE scans (time REAL PRIMARY KEY, duration REAL NOT NULL, missed INTEGER NOT NULL) WITHOUT ROWID;
-CREATE TABLE samples (tag INTEGER NOT NULL, time REAL NOT NULL, value, quality INTEGER NOT NULL, sent REAL,
-    PRIMARY KEY (tag, time)) WITHOUT ROWID;
-CREATE TABLE predictions (time REAL PRIMARY KEY, location TEXT NOT NULL, known INTEGER NOT NULL, measured REAL,
-    mean REAL, low REAL, high REAL, free_run REAL, anomaly REAL NOT NULL, zone TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE forecasts (time REAL NOT NULL, horizon REAL NOT NULL, levels TEXT NOT NULL, quantiles TEXT NOT NULL,
-    p_limit REAL NOT NULL, "limit" REAL NOT NULL, measured REAL, PRIMARY KEY (time, horizon)) WITHOUT ROWID;
-CREATE TABLE events (id INTEGER PRIMARY KEY, time REAL NOT NULL, symbol TEXT NOT NULL, location TEXT NOT NULL);
-CREATE INDEX events_by_time ON events (time);
-CREATE TABLE alarms (id INTEGER PRIMARY KEY, time REAL NOT NULL, condition TEXT NOT NULL, tag TEXT NOT NULL,
-    priority INTEGER NOT NULL, state TEXT NOT NULL, value REAL, acknowledged_by TEXT NOT NULL);
-CREATE TABLE writes (id INTEGER PRIMARY KEY, time REAL NOT NULL, sequence INTEGER NOT NULL, mode TEXT NOT NULL,
-    verdict TEXT NOT NULL, validity INTEGER NOT NULL, latency_ms REAL, reason TEXT NOT NULL, words BLOB NOT NULL);
-CREATE INDEX writes_by_time ON writes (time);
-CREATE TABLE audit (id INTEGER PRIMARY KEY, time REAL NOT NULL, what TEXT NOT NULL, who TEXT NOT NULL,
-    reason TEXT NOT NULL);
-CREATE TABLE state (key TEXT PRIMARY KEY, time REAL NOT NULL, content TEXT NOT NULL) WITHOUT ROWID;
-"""
+COLUMNS: Mapping[str, str] = {
+    "tags": "id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, unit TEXT NOT NULL",
+    "runs": "started REAL NOT NULL, temperature TEXT NOT NULL, model TEXT NOT NULL, "
+    "period REAL NOT NULL, max_interval REAL NOT NULL",
+    "scans": "time REAL NOT NULL, duration REAL NOT NULL, missed INTEGER NOT NULL",
+    "samples": "tag INTEGER NOT NULL, time REAL NOT NULL, value, quality INTEGER NOT NULL, sent REAL",
+    "predictions": "time REAL NOT NULL, location TEXT NOT NULL, known INTEGER NOT NULL, "
+    "measured REAL, mean REAL, low REAL, high REAL, free_run REAL, anomaly REAL NOT NULL, zone TEXT NOT NULL",
+    "forecasts": "time REAL NOT NULL, horizon REAL NOT NULL, levels TEXT NOT NULL, "
+    'quantiles TEXT NOT NULL, p_limit REAL NOT NULL, "limit" REAL NOT NULL, measured REAL',
+    "events": "id INTEGER PRIMARY KEY, time REAL NOT NULL, symbol TEXT NOT NULL, location TEXT NOT NULL",
+    "alarms": "id INTEGER PRIMARY KEY, time REAL NOT NULL, condition TEXT NOT NULL, tag TEXT NOT NULL, "
+    "priority INTEGER NOT NULL, state TEXT NOT NULL, value REAL, acknowledged_by TEXT NOT NULL",
+    "writes": "id INTEGER PRIMARY KEY, time REAL NOT NULL, sequence INTEGER NOT NULL, mode TEXT NOT NULL, "
+    "verdict TEXT NOT NULL, validity INTEGER NOT NULL, latency_ms REAL, reason TEXT NOT NULL, words BLOB NOT NULL",
+    "audit": "id INTEGER PRIMARY KEY, time REAL NOT NULL, what TEXT NOT NULL, who TEXT NOT NULL, reason TEXT NOT NULL",
+    "guards": "time REAL NOT NULL, content TEXT NOT NULL",
+    "state": "key TEXT PRIMARY KEY, time REAL NOT NULL, content TEXT NOT NULL",
+    "chunks": "id INTEGER PRIMARY KEY, kind TEXT NOT NULL, tag INTEGER NOT NULL, batch INTEGER NOT NULL, "
+    "first REAL NOT NULL, last REAL NOT NULL, rows INTEGER NOT NULL, data BLOB NOT NULL",
+    "tiers": "tag INTEGER NOT NULL, width INTEGER NOT NULL, start REAL NOT NULL, count INTEGER NOT NULL, "
+    "low REAL NOT NULL, mean REAL NOT NULL, high REAL NOT NULL, PRIMARY KEY (tag, width, start)",
+}
 """Times are plant seconds UTC. A sample is kept when it differs from the one kept before it (by more than the tag's
 deadband), when its quality changes, and at least every `runs.max_interval` seconds; what lies between equals it. A good
-sample bears the moment of its reading, any other the moment of its scan. `forecasts.measured` is the reading at the
-time the forecast was made: what persistence would have said."""
+sample bears the moment of its reading, any other the moment of its scan. A `samples.value` is a number, a text, NULL
+where there was none, and a BLOB of decimal digits for a whole number beyond SQLite's 64 signed bits.
+`forecasts.measured` is the reading at the time the forecast was made: what persistence would have said.
 
-ADDED = "CREATE TABLE IF NOT EXISTS guards (time REAL PRIMARY KEY, content TEXT NOT NULL) WITHOUT ROWID"
-"""A table that files of layout 1 from earlier gateways lack; it is made when one is opened. `content` is JSON."""
+A row of `chunks` holds `rows` rows of the table `kind`, or of `samples` of one `tag`, between the times `first` and
+`last`; the samples' moments are a chunk `stamps` of the same `batch`. A row of `tiers` tells of the good readings of a
+`tag` at the scans within `width` s from `start`: their count, least, mean and greatest value."""
+
+WITHOUT_ROWID = frozenset({"state", "tiers"})
+
+INDICES = (
+    "CREATE INDEX chunks_by_time ON chunks (kind, tag, last, first)",
+    "CREATE INDEX chunks_by_batch ON chunks (batch, kind, tag)",
+)
 
 
-def _insert(table: str, columns: int, *, replace: bool = False) -> str:
-    verb = "INSERT OR REPLACE" if replace else "INSERT"
-    return f"{verb} INTO {table} VALUES ({', '.join('?' * columns)})"
+def definition(table: str) -> str:
+    """The statement that makes a table."""
+    return f"CREATE TABLE {table} ({COLUMNS[table]})" + (" WITHOUT ROWID" if table in WITHOUT_ROWID else "")
 
 
-def _append(table: str, columns: str) -> str:
-    return f"INSERT INTO {table} ({columns}) VALUES ({', '.join('?' * (columns.count(',') + 1))})"  # noqa: S608
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "runs": ("started", "temperature", "model", "period", "max_interval"),
+    "scans": ("time", "duration", "missed"),
+    "samples": ("tag", "time", "value", "quality", "sent"),
+    "predictions": (
+        "time", "location", "known", "measured", "mean", "low", "high", "free_run", "anomaly", "zone"
+    ),
+    "forecasts": ("time", "horizon", "levels", "quantiles", "p_limit", '"limit"', "measured"),
+    "events": ("time", "symbol", "location"),
+    "alarms": ("time", "condition", "tag", "priority", "state", "value", "acknowledged_by"),
+    "writes": ("time", "sequence", "mode", "verdict", "validity", "latency_ms", "reason", "words"),
+    "audit": ("time", "what", "who", "reason"),
+    "state": ("key", "time", "content"),
+    "guards": ("time", "content"),
+}  # fmt: skip
+"""The columns of a row as it is put, in order; what else a table has SQLite fills in."""
 
 
-INSERTS: Mapping[str, str] = {
-    "runs": _insert("runs", 5, replace=True),
-    "scans": _insert("scans", 3, replace=True),
-    "samples": _insert("samples", 5, replace=True),
-    "predictions": _insert("predictions", 10, replace=True),
-    "forecasts": _insert("forecasts", 7, replace=True),
-    "events": _append("events", "time, symbol, location"),
-    "alarms": _append("alarms", "time, condition, tag, priority, state, value, acknowledged_by"),
-    "writes": _append("writes", "time, sequence, mode, verdict, validity, latency_ms, reason, words"),
-    "audit": _append("audit", "time, what, who, reason"),
-    "state": _insert("state", 3, replace=True),
-    "guards": _insert("guards", 2, replace=True),
-}
+def _insert(table: str) -> str:
+    verb = "INSERT OR REPLACE" if table == "state" else "INSERT"
+    marks = ", ".join("?" * len(NAMES[table]))
+    return f"{verb} INTO {table} ({', '.join(NAMES[table])}) VALUES ({marks})"
+
+
+INSERTS: Mapping[str, str] = {table: _insert(table) for table in NAMES}
 
 DURABLE = frozenset({"alarms", "writes", "audit", "runs"})
-"""Tables whose rows are flushed to the disk before they count as committed (synchronous FULL), and at once."""
+"""Tables whose rows are flushed to the disk before they count as committed (synchronous FULL)."""
+AT_ONCE = DURABLE - {"writes"}
+"""Those that do not wait for the batch of their second. A write is in the audit log before it is sent, so that its row
+here may come with the measurements beside it."""
 
-_OLDEST = "time IN (SELECT time FROM {table} WHERE time < :moment ORDER BY time LIMIT :rows)"
+MEASURED = ("samples", "scans", "predictions", "forecasts", "events", "guards")
+"""Tables of measurements: the first to go, by age and by size."""
+PACKED: Mapping[str, int] = {
+    "samples": 20_000, "scans": 2_000, "predictions": 2_000, "forecasts": 2_000, "events": 2_000, "guards": 500,
+    "writes": 2_000,
+}  # fmt: skip
+"""Rows that are packed at a time, once a table has half as many again."""
 
-DELETES: Mapping[str, str] = {
-    **{
-        table: f"DELETE FROM {table} WHERE {_OLDEST.format(table=table)}"  # noqa: S608
-        for table in ("scans", "predictions", "forecasts", "events", "writes", "guards")
-    },
-    "samples": "DELETE FROM samples WHERE tag = :tag AND time IN "
-    "(SELECT time FROM samples WHERE tag = :tag AND time < :moment ORDER BY time LIMIT :rows)",
-}
-"""How the oldest `rows` rows before a `moment` are deleted. Alarms, audit record and runs stay."""
+
+def storable(value: int | float | str | None) -> int | float | str | bytes | None:
+    """A sample's value as SQLite takes it: whole numbers beyond its 64 signed bits as their digits."""
+    if isinstance(value, bool):
+        return float(value)
+    if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        return str(value).encode()
+    return value
+
+
+def restored(value: int | float | str | bytes | None) -> int | float | str | None:
+    """The value that `storable` was given."""
+    return int(value) if isinstance(value, bytes) else value
+
+
+def number(value: int | float | str | bytes | None) -> float:
+    """A stored value as a number; NaN for a text and for none."""
+    return nan if value is None or isinstance(value, str) else float(value)

@@ -1,6 +1,7 @@
 """How right the predictions were, from the historian alone: errors, forecasts against persistence, what was written."""
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.store.read_back import Matured, history, matured, reading
+from gateway.store.read_back import Matured, history, matured, reading, row_number, stored_rows
 from sim.scores import coverage, crps_quantiles
 from sim.sha import Array
 
@@ -64,19 +65,15 @@ class Scorecard:
 def scorecard(path: Path) -> Scorecard:
     """The scores of everything in the historian at `path`. Raises HistorianError."""
     with reading(path) as connection:
-        counts = {
-            table: int(connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0])  # noqa: S608
-            for table in ("scans", "samples", "events")
-        }
-        verdicts = dict(connection.execute("SELECT verdict, count(*) FROM writes GROUP BY verdict").fetchall())
-        latencies = [
-            float(row[0]) for row in connection.execute("SELECT latency_ms FROM writes WHERE latency_ms IS NOT NULL")
-        ]
+        counts = {table: row_number(connection, table) for table in ("scans", "samples", "events")}
+        writes = stored_rows(connection, "writes", ("time", "verdict", "latency_ms"))
+        verdicts = dict(Counter(str(verdict) for _, verdict, _ in writes))
+        latencies = [float(latency) for _, _, latency in writes if latency is not None]
         # A file of an earlier gateway has no such table, and a run without a model no report in it.
         guards: dict[str, Any] = {}
         if connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'guards'").fetchone()[0]:
-            newest = connection.execute("SELECT content FROM guards ORDER BY time DESC LIMIT 1").fetchone()
-            guards = json.loads(newest[0]) or {} if newest else {}
+            reports = stored_rows(connection, "guards", ("time", "content"))
+            guards = json.loads(reports[-1][1]) or {} if reports else {}
     seen = history(path)
     known = np.isfinite(seen.mean) & np.isfinite(seen.measured)
     band90 = coverage(seen.low[known], seen.high[known], seen.measured[known]) if known.any() else nan

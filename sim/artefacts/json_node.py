@@ -1,12 +1,14 @@
 """A parsed JSON document with its file and key path, so that what is wrong is told by where it stands."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from typing import Any, TypeVar
 
+from drivers.named_files import unusable
 from sim.files import ArtefactError, at
 
 T = TypeVar("T")
@@ -95,12 +97,15 @@ def _shown(value: object) -> str:
 def parse_json(text: str, file: str | Path) -> JsonNode:
     """The document. Raises ArtefactError with line and column, also for NaN, Infinity and a key given twice."""
     try:
-        return JsonNode(json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique), file)
+        document = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
         sentence = f"is no JSON ({error.msg} at column {error.colno}); correct that place"
         raise at(file, error.lineno, sentence) from None
     except (ValueError, RecursionError) as error:
         raise at(file, None, f"is no JSON that can be used ({error}); correct that place") from None
+    if problem := unusable(document):
+        raise at(file, None, problem)
+    return JsonNode(document, file)
 
 
 def _no_constant(name: str) -> float:
@@ -111,7 +116,8 @@ def _unique(pairs: list[tuple[str, Any]]) -> Mapping[str, Any]:
     # json keeps the last of two equal keys without a word; a model edited by hand would lose a value.
     table = dict(pairs)
     if len(table) < len(pairs):
-        doubled = next(key for index, (key, _) in enumerate(pairs) if key in dict(pairs[:index]))
+        counts = Counter(key for key, _ in pairs)
+        doubled = next(key for key in table if counts[key] > 1)
         raise ValueError(f"the key {doubled!r} is given twice in one object")
     return table
 

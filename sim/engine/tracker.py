@@ -99,7 +99,8 @@ def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 3
     `sensor_memory` that is negative or no number, an unknown policy, and a window below 1.
     """
     check_sha(model.sha)
-    if not isfinite(model.sensor_sigma) or model.sensor_sigma < 0:
+    # Its square is what is computed with, and that leaves the floating point numbers earlier.
+    if not isfinite(model.sensor_sigma * model.sensor_sigma) or model.sensor_sigma < 0:
         raise ValueError(f"model {model.sha.name!r}: sensor_sigma must be at least 0 degC, got {model.sensor_sigma}")
     if not isfinite(model.sensor_memory) or model.sensor_memory < 0:
         raise ValueError(f"model {model.sha.name!r}: sensor_memory must be at least 0 s, got {model.sensor_memory}")
@@ -123,7 +124,7 @@ def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 3
         | frozenset(signals_of(model.sha)),
         policy=policy,
         window=window,
-        sensor=max(model.sensor_sigma**2, SENSOR_FLOOR),
+        sensor=max(model.sensor_sigma * model.sensor_sigma, SENSOR_FLOOR),
         plant=compile_plant(model.sha) if model.sha.effects else None,
         sensor_memory=model.sensor_memory,
     )

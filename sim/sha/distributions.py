@@ -6,7 +6,7 @@ from S(u + t) / S(u) = v.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import exp, gamma, isfinite
+from math import exp, gamma, inf, isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -93,6 +93,15 @@ def check_distribution(law: Distribution) -> None:
     for name, value in law.params.items():
         if not isfinite(value) or (name in kind.positive and value <= 0) or (name == "sigma" and value < 0):
             raise ValueError(f"distribution {law.kind!r}: {name}={value} is out of range")
+    # Its moments must be numbers too: exp, gamma and powers leave the range of floating point long before their
+    # arguments do, and OverflowError would come where the model runs.
+    try:
+        moments = (kind.mean(law.params), kind.variance(law.params))
+    except OverflowError:
+        moments = (inf, inf)
+    if not all(map(isfinite, moments)):
+        shown = ", ".join(f"{name}={value:g}" for name, value in law.params.items())
+        raise ValueError(f"distribution {law.kind!r}: its mean or variance is beyond any number with {shown}")
 
 
 def mean(law: Distribution) -> float:

@@ -60,7 +60,7 @@ def _channel(table: _SwitchTable | _BinsTable) -> Switch | Bins:
         first, last, step = thresholds.first, thresholds.last, thresholds.step
         count = (last - first) / step
         # Steps of 0.1 hardly ever come out whole in floating point; a file that means a million bins is a mistake.
-        if count < 0 or abs(count - round(count)) > 1e-9 or count > 100_000:
+        if not 0 <= count <= 100_000 or abs(count - round(count)) > 1e-9:
             raise ValueError(f"thresholds from {first:g} to {last:g} are no whole steps of {step:g}")
         thresholds = tuple(first + index * step for index in range(round(count) + 1))
     if isinstance(symbols, _Numbered):

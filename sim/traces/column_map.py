@@ -7,7 +7,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from drivers.named_files import parse_toml, regular
+from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
 from drivers.settings import sentences
 from sim.sha import DECANTER, Alphabet
 from sim.traces.alphabet_table import alphabet_from_table
@@ -234,7 +234,7 @@ class ColumnMap(_MapPart):
 def load_map(path: str | Path) -> ColumnMap:
     """The column map in a TOML file. Raises ValueError: file, key, reason and what would be right in one sentence."""
     try:
-        table: dict[str, Any] = parse_toml(regular(Path(path)).read_text(encoding="utf-8"))
+        table: dict[str, Any] = parse_toml(contents(Path(path), MOST_TOML_BYTES).decode())
     except FileNotFoundError:
         raise ValueError(f"{path}: there is no such column map; the project's own are in config/traces") from None
     except OSError as error:

@@ -39,6 +39,8 @@ async def test_lines_are_answered_in_order_until_one_has_no_end_or_the_client_is
         writer.write(b"one\n\ntwo\n")
         assert [json.loads(await reader.readline())["heard"] for _ in range(2)] == ["one", "two"]
         writer.write(b"x" * 65 + b"\n")
+        refusal = json.loads(await reader.readline())
+        assert not refusal["ok"] and "too long" in refusal["reason"]
         assert await reader.read() == b""
         writer.close()
         admitted = False

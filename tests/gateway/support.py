@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.driver import Driver, open_driver
+from drivers.driver import BeforeSending, Driver, anyhow, open_driver
 from drivers.tag import Quality, Sample, Value
 from gateway.machine.reading.scan import Scan
 from gateway.settings.config import Config, load_config
@@ -136,8 +136,8 @@ class Bench:
         read: list[Sample] = await self.soft.read(tags)
         return read
 
-    async def write(self, values: Any) -> None:
-        await self.soft.write(values)
+    async def write(self, values: Any, *, before_sending: BeforeSending = anyhow) -> None:
+        await self.soft.write(values, before_sending=before_sending)
         self.written.append({tag.name.removeprefix("Writeback."): value for tag, value in values})
 
     @property

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from drivers.driver import BeforeSending
 from drivers.errors import ReplyTimeout
 from drivers.settings import ConfigError
 from drivers.tag import Value
@@ -286,7 +287,8 @@ async def test_a_write_that_fails_does_not_stop_the_scan(tmp_path: Path) -> None
     config = config_in(tmp_path, model=two_modes(), **ARMED)
     bench = Bench(config, JumpClock(), armed=True)
 
-    async def failing(values: list[tuple[Any, Value]]) -> None:
+    async def failing(values: list[tuple[Any, Value]], *, before_sending: BeforeSending) -> None:
+        before_sending()
         raise ReplyTimeout("no reply within 0.5 s")
 
     bench.write = failing  # type: ignore[method-assign]

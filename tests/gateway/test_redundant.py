@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from drivers.driver import Driver, Explains, Writes
+from drivers.driver import BeforeSending, Driver, Explains, Writes, anyhow
 from drivers.errors import DeviceException, LinkDown, ReplyTimeout, WriteForbidden
 from drivers.tag import Quality, Sample, Tag, Value
 from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath, SwitchOver
@@ -77,7 +77,8 @@ class Path:
         times = (looked, None) if self.streams else (now(), sent)
         return [Sample(tag.name, values[tag.name], Quality.GOOD, *times) for tag in tags]
 
-    async def write(self, values: Sequence[tuple[Tag, Value]]) -> None:
+    async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
+        before_sending()
         ((tag, value),) = values
         assert tag.address.startswith(self.name)
         if self.fate == "refused":

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.driver import open_driver
+from drivers.driver import BeforeSending, anyhow, open_driver
 from drivers.tag import Quality, Sample
 from gateway.machine.reading.scan import Scan
 from gateway.machine.writing.block import Validity
@@ -24,7 +24,8 @@ class Wire:
         self.soft = open_driver("soft", {}, clock=CLOCK.now, write_map=LAYOUT.words)
         self.blocks: list[list[int]] = []
 
-    async def write(self, values: list[tuple[object, int]]) -> None:
+    async def write(self, values: list[tuple[object, int]], *, before_sending: BeforeSending = anyhow) -> None:
+        before_sending()
         self.blocks.append([value for _, value in values])
         await self.soft.write(values)
 
@@ -89,7 +90,7 @@ async def test_arming_ends_by_itself_with_a_block_of_validity_0_and_then_silence
     assert not writer.expired(EPOCH + 59.9)
     assert writer.expired(EPOCH + 60.0)
     await writer.withdraw(scan(), alarms=1)
-    writer.disarm()
+    await writer.disarm()
     await writer.offer(scan(), {}, USABLE)
     assert len(wire.blocks) == 1
     assert wire.blocks[0][3] == 0 and wire.blocks[0][19] == 1, "validity 0, the measured alarm still said"

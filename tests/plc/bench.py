@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 DECANTER = ROOT / "config/devices/decanter_plc.toml"
 PATIENCE_S = 20.0
 HEARTBEAT, PERMIT, ACKNOWLEDGE, ACCEPTED, REFUSED, REFUSAL, USABLE = range(112, 119)
-BLOCK, BLOCK_WORDS = 400, 24
+BLOCK, BLOCK_WORDS = 400, 26
 
 
 def trace_file(folder: Path, rows: Sequence[str], header: str = "time,MarciaDecanter,Assorbimento,TFango") -> Path:

@@ -206,7 +206,7 @@ async def test_the_loop_tests_pass_at_the_emulator_and_a_plc_without_a_timer_fai
             await one.wait_for_scans()
             stuck = await heartbeat_loop(one, quiet, seconds=0.3)
     assert seen.code == 0 and [row["name"] for row in seen.data["rows"]][-1] == "none"
-    assert len(seen.data["rows"]) == 8 and all(row["seen"] for row in seen.data["rows"])
+    assert len(seen.data["rows"]) == 10 and all(row["seen"] for row in seen.data["rows"])
     assert beats.code == 0 and len(beats.data["rows"]) == 4
     assert stuck.code == 1 and "timer" in stuck.complaint
 

@@ -5,9 +5,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +159,12 @@ class Rig:
     folder: Path
     records: Path
     speed: float = 1.0
+    environment: Mapping[str, str] | None = None
+    """Of the gateway's process; this one's own if it is None."""
+
+    def with_environment(self, environment: Mapping[str, str]) -> "Rig":
+        """The same rig, whose gateway has this environment."""
+        return replace(self, environment=environment)
 
     @property
     def recording(self) -> Path:
@@ -204,7 +210,8 @@ class Rig:
         status.unlink(missing_ok=True)
         port = [] if "[[device.links]]" in self.plant.read_text(encoding="utf-8") else ["--port", plc.ready["port"]]
         arguments = ["run", "--config", self.plant, *port, "--clock", plc.clock, "--quiet"]
-        process = _started("gateway.cli.main", *map(str, arguments), "--status", str(status), *options)
+        whole = [*map(str, arguments), "--status", str(status), *options]
+        process = _started("gateway.cli.main", *whole, environment=self.environment)
         return Gateway(process, status)
 
     def _plc_options(self) -> list[str]:
@@ -213,9 +220,16 @@ class Rig:
 
 
 def make_rig(
-    folder: Path, trace: Trace, *, period: float, speed: float = 1.0, device: Path = MAP, records: Path | None = None
+    folder: Path,
+    trace: Trace,
+    *,
+    period: float,
+    speed: float = 1.0,
+    device: Path = MAP,
+    records: Path | None = None,
+    mode: str = "armed",
 ) -> Rig:
-    """Write the files of a rig: an armed gateway with the known model that scans each `period` plant seconds.
+    """Write the files of a rig: a gateway with the known model that scans each `period` plant seconds.
 
     Every reading of every scan is stored (max_interval below the period), so that the judge misses none. `device` is
     the register map that the gateway works by, `records` the folder of historian and log (else `folder` too).
@@ -227,7 +241,8 @@ def make_rig(
         f"[device]\nfile = {json.dumps(str(device))}\nheartbeat_period = {5 * CYCLE_S:g}",
         f"[scan]\nperiod = {period:g}",
         '[model]\npath = "model.json"',
-        '[writeback]\nmode = "armed"\narmed_by = "rig"\nreason = "bench on loopback"\nminutes = 480',
+        f"[writeback]\nmode = {json.dumps(mode)}",
+        *(['armed_by = "rig"\nreason = "bench on loopback"\nminutes = 480'] if mode == "armed" else []),
         f"[historian]\npath = {json.dumps(str(rig.historian))}\nmax_interval = {period / 100:g}",
         f"[forecast]\nhorizons = [30]\nruns = 50\nperiod = {10 * period:g}",
         f"[log]\npath = {json.dumps(str(rig.records / 'gateway.jsonl'))}",
@@ -256,10 +271,10 @@ def end(process: "subprocess.Popen[str]") -> None:
             pipe.close()
 
 
-def _started(module: str, *arguments: str) -> "subprocess.Popen[str]":
+def _started(module: str, *arguments: str, environment: Mapping[str, str] | None = None) -> "subprocess.Popen[str]":
     pipe = subprocess.PIPE
     command = [sys.executable, "-m", module, *arguments]
-    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, cwd=ROOT)
+    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, cwd=ROOT, env=environment)
 
 
 def _ready(process: "subprocess.Popen[str]") -> Plc:

@@ -8,6 +8,7 @@ from typing import Any
 
 from gateway.commission.acceptance.blocks import at
 from gateway.commission.session import CommandRecord, broken_at, read_records, versions
+from gateway.machine.writing import uptime
 from gateway.store import ARMED, DISARMED, EXPIRED, hash_of, read, standing, verify
 
 FORMAT = 1
@@ -178,7 +179,7 @@ def _audit(path: Path, now: float) -> dict[str, Any]:
     checked = verify(path)
     rows = [] if checked.problem else read(path)
     armings = [{"row": row.id, **asdict(row.entry)} for row in rows if row.entry.kind in (ARMED, DISARMED, EXPIRED)]
-    row = None if checked.problem else standing(path, now)
+    row = None if checked.problem else standing(path, now, uptime())
     sentence = f"by {row.entry.who} ({row.entry.reason}) until {at(row.entry.detail['until'])}" if row else ""
     return {
         **empty,

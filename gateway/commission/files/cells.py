@@ -2,9 +2,12 @@
 
 import csv
 import io
+import lzma
 import re
+import struct
 import unicodedata
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +15,19 @@ from pathlib import Path
 from openpyxl import load_workbook
 from openpyxl.utils.exceptions import InvalidFileException
 
-from drivers.named_files import regular
+from drivers.named_files import MOST_BYTES, contents
 
 HEADER_WITHIN = 40
 """So many lines of titles may stand above the header."""
 _DELIMITERS = ";,\t|"
 _PLAIN = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d{1,2})?", re.IGNORECASE)
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:(?P<group>[.,'])\d{3})(?:(?P=group)\d{3})*(?P<rest>[.,]\d*)?")
+MOST_PARTS, MOST_ROWS, MOST_CELLS = 2000, 100_000, 2_000_000
+_XLSX_RAISES = (
+    InvalidFileException, zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, KeyError, IndexError,
+    TypeError, AttributeError, ArithmeticError, RuntimeError, SyntaxError, struct.error, lzma.LZMAError, AssertionError,
+)  # fmt: skip
+"""What zipfile, its decompressors, the XML parser and openpyxl raise for an archive that is no workbook."""
 _ENCODINGS = ("utf-8-sig", "cp1252", "latin-1")
 
 
@@ -136,7 +145,7 @@ def key_of(text: str) -> str:
 def _rows(path: Path, sheet: str | None) -> Iterator[tuple[int, list[str]]]:
     """Every row with its line. Raises ListError."""
     try:
-        data = regular(path).read_bytes()
+        data = contents(path)
     except OSError as error:
         raise ListError(
             f"{path}: cannot be read ({(error.strerror or str(error)).lower()}); give a CSV or XLSX file"
@@ -156,8 +165,9 @@ def _rows(path: Path, sheet: str | None) -> Iterator[tuple[int, list[str]]]:
             except UnicodeDecodeError:
                 continue
             break
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter_of(text))
+    reader = csv.reader(io.StringIO(text, newline=""))
     try:
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter_of(text))
         # A quoted cell may hold line breaks: a row is called by the line at which it begins.
         before = 0
         for row in reader:
@@ -182,20 +192,49 @@ def delimiter_of(text: str) -> str:
 
 def _xlsx_rows(path: Path, data: bytes, sheet: str | None) -> Iterator[tuple[int, list[str]]]:
     try:
+        _check_archive(path, data)
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
-    except (InvalidFileException, zipfile.BadZipFile, KeyError, ValueError) as error:
-        raise ListError(f"{path}: is no XLSX workbook ({error}); save it as .xlsx or .csv") from None
-    if sheet is not None and sheet not in book.sheetnames:
-        raise ListError(f"{path}: has no sheet {sheet!r}; it has {', '.join(map(repr, book.sheetnames))}")
-    page = book[sheet] if sheet is not None else book.worksheets[0]
-    for number, row in enumerate(page.iter_rows(values_only=True), start=1):
-        # As it would be typed: XLSX knows no whole numbers, and 40101.0 is no address.
-        cells = [
-            str(int(value)) if isinstance(value, float) and value.is_integer() and abs(value) < 1e15 else str(value)
-            for value in ("" if value is None else value for value in row)
-        ]
-        if any(cells):
-            yield number, cells
+        if not book.worksheets:
+            raise ListError(f"{path}: has no sheet with cells; give a workbook with a list")
+        if sheet is not None and sheet not in (page.title for page in book.worksheets):
+            raise ListError(f"{path}: has no sheet {sheet!r}; it has {', '.join(map(repr, book.sheetnames))}")
+        page = book[sheet] if sheet is not None else book.worksheets[0]
+        # What the sheet says of its own size is not looked at: it would be believed, a row being filled up to it.
+        page.reset_dimensions()
+        filled = 0
+        for number, row in enumerate(page.iter_rows(values_only=True), start=1):
+            filled += len(row)
+            if number > MOST_ROWS or filled > MOST_CELLS:
+                raise ListError(f"{path}: goes on beyond line {number}; a list has {MOST_ROWS} lines at most")
+            # As it would be typed: XLSX knows no whole numbers, and 40101.0 is no address.
+            cells = [
+                str(int(value)) if isinstance(value, float) and value.is_integer() and abs(value) < 1e15 else str(value)
+                for value in ("" if value is None else value for value in row)
+            ]
+            if any(cells):
+                yield number, cells
+    except ListError:
+        raise
+    except _XLSX_RAISES as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ListError(f"{path}: is no XLSX workbook ({reason}); save it as .xlsx or .csv") from None
+
+
+def _check_archive(path: Path, data: bytes) -> None:
+    """Raises ListError for an archive that unpacks to more than a list has, or whose XML defines entities."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        parts = archive.infolist()
+        unpacked = sum(part.file_size for part in parts)
+        if len(parts) > MOST_PARTS or unpacked > MOST_BYTES:
+            raise ListError(
+                f"{path}: unpacks to {len(parts)} parts of {unpacked >> 20} MiB together, and {MOST_PARTS} parts of "
+                f"{MOST_BYTES >> 20} MiB are the most; save the list alone as .xlsx or .csv"
+            )
+        for part in parts:
+            # No workbook has a document type, by which a few bytes of XML become gigabytes (ECMA-376-2, 9.1.4). It may
+            # stand in UTF-16 as well, so zeros are passed over.
+            if part.filename.endswith((".xml", ".rels")) and b"<!DOCTYPE" in archive.read(part).replace(b"\0", b""):
+                raise ListError(f"{path}: its part {part.filename!r} has a document type, which no workbook has")
 
 
 def number_of(text: str) -> float:

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from drivers.named_files import parse_toml
 from gateway.commission.files.plan_files import Files, find_files
 from gateway.commission.session import CommandResult, SharedOptions, Site, Target, check_writable, perform
 from gateway.console import shipped, table
@@ -29,7 +30,7 @@ def _values(context: click.Context, option: click.Parameter, texts: tuple[str, .
     values: dict[str, Any] = {}
     for key, text in pairs(context, option, texts).items():
         try:
-            values[key] = tomllib.loads(f"value = {text}")["value"]
+            values[key] = parse_toml(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:
             values[key] = text
     return values

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from drivers.driver import LINKS
+from drivers.named_files import parse_toml
 
 _FILE = click.Path(path_type=Path)
 RECORDS = Path("out/commissioning.jsonl")
@@ -128,6 +129,6 @@ def _other(text: str) -> tuple[str, Any]:
     if not (equals and key.strip()):
         raise click.BadParameter(f"{text!r}: give KEY=VALUE, such as max_registers=16", param_hint="--set")
     try:
-        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+        return key.strip(), parse_toml(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return key.strip(), value.strip()

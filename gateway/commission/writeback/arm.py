@@ -21,7 +21,7 @@ from gateway.commission.session import (
     running_gateway,
 )
 from gateway.commission.writeback.block_writer import gateway_runs, layout_of, open_block_writer
-from gateway.machine.writing import ArmingError, arm_in_log, disarm_in_log, signed
+from gateway.machine.writing import ArmingError, arm_in_log, disarm_in_log, next_start, signed, uptime
 from gateway.store import head
 
 
@@ -42,7 +42,7 @@ async def start_arming(site: Site, audit_path: Path, by: str, reason: str, minut
 
 
 async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> CommandResult:
-    """Take the arming back; what can be written of validity 0 is written first.
+    """Take the arming back, then write validity 0 if that can be done; say what the next start of the gateway will do.
 
     Raises ArmingError, AuditError, ValueError or OSError.
     """
@@ -50,15 +50,23 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
     if reply is not None:
         was, sentence = bool(reply["was_armed"]), f"the running gateway (pid {reply['pid']}) writes no more"
     else:
-        try:
-            async with open_block_writer(site, audit_path) as writer:
-                await writer.block()
-                writer.written = 0  # this block takes everything back already
-            sentence = "validity 0 was written"
-        except (DriverError, ValueError) as error:
-            sentence = f"validity 0 was not written ({error}); the PLC's own timer covers it"
-        was = disarm_in_log(audit_path, by, reason, time.time()) is not None
+        # On record first: what another command sends after this finds no arming, and the block is the last word.
+        config = site.target.config
+        stamp = config.path.stat().st_mtime if config is not None else None
+        row = disarm_in_log(audit_path, by, reason, time.time(), stamp)
+        was, sentence = row is not None, "nothing was armed"
+        if row is not None:
+            try:
+                async with open_block_writer(site, audit_path, taking_back=row) as writer:
+                    await writer.block()
+                    writer.written = 0  # this block takes everything back already
+                sentence = "validity 0 was written"
+            except (DriverError, ValueError) as error:
+                sentence = f"validity 0 was not written ({error}); the PLC's own timer covers it"
     data = {"by": by, "reason": reason, "was_armed": was, "said": sentence if was else "nothing was armed"}
+    if site.target.config is not None and audit_path.exists():
+        start = next_start(site.target.config, audit_path, time.time(), uptime())
+        data["next_start"] = {"armed": start.arming is not None, "sentence": start.sentence}
     return CommandResult({**data, "audit": str(audit_path), "head": head(audit_path) if audit_path.exists() else ""})
 
 
@@ -111,5 +119,8 @@ def disarm(given: SharedOptions, reason: str, audit: Path | None) -> None:
 
 
 def _show_disarmed(data: Mapping[str, Any]) -> None:
-    sentence = f"disarmed; {data['said']}" if data["was_armed"] else "nothing was armed"
+    sentence = f"disarmed; {data['said']}" if data["was_armed"] else "nothing was armed; the disarming is on record"
     click.echo(f"{sentence}; audit log {data['audit']}, head {data['head'][:16]}")
+    if start := data.get("next_start"):
+        mode = click.style("ARMED", fg="yellow") if start["armed"] else "not armed"
+        click.echo(f"the next start of the gateway: {mode} ({start['sentence']})")

@@ -28,10 +28,13 @@ from gateway.machine.writing import (
     arming_of,
     build,
     next_heartbeat,
+    uptime,
 )
 from gateway.settings import DeviceMap, WritebackLayout
-from gateway.store import Audit, AuditEntry, open_audit, standing
+from gateway.store import ARMED, EXPIRED, Audit, AuditEntry, AuditRow, last_arming, open_audit, over, standing
 
+PERMIT_S = 1.0
+"""How long ago the permit may have been asked for when a block is sent."""
 SETTLE_S = 3.0
 """The longest wait for the PLC's program to have looked at what was written."""
 _BEATS = 3
@@ -55,13 +58,27 @@ ASK = click.option("--ask", is_flag=True, help="Put each question to the person 
 
 def in_force(path: Path, now: float) -> Arming:
     """The arming in force. Raises WriteForbidden without one, AuditError."""
-    row = standing(path, now)
+    row = standing(path, now, uptime())
     if row is None:
+        _note_the_end(path, now)
         raise WriteForbidden(
             f"not armed: nothing is written; arm first: decanter plc arm --by NAME --reason WHY --minutes N (audit log "
             f"{path})"
         )
     return arming_of(row)
+
+
+def _note_the_end(path: Path, now: float) -> None:
+    """Put on record that an arming is over, so that it stays so whatever the clock does after this."""
+    last = last_arming(path)
+    if last is None or last.entry.kind != ARMED:
+        return
+    why = over(path, last, now, uptime())
+    audit = open_audit(path)
+    try:
+        audit.record(AuditEntry(now, EXPIRED, last.entry.who, why))
+    finally:
+        audit.close()
 
 
 def layout_of(site: Site) -> tuple[DeviceMap, WritebackLayout]:
@@ -89,7 +106,10 @@ def gateway_runs(historian: Path) -> bool:
 
 @dataclass(slots=True)
 class BlockWriter:
-    """One command that writes blocks as writer `number`. `ask` asks the person, None where nobody is to be asked."""
+    """One command that writes blocks as writer `number`. `ask` asks the person, None where nobody is to be asked.
+
+    `taking_back`: the arming has been taken back already, and the only block left to write is that which says so.
+    """
 
     device: DeviceMap
     layout: WritebackLayout
@@ -99,6 +119,7 @@ class BlockWriter:
     arming: Arming
     number: int
     ask: Ask | None = None
+    taking_back: bool = False
     sequence: int = 0
     heartbeat: int = 0
     written: int = field(default=0, init=False)
@@ -108,18 +129,32 @@ class BlockWriter:
     async def send(self, words: Sequence[int], offset: int = 0) -> None:
         """Write words into the block's area, once. Raises WriteForbidden (nothing was sent) or another DriverError."""
         # Asked for each write: the arming may have run out or been taken back since the last one, the permit too.
+        asked = time.monotonic()
+
+        def check() -> None:
+            self._check_arming()
+            if (waited := time.monotonic() - asked) > PERMIT_S:
+                raise WriteForbidden(
+                    f"the permit was read {waited:.2f} s ago ({PERMIT_S:g} s at most); nothing was sent"
+                )
+
         try:
-            await self._check()
+            self._check_arming()
+            if not await self.permitted():
+                raise WriteForbidden("the PLC does not permit writing (WritePermit); nothing was sent")
+            # On the disk before it is sent: whatever comes of it, no write is without its row.
+            if not await self.audit.stored(self._entry(WRITE, words, "", offset)):
+                why = self.audit.failure or "the disk does not answer"
+                raise WriteForbidden(f"no audit record could be kept, so nothing was sent: {why}")
+            check()
         except WriteForbidden as error:
-            self._note(REFUSED, words, str(error))
+            await self._note(self._entry(REFUSED, words, str(error), offset))
             raise
-        # Noted before it is sent: whatever comes of it, no write is without its row.
-        self._note(WRITE, words, "", offset)
         tags = self.layout.words[offset : offset + len(words)]
         try:
-            await self.writes.write(list(zip(tags, words, strict=True)))
+            await self.writes.write(list(zip(tags, words, strict=True)), before_sending=check)
         except DriverError as error:
-            self._note(FAILED, words, str(error), offset)
+            await self._note(self._entry(FAILED, words, str(error), offset))
             raise
         self.written += 1
 
@@ -137,22 +172,25 @@ class BlockWriter:
         await self.send(words)
         return words
 
-    async def _check(self) -> None:
-        if time.time() >= self.arming.until or standing(self.audit.path, time.time()) is None:
+    def _check_arming(self) -> None:
+        if self.taking_back:
+            return
+        now = time.time()
+        if now >= self.arming.until or standing(self.audit.path, now, uptime()) is None:
             raise WriteForbidden("the arming is over; nothing was sent")
-        if self.audit.complaint:
-            raise WriteForbidden(f"no audit record could be kept, so nothing was sent: {self.audit.complaint}")
-        if not await self.permitted():
-            raise WriteForbidden("the PLC does not permit writing (WritePermit); nothing was sent")
 
     async def permitted(self) -> bool:
         """The PLC's permit, as it reads now; False where it is not known."""
         sample = (await self.read("WritePermit"))[0]
         return sample.quality.is_good and bool(sample.value)
 
-    def _note(self, kind: str, words: Sequence[int], reason: str, offset: int = 0) -> None:
+    async def _note(self, entry: AuditEntry) -> None:
+        if not await self.audit.stored(entry):
+            self.audit.put(entry)
+
+    def _entry(self, kind: str, words: Sequence[int], reason: str, offset: int) -> AuditEntry:
         detail = {"words": pack(f">{len(words)}H", *words).hex(), "offset": offset, "via": "command"}
-        self.audit.put(AuditEntry(time.time(), kind, self.arming.by, reason, detail))
+        return AuditEntry(time.time(), kind, self.arming.by, reason, detail)
 
     # ---------------------------------------------------------------- reading
 
@@ -230,15 +268,21 @@ class BlockWriter:
 
 @asynccontextmanager
 async def open_block_writer(
-    site: Site, audit_path: Path, ask: Ask | None = None, *, rng: Random | None = None
+    site: Site,
+    audit_path: Path,
+    ask: Ask | None = None,
+    *,
+    taking_back: AuditRow | None = None,
+    rng: Random | None = None,
 ) -> AsyncIterator[BlockWriter]:
     """The writer of one command, with a connection; at its end a block of validity 0 is written if any was.
 
-    `rng` draws its number as a writer, by default from the system's randomness. Raises WriteForbidden where it is not
-    armed or a gateway runs, AuditError, DriverError, ValueError.
+    `taking_back` is the arming that has just been taken back, for the one block that says so to the PLC. `rng` draws
+    its number as a writer, by default from the system's randomness. Raises WriteForbidden where it is not armed or a
+    gateway runs, AuditError, DriverError, ValueError.
     """
     device, layout = layout_of(site)
-    arming = in_force(audit_path, time.time())
+    arming = arming_of(taking_back) if taking_back is not None else in_force(audit_path, time.time())
     if site.target.config is not None and gateway_runs(site.target.config.historian.path):
         raise ValueError("a gateway runs with this plant file and writes the same block; stop it for this test")
     audit = open_audit(audit_path)
@@ -256,6 +300,7 @@ async def open_block_writer(
                 arming=arming,
                 number=(rng or SystemRandom()).randint(1, 0xFFFF),
                 ask=ask,
+                taking_back=taking_back is not None,
                 sequence=begun,
                 heartbeat=begun or 1,
             )

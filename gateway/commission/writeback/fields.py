@@ -44,7 +44,10 @@ FRAME = frozenset(
 ALWAYS_KNOWN = FRAME | {"alarms", "model_hash"}
 """Fields without a word for "not known"."""
 
-ALARM_BITS = ("OverLimit", "PredictedOverLimit", "AnomalyFound", "Drift", "InputsBad", "Review", "DeviceFault")
+ALARM_BITS = (
+    "OverLimit", "PredictedOverLimit", "AnomalyFound", "Drift", "InputsBad", "Review", "DeviceFault", "RecordsFault",
+    "ClockFault",
+)  # fmt: skip
 """The alarm word's bits from bit 0, by the names of the function block's outputs."""
 
 ALARM_MEANINGS: Mapping[str, str] = {
@@ -55,6 +58,8 @@ ALARM_MEANINGS: Mapping[str, str] = {
     "InputsBad": "what the model reads is stale or bad",
     "Review": "the readings lie outside 3 sigma too often",
     "DeviceFault": "the device itself, or its bus, reports a fault",
+    "RecordsFault": "the gateway's records cannot be relied on",
+    "ClockFault": "the gateway's clock has jumped",
 }
 
 

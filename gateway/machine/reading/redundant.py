@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.driver import Cautions, Complains, Driver, Explains, PlanLine, Writes
+from drivers.driver import BeforeSending, Cautions, Complains, Driver, Explains, PlanLine, Writes, anyhow
 from drivers.errors import AddressError, DeviceException, DriverError, EncodingError, LinkDown, WriteForbidden
 from drivers.tag import Quality, Sample, Tag, Value
 from gateway.machine.reading.quality import LINK_FAULTS
@@ -305,7 +305,7 @@ class Redundant:
 
     # ------------------------------------------------------------ Writes
 
-    async def write(self, values: Sequence[tuple[Tag, Value]]) -> None:
+    async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
         """Write all values over the active link, once; if their fate is not known, read them back over another.
 
         Raises as the link's driver does, but not where another link shows that the device holds what was written.
@@ -315,7 +315,7 @@ class Redundant:
         if not isinstance(driver, Writes):
             raise WriteForbidden(f"{active.path.name} cannot write; nothing was sent")
         try:
-            await driver.write([(_own(active, tag), value) for tag, value in values])
+            await driver.write([(_own(active, tag), value) for tag, value in values], before_sending=before_sending)
         except _KNOWN_FATE:
             raise
         except DriverError as error:

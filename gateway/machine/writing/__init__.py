@@ -1,6 +1,15 @@
 """What is written back to the PLC: the block, who may write it and when."""
 
-from gateway.machine.writing.arming import ArmingError, arm_in_log, arming_of, disarm_in_log, signed
+from gateway.machine.writing.arming import (
+    ArmingError,
+    NextStart,
+    arm_in_log,
+    arming_of,
+    disarm_in_log,
+    next_start,
+    signed,
+    uptime,
+)
 from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE, SessionWords, Validity, build, crc, next_heartbeat
 from gateway.machine.writing.block_stage import BlockStage
 from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
@@ -14,6 +23,7 @@ __all__ = [
     "Arming",
     "ArmingError",
     "BlockStage",
+    "NextStart",
     "SessionWords",
     "Validity",
     "arm_in_log",
@@ -22,5 +32,7 @@ __all__ = [
     "crc",
     "disarm_in_log",
     "next_heartbeat",
+    "next_start",
     "signed",
+    "uptime",
 ]

@@ -1,9 +1,14 @@
-"""Arming and disarming: who lets the gateway write, why and for how long. It counts once the audit log has it."""
+"""Arming and disarming: who lets the gateway write, why and for how long. It counts once the audit log has it.
 
-import asyncio
-from dataclasses import asdict
+The audit log is the one memory of it. The newest word of a person wins: an arming or disarming by command, or the plant
+file, whose word is given when it is saved. `next_start` says what a start makes of all that.
+"""
+
+import time
+from dataclasses import dataclass
 from pathlib import Path
 from random import Random
+from typing import Any
 
 from structlog.typing import FilteringBoundLogger
 
@@ -15,13 +20,17 @@ from gateway.settings import MAX_ARMED_MINUTES, Config, WritebackLayout
 from gateway.store import (
     ARMED,
     DISARMED,
+    EXPIRED,
     Audit,
     AuditEntry,
     AuditRow,
     Historian,
-    last_arming,
+    Uptime,
+    armings,
+    cancelling,
+    end_of,
     open_audit,
-    saved_state,
+    over,
     standing,
 )
 
@@ -45,9 +54,18 @@ def signed(by: str, reason: str, minutes: float, now: float) -> Arming:
     return Arming(by, reason, now + 60.0 * minutes)
 
 
-def entry_of(arming: Arming, now: float, via: str) -> AuditEntry:
-    """The audit log's row of an arming."""
-    return AuditEntry(now, ARMED, arming.by, arming.reason, {"until": arming.until, "via": via})
+def uptime() -> Uptime:
+    """The machine's own count of seconds, which no setting of its clock moves."""
+    boot = Path("/proc/sys/kernel/random/boot_id")
+    name = boot.read_text(encoding="ascii").strip() if boot.exists() else ""
+    return Uptime(name, time.clock_gettime(time.CLOCK_BOOTTIME))
+
+
+def entry_of(arming: Arming, now: float, via: str, speed: float = 1.0, **more: Any) -> AuditEntry:
+    """The audit log's row of an arming; `speed` is seconds of `until` per real second."""
+    count = uptime()
+    detail = {"until": arming.until, "via": via, "boot": count.boot, "uptime": count.seconds, "speed": speed}
+    return AuditEntry(now, ARMED, arming.by, arming.reason, {**detail, **more})
 
 
 def arming_of(row: AuditRow) -> Arming:
@@ -60,24 +78,96 @@ def arm_in_log(path: Path, arming: Arming, now: float) -> None:
 
     Raises ArmingError or AuditError.
     """
-    _store(path, entry_of(arming, now, "command"))
+    entry = entry_of(arming, now, "command")
+    _store(path, entry, cancelling(entry, "the disk did not take it in time"))
 
 
-def disarm_in_log(path: Path, by: str, reason: str, now: float) -> AuditRow | None:
-    """Take back what `arm_in_log` armed; gives it, None if nothing was in force. Raises ArmingError or AuditError."""
-    row = standing(path, now)
-    if row is not None:
-        _store(path, AuditEntry(now, DISARMED, by, reason))
+def disarm_in_log(path: Path, by: str, reason: str, now: float, stamp: float | None = None) -> AuditRow | None:
+    """Take back what is in force, and what a plant file of the time of change `stamp` would arm at the next start.
+
+    Gives the arming that was in force, None where there was none; the row is written all the same. Raises ArmingError
+    or AuditError.
+    """
+    row = standing(path, now, uptime())
+    _store(path, AuditEntry(now, DISARMED, by, reason, {} if stamp is None else {"stamp": stamp}))
     return row
 
 
-def _store(path: Path, entry: AuditEntry) -> None:
+def _store(path: Path, entry: AuditEntry, undo: AuditEntry | None = None) -> None:
     audit = open_audit(path)
     try:
-        if not audit.record(entry):
-            raise ArmingError(f"nothing has changed, as the audit log does not take it: {audit.failure}")
+        if not audit.record(entry, undo=undo):
+            why = audit.failure or "the disk does not answer"
+            raise ArmingError(f"nothing has changed, as the audit log does not take it: {why}")
     finally:
         audit.close()
+
+
+# ---------------------------------------------------------------- what a start makes of it
+
+
+@dataclass(frozen=True, slots=True)
+class NextStart:
+    """What a start of the gateway does: its arming (None: it does not write), and why, in a sentence.
+
+    `file` are the plant file's words where these arm; `ended` is an arming whose end is not on record yet, `by` whoever
+    armed or disarmed last where it does not write.
+    """
+
+    arming: Arming | None
+    sentence: str
+    file: dict[str, Any] | None = None
+    ended: AuditRow | None = None
+    by: str = ""
+
+
+def next_start(config: Config, path: Path, now: float, count: Uptime) -> NextStart:
+    """What a start at `now` does with this configuration and the audit log at `path`.
+
+    The file's words count once: their time runs from their first use, restarts included. A disarming wins over every
+    file that was saved before it. Raises AuditError.
+    """
+    section, rows = config.writeback, armings(path)
+    last = rows[0] if rows else None
+    words = {"by": section.armed_by, "reason": section.reason, "minutes": section.minutes, "stamp": config.stamp}
+    if section.mode == "off":
+        return NextStart(None, "writeback.mode is 'off'")
+    if section.mode == "armed" and not any(_is_of(row, words) for row in rows):
+        # Times of change are compared with one another, so that no clock has a say; without one, with the row's time.
+        saved = last.entry.detail.get("stamp", last.entry.time) if last is not None else 0.0
+        if last is None or last.entry.kind != DISARMED or config.stamp > float(saved):
+            arming = signed(section.armed_by, section.reason, section.minutes or 0.0, now)
+            return NextStart(arming, f"{config.path} arms it for {section.minutes:g} minutes", words)
+        return NextStart(
+            None, f"{_who(last)} after {config.path} was saved; save it anew to arm again", by=last.entry.who
+        )
+    if last is None:
+        return NextStart(None, "nobody has armed it")
+    if last.entry.kind == DISARMED:
+        return NextStart(None, _who(last), by=last.entry.who)
+    if last.entry.kind == EXPIRED:
+        return NextStart(None, f"the arming by {last.entry.who} is over: {last.entry.reason}", by=last.entry.who)
+    if why := over(path, last, now, count):
+        return NextStart(None, f"the arming by {last.entry.who} is over: {why}", ended=last, by=last.entry.who)
+    file = last.entry.detail.get("file")
+    if file is not None and not (section.mode == "armed" and _is_of(last, words)):
+        return NextStart(None, f"the words of {config.path} that armed it are changed", ended=last, by=last.entry.who)
+    left = Arming(last.entry.who, last.entry.reason, end_of(last, now, count))
+    return NextStart(left, f"the arming by {last.entry.who} goes on", file)
+
+
+def _is_of(row: AuditRow, words: dict[str, Any]) -> bool:
+    """True if the arming of this row was given by these words of the plant file."""
+    entry = row.entry
+    if entry.kind != ARMED or "file" in entry.detail:
+        return entry.kind == ARMED and bool(entry.detail["file"] == words)
+    # Rows of earlier gateways do not say it: by the same name and for the same reason, and later than the file.
+    same = (entry.who, entry.reason) == (words["by"], words["reason"])
+    return same and entry.detail.get("via") == "gateway began" and entry.time >= words["stamp"]
+
+
+def _who(row: AuditRow) -> str:
+    return f"{row.entry.who} disarmed it ({row.entry.reason})"
 
 
 # ---------------------------------------------------------------- the running gateway
@@ -100,65 +190,52 @@ def open_writer(
     once the audit log has it. `rng` draws the number of this start. Raises ConfigError for a driver that cannot write.
     """
     section, now = config.writeback, clock.now()
-    writer = Writer(layout, clock, "shadow", rng.randint(1, 0xFFFF), pace=Pace(config.blocks_per_second), audit=audit)
+    pace, number = Pace(config.blocks_per_second), rng.randint(1, 0xFFFF)
+    writer = Writer(layout, clock, "shadow", number, pace=pace, audit=audit, max_age=config.block_max_age)
     if not isinstance(driver, Writes):
         if section.mode == "armed":
             reason = f"{config.map.driver!r} cannot write; set writeback.mode to 'shadow'"
             raise ConfigError([f"{config.map.path}: device.driver: {reason}"])
         return writer
-    if section.mode == "armed":
-        arming = _configured(config, historian, audit, now, log)
-    else:
-        row = standing(audit.path, now)
-        arming = arming_of(row) if row else None
+    start = next_start(config, audit.path, now, uptime())
+    arming = start.arming
+    if start.ended is not None:
+        # Its end is a row of its own: what is over stays over, whatever the clock does after this.
+        audit.put(AuditEntry(now, EXPIRED, start.ended.entry.who, start.sentence))
     if arming is None:
+        if section.mode == "armed" or start.ended is not None:
+            log.warning("not armed", reason=start.sentence)
+            historian.put("audit", [(now, "arming is over, shadow", start.by, start.sentence)])
         return writer
     # First on record, then armed: what cannot be accounted for is not written.
     historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])
-    if not (audit.record(entry_of(arming, now, "gateway began")) and historian.flush()):
-        log.error("not armed, as the audit record cannot be stored", reason=audit.failure or historian.failure)
+    entry = entry_of(arming, now, "gateway began", clock.speed, **({} if start.file is None else {"file": start.file}))
+    undo = cancelling(entry, "the records could not be stored when the gateway began")
+    if not (historian.flush() and audit.record(entry, undo=undo)):
+        log.error("not armed, as the audit record cannot be stored", reason=historian.failure or audit.failure)
         return writer
     writer.arm(driver, arming)
     log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
     return writer
 
 
-def _configured(
-    config: Config, historian: Historian, audit: Audit, now: float, log: FilteringBoundLogger
-) -> Arming | None:
-    """The configuration's arming, None where it is over or was taken back.
-
-    The time counts from when this arming was first used: a restart does not begin it anew. An arming is another one
-    when its name, reason, minutes or the configuration file's time of change differ.
-    """
-    section = config.writeback
-    fresh = signed(section.armed_by, section.reason, section.minutes or 0.0, now)
-    key = {"by": section.armed_by, "reason": section.reason, "minutes": section.minutes, "stamp": config.stamp}
-    saved = saved_state(historian, "arming", log)
-    if saved is None or saved[1].get("key") != key or not isinstance(saved[1].get("until"), float):
-        historian.save("arming", now, {"key": key, **asdict(fresh)})
-        return fresh
-    # The earlier end: a clock that was set back must not make an arming longer than its minutes.
-    arming = Arming(fresh.by, fresh.reason, min(saved[1]["until"], fresh.until))
-    last = last_arming(audit.path)
-    if last is not None and last.entry.kind == DISARMED:
-        why, by = f"it was taken back: {last.entry.reason}", last.entry.who
-    elif now >= arming.until:
-        why, by = "its time is over", arming.by
-    else:
-        return arming
-    log.warning("the arming is over; save the configuration anew to arm again", by=by, until=arming.until, reason=why)
-    historian.put("audit", [(now, "arming is over, shadow", by, arming.reason)])
-    return None
-
-
 async def arm(writer: Writer, driver: Driver, *, by: str, reason: str, minutes: float) -> Arming:
     """Arm a gateway that runs in shadow, or sign its arming anew. Raises ArmingError."""
     if writer.audit is None or not isinstance(driver, Writes):
         raise ArmingError("this driver cannot write")
-    now = writer.clock.now()
+    if writer.ending:
+        raise ArmingError("it is being disarmed at this moment; arm again once that is done")
+    now, generation = writer.clock.now(), writer.generation
     arming = signed(by, reason, minutes, now)
-    if not await asyncio.to_thread(writer.audit.record, entry_of(arming, now, "command")):
-        raise ArmingError(f"not armed, as the audit log does not take it: {writer.audit.failure}")
+    entry = entry_of(arming, now, "command", writer.clock.speed)
+    if not await writer.audit.stored(entry, undo=cancelling(entry, "not armed: the disk did not take it in time")):
+        why = writer.audit.failure or "the disk does not answer"
+        raise ArmingError(f"not armed, as the audit log does not take it: {why}")
+    if writer.generation != generation:
+        # Whoever disarmed did so while this was being stored, and has been told that nothing is written any more.
+        cancelled = cancelling(entry, "not armed: it was disarmed meanwhile")
+        if not await writer.audit.stored(cancelled):
+            writer.audit.put(cancelled)
+        raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
     writer.arm(driver, arming)
     return arming

@@ -80,8 +80,7 @@ class BlockStage:
         self.take_counts(scan)
         # Taking back comes first: no block of an arming that is over may follow it.
         if over := self._disarming(scan.time, unverified):
-            await self.withdraw(over, scan, alarms)
-            self.writer.disarm(scan.time, reason=over)
+            await self.disarm("", over, scan, alarms)
         state = Validity.NONE
         if prediction is not None:
             state = validity(
@@ -145,12 +144,24 @@ class BlockStage:
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
         return arming
 
-    def disarm(self, by: str, reason: str) -> None:
-        """Write no more; what stands in the PLC has been taken back before (`withdraw`)."""
-        now = self._clock.now()
-        self.writer.disarm(now, by, reason)
-        self._historian.put("audit", [(now, "disarmed", by, reason)])
-        self._log.warning("disarmed", by=by, reason=reason)
+    async def disarm(self, by: str, reason: str, scan: Scan | None, alarms: int) -> bool:
+        """Take back what stands in the PLC, as the last block that leaves, and write no more; False: it was not armed.
+
+        `by` is "" where the gateway disarms itself; `scan` is the newest one.
+        """
+        now, arming = self._clock.now(), self.writer.arming
+        stamp = self.config.path.stat().st_mtime if self.config.path.exists() else self.config.stamp
+        attempt = await self.writer.disarm(now, by, reason, scan=scan, alarms=alarms, stamp=stamp)
+        if attempt is not None:
+            self._record(attempt)
+        if arming is None:
+            return False
+        who, verdict = by or arming.by, attempt.verdict if attempt else "off"
+        self._historian.put("audit", [(now, f"validity 0: {verdict}", arming.by, reason)])
+        if by:
+            self._historian.put("audit", [(now, "disarmed", by, reason)])
+        self._log.warning("disarmed", by=who, reason=reason)
+        return True
 
     def _record(self, attempt: Attempt) -> None:
         before, self.attempt = self.attempt, attempt

@@ -1,16 +1,22 @@
 """Writing back: off, shadow or armed; armed for a limited time, only with the PLC's permit, each block at most once.
 
-What is given to the wire, and what was refused on the way there, goes into the audit log: a block's row is under way to
-the disk before the block is sent, and one that failed gets a second row. What cannot be accounted for is not written.
+What is given to the wire, and what was refused on the way there, goes into the audit log: a block's row is on the disk
+before the block is sent, and one that failed or was stopped after that gets a second row. What cannot be accounted for
+is not written; the one exception is the block that takes everything back, which a disk may delay and not prevent.
+
+Check and send are one step, under one lock. What lets a block go is looked at again as the very last thing before the
+wire (`drivers.driver.BeforeSending`): the arming's generation, its end, the permit, how old the readings are. What no
+program can see is a stop of its own process between that look and the system's call that sends: some microseconds.
 """
 
+import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from struct import pack
 from typing import Any, Literal
 
 from drivers.driver import Writes
-from drivers.errors import DriverError
+from drivers.errors import DriverError, WriteForbidden
 from gateway.machine.reading import Clock, Scan
 from gateway.machine.writing.block import SessionWords, Validity, WritebackBlock, build, next_heartbeat
 from gateway.settings import WritebackLayout
@@ -24,6 +30,10 @@ WRITE, FAILED, REFUSED, REFUSED_BY_PLC = "write", "write failed", "write refused
 
 ANOTHER_CHALLENGE, ANOTHER_WRITER = "another challenge", "another writer"
 """The contract's reasons by which a PLC refuses a block of no session, or of another writer than the session's."""
+SENDING_SECONDS = 0.25
+"""The longest (real time) from counting a block's age until it is sent, the wait for its audit row included."""
+DISARMED_SECONDS = 2.0
+"""The longest wait for the disk to take the row of a disarming; then it goes on being tried without anybody waiting."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +116,9 @@ class Writer:
 
     The sequence moves on with every block, so that a block that failed is never sent again. `number` (1..65535, drawn
     anew at each start) tells this writer from another; `challenge` is the PLC's that the newest block on the wire
-    carried, 0 before the first. `pace` bounds the blocks a second, `audit` takes an account of every one.
+    carried, 0 before the first. `pace` bounds the blocks a second, `audit` takes an account of every one. `max_age`
+    (real s) is how old the readings of a block may be, and its permit, when it is sent. `generation` counts the
+    disarmings, `ending` those that are under way.
     """
 
     layout: WritebackLayout
@@ -120,7 +132,11 @@ class Writer:
     counters: Counters = field(default_factory=Counters)
     pace: Pace | None = None
     audit: Audit | None = None
+    max_age: float = 1.0
     challenge: int = field(default=0, init=False)
+    generation: int = field(default=0, init=False)
+    ending: int = field(default=0, init=False)
+    _sending: asyncio.Lock = field(default_factory=asyncio.Lock, init=False)
 
     @property
     def armed(self) -> bool:
@@ -135,24 +151,59 @@ class Writer:
         """From now on blocks are written; the audit log has to have it already (`gateway.machine.writing.arming`)."""
         self.mode, self.driver, self.arming = "armed", driver, arming
 
-    def disarm(self, now: float = 0.0, by: str = "", reason: str = "") -> None:
-        """Fall back to shadow: blocks are computed and stored, and none is written."""
-        arming = self.arming
-        if arming is not None:
-            over = now >= arming.until
-            self._note(AuditEntry(now, EXPIRED if over else DISARMED, by or arming.by, reason or "the arming is over"))
+    async def disarm(
+        self,
+        now: float = 0.0,
+        by: str = "",
+        reason: str = "",
+        *,
+        scan: Scan | None = None,
+        alarms: int = 0,
+        stamp: float | None = None,
+    ) -> Attempt | None:
+        """Fall back to shadow; with the newest `scan` a block of validity 0 is the last that leaves, and its attempt.
+
+        When this returns nothing usable leaves any more, and the row is on record; also where nothing was armed, so
+        that the newest word of a person is known. `stamp` is the plant file's time of change, where there is one.
+        """
+        former = self.arming
+        # The generation goes first, without waiting: what is on its way to the wire is stopped there.
         self.mode, self.arming = "shadow" if self.mode == "armed" else self.mode, None
+        self.generation += 1
+        self.ending += 1
+        try:
+            async with self._sending:
+                attempt = None
+                if former is not None and scan is not None:
+                    attempt = await self._attempt(_taking_back(alarms), Validity.NONE, scan, former, last=True)
+                if self.audit is not None and (former is not None or by):
+                    over = former is not None and not by and now >= former.until
+                    who, why = by or (former.by if former else ""), reason or "the arming is over"
+                    entry = AuditEntry(
+                        now, EXPIRED if over else DISARMED, who, why, {} if stamp is None else {"stamp": stamp}
+                    )
+                    if not await self.audit.stored(entry, DISARMED_SECONDS):
+                        self.audit.put(entry)
+                return attempt
+        finally:
+            self.ending -= 1
 
     async def offer(self, scan: Scan, values: Mapping[str, float | None], validity: Validity) -> Attempt | None:
-        """Build the block of this scan and do with it what the mode says; None when the mode is off."""
+        """Build the block of this scan and do with it what the mode says; None when the mode is off.
+
+        The `age` in `values` is that at the scan's time; it is counted on until the block is sent.
+        """
         if self.mode == "off":
             return None
-        return await self._attempt(values, validity, scan)
+        async with self._sending:
+            return await self._attempt(values, validity, scan, self.arming)
 
     async def withdraw(self, scan: Scan, alarms: int = 0) -> Attempt | None:
         """Write a block of validity 0 once, if armed and permitted: of what stands in the PLC only `alarms` is true."""
-        values = {"alarms": float(alarms), "zone": 0.0, "input_quality": 2.0}
-        return await self._attempt(values, Validity.NONE, scan, last=True) if self.armed else None
+        async with self._sending:  # also where nothing is armed any more: a disarming that is under way ends first
+            if not self.armed:
+                return None
+            return await self._attempt(_taking_back(alarms), Validity.NONE, scan, self.arming, last=True)
 
     def take_counts(self, scan: Scan, refusals: Mapping[int, str]) -> str:
         """Take over what the PLC says of the blocks, as far as this scan read it well.
@@ -196,79 +247,134 @@ class Writer:
         return sentence
 
     async def _attempt(
-        self, values: Mapping[str, float | None], validity: Validity, scan: Scan, *, last: bool = False
+        self,
+        values: Mapping[str, float | None],
+        validity: Validity,
+        scan: Scan,
+        arming: Arming | None,
+        *,
+        last: bool = False,
     ) -> Attempt:
-        """Build one block, send it if it may be sent, and keep account of what became of it.
+        """Build one block, send it if it may be sent, and keep account of what became of it (the lock is held).
 
         `last`: the block that takes everything back is neither too late nor too fast, nor waits for a full disk.
         """
         # The sequence moves on before anything can fail: a number that was given to the wire is never given again.
         self.sequence = (self.sequence + 1) & 0xFFFF
         self.heartbeat = next_heartbeat(self.heartbeat)
-        marked = validity if self.armed else validity | Validity.SHADOW
+        driver, by = self.driver, arming.by if arming else ""
+        armed = arming is not None and driver is not None
+        generation, built = self.generation, self.clock.now()
+        if (age := values.get("age")) is not None:
+            values = {**values, "age": age + max(0.0, built - scan.time)}
+        marked = validity if armed else validity | Validity.SHADOW
         challenge = _word(scan, "Challenge")
         session = SessionWords(
             challenge=challenge, writer=self.number, sequence=self.sequence, heartbeat=self.heartbeat
         )
         block = build(self.layout, values, marked, session)
-        if not self.armed or self.driver is None:
+
+        def objection() -> tuple[Verdict, str] | None:
+            """Why the block must not be sent now, and what that counts as."""
+            now = self.clock.now()
+            if last:
+                return self._unpermitted(scan)
+            if self.generation != generation:
+                return "not permitted", "it was disarmed meanwhile"
+            if arming is not None and now >= arming.until:
+                return "not permitted", "the arming is over"
+            if self.audit is not None and self.audit.complaint:
+                return "not permitted", f"no audit record could be kept: {self.audit.complaint}"
+            if unpermitted := self._unpermitted(scan):
+                return unpermitted
+            # From the first request on: a device may have looked at its memory long before its reply was complete.
+            old = (now - scan.time + scan.duration) / self.clock.speed
+            if old > self.max_age:
+                return "held back", f"its readings are {old:.2f} s old, which may be {self.max_age:g} s"
+            read = (now - scan.samples["WritePermit"].time) / self.clock.speed
+            if read > self.max_age:
+                return "held back", f"WritePermit was read {read:.2f} s ago, which may be {self.max_age:g} s"
+            waited = (now - built) / self.clock.speed
+            if waited > SENDING_SECONDS:
+                return "held back", f"it waited {waited:.2f} s to be sent, which may be {SENDING_SECONDS:g} s"
+            return None
+
+        refused: tuple[Verdict, str] | None = None
+
+        def before_sending() -> None:
+            nonlocal refused
+            if (refused := objection()) is not None:
+                raise WriteForbidden(refused[1])
+
+        if armed:
+            refused = objection()
+            # The pace comes last, since asking takes a token: a block that is refused anyway must not use one up.
+            asked = self.clock.now() / self.clock.speed
+            if refused is None and not last and self.pace is not None and not self.pace.allows(asked):
+                refused = "held back", f"more than {self.pace.rate:g} blocks a second"
+            if refused is None and self.audit is not None:
+                entry = AuditEntry(scan.time, WRITE, by, "", _plain(block))
+                if not await self.audit.stored(entry, SENDING_SECONDS):
+                    if last:
+                        self.audit.put(entry)
+                    elif self.audit.failure:
+                        refused = "not permitted", f"no audit record could be kept: {self.audit.failure}"
+                    else:
+                        refused = "held back", f"the audit log has not taken its row within {SENDING_SECONDS:g} s"
+        if not armed or driver is None:
             attempt = Attempt(scan.time, block, self.mode, "shadow")
-        elif (refused := self._refusal(scan, last=last)) is not None:
-            attempt = Attempt(scan.time, block, self.mode, refused[0], reason=refused[1])
+        elif refused is not None:
+            attempt = Attempt(scan.time, block, "armed", refused[0], reason=refused[1])
         else:
-            # Its row is under way to the disk before the block is on the wire; one that fails gets a second row.
-            self._note(AuditEntry(scan.time, WRITE, self._by, "", _plain(block)))
             self.challenge = challenge
             try:
-                await self.driver.write(list(zip(self.layout.words, block.words, strict=True)))
+                words = list(zip(self.layout.words, block.words, strict=True))
+                await driver.write(words, before_sending=before_sending)
             except DriverError as error:
                 # Never sent again: the device may have taken it, and the next scan brings a newer block anyway.
-                attempt = Attempt(scan.time, block, self.mode, "failed", reason=str(error))
+                failed: tuple[Verdict, str] = ("failed", str(error))
+                verdict, reason = refused or failed
+                attempt = Attempt(scan.time, block, "armed", verdict, reason=reason)
             else:
                 # Both moments are the plant's; divided by the clock's speed they are real time, also in a replay.
                 latency = (self.clock.now() - scan.time) / self.clock.speed * 1000.0
-                attempt = Attempt(scan.time, block, self.mode, "written", latency)
+                attempt = Attempt(scan.time, block, "armed", "written", latency)
         self.counters = _COUNTED[attempt.verdict](self.counters)
         if attempt.verdict in ("failed", "not permitted", "held back"):
             kind = FAILED if attempt.verdict == "failed" else REFUSED
-            self._note(AuditEntry(scan.time, kind, self._by, attempt.reason, _plain(block)))
+            self._note(AuditEntry(scan.time, kind, by, attempt.reason, _plain(block)))
         return attempt
 
-    def _refusal(self, scan: Scan, *, last: bool) -> tuple[Verdict, str] | None:
-        """Why a block is not sent, and what that counts as; None if it may be."""
-        now = self.clock.now()
-        if not last and self.expired(now):
-            return "not permitted", "the arming is over"
-        if not last and self.audit is not None and self.audit.complaint:
-            return "not permitted", f"no audit record could be kept: {self.audit.complaint}"
-        # The permit counts as this scan read it: one of doubtful quality is none.
-        if not scan.good("WritePermit"):
-            permit = scan.samples.get("WritePermit")
-            if permit is None:
-                return "not permitted", "the register map has no WritePermit"
-            if permit.quality.is_good:
-                return "not permitted", "the PLC does not permit it"
-            return "not permitted", f"WritePermit is not known: {permit.reason}"
-        # By the challenge the PLC knows a block as made after its session began: without one it would refuse it.
-        if not _word(scan, "Challenge"):
+    @staticmethod
+    def _unpermitted(scan: Scan) -> tuple[Verdict, str] | None:
+        """Why the PLC would not use a block, as this scan read it: no permit, or no challenge to make the block with.
+
+        One of doubtful quality is none.
+        """
+        if scan.good("WritePermit"):
+            # By the challenge the PLC knows a block as made after its session began: without one it would refuse it.
+            if _word(scan, "Challenge"):
+                return None
             sample = scan.samples.get("Challenge")
             if sample is None:
                 return "not permitted", "the register map has no Challenge, which the PLC's side has to publish"
             if sample.quality.is_good:
                 return "not permitted", "the PLC publishes no challenge yet (0)"
             return "not permitted", f"Challenge is not known: {sample.reason}"
-        # The pace comes last, since asking takes a token: a block that is refused anyway must not use one up.
-        if not last and self.pace is not None and not self.pace.allows(now / self.clock.speed):
-            return "held back", f"more than {self.pace.rate:g} blocks a second"
-        return None
-
-    @property
-    def _by(self) -> str:
-        return self.arming.by if self.arming else ""
+        permit = scan.samples.get("WritePermit")
+        if permit is None:
+            return "not permitted", "the register map has no WritePermit"
+        if permit.quality.is_good:
+            return "not permitted", "the PLC does not permit it"
+        return "not permitted", f"WritePermit is not known: {permit.reason}"
 
     def _note(self, entry: AuditEntry) -> None:
         if self.audit is not None:
             self.audit.put(entry)
+
+
+def _taking_back(alarms: int) -> dict[str, float | None]:
+    return {"alarms": float(alarms), "zone": 0.0, "input_quality": 2.0}
 
 
 def _plain(block: WritebackBlock) -> dict[str, Any]:

@@ -1,0 +1,67 @@
+"""Whether what the machine relies on beside its device can be relied on: its records, and its clock."""
+
+from dataclasses import dataclass
+
+from structlog.typing import FilteringBoundLogger
+
+from gateway.store import Historian
+from gateway.supervision import Supervisor
+
+AGREE_SECONDS = 3600.0
+"""By how much clocks may differ that agree: retention counts in days."""
+
+
+class RecordsWatch:
+    """Says when the records begin and cease to be a cause for complaint, and since when rows are lost."""
+
+    def __init__(self, historian: Historian, supervisor: Supervisor, log: FilteringBoundLogger) -> None:
+        self._historian, self._supervisor, self._log = historian, supervisor, log
+        self.complaint = ""
+        self._lost_since: float | None = None
+
+    def look(self, now: float, audit: str) -> None:
+        """Look at the records at `now` (plant s); `audit` is what the audit log complains of."""
+        before, historian = self.complaint, self._historian
+        self.complaint = historian.complaint or audit or self._supervisor.complaint
+        counts = {"dropped": historian.dropped, "refused": historian.refused}
+        if self.complaint and self.complaint != before:
+            self._log.error("the records cannot be relied on", reason=self.complaint, **counts)
+        elif before and not self.complaint:
+            self._log.info("the records can be relied on again", before=before, **counts)
+        if not historian.loss:
+            self._lost_since = None
+        elif self._lost_since is None:
+            self._lost_since = now
+
+    def lost_for(self, now: float) -> float:
+        """For how long (plant s) what happens has not been on record; 0 if it is."""
+        return 0.0 if self._lost_since is None else now - self._lost_since
+
+
+@dataclass(frozen=True, slots=True)
+class ClockCheck:
+    """What the clock is held against: the plant time `started`, the `newest` row that was stored before under a clock
+    that was believed (s UTC; None: there is none), and for how long (s) the gateway may have been off."""
+
+    started: float
+    newest: float | None
+    longest_off: float
+
+    def complaint(self, now: float, *, offset: float, plc: float | None) -> str:
+        """Why the clock is not believed at `now`; "" if it is.
+
+        `offset` (s) is by how much the wall clock has moved since the start against the monotonic one, `plc` (s UTC)
+        the PLC's own clock, where it has one: that settles how long the gateway was off, and nothing else does.
+        """
+        if abs(offset) > AGREE_SECONDS:
+            return f"the wall clock was set by {offset:.0f} s while the gateway ran"
+        if plc is not None:
+            return f"it is {now - plc:.0f} s ahead of the PLC's clock" if abs(now - plc) > AGREE_SECONDS else ""
+        if self.newest is None:
+            return ""
+        if now < self.newest - AGREE_SECONDS:
+            return f"it is {self.newest - now:.0f} s behind the newest record"
+        if self.started - self.newest > self.longest_off:
+            days = (self.started - self.newest) / 86_400.0
+            return f"at the start it was {days:.1f} days ahead of the newest record (historian.max_off_days)"
+        return ""

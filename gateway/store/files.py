@@ -1,0 +1,339 @@
+"""The historian's file: opened or made, brought from an older layout, set aside when it is damaged.
+
+What can be read of a damaged file goes into a new one, the durable tables first; the damaged one stays under another
+name. A file of something else and one of a newer layout are nobody's damage: they are refused and left alone.
+"""
+
+import os
+import sqlite3
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import disk_usage
+
+from drivers.tag import Tag
+from gateway.store.retention import concerns_file, is_damage, transaction
+from gateway.store.schema import APPLICATION_ID, COLUMNS, INDICES, NAMES, VERSION, WITHOUT_ROWID, definition
+
+PAGE = 1024
+"""Bytes of a page of a new file. A commit writes whole pages, mostly of one row or two, and a packed column ends in the
+middle of one: small pages write and waste less."""
+CHECK_SECONDS = 2.0
+"""How long a file is checked for damage before the gateway goes on with what it has seen of it."""
+RECOVERY_SECONDS = 20.0
+"""How long is read from a damaged file; what is left then stays in it."""
+_RESERVE = 16_000_000
+_BESIDES = ("", "-wal", "-shm")
+
+
+class HistorianError(OSError):
+    """The historian's file cannot be used; the message is one sentence that says why and what would be right."""
+
+
+class DamagedHistorianError(HistorianError):
+    """There is something at the path that is no database (any more)."""
+
+
+class UnusableHistorianError(HistorianError):
+    """Nothing can be kept there now: no room, no right, no folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class HistorianFile:
+    """An open file: a connection that does not wait for the disk, one that does, and the numbers of the tags.
+
+    `note` says what was set aside and recovered ("" nothing), `inode` which file it is.
+    """
+
+    path: Path
+    normal: sqlite3.Connection
+    full: sqlite3.Connection
+    numbers: Mapping[str, int]
+    inode: int
+    note: str = ""
+
+    def moved(self) -> bool:
+        """Whether the path has another file now, or none: what is written here would be lost with the last user."""
+        try:
+            return self.path.stat().st_ino != self.inode
+        except OSError:
+            return True
+
+    def close(self) -> None:
+        """Close both connections."""
+        for connection in (self.normal, self.full):
+            connection.close()
+
+
+def opened(path: Path, tags: Iterable[Tag], *, max_mb: float, mend: bool = False) -> HistorianFile:
+    """Open or make the file at `path`. With `mend` a damaged one is set aside, and a new one begun with what is left.
+
+    Raises HistorianError: DamagedHistorianError only without `mend`, UnusableHistorianError for what may pass.
+    """
+    tags = tuple(tags)
+    try:
+        _examined(path, whole=mend)
+        return _connected(path, tags, max_mb)
+    except DamagedHistorianError as error:
+        if not mend:
+            raise
+        aside, reason = _set_aside(path), str(error).removeprefix(f"{path}: ")
+    file = _connected(path, tags, max_mb)
+    rows, complete = _recovered(aside, file.normal)
+    what = f"{rows} rows of it were recovered" + ("" if complete else ", and not all that may be left")
+    note = f"{path}: was damaged ({reason}) and is set aside as {aside.name}; {what}; a new one was begun"
+    return HistorianFile(path, file.normal, file.full, _numbers(file.normal, tags), file.inode, note)
+
+
+def _connected(path: Path, tags: tuple[Tag, ...], max_mb: float) -> HistorianFile:
+    if path.exists() and not path.is_file():
+        what = "a directory" if path.is_dir() else "no file"
+        raise DamagedHistorianError(f"{path}: is {what}; give the path of a file for the historian")
+    # Of a disk that has less room than it may take, it takes nine tenths: the tenth is for alarms, log and audit.
+    size = path.stat().st_size if path.exists() else 0
+    limit = min(max_mb * 1_000_000, 0.9 * (size + disk_usage(path.parent).free))
+    reserve = min(limit / 8, _RESERVE)
+    connections: list[sqlite3.Connection] = []
+    try:
+        # Measurements leave a reserve: an alarm that is raised when the file is full still has its row.
+        with closing(_connection(path, "FULL", limit)) as first:
+            numbers = _prepared(first, path, tags)
+        connections.append(_connection(path, "NORMAL", limit - reserve))
+        connections.append(_connection(path, "FULL", limit))
+        return HistorianFile(path, connections[0], connections[1], numbers, path.stat().st_ino)
+    except (sqlite3.Error, OSError) as error:
+        for connection in connections:
+            connection.close()
+        if isinstance(error, HistorianError):
+            raise
+        # A WAL or its index that is no file stands in the way of any database of that name.
+        strange = any(os.path.lexists(p) and not p.is_file() for p in _besides(path)[1:])
+        if strange or (isinstance(error, sqlite3.Error) and is_damage(error)):
+            raise DamagedHistorianError(
+                f"{path}: cannot be used ({error}); give the path of a historian or of a new file"
+            ) from None
+        # SQLite tells these apart by its words only, and each wants another remedy.
+        rights = "readonly" in str(error) or "unable to open" in str(error)
+        remedy = "give a path that this user may write" if rights else "make room or give another path"
+        raise UnusableHistorianError(f"{path}: cannot be used ({error}); {remedy}") from None
+
+
+def _connection(path: Path, synchronous: str, most_bytes: float) -> sqlite3.Connection:
+    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
+    try:
+        # Before anything else: a database takes up auto_vacuum only while it is empty (sqlite.org/pragma.html), and the
+        # journal mode writes its first page.
+        connection.execute(f"PRAGMA page_size = {PAGE}")
+        connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
+        connection.execute("PRAGMA journal_mode = WAL").fetchone()
+        connection.execute(f"PRAGMA synchronous = {synchronous}")
+        # 64 MiB: a WAL that grew while a reader held it back is cut to this once it is checkpointed.
+        connection.execute("PRAGMA journal_size_limit = 67108864").fetchone()
+        # The file's largest size: beyond it SQLite says that the disk is full, before the disk is.
+        page = int(connection.execute("PRAGMA page_size").fetchone()[0])
+        connection.execute(f"PRAGMA max_page_count = {int(most_bytes / page)}").fetchone()
+        # 4 MB: each page that was written more than once since the last checkpoint goes to its place once.
+        connection.execute(f"PRAGMA wal_autocheckpoint = {4_000_000 // page}").fetchone()
+    except sqlite3.Error:
+        connection.close()
+        raise
+    return connection
+
+
+def _prepared(connection: sqlite3.Connection, path: Path, tags: tuple[Tag, ...]) -> dict[str, int]:
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    tables = {str(row[0]) for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    if tables and version != VERSION:
+        _migrated(connection, path, version)
+        tables = set(COLUMNS)
+    with transaction(connection):
+        for table in COLUMNS:
+            if table not in tables:
+                connection.execute(definition(table))
+        if "chunks" not in tables:
+            for statement in INDICES:
+                connection.execute(statement)
+        if not tables:
+            connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+            connection.execute(f"PRAGMA user_version = {VERSION}")
+        return _numbers(connection, tags)
+
+
+def _numbers(connection: sqlite3.Connection, tags: tuple[Tag, ...]) -> dict[str, int]:
+    connection.executemany("INSERT OR IGNORE INTO tags (name, unit) VALUES (?, ?)", [(t.name, t.unit) for t in tags])
+    return {str(name): int(number) for number, name in connection.execute("SELECT id, name FROM tags")}
+
+
+# ---------------------------------------------------------------- layouts
+
+
+def _from_1(connection: sqlite3.Connection) -> None:
+    """Layout 1 had its rows under their times, and those of measurement never packed."""
+    known = {str(row[0]) for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    for index in ("events_by_time", "writes_by_time"):
+        connection.execute(f"DROP INDEX IF EXISTS {index}")
+    for table, names in NAMES.items():
+        if table not in known:  # guards, in a file of the first gateways
+            connection.execute(definition(table))
+            continue
+        order = {"runs": "started", "state": "key", "forecasts": "time, horizon"}.get(table)
+        columns = ", ".join(names)
+        connection.execute(f"ALTER TABLE {table} RENAME TO former")
+        connection.execute(definition(table))
+        # By id where there was one, as what arrives in one scan bears one time; by time else.
+        order = order or ("id" if table in ("events", "alarms", "writes", "audit") else "time")
+        connection.execute(f"INSERT INTO {table} ({columns}) SELECT {columns} FROM former ORDER BY {order}")  # noqa: S608
+        connection.execute("DROP TABLE former")
+    for table in ("chunks", "tiers"):
+        connection.execute(definition(table))
+    for statement in INDICES:
+        connection.execute(statement)
+
+
+MIGRATIONS = {1: _from_1}
+"""What brings a file from a layout to the next one, by that layout."""
+
+
+def _migrated(connection: sqlite3.Connection, path: Path, version: int) -> None:
+    """Bring an older file to this layout, all or nothing, once a copy of it is kept beside it."""
+    copy = path.with_name(f"{path.name}.layout{version}")
+    if not copy.exists():
+        draft = copy.with_name(copy.name + ".part")
+        draft.unlink(missing_ok=True)
+        with closing(sqlite3.connect(draft)) as target:
+            connection.backup(target)
+        # In one step: a copy that was cut short by a kill never bears the name of a whole one.
+        draft.replace(copy)
+    # For a while every row is there twice; opened anew, the connection has its own limit again.
+    connection.execute("PRAGMA max_page_count = 4294967294").fetchone()
+    with transaction(connection):
+        for step in range(version, VERSION):
+            MIGRATIONS[step](connection)
+        connection.execute(f"PRAGMA user_version = {VERSION}")
+
+
+# ---------------------------------------------------------------- damage
+
+
+def _besides(path: Path) -> list[Path]:
+    return [path.with_name(path.name + ending) for ending in _BESIDES]
+
+
+def _examined(path: Path, *, whole: bool) -> None:
+    """Raise HistorianError for what is no historian of ours, DamagedHistorianError for one that SQLite finds damaged.
+
+    It is only read: a file that is refused is left as it was, and a WAL of another database is not worked into it. With
+    `whole` its pages are checked, as far as that comes in CHECK_SECONDS.
+    """
+    if not path.is_file() or not path.stat().st_size:
+        return
+    until = time.monotonic() + CHECK_SECONDS
+    try:
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=1.0)) as connection:
+            kind = int(connection.execute("PRAGMA application_id").fetchone()[0])
+            version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+            # The file's own header (sqlite.org/fileformat.html, 1.3): what the WAL says may be another's.
+            with path.open("rb") as stream:
+                own = int.from_bytes(stream.read(72)[68:])
+            if kind != APPLICATION_ID and own == APPLICATION_ID:
+                raise DamagedHistorianError(f"{path}: its WAL is of another database")
+            if kind != APPLICATION_ID and connection.execute("SELECT 1 FROM sqlite_master").fetchone():
+                raise HistorianError(
+                    f"{path}: is a database of something else; give the path of a historian or of a new file"
+                )
+            if version > VERSION:
+                raise HistorianError(
+                    f"{path}: has layout {version}, this gateway writes {VERSION}; give the path of a new file, or run "
+                    "the gateway that wrote it"
+                )
+            connection.set_progress_handler(lambda: int(time.monotonic() > until), 10_000)
+            verdict = str(connection.execute("PRAGMA quick_check(1)").fetchone()[0]) if whole else "ok"
+    except sqlite3.Error as error:
+        if is_damage(error):
+            raise DamagedHistorianError(
+                f"{path}: cannot be used ({error}); give the path of a historian or of a new file"
+            ) from None
+        return  # the time was over, or what opens it next says why it cannot be
+    if verdict != "ok":
+        raise DamagedHistorianError(f"{path}: {verdict.splitlines()[-1]}")
+
+
+def _set_aside(path: Path) -> Path:
+    """Give the file, and what belongs to it, another name; gives that. Raises UnusableHistorianError."""
+    stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
+    number, aside = 1, path.with_name(f"{path.name}.damaged-{stamp}")
+    while aside.exists():
+        number += 1
+        aside = path.with_name(f"{path.name}.damaged-{stamp}-{number}")
+    try:
+        for before, after in zip(_besides(path), _besides(aside), strict=True):
+            if os.path.lexists(before):
+                before.rename(after)
+    except OSError as error:
+        raise UnusableHistorianError(
+            f"{path}: is damaged and cannot be set aside ({error.strerror}); move it away by hand"
+        ) from None
+    return aside
+
+
+def _recovered(aside: Path, target: sqlite3.Connection) -> tuple[int, bool]:
+    """Copy what can be read of a damaged file; gives the number of rows, and whether its end was reached.
+
+    The durable tables come first, then the newest of the measurements: there may not be time for all.
+    """
+    until = time.monotonic() + RECOVERY_SECONDS
+    rows, complete = 0, True
+    if not aside.is_file():
+        return 0, True
+    wal, put_by = _besides(aside)[1], aside.with_name(aside.name + ".wal")
+    with suppress(OSError):
+        wal.rename(put_by)
+        # A WAL that spoils a sound file is of another one, and stays out of it; any other has the newest rows.
+        with closing(_reader(aside)) as source:
+            try:
+                sound = source.execute("PRAGMA quick_check(1)").fetchone()[0] == "ok"
+            except sqlite3.Error:
+                sound = False
+        if not sound:
+            put_by.rename(wal)
+    with suppress(sqlite3.Error), closing(_reader(aside)) as source:
+        known = {str(row[0]) for row in source.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        version = int(source.execute("PRAGMA user_version").fetchone()[0])
+        for table in dict.fromkeys(("tags", "state", "runs", "audit", "alarms", "writes", "chunks", "tiers", *NAMES)):
+            names = [str(row[1]) for row in target.execute(f"PRAGMA table_info({table})")]
+            if table not in WITHOUT_ROWID and (version > 1 or "id" in names):
+                names = ["rowid", *(name for name in names if name != "id")]
+            if table in known:
+                copied, whole = _copied(source, target, table, names, until)
+                rows, complete = rows + copied, complete and whole
+    return rows, complete
+
+
+def _reader(path: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)
+
+
+def _copied(
+    source: sqlite3.Connection, target: sqlite3.Connection, table: str, names: list[str], until: float
+) -> tuple[int, bool]:
+    """Copy a table from its newest row down to the damage, then from its oldest up to it."""
+    columns = ", ".join(f'"{name}"' for name in names)
+    marks = ", ".join("?" * len(names))
+    before, whole = target.total_changes, True
+    # A table without numbers of its own is read once, in its own order: from both ends its rows would come twice.
+    for order in ("ORDER BY rowid DESC", "ORDER BY rowid") if "rowid" in names else ("",):
+        try:
+            rows = source.execute(f"SELECT {columns} FROM {table} {order}")  # noqa: S608
+            while batch := rows.fetchmany(500):
+                with transaction(target):
+                    target.executemany(f"INSERT OR IGNORE INTO {table} ({columns}) VALUES ({marks})", batch)  # noqa: S608
+                if time.monotonic() > until:
+                    return target.total_changes - before, False
+            break  # the other end was reached
+        except (sqlite3.Error, ValueError) as error:
+            if isinstance(error, sqlite3.Error) and concerns_file(error) and not is_damage(error):
+                return target.total_changes - before, False
+            whole = False
+    return target.total_changes - before, whole

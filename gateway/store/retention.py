@@ -1,0 +1,238 @@
+"""What becomes of rows as they grow old: packed as columns, told of by means, and at last deleted, the oldest first.
+
+All of it is done by the historian's thread between two batches, in steps that are each one transaction, so that no
+alarm waits long and a kill at any moment loses nothing. What is oldest is told by the order of arrival, which no clock
+can turn round; only deletion by age asks for times.
+"""
+
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+from drivers.tag import Quality
+from gateway.store.columns import Cell, pack, unpack
+from gateway.store.schema import MEASURED, NAMES, PACKED, number
+from sim.sha import Array
+
+TIERS = (60, 3600)
+"""The widths (s) of the tiers."""
+STEP = 5_000
+"""Rows that are deleted in one transaction."""
+ROUNDED: Mapping[str, Mapping[str, int]] = {
+    "scans": {"duration": 6},
+    "predictions": {"mean": 4, "low": 4, "high": 4, "free_run": 4, "anomaly": 4},
+    "writes": {"latency_ms": 3},
+}
+"""Decimals that are kept of what was computed, once it is packed: a thousandth of what a sensor resolves, and half the
+room. What was measured is kept to the last bit."""
+
+_UPSERT = """INSERT INTO tiers VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO UPDATE SET
+    mean = (mean * count + excluded.mean * excluded.count) / (count + excluded.count),
+    count = count + excluded.count, low = min(low, excluded.low), high = max(high, excluded.high)"""
+
+
+def _primary(error: sqlite3.Error) -> int:
+    """SQLite's primary result code, the low byte of the extended one (sqlite.org/rescode.html); 0 for none."""
+    return int(getattr(error, "sqlite_errorcode", 0)) & 0xFF
+
+
+def is_damage(error: sqlite3.Error) -> bool:
+    """Whether the file's content is wrong, as against the disk, a lock or a single row."""
+    return _primary(error) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+
+
+def concerns_file(error: Exception) -> bool:
+    """Whether the whole file cannot be written now, so that nothing is wrong with the row that was tried."""
+    return isinstance(error, sqlite3.Error) and _primary(error) in (
+        sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_READONLY,
+        sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_PERM,
+        sqlite3.SQLITE_PROTOCOL,
+    )  # fmt: skip
+
+
+@contextmanager
+def transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    """A transaction that has the write lock from its beginning, committed at the end, taken back on an error."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        connection.execute("COMMIT")
+    finally:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+
+
+def row_count(connection: sqlite3.Connection, table: str) -> int:
+    """How many rows a table has, by its keys: only ever appended to, and deleted from its beginning."""
+    first, last = connection.execute(
+        f"SELECT (SELECT min(rowid) FROM {table}), (SELECT max(rowid) FROM {table})"  # noqa: S608
+    ).fetchone()
+    return 0 if first is None else int(last) - int(first) + 1
+
+
+class Packer:
+    """Packs the oldest rows of tables; remembers of each tag what stood when the last batch ended."""
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._connection = connection
+        self._standing: dict[int, tuple[float, float]] = {}
+
+    def step(self, table: str) -> bool:
+        """Pack one batch of a table if it has enough rows for one; True if it had."""
+        connection, most = self._connection, PACKED[table]
+        if row_count(connection, table) < most + most // 2:
+            return False
+        names = NAMES[table]
+        query = f"SELECT rowid, {', '.join(names)} FROM {table} ORDER BY rowid LIMIT {most}"  # noqa: S608
+        rows = connection.execute(query).fetchall()
+        with transaction(connection):
+            batch = 1 + int(connection.execute("SELECT coalesce(max(batch), 0) FROM chunks").fetchone()[0])
+            columns = dict(zip(names, map(list, zip(*(row[1:] for row in rows), strict=True)), strict=True))
+            if table == "samples":
+                self._samples(batch, columns)
+            else:
+                for name, decimals in ROUNDED.get(table, {}).items():
+                    columns[name] = [None if value is None else round(value, decimals) for value in columns[name]]
+                self._put(table, 0, batch, columns["time"], list(columns.values()))
+            connection.execute(f"DELETE FROM {table} WHERE rowid <= ?", (rows[-1][0],))  # noqa: S608
+        return True
+
+    def _put(self, kind: str, tag: int, batch: int, times: Sequence[float], columns: Sequence[Sequence[Cell]]) -> None:
+        self._connection.execute(
+            "INSERT INTO chunks (kind, tag, batch, first, last, rows, data) VALUES (?, ?, ?, ?, ?, ?, ?)",
+            (kind, tag, batch, min(times), max(times), len(times), pack(columns)),
+        )
+
+    def _samples(self, batch: int, columns: Mapping[str, list[Cell]]) -> None:
+        # The tags of one reply share its two moments, which are the costliest numbers of all: they are stored once.
+        places: dict[tuple[Cell, Cell], int] = {}
+        by_tag: dict[int, list[tuple[int, float, Cell, int]]] = {}
+        for tag, time, value, quality, sent in zip(*columns.values(), strict=True):
+            place = places.setdefault((time, sent), len(places))
+            by_tag.setdefault(int(tag), []).append((place, float(time), value, int(quality)))
+        moments = [list(column) for column in zip(*places, strict=True)]
+        times: list[float] = [float(time) for time in moments[0]]
+        self._put("stamps", 0, batch, times, moments)
+        scans = self._scan_times(min(times), max(times))
+        for tag, rows in by_tag.items():
+            which, own, values, qualities = (list(column) for column in zip(*rows, strict=True))
+            self._put("samples", tag, batch, own, [which, values, qualities])
+            self._tell(tag, scans, np.array(own), values, qualities)
+
+    def _scan_times(self, first: float, last: float) -> Array:
+        """The times of the scans between two moments, ascending."""
+        query = "SELECT data FROM chunks WHERE kind = 'scans' AND tag = 0 AND last >= ? AND first <= ?"
+        times = [time for (data,) in self._connection.execute(query, (first, last)) for time in unpack(data)[0]]
+        times += [row[0] for row in self._connection.execute("SELECT time FROM scans")]
+        found = np.sort(np.array(times, dtype=float))
+        return found[(found >= first) & (found <= last)]
+
+    def _tell(self, tag: int, scans: Array, own: Array, values: Sequence[Cell], qualities: Sequence[int]) -> None:
+        """Add to the tiers of a tag what stood at each of the scans."""
+        numbers = np.array(
+            [
+                number(value) if Quality(quality).is_good else np.nan
+                for value, quality in zip(values, qualities, strict=True)
+            ]
+        )
+        before = self._standing.get(tag)
+        self._standing[tag] = (float(own[-1]), float(numbers[-1]))
+        if before is not None and before[0] <= own[0]:
+            own, numbers = np.append(before[0], own), np.append(before[1], numbers)
+        for width in TIERS:
+            rows = means(scans, own, numbers, width)
+            self._connection.executemany(_UPSERT, [(tag, width, *row) for row in rows])
+
+
+def means(scans: Array, times: Array, values: Array, width: float) -> Sequence[tuple[float, int, float, float, float]]:
+    """(start, count, least, mean, greatest) of every `width` s with a good reading.
+
+    Counted are the n `scans` (n,), ascending; what stands at each of them is the newest of the samples, `values` (m,)
+    at `times` (m,), NaN where there was no good one.
+    """
+    order = np.argsort(times, kind="stable")
+    place = np.searchsorted(times[order], scans, side="right") - 1
+    standing = np.where(place < 0, np.nan, values[order][place]) if times.size else np.full(scans.size, np.nan)
+    known = np.isfinite(standing)
+    scans, standing = scans[known], standing[known]
+    if not scans.size:
+        return []
+    starts, begins = np.unique(np.floor(scans / width) * width, return_index=True)
+    counts = np.diff(np.append(begins, scans.size))
+    low, high = np.minimum.reduceat(standing, begins), np.maximum.reduceat(standing, begins)
+    mean = np.add.reduceat(standing, begins) / counts
+    columns = (starts, counts, low, mean, high)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def deleted_before(connection: sqlite3.Connection, table: str, moment: float) -> bool:
+    """Delete one step of what a table, or its chunks, has from before a `moment` (s UTC); False if there is none.
+
+    Only what arrived first goes, up to the first row that is younger: rows of yesterday that bear the time of a clock
+    which had lost it, 1970, are not old.
+    """
+    kinds = "('samples', 'stamps')" if table == "samples" else f"('{table}')"
+    young = f"SELECT rowid FROM chunks WHERE kind IN {kinds} AND last >= :moment ORDER BY rowid LIMIT 1"  # noqa: S608
+    chunks = (
+        f"SELECT rowid FROM chunks WHERE kind IN {kinds} AND rowid < coalesce(({young}), :none) ORDER BY rowid LIMIT 50"  # noqa: S608
+    )
+    young = f"SELECT min(rowid) FROM {table} WHERE time >= :moment"  # noqa: S608
+    rows = f"SELECT rowid FROM {table} WHERE rowid < coalesce(({young}), :none) ORDER BY rowid LIMIT {STEP}"  # noqa: S608
+    values = {"moment": moment, "none": (1 << 63) - 1}
+    with transaction(connection):
+        gone = connection.execute(f"DELETE FROM chunks WHERE rowid IN ({chunks})", values).rowcount  # noqa: S608
+        # Packed rows are older than those that are not.
+        if not connection.execute(f"SELECT 1 FROM chunks WHERE kind IN {kinds} LIMIT 1").fetchone():  # noqa: S608
+            gone += connection.execute(f"DELETE FROM {table} WHERE rowid IN ({rows})", values).rowcount  # noqa: S608
+    return gone > 0
+
+
+def gave_back(connection: sqlite3.Connection) -> bool:
+    """Give freed pages back to the system, 4 MB at most: each one moved is written again. False: that was all of it."""
+    connection.execute("PRAGMA incremental_vacuum(4000)").fetchall()
+    return False
+
+
+def pages(connection: sqlite3.Connection) -> tuple[int, int]:
+    """(the pages of the file, those of them that are free)."""
+    total, free = (connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count"))
+    return int(total), int(free)
+
+
+def make_room(connection: sqlite3.Connection, wanted: int) -> bool:
+    """Delete the oldest until so many pages are free; False where there is nothing left that may go.
+
+    Measurements go first, then the tiers, the narrow ones before the wide, last the writes. Alarms, audit record and
+    runs stay.
+    """
+    measured = ", ".join(f"'{table}'" for table in (*MEASURED, "stamps"))
+    oldest, writes = "SELECT rowid FROM chunks WHERE kind {kinds} ORDER BY batch, rowid LIMIT 8", "= 'writes'"
+    steps = [
+        f"DELETE FROM chunks WHERE rowid IN ({oldest.format(kinds=f'IN ({measured})')})",  # noqa: S608
+        *(
+            f"DELETE FROM {table} WHERE rowid IN (SELECT rowid FROM {table} ORDER BY rowid LIMIT {STEP // 10})"  # noqa: S608
+            for table in MEASURED
+        ),
+        *(
+            f"DELETE FROM tiers WHERE width = {width} AND start < (SELECT min(start) + {500 * width} FROM tiers "  # noqa: S608
+            f"WHERE width = {width})"
+            for width in TIERS
+        ),
+        f"DELETE FROM chunks WHERE rowid IN ({oldest.format(kinds=writes)})",  # noqa: S608
+        f"DELETE FROM writes WHERE rowid IN (SELECT rowid FROM writes ORDER BY rowid LIMIT {STEP // 10})",  # noqa: S608
+    ]
+    for statement in steps:
+        while pages(connection)[1] < wanted:
+            try:
+                with transaction(connection):
+                    gone = connection.execute(statement).rowcount
+            except sqlite3.DatabaseError as error:
+                # A bad page costs its table, not the room that the others can make.
+                if not is_damage(error):
+                    raise
+                gone = 0
+            if not gone:
+                break
+    return pages(connection)[1] >= wanted
