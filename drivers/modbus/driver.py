@@ -102,6 +102,14 @@ class ModbusDriver:
         self._writable_addresses = frozenset(
             (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
         )
+        words = sum(not area.is_bits for area, _ in self._writable_addresses)
+        if words > settings.max_write_registers:
+            # Neither WriteForbidden nor AddressError: a block that can never be sent is a mistake in any mode.
+            raise DriverError(
+                f"the block has {words} words and the device takes {settings.max_write_registers} in one write "
+                "(max_write_registers, or else max_registers): leave fields out (decanter plc bind --block ADDRESS "
+                "--fields NAMES), or give max_write_registers where the device takes more"
+            )
         self._lock = asyncio.Lock()
         self._refused = RefusedAddresses(settings.refused_first, settings.refused_cap)
         self._layouts: dict[tuple[int, ...], _TagLayout] = {}

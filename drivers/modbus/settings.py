@@ -78,6 +78,9 @@ class ModbusSettings(Reconnecting):
         for key, default in own.items():
             if default is None and key not in settings:
                 raise ValueError(f"{key} must be given; give {cls.model_fields[key].description}")
+        if isinstance(most := settings.get("max_registers"), int) and "max_write_registers" not in settings:
+            # A device's manual gives one limit of a request as a rule: what it says of reads holds for writes too.
+            settings = {**settings, "max_write_registers": max(1, min(most, 123))}
         return {**{key: default for key, default in own.items() if default is not None}, **settings}
 
     @model_validator(mode="after")

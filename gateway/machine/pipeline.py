@@ -7,6 +7,7 @@ import asyncio
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from random import Random
 
 from structlog.typing import FilteringBoundLogger
 
@@ -53,11 +54,12 @@ class RunCounters:
 class Machine:
     """All parts of one machine, opened (the driver not yet): one scan after another goes through `take`.
 
-    `model` is None for one that is only monitored, `block` for one to which nothing is computed for writing. Raises
-    ConfigError, HistorianError or AuditError when something cannot be opened; nothing is left open then.
+    `model` is None for one that is only monitored, `block` for one to which nothing is computed for writing. `rng`
+    draws the number that tells this start's blocks from another gateway's. Raises ConfigError, HistorianError or
+    AuditError when something cannot be opened; nothing is left open then.
     """
 
-    def __init__(self, config: Config, *, driver: Driver, clock: Clock, log: FilteringBoundLogger) -> None:
+    def __init__(self, config: Config, *, driver: Driver, clock: Clock, log: FilteringBoundLogger, rng: Random) -> None:
         self.config, self.driver, self.clock, self.log = config, driver, clock, log
         # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
         loaded = load_model(config)
@@ -87,7 +89,7 @@ class Machine:
             self.alarms = AlarmBoard(conditions, watched=config.watched, historian=store, log=log, now=now)
             layout = config.map.writeback
             if layout is not None and config.writeback.mode != "off":
-                self.block = BlockStage(config, layout, clock=clock, driver=driver, historian=store, log=log)
+                self.block = BlockStage(config, layout, clock=clock, driver=driver, historian=store, log=log, rng=rng)
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
             self.records = Records(store, Keeper(config.map.by_name, numbers, config.historian.max_interval, left_out))
             if isinstance(driver, Redundant):

@@ -5,6 +5,7 @@ import signal
 import sys
 from contextlib import ExitStack, aclosing
 from pathlib import Path
+from random import Random, SystemRandom
 from typing import Any
 
 from structlog.typing import FilteringBoundLogger
@@ -35,12 +36,14 @@ async def run(
     status_path: Path | None = None,
     log: FilteringBoundLogger | None = None,
     driver: Driver | None = None,
+    rng: Random | None = None,
 ) -> dict[str, Any]:
     """Run until `stop` is set; gives the last status.
 
     It starts without a PLC and without a model, and outlives the loss of the PLC. When it stops, it writes validity 0
     if it is armed and permitted, saves its state and commits all records. `status_path` is rewritten four times a
-    second with one line of JSON. `clock` and `driver` are the configured ones unless given.
+    second with one line of JSON. `clock` and `driver` are the configured ones unless given; `rng` draws
+    this start's number as a writer, by default from the system's randomness.
 
     Raises ConfigError or HistorianError, before anything runs, for what cannot be opened.
     """
@@ -48,7 +51,9 @@ async def run(
     clock = clock or plant_clock(config.clock.speed)
     with ExitStack() as opened:
         log = log or opened.enter_context(open_log(config.log.path, config.log.level, rotation=config.log))
-        machine = Machine(config, driver=driver or make_driver(config, clock), clock=clock, log=log)
+        machine = Machine(
+            config, driver=driver or make_driver(config, clock), clock=clock, log=log, rng=rng or SystemRandom()
+        )
         reporter = machine.supervisor.task("status", lambda: _report(machine, status_path))
         # The local socket is a convenience: a gateway that cannot have one runs without it, and says so.
         control = Control(machine, config.control_socket, snapshot)

@@ -113,5 +113,7 @@ def _writeback(machine: Machine) -> dict[str, Any]:
         "last_reason": last.reason if last else "",
         "last_validity": int(last.block.validity) if last else None,
         "sequence": writer.sequence,
+        "writer": writer.number,
+        "challenge": writer.challenge,
         "latency_ms": {"p50": percentile(latencies, 0.5), "p99": percentile(latencies, 0.99)},
     }

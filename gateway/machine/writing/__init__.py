@@ -10,7 +10,7 @@ from gateway.machine.writing.arming import (
     signed,
     uptime,
 )
-from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE, Validity, build, crc, next_heartbeat
+from gateway.machine.writing.block import NO_NUMBER, NO_TEMPERATURE, SessionWords, Validity, build, crc, next_heartbeat
 from gateway.machine.writing.block_stage import BlockStage
 from gateway.machine.writing.witnessing import clear_for_arming, countersign, places_of
 from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
@@ -25,6 +25,7 @@ __all__ = [
     "ArmingError",
     "BlockStage",
     "NextStart",
+    "SessionWords",
     "Validity",
     "arm_in_log",
     "arming_of",

@@ -3,6 +3,7 @@
 import asyncio
 from collections import deque
 from collections.abc import Mapping, Sequence
+from random import Random
 from struct import pack
 
 from structlog.typing import FilteringBoundLogger
@@ -37,11 +38,12 @@ class BlockStage:
         driver: Driver,
         historian: Historian,
         log: FilteringBoundLogger,
+        rng: Random,
     ) -> None:
         self.config = config
         self._clock, self._driver, self._historian, self._log = clock, driver, historian, log
-        tag = config.map.by_name.get("LastRefusal")
-        self._refusals: Mapping[int, str] = tag.labels if tag else {}
+        self._refusals: Mapping[int, str] = {code: reason for reason, code in config.map.refusals.items()}
+        self._refused = ""
         self.attempt: Attempt | None = None
         self.latencies: deque[float] = deque(maxlen=LATENCIES)
         self.audit, damaged = open_or_set_aside(config.audit)
@@ -60,6 +62,7 @@ class BlockStage:
                 historian=historian,
                 audit=self.audit,
                 log=log,
+                rng=rng,
                 obstacle=lambda: obstacle(self.witnessing.places)[0],
             )
             self.witnessing.sign(self._signed)
@@ -70,7 +73,11 @@ class BlockStage:
 
     def take_counts(self, scan: Scan) -> None:
         """Take over what the PLC says of the blocks before this one."""
-        self.writer.take_counts(scan, self._refusals)
+        refused = self.writer.take_counts(scan, self._refusals)
+        # The same refusal of every block is one line; every one is counted, and on record.
+        if refused and refused != self._refused and self.writer.armed:
+            self._log.warning("the PLC refuses blocks", reason=refused, writer=self.writer.number)
+        self._refused = refused or self._refused
 
     async def take(
         self,
