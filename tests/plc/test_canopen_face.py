@@ -61,9 +61,10 @@ def test_the_librarys_master_reads_starts_and_is_told_and_its_block_is_taken(tmp
             wait_until(lambda: 42.5 in told)
             remote.rpdo.read()
             words = block(1, 1)
-            for number in range(1, 7):
+            for number in range(1, 8):
                 pdo = remote.rpdo[number]
-                pdo.data = bytearray(struct.pack("<4H", *words[4 * number - 4 : 4 * number]))
+                part = words[4 * number - 4 : 4 * number]
+                pdo.data = bytearray(struct.pack(f"<{len(part)}H", *part))
                 pdo.transmit()
             wait_until(lambda: plc.order("status")["accepted"] == 1)
             with pytest.raises(canopen.SdoAbortedError, match="read only"):

@@ -234,7 +234,15 @@ class BlockWriter:
         """What the PLC says of the blocks, once it has looked at them."""
         await self.wait_for_scans()
         accepted, refused, code, usable, challenge, session, other = await self.numbers(*ACCOUNT_TAGS)
-        return Account(accepted, refused, code, bool(usable), challenge, session, other)
+        return Account(
+            accepted=accepted,
+            refused=refused,
+            last_refusal=code,
+            usable=bool(usable),
+            challenge=challenge,
+            session_writer=session,
+            refused_writer=other,
+        )
 
     async def write(self, offset: int, words: Sequence[int]) -> None:
         """`send`, for the suite: what cannot be sent is a step that cannot be put. Raises Unable.
